@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
+from annotated_types import Interval
+
+from fmu.arguments import Chains, Count, Draws, OwnRule, Seed, Workers, check_arguments, shown
 from fmu.numbers import whole
 from fmu.samplers.registry import SAMPLERS as SAMPLERS
 
@@ -18,12 +22,11 @@ if TYPE_CHECKING:
 
     from fmu.analysis.maxima.results import Maxima
     from fmu.engines.base import Engine
-    from fmu.progress import Report
     from fmu.runs import Checkpoint
     from fmu.runs.store import Store
     from fmu.samplers.kernel import Sampler
     from fmu.samplers.loop.record import RunResult
-    from fmu.types import LogDensity
+    from fmu.types import LogDensity, Positive
 
 INITS = ("maxima", "prior", "start")
 """Words for where the chains start."""
@@ -57,25 +60,26 @@ class StoppedRun(KeyboardInterrupt):
         self.trace, self.where = trace, where
 
 
+@check_arguments
 def sample(
     problem: LogDensity,
-    sampler: str | Sampler | None = None,
+    sampler: Annotated[str | Sampler | None, OwnRule()] = None,
     *,
-    draws: int = 1000,
-    warmup: int = 1000,
-    chains: int = 4,
-    seed: int = 1,
+    draws: Draws = 1000,
+    warmup: Annotated[int, Interval(ge=0, le=1_000_000_000)] = 1000,
+    chains: Chains = 4,
+    seed: Seed = 1,
     init: str | ArrayLike = "maxima",
     jumps: bool | None = None,
-    groups: int | None = None,
-    until_ess: float | None = None,
-    max_draws: int | None = None,
-    max_solves: int | None = None,
+    groups: Count | None = None,
+    until_ess: Positive | None = None,
+    max_draws: Count | None = None,
+    max_solves: Count | None = None,
     maxima: Maxima | None = None,
     checkpoint: str | os.PathLike[str] | Checkpoint | None = None,
-    workers: int | str | Engine = 1,
-    max_failure_rate: float = 0.5,
-    progress: Report | bool | None = None,
+    workers: Workers | str | Engine = 1,
+    max_failure_rate: Annotated[float, Interval(ge=0, le=1)] = 0.5,
+    progress: Callable[..., Any] | bool | None = None,
     on_draws: Callable[[xr.DataTree], None] | None = None,
 ) -> xr.DataTree:
     """Draw from the posterior of a problem, or from any log-density.
@@ -194,6 +198,8 @@ def sample(
     draws = whole_number("draws", draws, 1)
     limits = Limits.of(draws, until_ess, max_draws, max_solves)
     failure_rate_exceeded(0, 0, max_failure_rate)
+    if isinstance(workers, str) and "://" not in workers:
+        raise ValueError(f"workers: must be the address of a scheduler, such as tcp://host:8786 (got {workers!r})")
     arguments = _checked(problem, settings, init, warmup=warmup, chains=chains, groups=groups, seed=seed)
     saved = checkpoint if checkpoint is None or isinstance(checkpoint, Checkpoint) else Checkpoint(checkpoint)
     of_model: Any = problem if is_updating(problem) else None
@@ -295,7 +301,11 @@ def default_sampler(problem: LogDensity) -> str:
     return "hmc" if getattr(problem, "is_hierarchical", False) else DEFAULT_SAMPLER
 
 
-DEFAULTS: Mapping[str, Any] = sample.__kwdefaults__ or {}
+DEFAULTS: Mapping[str, Any] = {
+    name: argument.default
+    for name, argument in inspect.signature(sample).parameters.items()
+    if argument.kind is argument.KEYWORD_ONLY
+}
 """The keyword arguments of `sample` and their default values, which ``fmu run`` has, too."""
 
 
@@ -318,6 +328,8 @@ def _checked(
     problem: LogDensity, settings: Sampler, init: Any, *, warmup: Any, chains: Any, groups: Any, seed: Any
 ) -> dict[str, int]:
     """Return the numbers that determine a run; ValueError if one, a name or `init` is wrong by itself."""
+    import numpy as np
+
     from fmu.analysis.trace.conversion import names_of
     from fmu.posterior.parameters import require_name
     from fmu.samplers.loop.run import n_groups
@@ -327,6 +339,10 @@ def _checked(
         require_name(name)
     if isinstance(init, str) and init not in INITS:
         raise ValueError(f"init: must be one of {', '.join(INITS)} or an array (got {init!r})")
+    if not isinstance(init, str):
+        shape = (chains, problem.ndim) if settings.walkers == 1 else (chains, settings.walkers, problem.ndim)
+        if np.shape(init) != shape or not np.isfinite(init).all():
+            raise ValueError(f"init: must be finite, of shape {shape} (got {shown(init)})")
     warmup, chains = whole_number("warmup", warmup, 0), whole_number("chains", chains, 1)
     seed, groups = whole_number("seed", seed, 0), n_groups(groups, chains, settings)
     return {"warmup": warmup, "chains": chains, "groups": groups, "seed": seed}

@@ -22,18 +22,6 @@ Direction = Literal["x", "y", "z", "rx", "ry", "rz"]
 DIRECTIONS: tuple[str, ...] = get_args(Direction)
 
 
-def require_positive(name: str, value: float) -> None:
-    """Raise ValueError unless a number is positive and finite."""
-    if not (np.isfinite(value) and value > 0):
-        raise ValueError(f"{name}: must be positive and finite (got {value})")
-
-
-def require_finite(name: str, value: float) -> None:
-    """Raise ValueError unless a number is finite."""
-    if not np.isfinite(value):
-        raise ValueError(f"{name}: must be finite (got {value})")
-
-
 @runtime_checkable
 class LogDensity(Protocol):
     """An unnormalised log-density on a box, evaluated in batches.

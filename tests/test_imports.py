@@ -12,6 +12,7 @@ import fmu
 HOUSE = Path(fmu.__file__).parent
 FLOORS = (
     {"types", "numbers", "interruption", "durable_files"},
+    {"arguments"},
     {"tables", "formats", "progress"},
     {"engines"},
     {"fem"},

@@ -254,7 +254,7 @@ def test_unknown_sampler(problem, sampler):
         ({"warmup": -1}, r"warmup: .* \(got -1\)"),
         ({"chains": 0}, r"chains: .* \(got 0\)"),
         ({"init": "middle"}, "init: .*'middle'"),
-        ({"until_ess": 0}, r"until_ess: must be a positive finite number \(got 0\)"),
+        ({"until_ess": 0}, r"until_ess: must be a positive finite number or None \(got 0\)"),
         ({"until_ess": 10, "max_draws": 999}, r"max_draws: must be a whole number of at least 1000 \(got 999\)"),
         ({"max_draws": 9999}, r"max_draws: needs until_ess, .* \(got 9999\)"),
         ({"init": [[0.0, np.inf]] * 4}, "init: "),

@@ -5,9 +5,10 @@ from __future__ import annotations
 import html
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+from annotated_types import Interval
 
 from fmu.analysis.gradient_check import GradientCheck, check_gradient
 from fmu.analysis.identifiability import Identifiability, identifiability
@@ -18,6 +19,7 @@ from fmu.analysis.prediction import measurement_in_words
 from fmu.analysis.prior_prediction import DRAWS, PriorPrediction, prior_prediction
 from fmu.analysis.repeatability import repeatability
 from fmu.analysis.trace.modal_states import START, modal_states
+from fmu.arguments import Seed, check_arguments
 from fmu.fem.frame.drawing import changed_elements, drawn, is_drawable, parameter_colours, sketch
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.correlation import LOOK_AT_SENSORS
@@ -356,7 +358,10 @@ def _as_text(table: pd.DataFrame) -> str:
     return text_table(header, [list(map(str, row)) for row in table.to_numpy()], words)
 
 
-def check(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1) -> Check:
+@check_arguments
+def check(
+    problem: UpdatingProblem, draws: Annotated[int, Interval(ge=1, le=1_000_000)] = DRAWS, seed: Seed = 1
+) -> Check:
     """Check a problem before sampling.
 
     Parameters

@@ -15,6 +15,7 @@ from fmu.analysis.convergence import effective
 from fmu.analysis.convergence.pareto import GOOD_K, pareto_k
 from fmu.analysis.maxima.results import NEGLIGIBLE, RELIABLE
 from fmu.analysis.trace.reading import array_of, has, is_pseudo
+from fmu.arguments import check_arguments
 from fmu.numbers import apart, given, significant, with_sd
 from fmu.samplers.mixture.kernel import CANDIDATE, LOG_WEIGHT
 from fmu.samplers.tempering.tempering import rejections
@@ -120,6 +121,7 @@ class _Estimate(NamedTuple):
     influence: FloatArray
 
 
+@check_arguments
 def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
     """Estimate the evidence from a run of parallel tempering, or of a sampler with candidates from a mixture.
 

@@ -16,6 +16,7 @@ from fmu.analysis.maxima.results import Maxima
 from fmu.analysis.maxima.search import is_updating
 from fmu.analysis.trace.modal_states import MAXIMUM, START
 from fmu.analysis.trace.reading import has, with_group
+from fmu.arguments import check_arguments
 from fmu.numbers import fixed, names_in_words, share, significant
 from fmu.progress.phases import phase
 from fmu.tables import data_frame, distinct, text_table, wrapped
@@ -161,6 +162,7 @@ class Identifiability:
         return said + str(self.table().to_html(float_format=significant))
 
 
+@check_arguments
 def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) -> Identifiability:
     """Return which directions of the parameter space the data constrain, by a linearised model.
 

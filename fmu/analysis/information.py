@@ -23,6 +23,7 @@ from fmu.analysis.identifiability import (
 from fmu.analysis.prediction import at_bounds
 from fmu.analysis.trace.modal_states import MAXIMUM, START
 from fmu.analysis.trace.reading import has, parameter_draws, parameter_names
+from fmu.arguments import check_arguments
 from fmu.numbers import fixed, given, names_in_words, share, significant
 from fmu.tables import data_frame, text_table, wrapped
 from fmu.types import BoolArray, FloatArray
@@ -143,6 +144,7 @@ class Information:
         return said + str(self.table().to_html(float_format=significant))
 
 
+@check_arguments
 def information(trace: xr.DataTree) -> Information | None:
     """Return what the data determine, by the contraction of the draws.
 

@@ -11,6 +11,7 @@ import numpy as np
 from fmu.analysis.trace.modal_states import GROUP as MODES
 from fmu.analysis.trace.modal_states import START
 from fmu.analysis.trace.reading import array_of, check_trace, has, parameter_draws, with_group
+from fmu.arguments import check_arguments
 from fmu.fem.modes.modal import frequency_hz
 from fmu.numbers import share, significant
 from fmu.progress.phases import by_parts
@@ -134,6 +135,7 @@ class PairingChanges:
         return ", ".join(self.labels[j] for j in np.flatnonzero(self.swapped[i] > 0)) or "–"
 
 
+@check_arguments
 def pairing_changes(trace: xr.DataTree) -> PairingChanges:
     """Return how often the pairing of modes changed over the retained draws of a run.
 

@@ -20,6 +20,7 @@ from fmu.analysis.trace.reading import (
     parameter_units,
     walkers_of,
 )
+from fmu.arguments import check_arguments
 from fmu.fem.pairing.correlation import ALIKE
 from fmu.numbers import apart, fixed, share, with_unit
 from fmu.tables import data_frame
@@ -45,6 +46,7 @@ class Expectation(NamedTuple):
     mcse: float | FloatArray
 
 
+@check_arguments
 def expectation(trace: xr.DataTree, G: Callable[[FloatArray], FloatArray] | str) -> Expectation:
     """Estimate the posterior expectation of a function of the parameters, eq. (11): (1/N_s) Σ_i G(E_i).
 

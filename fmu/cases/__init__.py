@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+from annotated_types import Gt
+
+from fmu.arguments import check_arguments
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -28,6 +32,7 @@ def names() -> tuple[str, ...]:
     return tuple(sorted(file.stem for file in _FOLDER.glob("*.toml")))
 
 
+@check_arguments
 def describe(name: str) -> str:
     """Say in one line what a case is.
 
@@ -48,6 +53,7 @@ def describe(name: str) -> str:
     return str(tomllib.loads(path(name).read_text(encoding="utf-8"))["description"])
 
 
+@check_arguments
 def path(name: str) -> Path:
     """Return the path of a case's TOML file, which may serve as a template.
 
@@ -70,8 +76,13 @@ def path(name: str) -> Path:
     return _FOLDER / f"{name}.toml"
 
 
+@check_arguments
 def load(
-    name: str, pairing: str | None = None, beta: ArrayLike | None = None, *, engine: Engine | None = None
+    name: str,
+    pairing: str | None = None,
+    beta: Annotated[ArrayLike, Gt(0.0)] | None = None,
+    *,
+    engine: Engine | None = None,
 ) -> UpdatingProblem:
     """Return a built-in problem.
 

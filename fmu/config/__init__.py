@@ -11,14 +11,19 @@ import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+from annotated_types import Gt
+
+from fmu.arguments import check_arguments
 from fmu.config.mistakes import ConfigurationError as ConfigurationError
 from fmu.config.mistakes import Mistake, got, of_validation, place
 from fmu.formats.files import why_no_file
 from fmu.numbers import typed
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from fmu.config.problem import ProblemFile
     from fmu.engines.base import Engine
     from fmu.posterior.problem import UpdatingProblem
@@ -35,8 +40,13 @@ _LONG_KEY = re.compile(rf"(?m)(?a:{_KEY}{{{DEEPEST_KEY},}}+[ \t]*[=\]]|{_KEY}{{{
 """Text that does not end like a key, as in a string or a comment, may have more parts."""
 
 
+@check_arguments
 def load(
-    path: str | os.PathLike[str], pairing: str | None = None, beta: Any = None, *, engine: Engine | None = None
+    path: str | os.PathLike[str],
+    pairing: str | None = None,
+    beta: Annotated[ArrayLike, Gt(0.0)] | None = None,
+    *,
+    engine: Engine | None = None,
 ) -> UpdatingProblem:
     """Return the updating problem that a TOML file describes.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field, Tag
 
@@ -229,7 +229,7 @@ class ProblemFile(TomlTable):
                 reference=self.reference,
                 correlation=self.correlation,
                 pairing=pairing or self.pairing,
-                error=errors or self.error,
+                error=errors or cast("str", self.error),
                 reduction=self.reduction,
                 engine=engine,
                 name=f"{self.name}, by {pairing or self.pairing}",

@@ -6,11 +6,16 @@ Read `base` (the interface) first, then `remote` (what both engines with worker 
 from __future__ import annotations
 
 import os
+from typing import Annotated
 
+from fmu.arguments import Workers, check_arguments
 from fmu.engines.base import Engine, InProcess
 
 
-def engine(workers: int = 1, cluster: str | None = None) -> Engine:
+@check_arguments
+def engine(
+    workers: Annotated[Workers, "the address of a cluster is given as cluster="] = 1, cluster: str | None = None
+) -> Engine:
     """Return an engine, which runs tasks side by side; it is a context manager.
 
     Parameters
@@ -39,8 +44,6 @@ def engine(workers: int = 1, cluster: str | None = None) -> Engine:
         except ImportError as error:
             raise ValueError("--cluster: needs the package distributed: pip install 'fmu[distributed]'") from error
         return DaskCluster(cluster)
-    if workers < 1:
-        raise ValueError(f"workers: must be at least 1 (got {workers})")
     if workers == 1:
         return InProcess()
     from fmu.engines.process_pool import ProcessPool

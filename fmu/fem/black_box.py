@@ -28,11 +28,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import ArrayLike
 
+from fmu.arguments import Count, check_arguments
 from fmu.durable_files import digest
 from fmu.engines.base import MAX_DEATHS, Engine, LostTaskError
 from fmu.fem.programs.sources import source_digest
@@ -71,6 +73,7 @@ class Failure(NamedTuple):
     reason: str
 
 
+@check_arguments
 class BlackBoxModel:
     """A structure as a function from theta to its frequencies; `fmu.fem.black_box` has the contract.
 
@@ -117,19 +120,13 @@ class BlackBoxModel:
     def __init__(
         self,
         function: Callable[[FloatArray], Any],
-        n_parameters: int,
+        n_parameters: Count,
         *,
         batched: bool = False,
-        step: float = 1e-4,
+        step: Annotated[float, Interval(gt=0.0, le=0.1)] = 1e-4,
         name: str | None = None,
         store: str | os.PathLike[str] | None = None,
     ) -> None:
-        if not callable(function):
-            raise ValueError(f"function: must be callable (got {type(function).__name__})")
-        if n_parameters < 1:
-            raise ValueError(f"n_parameters: must be at least 1 (got {n_parameters})")
-        if not 0.0 < step <= 0.1:
-            raise ValueError(f"step: must be positive and at most 0.1 (got {step})")
         self.function = function
         self.n_parameters = int(n_parameters)
         self.batched = batched

@@ -7,14 +7,16 @@ are for one K and M; for a model that is solved at many theta, `fmu.fem.reduced.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
+from annotated_types import Ge
 from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 
+from fmu.arguments import Numbers, check_arguments, require, shown
 from fmu.fem.modes.eigensolver import eigen, rank
 from fmu.fem.modes.separable import SeparableModel
 from fmu.types import FloatArray, IntArray
@@ -44,6 +46,7 @@ class Reduction:
         return lam, self.basis @ q
 
 
+@check_arguments
 def guyan(K: Any, M: Any, masters: ArrayLike) -> Reduction:
     """Return the static condensation onto the masters (Guyan 1965): the slaves follow as in statics.
 
@@ -66,11 +69,13 @@ def guyan(K: Any, M: Any, masters: ArrayLike) -> Reduction:
     ValueError
         If a master does not exist or is given twice, or the structure can still move with all masters held.
     """
+    K, M = _matrices(K, M)
     masters = _index("masters", masters, K.shape[0])
     return _ritz(K, M, _constraint_modes(K, masters), masters)
 
 
-def craig_bampton(K: Any, M: Any, boundary: ArrayLike, n_modes: int) -> Reduction:
+@check_arguments
+def craig_bampton(K: Any, M: Any, boundary: ArrayLike, n_modes: Annotated[int, Ge(0)]) -> Reduction:
     """Return the Craig–Bampton reduction (Craig & Bampton 1968).
 
     The boundary separates the interior (all other degrees of freedom) into substructures. The basis consists of
@@ -99,10 +104,8 @@ def craig_bampton(K: Any, M: Any, boundary: ArrayLike, n_modes: int) -> Reductio
     not change and the basis can be reused. If a substructure's mass changes too, or its stiffness unevenly, it
     cannot: see `reusable`.
     """
-    if n_modes < 0:
-        raise ValueError(f"n_modes: must not be negative (got {n_modes})")
+    K, M = _matrices(K, M)
     boundary = _index("boundary", boundary, K.shape[0])
-    K, M = sp.csr_array(K), sp.csr_array(M)
     columns = [_constraint_modes(K, boundary)]
     for interior in substructures(K, M, boundary):
         inner = M[interior][:, interior]
@@ -216,10 +219,23 @@ def _ritz(K: Any, M: Any, T: FloatArray, retained: IntArray) -> Reduction:
     return Reduction(0.5 * (K_r + K_r.T), 0.5 * (M_r + M_r.T), T, retained)
 
 
+def _matrices(K: Any, M: Any) -> list[Any]:
+    """Return both matrices as sparse arrays; ValueError unless they are square and of one size."""
+    found = []
+    for name, matrix in (("K", K), ("M", M)):
+        if not sp.issparse(matrix):
+            require(name, matrix, Numbers)
+        if len(np.shape(matrix)) != 2 or np.shape(matrix) != (np.shape(K)[0],) * 2:
+            raise ValueError(f"{name}: must be a square matrix, of the size of K (got shape {np.shape(matrix)})")
+        found.append(sp.csr_array(matrix))
+    return found
+
+
 def _index(name: str, dofs: ArrayLike, n_dof: int) -> IntArray:
-    index = np.asarray(dofs, dtype=np.int64)
-    if index.ndim != 1 or len(index) == 0:
-        raise ValueError(f"{name}: must be a list of degrees of freedom (got shape {index.shape})")
+    given = np.asarray(dofs)
+    if given.ndim != 1 or len(given) == 0 or (given != np.trunc(given)).any() or np.isinf(given).any():
+        raise ValueError(f"{name}: must be a list of degrees of freedom (got {shown(dofs)})")
+    index = given.astype(np.int64)
     if index.min() < 0 or index.max() >= n_dof:
         raise ValueError(f"{name}: must lie in 0..{n_dof - 1} (got {int(index.min())}..{int(index.max())})")
     if len(np.unique(index)) < len(index):

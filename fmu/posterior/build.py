@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fmu.arguments import shown
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.paired_black_box import PairedBlackBox
@@ -58,6 +59,11 @@ def paired_model(
     ValueError
         If the model does not fit the parameters or the data.
     """
+    if not (isinstance(model, SeparableModel | BlackBoxModel) or callable(getattr(model, "frequencies", None))):
+        raise ValueError(
+            "model: must be a SeparableModel, a BlackBoxModel or an object with frequencies(theta), n_parameters "
+            f"and n_modes (got {shown(model)})"
+        )
     if pairing == SOFT and not isinstance(model, SeparableModel):
         raise ValueError(
             f"pairing: soft needs a SeparableModel, with slopes of shapes (got {type(model).__name__})"
@@ -141,6 +147,13 @@ def likelihood_of(
         start = np.array([p.start for p in parameters], dtype=float)
         return ModalResidual(model, data, start, 1.0 if beta is None else beta)
     given: Any = error if isinstance(error, Sequence) and not isinstance(error, str) else [error]
+    if not given or not all(
+        one in ("frequency",) or hasattr(one, "bind") or isinstance(one, QuantityErrors) for one in given
+    ):
+        raise ValueError(
+            f"error: must be one of {ERRORS}, or error models such as fmu.FrequencyErrors(sd=0.01) "
+            f"(got {shown(error)})"
+        )
     others = [one for one in given if isinstance(one, QuantityErrors)]
     errors = [one for one in given if one not in others and one != "frequency"]
     if not errors:

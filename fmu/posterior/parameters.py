@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from fmu.arguments import Bound, check_arguments
 from fmu.numbers import given, shown, typed
 from fmu.posterior.priors.base import Normal, Prior, Uniform
 from fmu.types import FloatArray
@@ -19,6 +20,7 @@ DIMENSIONS = ("chain", "draw")
 """Dimensions of the draws in a trace."""
 
 
+@check_arguments
 @dataclass(frozen=True)
 class Parameter:
     """One uncertain quantity of the model.
@@ -46,8 +48,8 @@ class Parameter:
 
     name: str
     start: float
-    lower: float = -np.inf
-    upper: float = np.inf
+    lower: Bound = -np.inf
+    upper: Bound = np.inf
     prior: Prior = field(default_factory=Uniform)
     unit: str = ""
     group: str = ""
@@ -103,7 +105,7 @@ def prior_in_words(settings: Mapping[str, Any], unit: str) -> str:
     return ", ".join(parts).removeprefix("distribution ")
 
 
-def require_name(name: str) -> None:
+def require_name(name: str, key: str = "name") -> None:
     """Raise ValueError for a name that a trace could not store or nobody could read.
 
     Spaces, Greek letters, ``$``, ``_``, ``%``, ``|``, ``<b>`` and quotes are allowed.
@@ -116,7 +118,7 @@ def require_name(name: str) -> None:
         rule = "must have only printable characters, and no space at its ends"
     else:
         return
-    raise ValueError(f"name: {rule} (got {name!r})")
+    raise ValueError(f"{key}: {rule} (got {name!r})")
 
 
 def share_alpha(parameters: Sequence[Parameter], alpha: Mapping[str, float]) -> tuple[Parameter, ...]:

@@ -6,11 +6,13 @@ from collections.abc import Collection, Sequence
 from copy import copy
 from dataclasses import replace
 from importlib import import_module
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import numpy as np
+from annotated_types import Gt, Interval
 from numpy.typing import ArrayLike
 
+from fmu.arguments import Numbers, OwnRule, check_arguments, require
 from fmu.engines.base import Engine
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
@@ -23,7 +25,7 @@ from fmu.posterior.failures import Failure, FailureRecord
 from fmu.posterior.parameters import JointPrior, Parameter
 from fmu.posterior.rounding import require_digits
 from fmu.posterior.train_reduced import Tolerance, reduce_model
-from fmu.types import BoolArray, FloatArray
+from fmu.types import BoolArray, FloatArray, Positive
 
 _LEAST_NOISE = 1e-150
 
@@ -104,23 +106,24 @@ class UpdatingProblem:
         parameters: Sequence[Parameter],
         *,
         pairing: str = "shape",
-        softness: float = SOFTNESS,
-        beta: ArrayLike | None = None,
+        softness: Positive = SOFTNESS,
+        beta: Annotated[ArrayLike, Gt(0.0)] | None = None,
         error: str | ErrorModel | Sequence[ErrorModel] = "frequency",
         name: str = "problem",
     ) -> None:
         self._pose(model, data, parameters, pairing=pairing, softness=softness, beta=beta, error=error, name=name)
         require_digits(self)
 
+    @check_arguments
     def _pose(
         self,
-        model: SeparableModel | BlackBoxModel | ModalModel,
+        model: Annotated[SeparableModel | BlackBoxModel | ModalModel, OwnRule()],
         data: ModalData,
         parameters: Sequence[Parameter],
         *,
         pairing: str = "shape",
-        softness: float = SOFTNESS,
-        beta: ArrayLike | None = None,
+        softness: Positive = SOFTNESS,
+        beta: Annotated[ArrayLike, Gt(0.0)] | None = None,
         error: str | ErrorModel | Sequence[ErrorModel] = "frequency",
         name: str = "problem",
     ) -> None:
@@ -153,8 +156,13 @@ class UpdatingProblem:
         self.prior = JointPrior(self.parameters)
 
     @classmethod
+    @check_arguments
     def reduced(
-        cls, *args: Any, reduction: bool | float = True, engine: Engine | None = None, **options: Any
+        cls,
+        *args: Any,
+        reduction: Annotated[bool | float, OwnRule()] = True,
+        engine: Engine | None = None,
+        **options: Any,
     ) -> UpdatingProblem:
         """Return a problem in which a certified reduced model replaces a SeparableModel inside the bounds.
 
@@ -194,6 +202,7 @@ class UpdatingProblem:
         require_digits(problem)  # after training, as the reduced model adds rounding of its own
         return problem
 
+    @check_arguments
     def using(self, labels: Collection[str]) -> UpdatingProblem:
         """Return the same problem updated with other modes; the model, reduced or not, is shared.
 
@@ -208,15 +217,16 @@ class UpdatingProblem:
             If there is no such mode, or none is named.
         """
         unknown = [name for name in labels if name not in self.data.labels]
-        if unknown:
-            raise ValueError(f"labels: must be of {', '.join(self.data.labels)} (got {unknown[0]!r})")
+        if unknown or not labels:
+            raise ValueError(f"labels: must be of {', '.join(self.data.labels)} (got {[*unknown, 'none'][0]!r})")
         other = copy(self)
         other.data = replace(self.data, use=tuple(label in labels for label in self.data.labels))
         other.likelihood = self.likelihood.using(other.data.used)
         other._failed = FailureRecord()
         return other
 
-    def coarser(self, share: float) -> UpdatingProblem:
+    @check_arguments
+    def coarser(self, share: Annotated[float, Interval(gt=0, le=1)]) -> UpdatingProblem:
         """Return the same problem with a model by only a share of its reduced basis, if it has one.
 
         A solve takes less time and is less accurate: for what may be approximate, such as proposals.
@@ -431,6 +441,8 @@ class UpdatingProblem:
         return of_model.solves_per_shape_gradient if self.likelihood.needs_shapes else of_model.solves_per_gradient
 
     def _points(self, theta: ArrayLike) -> tuple[FloatArray, bool]:
+        if not isinstance(theta, np.ndarray) or theta.dtype.kind not in "fiu":
+            require("theta", theta, Numbers)
         points = np.asarray(theta, dtype=float, order="C")
         if points.ndim not in (1, 2) or points.shape[-1] != self.ndim:
             raise ValueError(f"theta: must have shape ({self.ndim},) or (n, {self.ndim}) (got {points.shape})")

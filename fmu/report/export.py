@@ -19,6 +19,7 @@ from fmu.analysis.information import Information, information
 from fmu.analysis.trace.conversion import load_trace
 from fmu.analysis.trace.provenance import canonical_json
 from fmu.analysis.trace.reading import array_of, constant, has, parameter_draws, parameter_names, parameter_units
+from fmu.arguments import check_arguments
 from fmu.config.kept import kept
 from fmu.fem.modes.separable import SeparableModel
 from fmu.formats.decks import (
@@ -79,6 +80,7 @@ class Exported:
     remarks: tuple[str, ...]
 
 
+@check_arguments
 def export(
     run_directory: str | os.PathLike[str],
     sampler: str | None = None,

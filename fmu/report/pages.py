@@ -17,6 +17,7 @@ from markupsafe import Markup, escape
 
 from fmu.analysis.convergence.diagnosis import choose_run
 from fmu.analysis.trace.conversion import load_traces
+from fmu.arguments import check_arguments
 from fmu.progress.phases import Phase, phase
 from fmu.report.document import Items, Link, Omitted, Page, PageSection, Verdict
 from fmu.report.files import OutputDirectory
@@ -142,6 +143,7 @@ def _footer(run: ReportedRun) -> str:
 FOLDER = "report"
 
 
+@check_arguments
 def write_report(run_directory: str | os.PathLike[str]) -> Path:
     """Write the report of a run from the traces in its directory.
 

@@ -10,7 +10,11 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from fmu.arguments import Count, check_arguments
+from fmu.types import NotNegative
 
+
+@check_arguments
 @dataclass(frozen=True)
 class Checkpoint:
     """Where a run is kept while it goes on, and how much of it may be lost when it is killed.
@@ -31,12 +35,8 @@ class Checkpoint:
     """
 
     directory: str | os.PathLike[str]
-    draws: int = 1000
-    seconds: float = 30.0
+    draws: Count = 1000
+    seconds: NotNegative = 30.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "directory", Path(self.directory))
-        if isinstance(self.draws, bool) or not isinstance(self.draws, int) or self.draws < 1:
-            raise ValueError(f"checkpoint.draws: must be a whole number of at least 1 (got {self.draws!r})")
-        if not self.seconds >= 0.0:
-            raise ValueError(f"checkpoint.seconds: must not be negative (got {self.seconds!r})")

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
+from fmu.arguments import check_arguments
 from fmu.samplers.kernel import Info, Sampler, State, Target
 from fmu.samplers.settings import one_of, positive_number, whole_number
 from fmu.types import FloatArray, LogDensity
@@ -18,6 +19,7 @@ _PER_COORDINATE = 4
 """Walkers per coordinate from which half of them give a kernel density to propose from."""
 
 
+@check_arguments
 @dataclass(frozen=True)
 class Ensemble(Sampler):
     """An ensemble of walkers that propose from each other's positions, by the emcee library.
@@ -164,7 +166,10 @@ def _mixture(moves: Any) -> tuple[tuple[str, float], ...]:
     elif isinstance(moves, Mapping):
         pairs = list(moves.items())
     elif isinstance(moves, Iterable):
-        pairs = [(move, 1.0) if isinstance(move, str) else tuple(move) for move in moves]
+        pairs = [
+            tuple(move) if isinstance(move, Sequence) and not isinstance(move, str) else (move, 1.0)
+            for move in moves
+        ]
     else:
         pairs = []
     if not pairs or any(len(pair) != 2 for pair in pairs):

@@ -8,12 +8,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from fmu.arguments import check_arguments
 from fmu.samplers.adaptation import DualAveraging, Learner, Schedule
 from fmu.samplers.kernel import Info, Sampler, State, Tree
 from fmu.samplers.mixture.quadratic import definite
 from fmu.samplers.settings import fits, one_of, positive_number, positive_scale, whole_number
 from fmu.samplers.trajectory import CentralDifference, ExactGradient, HamiltonianKernel, Metric
-from fmu.types import FloatArray, LogDensity
+from fmu.types import FloatArray, LogDensity, Positive
 
 GRADIENTS = ("exact", "central-difference")
 START_STEP_SIZE, START_STEPS = 0.001, 10
@@ -24,6 +25,7 @@ _LEARNABLE = 50
 _MOST_STEPS = 32
 
 
+@check_arguments
 @dataclass(frozen=True)
 class HamiltonianMonteCarlo(Sampler):
     """Hamiltonian Monte Carlo in the original (affinely scaled) coordinates, with trajectories that reflect.
@@ -66,7 +68,7 @@ class HamiltonianMonteCarlo(Sampler):
     Section 4.3 of the paper; Neal (2011), Handbook of MCMC, chapter 5; Afshar & Domke (2015), NeurIPS 28.
     """
 
-    step_size: float | None = None
+    step_size: Positive | None = None
     n_steps: int | None = None
     jitter: float = 0.2
     inverse_mass: Any = None

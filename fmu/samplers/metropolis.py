@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
+from fmu.arguments import check_arguments
 from fmu.samplers.kernel import Info, Sampler, State, Target, Tree
 from fmu.samplers.settings import Scale, cholesky_factor, fits, positive_scale, vector
 from fmu.samplers.slice import Slice, SliceKernel, SliceTuner
@@ -32,6 +33,7 @@ class Proposal(Protocol):
         ...
 
 
+@check_arguments
 @dataclass(frozen=True)
 class RandomWalk:
     """Gaussian random walk: candidate = position + N(0, S). Symmetric.
@@ -151,6 +153,7 @@ class Independence:
         return -0.5 * np.sum(z * z, axis=-1)
 
 
+@check_arguments
 @dataclass(frozen=True)
 class MetropolisHastings(Sampler):
     """Metropolis-Hastings: accept a candidate with probability min(1, P(E*) q(E | E*) / (P(E) q(E* | E))).

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge
 
-from fmu.types import FloatArray
+from fmu.arguments import Numbers, require
+from fmu.types import FloatArray, Positive
 
 Scale = float | tuple[float, ...] | tuple[tuple[float, ...], ...]
 _FEW = 100
@@ -17,22 +19,19 @@ _FEW = 100
 
 def positive_number(name: str, value: Any) -> float:
     """Return `value` as a float; ValueError unless it is a positive finite number."""
-    number = _as_floats(name, value)
-    if number.ndim != 0 or not np.isfinite(number) or number <= 0:
-        raise ValueError(f"{name}: must be a positive finite number (got {value!r})")
-    return float(number)
+    require(name, value, Positive)
+    return float(value)
 
 
 def whole_number(name: str, value: Any, minimum: int) -> int:
     """Return `value` as an int; ValueError unless it is a whole number of at least `minimum`."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < minimum:
-        raise ValueError(f"{name}: must be a whole number of at least {minimum} (got {value!r})")
+    require(name, value, Annotated[int, Ge(minimum)])
     return int(value)
 
 
 def one_of(name: str, value: Any, known: tuple[str, ...]) -> str:
     """Return `value`; ValueError unless it is one of the `known` words."""
-    if value not in known:
+    if not isinstance(value, str) or value not in known:
         raise ValueError(f"{name}: must be one of {', '.join(known)} (got {value!r})")
     return str(value)
 
@@ -128,7 +127,5 @@ def _plain(value: Any) -> Any:
 
 
 def _as_floats(name: str, value: Any) -> FloatArray:
-    try:
-        return np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name}: must be numeric (got {value!r})") from None
+    require(name, value, Numbers)
+    return np.asarray(value, dtype=float)

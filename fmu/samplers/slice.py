@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from fmu.arguments import check_arguments
 from fmu.samplers.adaptation import Learner, Schedule
 from fmu.samplers.kernel import Info, Sampler, State, Target, Tree
 from fmu.samplers.settings import fits, one_of, orthonormal, positive_number, positive_scale, whole_number
@@ -19,6 +20,7 @@ ACCOUNT = ("n_solves", "n_nonfinite", "n_steps_out", "n_shrinks")
 """Counts that a step makes for each chain."""
 
 
+@check_arguments
 @dataclass(frozen=True)
 class Slice(Sampler):
     """Slice sampling: draw a level Y under the density, then a point from the slice {E : P(E) ≥ Y}.

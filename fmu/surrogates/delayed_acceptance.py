@@ -17,6 +17,7 @@ from fmu.analysis.pairing_changes import with_pairing
 from fmu.analysis.trace.conversion import to_trace
 from fmu.analysis.trace.modal_states import with_modes
 from fmu.analysis.trace.reading import has, with_group
+from fmu.arguments import Count, check_arguments
 from fmu.numbers import whole
 from fmu.progress.phases import phase, solves
 from fmu.samplers.settings import positive_number, whole_number
@@ -32,12 +33,13 @@ _MARGIN = 1.25
 """Proposals that are solved first, over the effective draws that are wanted."""
 
 
+@check_arguments
 def delayed_acceptance(
     problem: UpdatingProblem,
     trace: xr.DataTree,
     *,
     until_ess: float = ESS_LIMIT,
-    max_solves: int | None = None,
+    max_solves: Count | None = None,
     engine: Engine | None = None,
 ) -> xr.DataTree:
     """Return draws from the posterior of the model itself, made from draws of a surrogate's posterior.

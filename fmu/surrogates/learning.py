@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fmu.arguments import Seed, check_arguments
 from fmu.fem.surrogate.coordinates import Coordinates
 from fmu.fem.surrogate.feasibility import EDGE, failed_region
 from fmu.fem.surrogate.surrogate_model import Design, SurrogateModel, oriented, solved
@@ -36,10 +37,11 @@ class SurrogateWarning(UserWarning):
     """The surrogate misses its tolerance."""
 
 
+@check_arguments
 def surrogate(
     problem: UpdatingProblem,
     *,
-    seed: int = 1,
+    seed: Seed = 1,
     tolerance: float = TOLERANCE,
     batch: int | None = None,
     checks: int = CHECKS,

@@ -294,7 +294,7 @@ def test_assumptions_are_part_of_what_is_found():
 
 
 def test_what_is_no_problem():
-    with pytest.raises(ValueError, match=r"problem: must be an UpdatingProblem \(got int\)"):
+    with pytest.raises(ValueError, match=r"problem: must be an UpdatingProblem \(got 3\)"):
         check(3)
     problem = linear(model=Holey())
     problem.start = np.array([1.8, 1.0])

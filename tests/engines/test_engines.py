@@ -85,7 +85,9 @@ def test_functions_that_cannot_be_imported_travel(any_engine):
     assert any_engine.run_tasks(lambda shared, task, report: factor * shared * task, 2, [1, 2]) == [6, 12]
 
 
-@pytest.mark.parametrize(("arguments", "rule"), [({"workers": 0}, "workers: must be at least 1")])
+@pytest.mark.parametrize(
+    ("arguments", "rule"), [({"workers": 0}, "workers: must be a whole number of at least 1")]
+)
 def test_arguments(arguments, rule):
     with pytest.raises(ValueError, match=rule):
         engine(**arguments)

@@ -284,9 +284,9 @@ def test_theta_cannot_be_changed_from_within():
 @pytest.mark.parametrize(
     ("arguments", "settings", "words"),
     [
-        (("modes", 2), {}, r"function: must be callable \(got str\)"),
-        ((frequencies, 0), {}, r"n_parameters: must be at least 1 \(got 0\)"),
-        ((frequencies, 2), {"step": 0.0}, r"step: must be positive and at most 0.1 \(got 0.0\)"),
+        (("modes", 2), {}, r"function: must be a function \(got \'modes\'\)"),
+        ((frequencies, 0), {}, r"n_parameters: must be a whole number of at least 1 \(got 0\)"),
+        ((frequencies, 2), {"step": 0.0}, r"step: must be a positive finite number of at most 0.1 \(got 0.0\)"),
     ],
 )
 def test_wrong_settings(arguments, settings, words):

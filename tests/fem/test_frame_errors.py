@@ -41,13 +41,13 @@ FRAMES = {
     "negative node": ({"elements": [(0, -1)]}, r"group 'g': node must lie in 0\.\.1 \(got -1\)"),
     "triangle": (
         {"elements": [(0, 1, 0)]},
-        r"group 'g': elements must be pairs of node numbers \(got shape \(1, 3\) of int64\)",
+        r"elements: must be pairs of node numbers \(got shape \(1, 3\) of int64\)",
     ),
     "fraction of a node": (
         {"elements": [(0, 0.5)]},
-        r"group 'g': elements must be pairs of node numbers \(got shape \(1, 2\) of float64\)",
+        r"elements: must be pairs of node numbers \(got shape \(1, 2\) of float64\)",
     ),
-    "no elements": ({"elements": []}, r"group 'g': elements must be pairs of node numbers \(got .*\)"),
+    "no elements": ({"elements": []}, r"elements: must be pairs of node numbers \(got .*\)"),
     "no length": ({"elements": [(1, 1), (0, 1)]}, r"length: must be positive \(got 0\.0 m\)"),
     "loose node": (
         {"nodes": [[0.0, 0, 0], [1.0, 0, 0], [5.0, 5.0, 5.0]]},
@@ -62,19 +62,20 @@ FRAMES = {
         r"nodes: must be finite x, y, z of every node \(got shape \(2, 3\)\)",
     ),
     "mass node": ({"masses": [PointMass(7, 1.0)]}, r"masses: node must lie in 0\.\.1 \(got 7\)"),
-    "negative mass": (
-        {"masses": [PointMass(1, -1.0)]},
-        r"masses: mass and inertia must be finite and not negative \(got PointMass\(node=1, mass=-1\.0, .*\)\)",
-    ),
-    "negative inertia": (
-        {"masses": [PointMass(1, 1.0, (0.0, -1.0, 0.0))]},
-        r"masses: mass and inertia must be finite and not negative \(got PointMass\(.*\)\)",
-    ),
-    "NaN mass": (
-        {"masses": [PointMass(1, np.nan)]},
-        r"masses: mass and inertia must be finite and not negative \(got PointMass\(.*\)\)",
-    ),
 }
+
+
+@pytest.mark.parametrize(
+    ("mass", "message"),
+    [
+        ((1, -1.0), r"mass: must be a finite number of at least 0 \(got -1\.0\)"),
+        ((1, np.nan), r"mass: must be a finite number of at least 0 \(got nan\)"),
+        ((1, 1.0, (0.0, -1.0, 0.0)), r"inertia\.1: must be a finite number of at least 0 \(got -1\.0\)"),
+    ],
+)
+def test_masses_are_not_negative(mass, message):
+    with pytest.raises(ValueError, match=f"^{message}$"):
+        PointMass(*mass)
 
 
 @pytest.mark.parametrize("case", list(FRAMES))
@@ -93,23 +94,25 @@ def test_node_without_an_element_may_be_fixed():
 @pytest.mark.parametrize("value", [0.0, -1e-6, np.nan, np.inf])
 def test_section_constants_must_be_positive(name, value):
     constants = {"A": 1e-3, "Iy": 1e-6, "Iz": 1e-6, "J": 1e-6} | {name: value}
-    with pytest.raises(ValueError, match=rf"^{name}: must be positive and finite \(got {value}\)$"):
+    with pytest.raises(ValueError, match=rf"^{name}: must be a positive finite number \(got {value}\)$"):
         Section(**constants)
 
 
 @pytest.mark.parametrize("name", ["width", "height"])
 def test_rectangle_must_have_positive_sides(name):
-    with pytest.raises(ValueError, match=rf"^{name}: must be positive and finite \(got -0.1\)$"):
+    with pytest.raises(ValueError, match=rf"^{name}: must be a positive finite number below 1e\+06 \(got -0.1\)$"):
         Section.rectangle(**({"width": 0.1, "height": 0.1} | {name: -0.1}))
 
 
 @pytest.mark.parametrize(("name", "value"), [("E", 0.0), ("rho", np.inf)])
 def test_material_constants_must_be_positive(name, value):
-    with pytest.raises(ValueError, match=rf"^{name}: must be positive and finite \(got {value}\)$"):
+    with pytest.raises(ValueError, match=rf"^{name}: must be a positive finite number \(got {value}\)$"):
         Material(**({"E": 1.0, "nu": 0.3, "rho": 1.0} | {name: value}))
 
 
 @pytest.mark.parametrize("nu", [-1.0, 0.51, np.nan])
 def test_poisson_ratio(nu):
-    with pytest.raises(ValueError, match=rf"^nu: must lie in \(-1, 0\.5\] \(got {nu}\)$"):
+    with pytest.raises(
+        ValueError, match=rf"^nu: must be a finite number above -1 and of at most 0\.5 \(got {nu}\)$"
+    ):
         Material(E=1.0, nu=nu, rho=1.0)

@@ -185,8 +185,8 @@ def test_reusable_modes_diagonalise_at_another_theta(clamped):
 @pytest.mark.parametrize(
     ("dofs", "message"),
     [
-        ([], r"(masters|boundary): must be a list of degrees of freedom \(got shape \(0,\)\)"),
-        ([[0, 1]], r"(masters|boundary): must be a list of degrees of freedom \(got shape \(1, 2\)\)"),
+        ([], r"(masters|boundary): must be a list of degrees of freedom \(got \[\]\)"),
+        ([[0, 1]], r"(masters|boundary): must be a list of degrees of freedom \(got array.*\)"),
         ([0, 72], r"(masters|boundary): must lie in 0\.\.71 \(got 0\.\.72\)"),
         ([-1], r"(masters|boundary): must lie in 0\.\.71 \(got -1\.\.-1\)"),
         ([3, 3], r"(masters|boundary): must be distinct \(got \[3, 3\]\)"),
@@ -200,7 +200,7 @@ def test_wrong_masters(clamped, reduce, dofs, message):
 
 def test_wrong_number_of_modes(clamped):
     _, K, M = clamped
-    with pytest.raises(ValueError, match=r"^n_modes: must not be negative \(got -1\)$"):
+    with pytest.raises(ValueError, match=r"^n_modes: must be a whole number of at least 0 \(got -1\)$"):
         craig_bampton(K, M, [0], -1)
 
 

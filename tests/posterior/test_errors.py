@@ -211,14 +211,12 @@ def test_a_deviation_that_two_models_name_is_one_parameter(structure, data):
     ("errors", "message"),
     [
         ([], r"error: at least one error model is needed \(got none\)"),
-        ([FrequencyErrors("cubic", sd=0.1)], r"kind: must be one of .* \(got 'cubic'\)"),
         ([FrequencyErrors()], r"frequency errors: needs sd, a number or a Parameter, as the data have none"),
-        ([FrequencyErrors(sd=-0.1)], r"frequency errors: sd must be positive and finite \(got -0.1\)"),
         (
             [FrequencyErrors(sd=[0.1, 0.2])],
             r"frequency errors: sd must be a number or of shape \(3,\) \(got \(2,\)\)",
         ),
-        ([FrequencyErrors(sd=0.1, weights=[1.0, 0.0, 1.0])], r"weights: must be 3 positive numbers"),
+        ([FrequencyErrors(sd=0.1, weights=[1.0, 2.0])], r"weights: must be 3 positive numbers"),
         (
             [FrequencyErrors(sd=Parameter("s", 0.1, -1.0, 1.0))],
             r"frequency errors: s must have a lower bound of at least 0",
@@ -232,6 +230,22 @@ def test_a_deviation_that_two_models_name_is_one_parameter(structure, data):
 def test_what_is_refused(structure, data, errors, message):
     with pytest.raises(ValueError, match=message):
         ModalLikelihood(structure, data, errors)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"kind": "cubic"}, r"kind: must be one of 'absolute', .* \(got 'cubic'\)"),
+        ({"sd": -0.1}, r"sd: must be positive finite numbers, .* \(got -0.1\)"),
+        (
+            {"sd": 0.1, "weights": [1.0, 0.0, 1.0]},
+            r"weights: must be positive finite numbers, .* \(got \[1.0, 0.0",
+        ),
+    ],
+)
+def test_settings_that_no_data_fit(settings, message):
+    with pytest.raises(ValueError, match=message):
+        FrequencyErrors(**settings)
 
 
 @pytest.mark.parametrize("errors", [ShapeErrors(sd=0.1), MACErrors(sd=0.1)])

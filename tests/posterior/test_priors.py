@@ -131,12 +131,12 @@ def test_priors_describe_themselves():
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, INF])
 def test_wrong_normals(value):
-    with pytest.raises(ValueError, match=rf"^sd: must be positive and finite \(got {value}\)$"):
+    with pytest.raises(ValueError, match=rf"^sd: must be a positive finite number \(got {value}\)$"):
         Normal(value)
-    with pytest.raises(ValueError, match=rf"^alpha: must be positive and finite \(got {value}\)$"):
+    with pytest.raises(ValueError, match=rf"^alpha: must be a positive finite number \(got {value}\)$"):
         Normal.from_alpha(value)
     if not np.isfinite(value):
-        with pytest.raises(ValueError, match=rf"^mean: must be finite \(got {value}\)$"):
+        with pytest.raises(ValueError, match=rf"^mean: must be a finite number \(got {value}\)$"):
             Normal(1.0, mean=value)
 
 
@@ -364,17 +364,17 @@ NO_SCIPY = (
     r"distribution: must be a continuous distribution of scipy\.stats with its arguments, as gumbel_r\(loc=2\.0\)"
 )
 BROKEN = [
-    (lambda: HalfNormal(0.0), r"sd: must be positive and finite \(got 0\.0\)"),
-    (lambda: HalfNormal(1.0, INF), r"at: must be finite \(got inf\)"),
-    (lambda: LogNormal(-1.0, 1.0), r"median: must be positive and finite \(got -1\.0\)"),
-    (lambda: LogNormal(1.0, INF), r"sigma: must be positive and finite \(got inf\)"),
-    (lambda: LogNormal.from_mode(0.0, 1.0), r"mode: must be positive and finite \(got 0\.0\)"),
-    (lambda: LogNormal.from_mode(1.0, -1.0), r"sd: must be positive and finite \(got -1\.0\)"),
-    (lambda: LogNormal.from_mean(np.nan, 1.0), r"mean: must be positive and finite \(got nan\)"),
-    (lambda: ScaledBeta(0.0, 1.0), r"a: must be positive and finite \(got 0\.0\)"),
-    (lambda: ScaledBeta(1.0, INF), r"b: must be positive and finite \(got inf\)"),
+    (lambda: HalfNormal(0.0), r"sd: must be a positive finite number \(got 0\.0\)"),
+    (lambda: HalfNormal(1.0, INF), r"at: must be a finite number \(got inf\)"),
+    (lambda: LogNormal(-1.0, 1.0), r"median: must be a positive finite number \(got -1\.0\)"),
+    (lambda: LogNormal(1.0, INF), r"sigma: must be a positive finite number \(got inf\)"),
+    (lambda: LogNormal.from_mode(0.0, 1.0), r"mode: must be a positive finite number \(got 0\.0\)"),
+    (lambda: LogNormal.from_mode(1.0, -1.0), r"sd: must be a positive finite number \(got -1\.0\)"),
+    (lambda: LogNormal.from_mean(np.nan, 1.0), r"mean: must be a positive finite number \(got nan\)"),
+    (lambda: ScaledBeta(0.0, 1.0), r"a: must be a positive finite number \(got 0\.0\)"),
+    (lambda: ScaledBeta(1.0, INF), r"b: must be a positive finite number \(got inf\)"),
     (lambda: ScaledBeta(1.0, 1.0, 2.0, 1.0), r"high: must exceed low 2 \(got 1\)"),
-    (lambda: ScaledBeta(1.0, 1.0, -INF, 1.0), r"low: must be finite \(got -inf\)"),
+    (lambda: ScaledBeta(1.0, 1.0, -INF, 1.0), r"low: must be a finite number \(got -inf\)"),
     (lambda: ScaledBeta.from_mean(3.0, 1.0, 0.0, 2.0), r"mean: must lie between low 0 and high 2 \(got 3\)"),
     (
         lambda: ScaledBeta.from_mean(1.0, 1.0, 0.0, 2.0),

@@ -247,7 +247,7 @@ def test_what_the_data_can_tell_is_about_the_mode_of_the_same_shape():
 
 
 def test_what_does_not_go_with_it():
-    with pytest.raises(ValueError, match=r"^softness: must be positive and finite \(got 0\.0\)$"):
+    with pytest.raises(ValueError, match=r"^softness: must be a positive finite number \(got 0\.0\)$"):
         veering_problem(pairing="soft", softness=0.0)
     data = fmu.ModalData([5.0, 5.1], sensors=SENSORS, shapes=SHAPES, covariance_hz2=np.diag([0.01, 0.02]))
     parameters = [fmu.Parameter(f"k{k}", 1.0, 0.8, 1.3) for k in (1, 2)]

@@ -66,14 +66,21 @@ def test_simulated_errors_have_the_density(building):
 
 @pytest.mark.parametrize(
     ("settings", "rule"),
-    [({"freedom": 0.5}, "freedom: must be at least 1"), ({"covariance": True}, "the data have a covariance")],
+    [
+        ({"freedom": 0.5}, "freedom: must be a finite number of at least 1"),
+        ({"covariance": True}, "the data have a covariance"),
+    ],
 )
 def test_what_is_refused(building, settings, rule):
     covariance = np.diag([0.01, 0.02]) if settings.pop("covariance", False) else None
     data = fmu.ModalData(measured(building), covariance_hz2=covariance)
-    errors = fmu.StudentErrors("absolute", sd=None if covariance is not None else 0.1, **settings)
-    with pytest.raises(ValueError, match=rule):
+
+    def pose():
+        errors = fmu.StudentErrors("absolute", sd=None if covariance is not None else 0.1, **settings)
         fmu.UpdatingProblem(building, data, PARAMETERS, pairing="index", error=errors)
+
+    with pytest.raises(ValueError, match=rule):
+        pose()
 
 
 def twenty_tests(building, wrong):

@@ -352,7 +352,7 @@ class TestIdentity:
 
     @pytest.mark.parametrize("numbers", [{"draws": 0}, {"draws": 2.5}, {"seconds": -1.0}, {"seconds": np.nan}])
     def test_bad_numbers(self, tmp_path, numbers):
-        with pytest.raises(ValueError, match=rf"checkpoint.{next(iter(numbers))}: must .*\(got"):
+        with pytest.raises(ValueError, match=rf"^{next(iter(numbers))}: must .*\(got"):
             Checkpoint(tmp_path, **numbers)
 
     def test_states_of_an_earlier_version_are_refused(self, half):

@@ -111,7 +111,7 @@ def test_the_acceptance_rate_is_the_probability_of_acceptance():
         (lambda: RandomWalk(0.0), r"scale: must be positive \(got 0.0\)"),
         (lambda: RandomWalk([0.1, -1.0]), "scale: must be positive"),
         (lambda: RandomWalk(np.nan), "scale: must be finite"),
-        (lambda: RandomWalk("wide"), "scale: must be numeric"),
+        (lambda: RandomWalk("wide"), "scale: must be numbers"),
         (lambda: RandomWalk([[1.0, 2.0], [2.0, 1.0]]), "scale: must be a symmetric positive definite"),
         (lambda: RandomWalk([[1.0, 0.2], [0.1, 1.0]]), "scale: must be a symmetric positive definite"),
         (lambda: LogNormalWalk([[1.0]]), r"scale: must be a number or a vector \(got shape \(1, 1\)\)"),

@@ -17,6 +17,7 @@ from fmu.analysis.convergence.remedies import (
     WALKER_RHAT_LIMIT,
 )
 from fmu.analysis.trace.reading import check_trace, in_solves, walkers_of
+from fmu.arguments import check_arguments
 from fmu.numbers import MISSING, fixed, significant, whole
 from fmu.samplers.registry import BASELINE
 from fmu.tables import data_frame
@@ -42,6 +43,7 @@ _ROWS = {
 }
 
 
+@check_arguments
 def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None = None) -> pd.DataFrame:
     """Compare the traces of several samplers on one problem.
 

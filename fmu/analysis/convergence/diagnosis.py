@@ -35,6 +35,7 @@ from fmu.analysis.pairing_changes import jump_warnings
 from fmu.analysis.prediction import bound_warnings, search_warnings, shape_warnings
 from fmu.analysis.repeatability import repeatability_warnings
 from fmu.analysis.trace.reading import check_trace, has, parameter_names, walkers_of, with_group
+from fmu.arguments import check_arguments
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -129,6 +130,7 @@ class Diagnosis:
         return blocks + ([(NOTES, self.notes)] if self.notes else [])
 
 
+@check_arguments
 def diagnose(
     trace: xr.DataTree,
     problem: UpdatingProblem | None = None,

@@ -32,6 +32,7 @@ from fmu.analysis.trace.reading import (
     parameter_units,
     walkers_of,
 )
+from fmu.arguments import check_arguments
 from fmu.numbers import apart, given, share, significant, whole
 from fmu.tables import data_frame
 from fmu.types import FloatArray
@@ -49,6 +50,7 @@ STANDING_LIMIT, STANDING_DRAWS = 0.2, 20
 LEAST_GROWTH = 1.1
 
 
+@check_arguments
 def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
     """Summarise the posterior and the reliability of its estimate.
 

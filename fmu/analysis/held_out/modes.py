@@ -27,6 +27,7 @@ from fmu.analysis.trace.reading import (
     walkers_of,
     with_group,
 )
+from fmu.arguments import check_arguments
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
 from fmu.progress.phases import phase
 from fmu.tables import data_frame
@@ -76,6 +77,7 @@ class HeldOut:
 _COLUMNS = tuple(field.name for field in fields(HeldOut))
 
 
+@check_arguments
 def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) -> pd.DataFrame:
     """Compare each measured mode with its prediction from the other modes.
 

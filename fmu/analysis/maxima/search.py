@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from annotated_types import Interval
 
 from fmu.analysis.maxima.mode_weights import ModeWeight, mode_weights
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
+from fmu.arguments import Seed, check_arguments
 from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import gradients, phase, solves
 from fmu.samplers.mixture.quadratic import Quadratic
@@ -45,7 +47,10 @@ def is_searchable(problem: Any) -> bool:
     return is_updating(problem) and not getattr(problem, "is_hierarchical", False)
 
 
-def find_map(problem: UpdatingProblem, starts: int | None = None, seed: int = 1) -> Maxima:
+@check_arguments
+def find_map(
+    problem: UpdatingProblem, starts: Annotated[int, Interval(ge=1, le=1_000_000)] | None = None, seed: Seed = 1
+) -> Maxima:
     """Find the maxima of the posterior within the bounds, with the curvature and the mass of each.
 
     This is updating to a single parameter vector. It is also a check that no sampler can do by itself: whether the

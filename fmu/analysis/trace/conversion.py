@@ -21,6 +21,7 @@ from fmu.analysis.trace.modal_states import drawn_structure
 from fmu.analysis.trace.netcdf import from_netcdf, to_netcdf
 from fmu.analysis.trace.provenance import attributes
 from fmu.analysis.trace.reading import check_trace
+from fmu.arguments import check_arguments
 from fmu.durable_files import write_durably
 from fmu.interruption import shielded
 from fmu.posterior.scaled import ScaledDensity
@@ -112,6 +113,7 @@ def to_trace(
     return trace
 
 
+@check_arguments
 def save_trace(trace: xr.DataTree, path: str | os.PathLike[str]) -> Path:
     """Write a trace to a netCDF file, which appears complete or not at all.
 
@@ -142,6 +144,7 @@ def save_trace(trace: xr.DataTree, path: str | os.PathLike[str]) -> Path:
     return path
 
 
+@check_arguments
 def load_trace(path: str | os.PathLike[str]) -> xr.DataTree:
     """Read a trace written by `save_trace` into memory.
 

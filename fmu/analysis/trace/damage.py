@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmu.analysis.trace.reading import has
+from fmu.arguments import check_arguments
 from fmu.numbers import names_in_words, share, whole
 from fmu.tables import data_frame
 
@@ -27,6 +28,7 @@ def probably(p: float) -> str:
     return "< 1 %" if p < 0.01 else "> 99 %" if p > 0.99 else f"{whole(round(100.0 * p))} %"
 
 
+@check_arguments
 def damage(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.DataFrame:
     """Return the losses d = 1 − θ/θ_reference of the parameters that vary between groups of tests.
 

@@ -18,11 +18,12 @@ from fmu.analysis.trace.conversion import names_of, to_trace
 from fmu.analysis.trace.emcee_runs import StoredEnsemble, check_alike
 from fmu.analysis.trace.modal_states import with_modes
 from fmu.analysis.trace.reading import IMPORTED, parameter_names, with_group
+from fmu.arguments import check_arguments
 from fmu.numbers import typed
 from fmu.posterior.parameters import require_name
 from fmu.samplers.loop.record import Draws, RunResult
 from fmu.samplers.settings import whole_number
-from fmu.types import FloatArray, IntArray
+from fmu.types import FloatArray, IntArray, LogDensity
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -37,9 +38,10 @@ _SLACK = 1e-6
 """By how much it may differ, relative to its size, or to 1: rounding, on another processor."""
 
 
+@check_arguments
 def from_emcee(
     source: Any,
-    problem: Any = None,
+    problem: LogDensity | None = None,
     *,
     names: Sequence[str] | None = None,
     discard: int | Sequence[int] = 0,

@@ -67,7 +67,7 @@ class ExportsTable(TomlTable):
         try:
             mesh = None if self.mesh is None else read_mesh(folder / self.mesh)
         except ValueError as error:
-            raise BrokenError([Mistake("model.mesh", str(error))]) from error
+            raise BrokenError([Mistake("model.mesh", str(error).removeprefix("path: "))]) from error
         exports, found = list[Export](), list[Mistake]()
         for i, one in enumerate(self.exports):
             values = {p.name: one.values.get(p.name, nominal[p.name]) for p in parameters}

@@ -232,7 +232,7 @@ class _Mesh:
         }
         names = [_known_as(mass) for mass in table.masses]
         masses = [
-            replace(mass, node=at[mass.node], name=name if names.count(name) == 1 else "")  # type: ignore[index]
+            replace(mass, node=at[mass.node], name=name if names.count(name) == 1 else "")
             for mass, name in zip(table.masses, names, strict=True)
         ]
         arms = {name: replace(arm, node=at[arm.node]) for name, arm in table.offsets.items()}

@@ -116,7 +116,7 @@ class MatricesTable(TomlTable):
             try:
                 mesh = read_mesh(folder / self.mesh)
             except ValueError as error:
-                found.append(Mistake("model.mesh", str(error)))
+                found.append(Mistake("model.mesh", str(error).removeprefix("path: ")))
         if found:
             raise BrokenError(found)
         joined = self._on_the_same_dofs(read, mesh)

@@ -10,15 +10,20 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import ArrayLike
 
+from fmu.arguments import Place, check_arguments
 from fmu.fem.modes.separable import RigidArm
 from fmu.numbers import significant, typed
 from fmu.types import DIRECTIONS as DIRECTIONS
-from fmu.types import FloatArray, NotNegative, Positive, require_positive
+from fmu.types import FloatArray, NotNegative, Positive
 
 # Nodes closer than this, relative to the structure's extent, are at the same place.
 _COINCIDENT = 1e-9
 
+Length = Annotated[float, Interval(gt=0.0, lt=1e6)]
+"""Of a cross-section, m."""
 
+
+@check_arguments
 @dataclass(frozen=True)
 class Section:
     """Cross-section constants.
@@ -43,25 +48,21 @@ class Section:
     Iz: Positive
     J: Positive
 
-    def __post_init__(self) -> None:
-        for name in ("A", "Iy", "Iz", "J"):
-            require_positive(name, getattr(self, name))
-
     @classmethod
-    def rectangle(cls, width: Positive, height: Positive) -> Section:
+    @check_arguments
+    def rectangle(cls, width: Length, height: Length) -> Section:
         """Return the section of a rectangle, `width` along local y and `height` along local z, in m.
 
         The torsion constant is b t³/3 · (1 − 0.63 t/b + 0.052 (t/b)⁵) with the longer side b
         (Timoshenko & Goodier 1970, §109, the series cut after its leading terms).
         """
-        require_positive("width", width)
-        require_positive("height", height)
         b, t = max(width, height), min(width, height)
         J = b * t**3 / 3 * (1 - 0.63 * t / b + 0.052 * (t / b) ** 5)
         return cls(A=width * height, Iy=width * height**3 / 12, Iz=height * width**3 / 12, J=J)
 
     @classmethod
-    def tube(cls, diameter: Positive, thickness: Positive) -> Section:
+    @check_arguments
+    def tube(cls, diameter: Length, thickness: Length) -> Section:
         """Return the section of a circular tube of outer `diameter` and wall `thickness`, in m.
 
         A = π (R² − r²), Iy = Iz = π/4 (R⁴ − r⁴) and J = 2 Iy, exactly; half the diameter as `thickness` makes it
@@ -72,8 +73,6 @@ class Section:
         ValueError
             If a dimension is not positive, or the wall is thicker than half the diameter.
         """
-        require_positive("diameter", diameter)
-        require_positive("thickness", thickness)
         if thickness > diameter / 2:
             raise ValueError(f"thickness: must not exceed half the diameter {typed(diameter)} (got {thickness})")
         outer, inner = diameter / 2, diameter / 2 - thickness
@@ -81,7 +80,8 @@ class Section:
         return cls(A=np.pi * (outer**2 - inner**2), Iy=second, Iz=second, J=2 * second)
 
     @classmethod
-    def i_section(cls, height: Positive, width: Positive, web: Positive, flange: Positive) -> Section:
+    @check_arguments
+    def i_section(cls, height: Length, width: Length, web: Length, flange: Length) -> Section:
         """Return the section of a doubly symmetric I, in m; Iy belongs to bending in the plane of the web.
 
         `height` over all and the web lie along local z, the flanges of `width` along local y; `web` and `flange`
@@ -93,8 +93,6 @@ class Section:
         ValueError
             If a dimension is not positive, the flanges leave no web, or the web is wider than the flanges.
         """
-        for name, value in (("height", height), ("width", width), ("web", web), ("flange", flange)):
-            require_positive(name, value)
         if 2 * flange >= height:
             raise ValueError(f"flange: must be thinner than half the height {typed(height)} (got {flange})")
         if web > width:
@@ -108,6 +106,7 @@ class Section:
         )
 
 
+@check_arguments
 @dataclass(frozen=True)
 class Material:
     """Isotropic, linearly elastic material.
@@ -131,13 +130,8 @@ class Material:
     nu: Annotated[float, Interval(gt=-1.0, le=0.5)]
     rho: Positive
 
-    def __post_init__(self) -> None:
-        require_positive("E", self.E)
-        require_positive("rho", self.rho)
-        if not -1.0 < self.nu <= 0.5:
-            raise ValueError(f"nu: must lie in (-1, 0.5] (got {self.nu})")
 
-
+@check_arguments
 @dataclass(frozen=True)
 class ElementGroup:
     """Beam elements that share a section, a material and, in an update, their parameters.
@@ -153,6 +147,11 @@ class ElementGroup:
         A vector in the local x–y plane, in global axes; it fixes what Iy and Iz mean. Without it local y is
         horizontal, so that Iy resists bending in the vertical plane, global z being up; of vertical elements
         it is global y.
+
+    Raises
+    ------
+    ValueError
+        If the elements are not pairs of whole numbers.
     """
 
     name: str
@@ -161,18 +160,25 @@ class ElementGroup:
     material: Material
     y_direction: tuple[float, float, float] | None = None
 
+    def __post_init__(self) -> None:
+        ends = np.asarray(self.elements)
+        if ends.ndim != 2 or ends.shape[1] != 2 or not np.issubdtype(ends.dtype, np.integer):
+            raise ValueError(f"elements: must be pairs of node numbers (got shape {ends.shape} of {ends.dtype})")
+
     def value(self, name: str) -> float:
         """Return the initial value of a property of `fmu.fem.frame.updates.PROPERTIES`."""
         return float(getattr(self.material if name in ("E", "rho") else self.section, name))
 
 
+@check_arguments
 @dataclass(frozen=True)
 class PointMass:
     """A mass on the three translations of a node, and rotary inertias about its global axes.
 
     Attributes
     ----------
-    node : int
+    node : int or str
+        Number of the node; a name until nodes are numbered, as in problem files.
     mass : float
         kg.
     inertia : tuple of float, length 3
@@ -181,7 +187,7 @@ class PointMass:
         What a parameter of its mass or inertia calls it; in a problem file, by default, the name of its point.
     """
 
-    node: int
+    node: Place
     mass: NotNegative
     inertia: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
     name: str = ""
@@ -191,6 +197,7 @@ class PointMass:
         return self.inertia[DIRECTIONS.index(direction) - 3] if direction.startswith("r") else self.mass
 
 
+@check_arguments
 @dataclass(frozen=True)
 class JointSpring:
     """Springs between two nodes, or between a node and the ground, along global axes.
@@ -200,7 +207,7 @@ class JointSpring:
     name : str
         By which a parameter may have its stiffness.
     nodes : tuple of int, length 2
-        Node numbers; None as the second one stands for the ground.
+        Node numbers, or names until nodes are numbered; None as the second one stands for the ground.
     stiffness : mapping of str to float
         N/m of ``"x" "y" "z"``, N·m/rad of ``"rx" "ry" "rz"``. Where two nodes lie apart, the springs act half-way
         between them, on rigid arms from both: the structure still moves as a rigid body without strain.
@@ -224,21 +231,21 @@ class JointSpring:
     """
 
     name: str
-    nodes: tuple[int, int | None]
-    stiffness: Mapping[str, float]
+    nodes: tuple[Place, Place | None]
+    stiffness: Mapping[str, Positive]
     tied: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         here = f"spring {self.name!r}"
         for direction in (*self.stiffness, *self.tied):
             if direction not in DIRECTIONS:
-                raise ValueError(f"{here}: direction must be one of {DIRECTIONS} (got {direction!r})")
-        for direction, value in self.stiffness.items():
+                rule = f"directions of stiffness and tied must be of {DIRECTIONS}"
+                raise ValueError(f"{here}: {rule} (got {direction!r})")
+        for direction in self.stiffness:
             if direction in self.tied:
                 raise ValueError(
                     f"{here}: must be either elastic or tied in a direction (got {direction!r} as both)"
                 )
-            require_positive(f"{here}.{direction}", value)
         if not self.stiffness and not self.tied:
             raise ValueError(f"{here}: must have a stiffness or a tied direction (got neither)")
         if self.tied and self.nodes[1] is None:

@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
+from fmu.arguments import check_arguments
 from fmu.fem.frame import beam
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, PointMass
 from fmu.fem.frame.updates import Factor, Ownership, Quantity, Target, ownership
@@ -23,6 +24,7 @@ _STIFFNESS = {"EA": ("E", "A"), "EIy": ("E", "Iy"), "EIz": ("E", "Iz"), "GJ": ("
 _MASS = {"rhoA": ("rho", "A"), "rhoIy": ("rho", "Iy"), "rhoIz": ("rho", "Iz")}
 
 
+@check_arguments
 @dataclass(frozen=True)
 class Frame:
     """A structure of beam elements.
@@ -39,6 +41,11 @@ class Frame:
         Places beside the nodes at which sensors may sit, by name.
     springs : sequence of JointSpring
         To the ground and between nodes, and ties.
+
+    Raises
+    ------
+    ValueError
+        If coordinates are not finite or not three a node, or there is no group.
     """
 
     nodes: ArrayLike
@@ -48,6 +55,12 @@ class Frame:
     arms: Mapping[Any, RigidArm] = field(default_factory=dict)
     springs: Sequence[JointSpring] = ()
 
+    def __post_init__(self) -> None:
+        self._coordinates()
+        if not self.groups:
+            raise ValueError("groups: must be at least one (got none)")
+
+    @check_arguments
     def separable(self, updates: Mapping[str, Sequence[Target] | Factor] | None = None) -> SeparableModel:
         """Assemble K(theta) and M(theta).
 
@@ -128,17 +141,11 @@ class Frame:
         n_nodes = len(nodes)
         has_mass = np.zeros(6 * n_nodes, dtype=bool)
         for group in self.groups:
-            ends = np.asarray(group.elements)
-            if ends.ndim != 2 or ends.shape[1] != 2 or not np.issubdtype(ends.dtype, np.integer):
-                received = f"shape {ends.shape} of {ends.dtype}"
-                raise ValueError(f"group {group.name!r}: elements must be pairs of node numbers (got {received})")
-            for node in map(int, ends.ravel()):
+            for node in map(int, np.asarray(group.elements).ravel()):
                 require_node(f"group {group.name!r}", node, n_nodes)
                 has_mass[6 * node : 6 * node + 6] = True
         for mass in self.masses:
             require_node("masses", mass.node, n_nodes)
-            if not all(0.0 <= value < np.inf for value in (mass.mass, *mass.inertia)):
-                raise ValueError(f"masses: mass and inertia must be finite and not negative (got {mass})")
             has_mass[6 * mass.node : 6 * mass.node + 6] |= [mass.value(d) > 0.0 for d in DIRECTIONS]
         for place, arm in self.arms.items():
             require_node(f"arm {place!r}", arm.node, n_nodes)

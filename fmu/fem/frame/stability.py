@@ -245,7 +245,7 @@ def _rigid_rows(model: SeparableModel) -> tuple[FloatArray, FloatArray] | None:
     centre, length = nodes.mean(axis=0), _length(model)
 
     def row(node: Any, direction: str) -> list[float]:
-        arm = RigidArm(None, tuple((nodes[row_of[node]] - centre).tolist())).motion(direction)
+        arm = RigidArm(node, tuple((nodes[row_of[node]] - centre).tolist())).motion(direction)
         return [arm.get(d, 0.0) / (length if d.startswith("r") else 1.0) for d in DIRECTIONS]
 
     moved = np.array([row(node, d) for node, d in model.dofs])

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from fmu.arguments import check_arguments
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, PointMass
 
 Target = Sequence[str]
@@ -17,6 +18,7 @@ ROTATIONS = DIRECTIONS[3:]
 _KIND = dict.fromkeys(PROPERTIES, "group") | {"mass": "mass", "inertia": "mass", "stiffness": "spring"}
 
 
+@check_arguments
 @dataclass(frozen=True)
 class Factor:
     """A parameter without dimension that multiplies what the frame has, in place of a value for it.

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from fmu.arguments import check_arguments
 from fmu.fem.modes.eigensolver import SingularMassError, eigen
 from fmu.fem.modes.modal import frequency_hz, is_rigid
 from fmu.fem.modes.separable import Geometry, SeparableModel, Term
@@ -57,6 +58,7 @@ Powers = tuple[int, ...]
 Dof = tuple[Any, str]
 
 
+@check_arguments
 @dataclass(frozen=True, eq=False)
 class Export:
     """Matrices of another program, and the values of the parameters with which it made them.
@@ -120,6 +122,7 @@ class Recovery:
         return said
 
 
+@check_arguments
 def from_exports(
     exports: Sequence[Export], bounds: Mapping[str, tuple[float, float]] | None = None
 ) -> SeparableModel:

@@ -17,6 +17,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 
+from fmu.arguments import Place, check_arguments, shown
 from fmu.fem.modes.line_picture import LinePicture
 from fmu.formats.models.edges import edges
 from fmu.formats.models.exported import ExportedModel, Mesh
@@ -24,6 +25,7 @@ from fmu.numbers import typed
 from fmu.types import FloatArray, IntArray
 
 
+@check_arguments
 @dataclass(frozen=True)
 class Term:
     """One matrix with its coefficient, the monomial Π theta_j ** powers[j].
@@ -156,6 +158,7 @@ class WeightedSum:
         return sp.csr_array((data, self._indices, self._indptr), shape=self._shape)
 
 
+@check_arguments
 @dataclass(frozen=True, eq=False)
 class Geometry:
     """Coordinates and elements of a structure, for drawings; the mechanics are in the matrices.
@@ -176,6 +179,11 @@ class Geometry:
         Names of the nodes in the degrees of freedom, where they are not the rows.
     mesh : Mesh or ExportedModel, optional
         That of another program, which the lines are drawn from.
+
+    Raises
+    ------
+    ValueError
+        If nodes or elements have another shape, or are not finite.
     """
 
     nodes: FloatArray
@@ -186,7 +194,16 @@ class Geometry:
     ids: IntArray | None = None
     mesh: Mesh | ExportedModel | None = None
 
+    def __post_init__(self) -> None:
+        for name, width in (("nodes", 3), ("elements", 2)):
+            rows = np.asarray(getattr(self, name))
+            if rows.size and (rows.ndim != 2 or rows.shape[1] != width or not np.isfinite(rows).all()):
+                raise ValueError(f"{name}: must be finite, of shape (n, {width}) (got shape {rows.shape})")
+        if self.ids is not None and np.shape(self.ids) != (len(np.asarray(self.nodes)),):
+            raise ValueError(f"ids: must have a name for each node (got shape {np.shape(self.ids)})")
+
     @classmethod
+    @check_arguments
     def of_mesh(cls, mesh: Mesh | ExportedModel) -> Geometry | None:
         """Return the geometry of another program's mesh.
 
@@ -215,6 +232,7 @@ class Geometry:
         return {name: row for row, name in enumerate(names)}
 
 
+@check_arguments
 @dataclass(frozen=True)
 class RigidArm:
     """A place rigidly connected to a node, such as a sensor on the skin of a beam or the centre of a mass.
@@ -227,7 +245,7 @@ class RigidArm:
         From the node to the place, global axes.
     """
 
-    node: Any
+    node: Place
     offset: tuple[float, float, float]
 
     def motion(self, direction: str) -> dict[str, float]:
@@ -240,6 +258,7 @@ class RigidArm:
         }.get(direction, {})
 
 
+@check_arguments
 class SeparableModel:
     """A structure whose matrices are sums of fixed matrices with monomial coefficients.
 
@@ -286,7 +305,10 @@ class SeparableModel:
         motions: Mapping[tuple[Any, str], Mapping[tuple[Any, str], float]] | None = None,
     ) -> None:
         if not K_terms or not M_terms:
-            raise ValueError("K_terms, M_terms: at least one stiffness and one mass term are needed")
+            raise ValueError(
+                "K_terms, M_terms: must have at least one stiffness and one mass term "
+                f"(got {len(K_terms)} and {len(M_terms)})"
+            )
         self.K_terms = tuple(K_terms)
         self.M_terms = tuple(M_terms)
         self.n_dof = int(K_terms[0].matrix.shape[0])
@@ -302,6 +324,7 @@ class SeparableModel:
         _check_terms(self)
 
     @classmethod
+    @check_arguments
     def from_terms(
         cls,
         parameters: Sequence[str],
@@ -488,7 +511,10 @@ def _check_terms(model: SeparableModel) -> None:
 
 def _as_csr(matrix: Any) -> Any:
     if not sp.issparse(matrix):
-        matrix = np.asarray(matrix)
+        try:
+            matrix = np.asarray(matrix)
+        except ValueError:  # rows of different lengths
+            raise ValueError(f"matrix: must be a real matrix (got {shown(matrix)})") from None
     if matrix.ndim != 2 or matrix.dtype.kind not in "fiub":
         raise ValueError(f"matrix: must be a real matrix (got {matrix.dtype} of shape {matrix.shape})")
     return sp.csr_array(matrix, dtype=float)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fmu.arguments import check_arguments
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.alignment import Mesh, aligned, kabsch, turn_of
 from fmu.formats.models.edges import inside
@@ -164,7 +165,9 @@ def match(
     mesh, names = Mesh(nodes, coordinates), tuple(map(str, points))
     given = np.array([np.asarray(place, dtype=float) for place in points.values()])
     if given.ndim != 2 or given.shape[1] != 3 or not np.all(np.isfinite(given)):
-        raise ValueError("points: must be one or more, with three finite coordinates each")
+        raise ValueError(
+            f"points: must be one or more, with three finite coordinates each (got shape {given.shape})"
+        )
     x, doubts = UNITS[unit] * given, []
     if known:
         R, t = _by_known(dict(zip(names, x, strict=True)), mesh, known)
@@ -187,6 +190,7 @@ def match(
     return replace(found, notes=tuple(_notes(found)), doubts=tuple(doubts))
 
 
+@check_arguments
 def match_points(
     points: Mapping[Any, ArrayLike],
     model: SeparableModel,

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from fmu.arguments import check_arguments
 from fmu.durable_files import digest
 from fmu.engines.program import TOO_LONG, last_lines, run_program
 from fmu.fem.black_box import Answer, AnswerError, BlackBoxModel, checked
@@ -45,6 +46,7 @@ class CommandError(ValueError):
         super().__init__("; ".join(mistakes))
 
 
+@check_arguments
 @dataclass(frozen=True)
 class FoundFrequencies:
     r"""Frequencies in a text file, as numbers that a regular expression finds.
@@ -98,6 +100,7 @@ def _number(word: str | None, name: str) -> float:
         raise ValueError(f"{name}: the pattern must match numbers (got {shown(word)})") from None
 
 
+@check_arguments
 class CommandModel(BlackBoxModel):
     """A structure solved by a program: ``fmu.UpdatingProblem(fmu.CommandModel(…), data, parameters)``.
 

@@ -17,11 +17,13 @@ from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import scipy.sparse as sp
+from annotated_types import Interval
 
+from fmu.arguments import check_arguments
 from fmu.engines.program import last_lines
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.eigensolver import eigen
@@ -33,7 +35,7 @@ from fmu.fem.programs.sources import source_digest
 from fmu.formats.models.exported import DofName, ExportedModel, mesh_of
 from fmu.formats.shown import in_words, shown
 from fmu.numbers import typed
-from fmu.types import FloatArray
+from fmu.types import FloatArray, Positive
 
 Build = Callable[[FloatArray], Any]
 
@@ -134,6 +136,7 @@ def exported(build: Build, theta: FloatArray) -> ExportedModel:
     )
 
 
+@check_arguments
 def from_opensees(
     build: Build, names: Sequence[str], start: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> SeparableModel:
@@ -159,6 +162,11 @@ def from_opensees(
     ValueError
         If the matrices are not sums of products of powers of the parameters, or for what `exported` raises.
     """
+    for key, values in (("start", start), ("lower", lower), ("upper", upper)):
+        if not len(names) or np.shape(values) != (len(names),) or np.isnan(values).any():
+            raise ValueError(
+                f"{key}: must be numbers, one for each of {list(names)} (got {list(np.ravel(values))})"
+            )
     points, checks = _points(*(np.array(values, dtype=float) for values in (start, lower, upper)))
     exports = [
         Export(
@@ -178,6 +186,7 @@ def from_opensees(
     return model
 
 
+@check_arguments
 class OpenSeesModel(BlackBoxModel):
     """A model in OpenSees that is assembled and solved anew at every theta, on which it may depend in any way.
 
@@ -205,10 +214,12 @@ class OpenSeesModel(BlackBoxModel):
         build: Build,
         start: FloatArray,
         *,
-        modes: int = MODES,
-        step: float = 1e-4,
+        modes: Annotated[int, Interval(ge=1, le=MOST_DOFS)] = MODES,
+        step: Positive = 1e-4,
         store: str | os.PathLike[str] | None = None,
     ) -> None:
+        if np.ndim(start) != 1 or not len(start) or not np.isfinite(start).all():
+            raise ValueError(f"start: must be a list of finite numbers (got {np.asarray(start).tolist()})")
         self.build, self.modes = build, modes
         self.assembled = _fixed_model(exported(build, start))
         self.sensors: tuple[tuple[Any, str], ...] = ()

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from filelock import FileLock
 
+from fmu.arguments import check_arguments
 from fmu.durable_files import digest, payload_of, signed, write_durably
 from fmu.fem.pairing.correlation import CLOSE, subspace_mac
 from fmu.formats.shown import shown
@@ -67,6 +68,7 @@ class Solve(NamedTuple):
     gradient: FloatArray | None = None
 
 
+@check_arguments
 class SolveStore:
     """The solves of one model; iterating gives them all, in no particular order.
 

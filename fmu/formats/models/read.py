@@ -24,6 +24,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from fmu.arguments import check_arguments
 from fmu.formats.calculix_dat import read_displacements, read_frequencies
 from fmu.formats.files import too_large, why_no_file
 from fmu.formats.matrices.limits import LARGEST_FILE, MOST_DOFS, Labelled, RefusedError, SeveralError, text_lines
@@ -43,6 +44,7 @@ _INITIALS = (("K", "M"), ("k", "m"))
 _FORMAT_OF = {suffix: form for form in FORMATS for suffix in form.suffixes}
 
 
+@check_arguments
 def read_model(
     path: str | Path,
     mass: str | Path | None = None,
@@ -86,17 +88,19 @@ def read_model(
     path = Path(path)
     found = NO_MESH if mesh is None else mesh
     if not isinstance(found, Mesh):
-        found = _told("mesh", partial(read_mesh, found))
+        found = _told("mesh", partial(_mesh_of, Path(found)))
     beside = _mass_beside(path) if mass is None else Path(mass)
     if beside is None:
-        names = variables or _told("path", partial(_both, path))
+        names = variables if variables is not None else _told("path", partial(_both, path))
         read = [_told("path", partial(_matrix, path, name)) for name in names]
         where = ["path", "path"]
     else:
         where = ["path", "mass"]
         read = [
             _told(at, partial(_matrix, file, name))
-            for at, file, name in zip(where, (path, beside), variables or (None, None), strict=True)
+            for at, file, name in zip(
+                where, (path, beside), (None, None) if variables is None else variables, strict=True
+            )
         ]
     if dofs is not None:
         given = _told("dofs", partial(read_names, Path(dofs)))
@@ -141,6 +145,7 @@ def read_ties(
     return tied_motions(mesh, frozenset(dofs), read_displacements(path, len(read_frequencies(path))))
 
 
+@check_arguments
 def read_mesh(path: str | Path) -> Mesh:
     """Read nodes and elements.
 
@@ -159,7 +164,10 @@ def read_mesh(path: str | Path) -> Mesh:
     ValueError
         If the file does not exist, is of another kind, broken or too large.
     """
-    path = Path(path)
+    return _told("path", partial(_mesh_of, Path(path)))
+
+
+def _mesh_of(path: Path) -> Mesh:
     suffix = path.suffix.lower()
     if suffix not in _FORMAT_OF:
         raise ValueError(f"must end in {', '.join(_FORMAT_OF)} (got {path.name!r})")

@@ -6,11 +6,13 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import ArrayLike
 
+from fmu.arguments import check_arguments, shown
 from fmu.fem.pairing.matching import Matching
 from fmu.formats.modes.csv import read_frequencies, read_shapes
 from fmu.formats.modes.measured_modes import LEAST_MPC, MeasuredModes
@@ -21,6 +23,7 @@ from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
 from fmu.types import FloatArray, IntArray
 
 
+@check_arguments
 @dataclass(frozen=True, eq=False)
 class ModalData:
     """Frequencies and shapes measured in a modal test, and their uncertainty.
@@ -120,6 +123,8 @@ class ModalData:
                 raise ValueError("shapes: must be finite, and no mode zero at every sensor")
             shapes.flags.writeable = False
             object.__setattr__(self, "shapes", shapes)
+        if self.mpc is not None and np.shape(self.mpc) != (n,):
+            raise ValueError(f"mpc: must be {n}, one per mode (got shape {np.shape(self.mpc)})")
         self._check_uncertainty(n)
         self._check_counterparts(n)
         if self.tests is not None and np.shape(self.tests.frequencies_hz)[1] != n:
@@ -137,7 +142,9 @@ class ModalData:
 
     def _check_uncertainty(self, n: int) -> None:
         if self.sd_hz is not None and self.covariance_hz2 is not None:
-            raise ValueError("sd_hz: must not be given together with covariance_hz2")
+            raise ValueError(
+                f"sd_hz: must not be given together with covariance_hz2 (got {shown(self.covariance_hz2)})"
+            )
         if self.sd_hz is not None:
             object.__setattr__(self, "sd_hz", _spread(self.sd_hz, "sd_hz", (n,), "one per mode"))
         if self.covariance_hz2 is not None:
@@ -149,6 +156,7 @@ class ModalData:
             object.__setattr__(self, "shapes_sd", _spread(self.shapes_sd, "shapes_sd", full, "sensors x modes"))
 
     @classmethod
+    @check_arguments
     def from_tests(
         cls,
         frequencies: ArrayLike,
@@ -189,6 +197,7 @@ class ModalData:
         return cls(mean, numbers, sensors, labels, average, sd, covariance, spread, tests=tests, use=use)
 
     @classmethod
+    @check_arguments
     def from_csv(cls, frequencies: str | os.PathLike[str], shapes: str | os.PathLike[str] | None = None) -> Self:
         """Read frequencies from a CSV table, and shapes from another.
 
@@ -213,10 +222,11 @@ class ModalData:
         return cls.from_modes(modes, sensors=shown.sensors, shapes=shown.shapes)
 
     @classmethod
+    @check_arguments
     def from_uff(
         cls,
         path: str | os.PathLike[str],
-        nodes: Mapping[Any, Any] | None = None,
+        nodes: Mapping[int, Any] | None = None,
         modes: Sequence[int] | None = None,
         **options: Any,
     ) -> Self:
@@ -244,13 +254,14 @@ class ModalData:
         return cls.from_modes(read_uff(Path(path), nodes, modes, **reading), **options)
 
     @classmethod
+    @check_arguments
     def from_pyoma(
         cls,
         result: Any,
         sensors: Sequence[tuple[Any, str]],
         modes: Sequence[int] | None = None,
         *,
-        least_mpc: float = LEAST_MPC,
+        least_mpc: Annotated[float, Interval(ge=0.0, le=1.0)] = LEAST_MPC,
         **options: Any,
     ) -> Self:
         """Return the modes identified by pyOMA_2: frequencies, shapes and, if computed, their deviations.
@@ -276,7 +287,8 @@ class ModalData:
         """
         return cls.from_modes(pyoma_modes(result, sensors, modes, least_mpc), **options)
 
-    def to_uff(self, path: str | os.PathLike[str], nodes: Mapping[Any, Any] | None = None) -> None:
+    @check_arguments
+    def to_uff(self, path: str | os.PathLike[str], nodes: Mapping[int, Any] | None = None) -> None:
         """Write frequencies and shapes into a universal file, to six significant digits; needs pyuff.
 
         Parameters
@@ -298,6 +310,7 @@ class ModalData:
         write_uff(Path(path), self.frequencies_hz, self.shapes, self.sensors, self.numbers, nodes)
 
     @classmethod
+    @check_arguments
     def from_modes(cls, modes: MeasuredModes, **options: Any) -> Self:
         """Return the modes that a reader of `fmu.formats.modes` found.
 

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fmu.arguments import check_arguments
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.covariance import checked_covariance
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals, checked_beta, mode_weights
-from fmu.posterior.errors.noise import NoiseIndex, Spread, spread
+from fmu.posterior.errors.noise import NoiseIndex, Spread, require_sizes, spread
 from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray, IntArray
 
 Kind = Literal["absolute", "relative", "eigenvalue"]
 
 
+@check_arguments
 @dataclass(frozen=True)
 class FrequencyErrors:
     """Independent Gaussian errors of the frequencies.
@@ -52,16 +54,17 @@ class FrequencyErrors:
     weights: ArrayLike | None = None
     discrepancy: Parameter | None = None
 
+    def __post_init__(self) -> None:
+        require_sizes(self.sd, self.weights)
+
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
         """Return the error model of `data`, see `ErrorModel`.
 
         Raises
         ------
         ValueError
-            If the kind is unknown, or standard deviations or weights do not fit the data.
+            If standard deviations or weights do not fit the data.
         """
-        if self.kind not in get_args(Kind):
-            raise ValueError(f"kind: must be one of {get_args(Kind)} (got {self.kind!r})")
         measured = np.asarray(data.frequencies_hz)
         sd = self.sd
         if sd is None and data.covariance_hz2 is not None:

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import erf
 
+from fmu.arguments import check_arguments
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals, mode_weights, unit_shapes
-from fmu.posterior.errors.noise import NoiseIndex, Spread, spread
+from fmu.posterior.errors.noise import NoiseIndex, Spread, require_sizes, spread
 from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray
 
@@ -23,6 +24,7 @@ _RIDGE = 1e-14
 Groups = tuple[tuple[int, ...], ...]
 
 
+@check_arguments
 @dataclass(frozen=True)
 class MACErrors:
     """Half-Gaussian errors ε = 1 − MAC at the sensors.
@@ -46,6 +48,9 @@ class MACErrors:
     sd: ArrayLike | Parameter
     weights: ArrayLike | None = None
     together: Sequence[Sequence[str]] = ()
+
+    def __post_init__(self) -> None:
+        require_sizes(self.sd, self.weights)
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
         """Return the error model of `data`, see `ErrorModel`.

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Gt
 from numpy.typing import ArrayLike
 
+from fmu.arguments import Numbers, require
 from fmu.numbers import typed
 from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray, IntArray
@@ -116,6 +118,13 @@ def spread(
     for parameter in inferred:
         sizes[index(parameter)] = size
     return Spread(fixed, sizes)
+
+
+def require_sizes(sd: ArrayLike | Parameter | None, weights: ArrayLike | None) -> None:
+    """Raise ValueError unless deviations and weights that are given as numbers are positive and finite."""
+    for name, value in (("sd", sd), ("weights", weights)):
+        if value is not None and not isinstance(value, Parameter):
+            require(name, value, Annotated[Numbers, Gt(0.0)])
 
 
 def _column(noise: FloatArray, k: int, ndim: int) -> FloatArray:

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
+from fmu.arguments import check_arguments
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.static import MassMoments, StaticDisplacement
 from fmu.posterior.data.modal_data import ModalData
@@ -93,6 +94,7 @@ class QuantityErrors:
         raise NotImplementedError
 
 
+@check_arguments
 @dataclass(frozen=True)
 class MassErrors(QuantityErrors):
     """The weighed mass of the structure, and its centre of gravity if that was found, with Gaussian errors.
@@ -147,6 +149,7 @@ class MassErrors(QuantityErrors):
         return QuantityTerm(tuple(labels), tuple(units), np.array(measured), np.array(sd), moments)
 
 
+@check_arguments
 @dataclass(frozen=True)
 class StaticErrors(QuantityErrors):
     """The displacement under a static load, with a Gaussian error.

@@ -9,14 +9,16 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fmu.arguments import check_arguments
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals, mode_weights, unit_shapes
-from fmu.posterior.errors.noise import NoiseIndex, Spread, spread
+from fmu.posterior.errors.noise import NoiseIndex, Spread, require_sizes, spread
 from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray, IntArray
 
 
+@check_arguments
 @dataclass(frozen=True)
 class ShapeErrors:
     """Gaussian errors of the mode shapes, scaled to unit length at the sensors.
@@ -44,6 +46,9 @@ class ShapeErrors:
     sd: ArrayLike | Parameter | None = None
     weights: ArrayLike | None = None
     discrepancy: Parameter | None = None
+
+    def __post_init__(self) -> None:
+        require_sizes(self.sd, self.weights)
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
         """Return the error model of `data`, see `ErrorModel`.

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge
 from numpy.typing import ArrayLike as ArrayLike  # the inherited annotations are read here
 from scipy.special import digamma, gammaln, ndtri, polygamma, stdtr
 
+from fmu.arguments import check_arguments, require
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.numbers import given
 from fmu.posterior.data.modal_data import ModalData
@@ -22,6 +24,7 @@ from fmu.types import FloatArray, IntArray
 LEAST_FREEDOM = 1.0
 
 
+@check_arguments
 @dataclass(frozen=True)
 class StudentErrors(FrequencyErrors):
     """Independent errors of the frequencies with Student's distribution in place of a Gaussian.
@@ -40,6 +43,11 @@ class StudentErrors(FrequencyErrors):
     """
 
     freedom: float | Parameter = 4.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self.freedom, Parameter):
+            require("freedom", self.freedom, Annotated[float, Ge(LEAST_FREEDOM)])
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
         """Return the error model of `data`, see `ErrorModel`.

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from fmu.arguments import check_arguments
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal, Prior
 
@@ -14,6 +15,7 @@ _LOWEST, _HIGHEST = -0.5, 0.95
 _SD = 0.3
 
 
+@check_arguments
 @dataclass(frozen=True)
 class Damage:
     """A parameter that each later group of tests has lost a share d of: θ = θ_reference (1 − d).

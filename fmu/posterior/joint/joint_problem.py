@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.linalg import block_diag
 
+from fmu.arguments import OwnRule, check_arguments
 from fmu.engines.base import Engine
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.changes import changed_model
@@ -17,6 +18,7 @@ from fmu.fem.modes.separable import SeparableModel
 from fmu.posterior.build import check_names
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.repeated import mean_shapes
+from fmu.posterior.errors.base import ErrorModel
 from fmu.posterior.errors.mac import MACErrors
 from fmu.posterior.errors.shape import ShapeErrors
 from fmu.posterior.joint.damage import Damage
@@ -29,7 +31,7 @@ from fmu.posterior.joint.typical import centred
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Prior, Uniform
 from fmu.posterior.problem import UpdatingProblem
-from fmu.types import FloatArray
+from fmu.types import FloatArray, Positive
 
 
 class TestsError(ValueError):
@@ -48,6 +50,7 @@ class TestsError(ValueError):
         self.mistakes = tuple(mistakes)
 
 
+@check_arguments
 class JointProblem(UpdatingProblem):
     """The posterior of all tests of a structure together.
 
@@ -107,9 +110,9 @@ class JointProblem(UpdatingProblem):
         reference: str | None = None,
         correlation: float | None = None,
         pairing: str = "shape",
-        beta: float | None = None,
-        error: Any = "frequency",
-        reduction: bool | float = True,
+        beta: Positive | None = None,
+        error: str | ErrorModel | Sequence[ErrorModel] = "frequency",
+        reduction: Annotated[bool | float, OwnRule()] = True,
         engine: Engine | None = None,
         name: str = "problem",
     ) -> None:
@@ -122,7 +125,7 @@ class JointProblem(UpdatingProblem):
             found += mistakes_of_shapes(self.tests)
         if found:
             raise TestsError(found)
-        if pairing == "soft" or error == "modal-residual":
+        if pairing == "soft" or (isinstance(error, str) and error == "modal-residual"):
             what = "soft pairing" if pairing == "soft" else "the modal residual"
             raise ValueError(f"tests: {what} is for a single test (got {len(self.tests)})")
         self.layout = Layout.of(parameters, self.tests, varies, slopes, self.reference, correlation)
@@ -318,7 +321,7 @@ def mistakes(
         if tests and all(name in test.known for test in tests):
             found.append(f"tests: {name} must be unknown in one of them; otherwise it is no parameter")
     groups = {test.group for test in tests}
-    if any(isinstance(how, Damage) for how in varies.values()) and reference not in groups:
+    if tests and reference not in groups:
         found.append(f"reference: must be the group of a test (got {reference!r})")
     if correlation is not None:
         n = len(scattered(parameters, varies))

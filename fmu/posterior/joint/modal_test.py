@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from fmu.arguments import check_arguments
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import require_name
-from fmu.types import require_finite
 
 
+@check_arguments
 @dataclass(frozen=True, eq=False)
 class Test:
     """A modal test of a structure that was tested several times, see `fmu.JointProblem`.
@@ -52,10 +53,7 @@ class Test:
     def __post_init__(self) -> None:
         require_name(self.name)
         if self.group:
-            require_name(self.group)
-        for key in ("covariates", "masses", "springs", "known"):
-            for name, value in getattr(self, key).items():
-                require_finite(f"{key}.{name}", value)
+            require_name(self.group, "group")
 
     @property
     def configuration(self) -> tuple[Any, ...]:

@@ -18,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.special import log_ndtr, ndtri_exp
 
+from fmu.arguments import check_arguments
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Prior
 from fmu.posterior.priors.one_sided import HalfNormal
@@ -31,6 +32,7 @@ _SCATTER = 0.2
 _HALF_LOG_2PI = 0.5 * float(np.log(2.0 * np.pi))
 
 
+@check_arguments
 @dataclass(frozen=True)
 class Population:
     """The values of a parameter in different tests are draws from one distribution, which is inferred.

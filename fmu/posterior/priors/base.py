@@ -14,7 +14,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from scipy.special import log_ndtr, ndtr, ndtri_exp
 
-from fmu.types import FloatArray, Positive, require_finite, require_positive
+from fmu.arguments import check_arguments
+from fmu.types import FloatArray, Positive
 
 _CENTRAL = ndtr(np.array([-1.0, 0.0, 1.0]))
 _ENDS = ndtr(np.array([-4.0, 4.0]))
@@ -98,6 +99,7 @@ class Prior(ABC):
         return left, right
 
 
+@check_arguments
 @dataclass(frozen=True)
 class Normal(Prior):
     """The Gaussian prior of eq. (6): density ∝ exp(−α/2 (x − mean)²), with α = 1/sd².
@@ -113,14 +115,10 @@ class Normal(Prior):
     sd: Positive
     mean: float = field(default=0.0, kw_only=True)
 
-    def __post_init__(self) -> None:
-        require_positive("sd", self.sd)
-        require_finite("mean", self.mean)
-
     @classmethod
-    def from_alpha(cls, alpha: float, mean: float = 0.0) -> Normal:
+    @check_arguments
+    def from_alpha(cls, alpha: Positive, mean: float = 0.0) -> Normal:
         """Return the prior with the paper's coefficient α = 1/sd²."""
-        require_positive("alpha", alpha)
         return cls(sd=float(alpha) ** -0.5, mean=mean)
 
     @property

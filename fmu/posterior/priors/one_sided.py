@@ -11,10 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from fmu.arguments import check_arguments
+from fmu.numbers import typed
 from fmu.posterior.priors.base import GaussianForm, Normal, Prior
-from fmu.types import FloatArray, Positive, require_finite, require_positive
+from fmu.types import FloatArray, Positive
 
 
+@check_arguments
 @dataclass(frozen=True)
 class HalfNormal(Prior):
     """The half of a Gaussian above its centre: density ∝ exp(−(x − at)²/(2 sd²)) for x ≥ at.
@@ -34,10 +37,6 @@ class HalfNormal(Prior):
 
     sd: Positive
     at: float = 0.0
-
-    def __post_init__(self) -> None:
-        require_positive("sd", self.sd)
-        require_finite("at", self.at)
 
     @property
     def gaussian_form(self) -> GaussianForm:
@@ -75,6 +74,7 @@ class HalfNormal(Prior):
         return Normal(self.sd, mean=self.at)
 
 
+@check_arguments
 @dataclass(frozen=True)
 class LogNormal(Prior):
     """The logarithm is Gaussian: z = log(x/median)/sigma is a standard normal variable, x positive.
@@ -95,19 +95,16 @@ class LogNormal(Prior):
     median: Positive
     sigma: Positive
 
-    def __post_init__(self) -> None:
-        require_positive("median", self.median)
-        require_positive("sigma", self.sigma)
-
     @classmethod
+    @check_arguments
     def from_mean(cls, mean: Positive, sd: Positive) -> LogNormal:
         """Return the prior with a mean and a standard deviation, in the parameter's unit."""
-        require_positive("mean", mean)
-        require_positive("sd", sd)
         variance = np.logaddexp(0.0, 2.0 * (np.log(sd) - np.log(mean)))
+        _require_width("mean", mean, sd, variance)
         return cls(float(mean * np.exp(-0.5 * variance)), float(np.sqrt(variance)))
 
     @classmethod
+    @check_arguments
     def from_mode(cls, mode: Positive, sd: Positive) -> LogNormal:
         """Return the prior that is densest at `mode` and has the standard deviation `sd` (Beck & Au 2002).
 
@@ -115,14 +112,13 @@ class LogNormal(Prior):
         """
         from scipy.optimize import brentq
 
-        require_positive("mode", mode)
-        require_positive("sd", sd)
         log_ratio = 2.0 * (np.log(sd) - np.log(mode))
         highest = min(log_ratio, log_ratio / 4.0)  # as 1 + v is more than both 1 and v
         log_v = brentq(
             lambda t: t + 3.0 * np.logaddexp(0.0, t) - log_ratio, highest - 3.0 * np.log(2.0), highest, xtol=1e-15
         )
         variance = np.logaddexp(0.0, log_v)
+        _require_width("mode", mode, sd, variance)
         return cls(float(mode * np.exp(variance)), float(np.sqrt(variance)))
 
     @property
@@ -167,3 +163,9 @@ class LogNormal(Prior):
 
 def _log(bound: float) -> float:
     return float(np.log(bound)) if bound > 0.0 else -np.inf
+
+
+def _require_width(name: str, value: float, sd: float, variance: float) -> None:
+    """Raise ValueError where a log-normal prior is narrower than rounding."""
+    if not variance > 0.0:
+        raise ValueError(f"sd: must be at least 1e-8 of the {name} {typed(value)} (got {typed(sd)})")

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from scipy.special import betainc, betaincinv, betaln, xlogy
 
+from fmu.arguments import check_arguments
 from fmu.numbers import significant, typed
 from fmu.posterior.priors.base import Prior
-from fmu.types import FloatArray, Positive, require_finite, require_positive
+from fmu.types import FloatArray, Positive
 
 _STEP, _EDGE = 1e-3, 1e-6
 
@@ -59,6 +60,7 @@ class InvertedPrior(Prior):
         return float(max(mass, 0.0))
 
 
+@check_arguments
 @dataclass(frozen=True)
 class ScaledBeta(InvertedPrior):
     """The beta distribution on an interval: density ∝ t^(a−1) (1 − t)^(b−1) with t = (x − low)/(high − low).
@@ -84,11 +86,10 @@ class ScaledBeta(InvertedPrior):
     high: float = 1.0
 
     def __post_init__(self) -> None:
-        require_positive("a", self.a)
-        require_positive("b", self.b)
         _ordered(self.low, self.high)
 
     @classmethod
+    @check_arguments
     def from_mean(cls, mean: float, sd: Positive, low: float = 0.0, high: float = 1.0) -> ScaledBeta:
         """Return the prior on [low, high] with a mean and a standard deviation, all in the parameter's unit.
 
@@ -98,7 +99,6 @@ class ScaledBeta(InvertedPrior):
             If the mean is not between the ends, or the standard deviation is so large that no beta has it.
         """
         _ordered(low, high)
-        require_positive("sd", sd)
         if not low < mean < high:
             raise ValueError(f"mean: must lie between low {typed(low)} and high {typed(high)} (got {typed(mean)})")
         m, largest = (mean - low) / (high - low), np.sqrt((mean - low) * (high - mean))
@@ -161,6 +161,7 @@ class ScaledBeta(InvertedPrior):
         return -float(betaln(self.a, self.b) + np.log(self.high - self.low))
 
 
+@check_arguments
 @dataclass(frozen=True, repr=False)
 class ScipyPrior(InvertedPrior):
     """Any continuous distribution of ``scipy.stats`` with its arguments: ``ScipyPrior(gumbel_r(loc=2.0))``.
@@ -261,8 +262,6 @@ class ScipyPrior(InvertedPrior):
 
 
 def _ordered(low: float, high: float) -> None:
-    require_finite("low", low)
-    require_finite("high", high)
     if not low < high:
         raise ValueError(f"high: must exceed low {typed(low)} (got {typed(high)})")
 

@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 from scipy.special import expit, log_ndtr, logit, ndtr, ndtri
 
+from fmu.arguments import check_arguments
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.priors.scipy_distributions import InvertedPrior
-from fmu.types import FloatArray, Positive, require_finite, require_positive
+from fmu.types import FloatArray, Positive
 
 _HALVINGS = 60
 
 
+@check_arguments
 @dataclass(frozen=True)
 class SpikeAndSlab(InvertedPrior):
     """With the probability `share` the wide normal distribution, the slab; else the narrow one, the spike.
@@ -45,9 +47,6 @@ class SpikeAndSlab(InvertedPrior):
     mean: float = 0.0
 
     def __post_init__(self) -> None:
-        require_positive("sd", self.sd)
-        require_positive("spike", self.spike)
-        require_finite("mean", self.mean)
         if not 0.0 < self.share < 1.0:
             raise ValueError(f"share: must lie between 0 and 1 (got {self.share})")
         if not self.spike < self.sd:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
+from annotated_types import Interval
 
+from fmu.arguments import check_arguments
 from fmu.samplers.hmc import HamiltonianMonteCarlo
 from fmu.samplers.kernel import Sampler, Target
 from fmu.samplers.metropolis import MetropolisHastings
@@ -15,7 +17,7 @@ from fmu.samplers.mixture.kernel import MixtureKernel
 from fmu.samplers.mixture.proposal import WIDE, Mixture
 from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.samplers.mixture.tuner import MixtureTuner, first_warp
-from fmu.samplers.settings import positive_number, positive_scale, vector, whole_number
+from fmu.samplers.settings import positive_scale, vector, whole_number
 from fmu.samplers.slice import Slice
 from fmu.types import FloatArray, LogDensity
 
@@ -23,6 +25,7 @@ _JUMPS, _JUMPS_IF_GOOD = 39, 79
 """Candidates between local steps. These take some ten evaluations each: a fifth of all, or a tenth."""
 
 
+@check_arguments
 @dataclass(frozen=True)
 class MixtureSampler(Sampler):
     """Independence Metropolis-Hastings with a mixture of truncated Gaussians, and local steps between.
@@ -68,8 +71,8 @@ class MixtureSampler(Sampler):
 
     components: tuple[Quadratic, ...] | None = None
     weights: Any = None
-    bent: Any = None
-    wide: float | None = None
+    bent: Sequence[bool] | None = None
+    wide: Annotated[float, Interval(gt=0.0, lt=1.0)] | None = None
     local: HamiltonianMonteCarlo | MetropolisHastings | Slice | None = None
     local_steps: int = 1
     jumps: int | None = None
@@ -85,15 +88,17 @@ class MixtureSampler(Sampler):
         whole_number("local_steps", self.local_steps, 1)
         if self.jumps is not None:
             whole_number("jumps", self.jumps, 1)
-        if self.wide is not None and not 0.0 < positive_number("wide", self.wide) < 1.0:
-            raise ValueError(f"wide: must be between 0 and 1 (got {self.wide})")
         if self.local is not None and self.local_steps >= self.jumps_with(WIDE):
             object.__setattr__(self, "name", self.local.name)
+        if self.weights is not None:
+            positive_scale("weights", self.weights, matrix=False)
         if self.components is None:
             if not self.adapt:
                 raise ValueError("components: must be given if adapt is False (got None)")
             return
         components = tuple(self.components)
+        if not components:
+            raise ValueError("components: must be at least one, or None (got none)")
         weights = np.ones(len(components)) if self.weights is None else self.weights
         object.__setattr__(self, "components", components)
         object.__setattr__(self, "weights", vector("weights", positive_scale("weights", weights, matrix=False)))

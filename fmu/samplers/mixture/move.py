@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 from emcee.moves import Move, StretchMove
 from emcee.state import State
+from numpy.typing import ArrayLike
 
+from fmu.arguments import check_arguments, shown
 from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fitted_mixture
 from fmu.samplers.mixture.quadratic import of_moments
 from fmu.types import BoolArray, FloatArray
@@ -20,6 +22,7 @@ _FAR = 10.0
 """Walkers with a log-probability further below the median, plus one per coordinate, are on the way."""
 
 
+@check_arguments
 class MixtureMove(Move):
     """Independent candidates from a mixture of truncated Gaussians that is fitted to the walkers.
 
@@ -56,7 +59,11 @@ class MixtureMove(Move):
     Ann. Statist. 22, 1701-1762, section 2.3.3 (independence chains).
     """
 
-    def __init__(self, density: Any = None, *, lower: Any = None, upper: Any = None) -> None:
+    def __init__(
+        self, density: Any = None, *, lower: ArrayLike | None = None, upper: ArrayLike | None = None
+    ) -> None:
+        if density is not None and not all(np.shape(getattr(density, name, None)) for name in ("lower", "upper")):
+            raise ValueError(f"density: must have lower and upper, shape (ndim,) (got {shown(density)})")
         lower = getattr(density, "lower", -np.inf) if lower is None else lower
         upper = getattr(density, "upper", np.inf) if upper is None else upper
         self.lower, self.upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from fmu.arguments import check_arguments
 from fmu.samplers.hmc import HamiltonianMonteCarlo
 from fmu.samplers.kernel import Info, Sampler, State, Tree
 from fmu.samplers.metropolis import MetropolisHastings
@@ -34,6 +35,7 @@ _LEAST = 1e-3  # rejection of a swap that the interpolation assumes at least, so
 _KERNELS = {kind.name: kind for kind in (Slice, MetropolisHastings, HamiltonianMonteCarlo)}
 
 
+@check_arguments
 @dataclass(frozen=True)
 class Tempering(Sampler):
     """Parallel tempering over one of the other samplers.
