@@ -514,13 +514,20 @@ def calls(folder: Path) -> Iterator[Call]:
     yield Call("write_report", fmu.write_report, {"run_directory": folder})
 
 
+def _with_defaults(call: Call) -> Call:
+    """Return a call that gives every argument, with its default if need be."""
+    taken = inspect.signature(call.door).parameters.values()
+    named = [one for one in taken if one.kind not in (one.VAR_POSITIONAL, one.VAR_KEYWORD)]
+    return call._replace(given={one.name: one.default for one in named} | call.given)
+
+
 _FUNCTIONS = {"function", "build", "G"}
 """A class is a function: what it raises when it is called is its own affair."""
 
 
 def wrong_calls(folder: Path) -> Iterator[tuple[Call, str, str]]:
     """Yield a valid call, the argument that is made wrong, and the key of its wrong value."""
-    for call in calls(folder):
+    for call in map(_with_defaults, calls(folder)):
         for name in call.given:
             for key in WRONG:
                 if not (key == "class" and name in _FUNCTIONS):

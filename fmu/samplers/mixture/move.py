@@ -62,7 +62,7 @@ class MixtureMove(Move):
     def __init__(
         self, density: Any = None, *, lower: ArrayLike | None = None, upper: ArrayLike | None = None
     ) -> None:
-        if density is not None and not all(np.shape(getattr(density, name, None)) for name in ("lower", "upper")):
+        if density is not None and callable(getattr(density, "lower", min)):
             raise ValueError(f"density: must have lower and upper, shape (ndim,) (got {shown(density)})")
         lower = getattr(density, "lower", -np.inf) if lower is None else lower
         upper = getattr(density, "upper", np.inf) if upper is None else upper
