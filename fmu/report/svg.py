@@ -6,6 +6,8 @@ import base64
 import io
 import re
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -53,8 +55,9 @@ def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
     with mpl.rc_context(settings), warnings.catch_warnings():
         # text is kept as text: the reader's font may have glyphs that Matplotlib's lacks
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from font", UserWarning)
-        _arrange(figure)
-        figure.savefig(file, format="svg", dpi=RASTER_DPI, metadata=_NO_METADATA)
+        with _ticks_placed_once():
+            _arrange(figure)
+            figure.savefig(file, format="svg", dpi=RASTER_DPI, metadata=_NO_METADATA)
     text = file.getvalue()
     body = text[text.index(">", text.index("<svg")) + 1 : text.rindex("</svg>")]
     # A style inside an SVG would apply to the whole page.
@@ -65,6 +68,32 @@ def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
     body = _without_repetition(body)
     width, height = (72.0 * size for size in figure.get_size_inches())
     return Markup(f'<svg role="img" aria-label="{escape(alt)}" viewBox="0 0 {width:g} {height:g}">{body}</svg>')
+
+
+@contextmanager
+def _ticks_placed_once() -> Iterator[None]:
+    """Have ticks placed anew only where the limits or the size of their axes have changed.
+
+    Matplotlib places them whenever the extent of anything beside them is asked for, ten times a figure, which is a
+    fifth of the time that figures take.
+    """
+    from matplotlib.axis import Axis
+
+    place: Any = getattr(Axis, "_update_ticks")  # noqa: B009  # not public: without it figures only take longer
+    placed: dict[int, tuple[tuple[float, ...], Any]] = {}
+
+    def placed_once(axis: Axis) -> Any:
+        figure = axis.get_figure(root=True)
+        key = (*axis.get_view_interval(), *axis.axes.bbox.bounds, 0.0 if figure is None else figure.dpi)
+        if placed.get(id(axis), ((),))[0] != key:
+            placed[id(axis)] = key, place(axis)
+        return placed[id(axis)][1]
+
+    setattr(Axis, "_update_ticks", placed_once)  # noqa: B010
+    try:
+        yield
+    finally:
+        setattr(Axis, "_update_ticks", place)  # noqa: B010
 
 
 def _arrange(figure: Figure) -> None:

@@ -4,13 +4,16 @@ import base64
 import io
 import pickle
 import re
+from contextlib import nullcontext
 
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from PIL import Image
 
+from fmu.report import svg
 from fmu.report.document import picture
 from fmu.report.plots.style import new_figure
 from fmu.report.svg import inline_svg
@@ -106,3 +109,26 @@ def test_a_picture_is_as_wide_as_its_figure(figure):
     one = picture(figure.axes[0], "a", "x", "below")
     assert (one.width, one.caption) == (384, "below")
     assert picture(np.array(figure.axes), "a", "x", "below").svg == one.svg
+
+
+def test_ticks_are_placed_once_and_drawn_the_same(monkeypatch):
+    placed = []
+    place = Axis._update_ticks
+    monkeypatch.setattr(Axis, "_update_ticks", lambda axis: placed.append(axis) or place(axis))
+
+    def drawn():
+        figure = new_figure(4.0, 4.0)
+        axes = figure.subplots(3, 1, sharex=True)
+        for k, one in enumerate(axes):
+            one.plot([0.0, 10.0**k])
+            one.set_ylabel("much\nor little" if k else "E / GPa")
+        figure.align_ylabels(axes)
+        placed.clear()
+        return inline_svg(figure, "a", "alt"), len(placed)
+
+    once, few = drawn()
+    assert few <= 6 * 4  # axes: at first, after each of two passes of the layout, and at the end
+    monkeypatch.setattr(svg, "_ticks_placed_once", nullcontext)
+    again, many = drawn()
+    assert once == again
+    assert many > 2 * few
