@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 _AT_ONCE = 16  # draws
-_WORK, _FEWEST, _MOST = 150_000, 64, 1024
+_WORK, _FEWEST, _MOST = 150_000, 64, 512
 """Degrees of freedom times draws at which the bound is evaluated; at least and at most so many draws."""
 _EACH, _FEWEST_SOLVED, _FEWEST_OF_LARGE, _WORST = 12, 16, 8, 4
 """One of so many of these draws is solved with the full model, at least so many, or so many where the structure is

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import sys
 from collections.abc import Callable, Iterator
@@ -120,6 +121,7 @@ def run(
     given.
     """
     gc.set_threshold(_GARBAGE)
+    atexit.register(gc.freeze)  # or Python would look for unused objects once more, when the process ends
     with ExitStack() as stack:
         stack.enter_context(stoppable())
         if resume is None:

@@ -9,7 +9,7 @@ from scipy.stats import norm
 import fmu
 from fmu.analysis.held_out import modes
 from fmu.analysis.held_out.modes import with_left_out
-from fmu.analysis.held_out.refit import _cheaper, approximation, left_out
+from fmu.analysis.held_out.refit import approximation, cheaper, left_out
 from fmu.analysis.trace.conversion import to_trace
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.problem import UpdatingProblem
@@ -209,7 +209,7 @@ def test_chains_for_proposals_take_a_part_of_the_basis(pairing):
     theta, sizes = problem.sample_prior(np.random.default_rng(6), 256), problem.model.reduced_sizes
     before, scaled = problem.log_prob(theta), ScaledDensity(problem)
     u = scaled.to_scaled(theta)
-    coarse = _cheaper(problem, u, scaled.log_prob(u))
+    coarse = cheaper(problem, u, scaled.log_prob(u))
     assert sum(coarse.model.reduced_sizes) < 0.8 * sum(sizes)
     np.testing.assert_allclose(coarse.frequencies(theta), problem.frequencies(theta), rtol=1e-3)
     assert not np.array_equal(coarse.log_prob(theta), before)
@@ -224,13 +224,13 @@ def test_chains_for_proposals_take_a_part_of_the_basis(pairing):
 
 def test_chains_for_proposals_keep_a_basis_of_which_all_matters(problem):
     rng, nowhere = np.random.default_rng(7), np.empty((0, 2))
-    assert _cheaper(problem, nowhere, np.empty(0)) is problem  # no basis
+    assert cheaper(problem, nowhere, np.empty(0)) is problem  # no basis
     building = fmu.cases.load("shear-10dof")
-    assert _cheaper(building, nowhere, np.empty(0)) is building  # a basis of all unknowns
+    assert cheaper(building, nowhere, np.empty(0)) is building  # a basis of all unknowns
     young = fmu.cases.load("cantilever-young")
     u = ScaledDensity(young).to_scaled(young.sample_prior(rng, 256))
     elsewhere = ScaledDensity(young).log_prob(u) + rng.standard_normal(256)
-    assert _cheaper(young, u, elsewhere) is young  # log P would change
+    assert cheaper(young, u, elsewhere) is young  # log P would change
 
 
 @pytest.mark.parametrize("pairing", ["shape", "soft"])

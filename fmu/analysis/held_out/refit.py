@@ -145,11 +145,11 @@ def approximation(problem: UpdatingProblem, near: FloatArray, rng: np.random.Gen
     log_w -= logsumexp(log_w)
     if np.exp(-logsumexp(2.0 * log_w)) >= _EVEN * len(log_w):
         return Approximation(models, [])
-    walked = _walked(_cheaper(problem, u[last], log_p[last]), u[last], log_w, rng)
+    walked = _walked(cheaper(problem, u[last], log_p[last]), u[last], log_w, rng)
     return Approximation(models, gaussians_of_groups(walked, np.zeros(len(walked)), rng))
 
 
-def _cheaper(problem: UpdatingProblem, u: FloatArray, log_p: FloatArray) -> UpdatingProblem:
+def cheaper(problem: UpdatingProblem, u: FloatArray, log_p: FloatArray) -> UpdatingProblem:
     """Return the problem by `_SHARE` of the reduced basis, if log P at the highest of its points hardly changes.
 
     Chains on it are for proposals, which need not be exact.

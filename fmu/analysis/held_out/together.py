@@ -22,7 +22,16 @@ from fmu.analysis.held_out.candidates import (
     gaussians_of_groups,
     quadratics_at_maxima,
 )
-from fmu.analysis.held_out.refit import ACCEPTED, ERROR, WIDER, LeftOut, compared, effective, log_prob_of_all
+from fmu.analysis.held_out.refit import (
+    ACCEPTED,
+    ERROR,
+    WIDER,
+    LeftOut,
+    cheaper,
+    compared,
+    effective,
+    log_prob_of_all,
+)
 from fmu.analysis.maxima.mode_weights import TEMPERATURES, Proposal
 from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import by_parts, phase
@@ -69,12 +78,12 @@ def left_out_together(
     """
     problems, scaled = [*without, whole], ScaledDensity(whole)
     prior, last = PriorCandidates(whole, scaled), len(without)
-    models, walkers = _first_models(problems, scaled, prior, rng)
+    models, walkers, cheap = _first_models(problems, scaled, prior, rng)
     groups: dict[int, list[Quadratic]] = {}
     done: dict[int, LeftOut] = {}
     wanted = list(range(last))
     for _ in range(_ROUNDS):
-        walked = _walk(problems, walkers, scaled, rng)
+        walked = _walk([*without, cheap], walkers, scaled, rng)
         groups |= {number: gaussians_of_groups(of, np.zeros(len(of)), rng) for number, of in walked.items()}
         parts = [gaussians([*models[k], *groups.get(k, ())], scaled, WIDER) for k in (*wanted, last)]
         u, values, found = _compared(_Mixture(parts, prior), problems, wanted, scaled, rng)
@@ -91,10 +100,11 @@ def left_out_together(
 
 def _first_models(
     problems: Sequence[UpdatingProblem], scaled: ScaledDensity, prior: Proposal, rng: np.random.Generator
-) -> tuple[list[list[Quadratic]], dict[int, FloatArray]]:
-    """Return quadratics fitted to each posterior, and where chains start in those that they do not cover well.
+) -> tuple[list[list[Quadratic]], dict[int, FloatArray], UpdatingProblem]:
+    """Return quadratics fitted to each posterior; for those that they do not cover well, where chains start.
 
-    All are climbed from the maxima of the last posterior too.
+    All are climbed from the maxima of the last posterior too. The third result is the last problem, by a part of
+    the reduced basis if that is enough for chains.
     """
     n, whole = len(problems), problems[-1]
     models = [quadratics_at_maxima(whole, scaled, whole.start[None])]
@@ -109,7 +119,8 @@ def _first_models(
         temperatures = WIDER
     log_w = solved[:, :n].T - log_q
     poor = [number for number in range(n) if effective(log_w[number]) < _EVEN * len(more) / n]
-    return models, {number: _spread(more, log_w[number], rng) for number in poor}
+    starts = {number: _spread(more, log_w[number], rng) for number in poor}
+    return models, starts, cheaper(whole, more, solved[:, n - 1])
 
 
 def _spread(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> FloatArray:
