@@ -16,7 +16,7 @@ _DIRECTORY = click.argument("directory", type=click.Path(path_type=Path, exists=
 @click.command()
 @_DIRECTORY
 def report(directory: Path) -> None:
-    """Write an HTML report on the run in DIRECTORY: report/index.html and one page per sampler."""
+    """Write an HTML report on the run in DIRECTORY: report/index.html, and of several samplers a page each."""
     from fmu.report.pages import write_report
 
     click.echo(f"Written to {write_report(directory)}")

@@ -195,6 +195,8 @@ class PageSection:
             return False
         if last.pictures[0].width > _NARROW or last.pictures[0].is_high:
             return False
+        if not any(isinstance(part, PageTable) for part in others):  # a few words would leave half a desk white
+            return False
         return all(
             part.least_width <= _BESIDE if isinstance(part, PageTable) else isinstance(part, Text | Items)
             for part in others

@@ -141,3 +141,18 @@ def test_the_desk_is_used_and_nothing_collides(browser, beam_report):
     )
     assert right > 0.9 * 1280
     assert overlaps == 0
+
+
+@needs_browser
+@pytest.mark.parametrize("width", [1280, 390])
+def test_every_lone_figure_of_a_desk_leaves_less_than_half_of_it_white(browser, damage_page, width):
+    size = {"width": width, "height": 740, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    browser.get(damage_page.as_uri())
+    white = browser.execute_script(
+        """return [...document.querySelectorAll('figure.plot')].filter(e => e.checkVisibility())
+           .filter(e => Math.max(e.querySelector('.drawing').getBoundingClientRect().right,
+                                 e.querySelector('figcaption').getBoundingClientRect().right) < 0.55 * innerWidth)
+           .filter(e => e.parentElement.children.length < 2).map(e => e.dataset.name);"""
+    )
+    assert white == []
