@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
 import warnings
 from collections.abc import Iterator
@@ -18,6 +20,36 @@ FAILED, BAD_INPUT = 1, 2
 STOPPED = 130  # what a shell reports for a command that Ctrl-C ended
 
 
+class _Unbroken:
+    """Standard output that goes nowhere once its reader has gone, as ``head`` does: the command goes on."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Write text."""
+        try:
+            self._stream.write(text)
+        except BrokenPipeError:
+            self._drop()
+        return len(text)
+
+    def flush(self) -> None:
+        """Write what is held back."""
+        try:
+            self._stream.flush()
+        except BrokenPipeError:
+            self._drop()
+
+    def _drop(self) -> None:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, self._stream.fileno())
+        os.close(nowhere)
+
+
 class Commands(click.Group):
     """A group of commands that end with an exit code, and with one line where there is an error."""
 
@@ -26,7 +58,9 @@ class Commands(click.Group):
         return list(self.commands)
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
-        """Run a command and exit with its code."""
+        """Run a command and exit with its code, whether or not anybody still reads what it prints."""
+        if sys.stdout is sys.__stdout__ and sys.stdout is not None:
+            sys.stdout = _Unbroken(sys.stdout)
         try:
             sys.exit(super().main(*args, **{**kwargs, "standalone_mode": False}))
         except click.exceptions.NoArgsIsHelpError as error:
@@ -39,12 +73,25 @@ class Commands(click.Group):
             sys.exit(STOPPED)
         except ConfigurationError as error:
             _fail(str(error.args[0]), *error.mistakes)
-        except (ValueError, OSError) as error:
+        except OSError as error:
+            _fail(_of_system(error))
+        except ValueError as error:
             _fail(str(error))
         except MemoryError as error:
             _fail(f"the model needs more memory than is available ({error or 'no details'})")
         except RunFailedError as error:
             _fail(str(error), code=FAILED)
+
+
+def _of_system(error: OSError) -> str:
+    """Return an error of the system as a sentence with its file, and what to do where there is no room."""
+    where = error.filename or "standard output, or a file of the output directory"
+    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        return (
+            f"{where} could not be written: {error.strerror}. Free space, or raise the limit, and repeat the "
+            "command; a run goes on with fmu run --resume"
+        )
+    return str(error)
 
 
 def _fail(message: str, *mistakes: object, code: int = BAD_INPUT) -> None:

@@ -11,8 +11,17 @@ from pathlib import Path
 @contextmanager
 def claimed(directory: Path, overwrite: bool) -> Iterator[Path]:
     """Make a new output directory; remove it again if the block fails before anything was written to it."""
-    if os.path.lexists(directory) and not overwrite:
-        raise ValueError(f"--out: {directory} exists; choose another directory or add --overwrite")
+    if os.path.lexists(directory) and not overwrite and not _is_left_empty(directory):
+        from fmu.config.kept import ORIGIN
+        from fmu.runs.run_directory import FOLDER
+
+        kept = (directory / FOLDER / ORIGIN).is_file()
+        resume = (
+            f"holds a run that has not ended: resume it with fmu run --resume {directory}, "
+            if kept
+            else "exists; "
+        )
+        raise ValueError(f"--out: {directory} {resume}choose another directory or add --overwrite")
     made = [path for path in (directory, *directory.parents) if not path.exists()]
     try:
         make_writable(directory)
@@ -22,6 +31,15 @@ def claimed(directory: Path, overwrite: bool) -> Iterator[Path]:
             with suppress(OSError):  # it holds results
                 path.rmdir()
         raise
+
+
+def _is_left_empty(directory: Path) -> bool:
+    """Return whether a directory holds nothing but what a run that was killed in its first seconds leaves."""
+    from fmu.runs.lock import FILE, LOCK, PHASE
+
+    if directory.is_symlink() or not directory.is_dir():
+        return False
+    return all(path.is_dir() or path.name in (FILE, LOCK, PHASE) for path in directory.rglob("*"))
 
 
 def make_writable(directory: Path) -> None:

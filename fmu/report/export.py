@@ -39,6 +39,7 @@ from fmu.formats.models.read import read_beside
 from fmu.numbers import names_in_words, significant
 from fmu.report.files import OutputDirectory
 from fmu.report.mode_files import write_modes
+from fmu.runs.words import why_no_traces
 from fmu.tables import data_frame
 from fmu.types import FloatArray
 
@@ -181,7 +182,7 @@ def chosen(directory: Path, sampler: str | None) -> tuple[str, xr.DataTree, Diag
     """Return the name, trace and verdict of the given sampler, else of the one that `choose_run` gives."""
     traces = {path.stem: load_trace(path) for path in sorted(directory.glob("*.nc"))}
     if not traces:
-        raise ValueError(f"run_directory: {directory} contains no traces (*.nc)")
+        raise ValueError(f"run_directory: {why_no_traces(Path(directory))}")
     if sampler is not None and sampler not in traces:
         raise ValueError(f"sampler: must be one of {', '.join(traces)} (got {sampler!r})")
     summaries, verdicts, _ = judged(traces)

@@ -26,6 +26,7 @@ from fmu.report.sections import comparison, of_a_sampler, origin, updating
 from fmu.report.sections.structure import structure_drawing
 from fmu.report.sections.tests import damage_drawing
 from fmu.report.sections.verdicts import of_the_model, verdicts
+from fmu.runs.words import why_no_traces
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -169,7 +170,7 @@ def write_report(run_directory: str | os.PathLike[str]) -> Path:
         raise ValueError(f"run_directory: must be a directory (got {directory})")
     traces = load_traces(directory)
     if not traces:
-        raise ValueError(f"run_directory: {directory} contains no traces (*.nc)")
+        raise ValueError(f"run_directory: {why_no_traces(Path(directory))}")
     return publish(traces, directory)
 
 

@@ -29,8 +29,9 @@ from fmu.runs.words import HEADER, WORDS, rows, state_of, to_resume
 
 LOOPBACK = "127.0.0.1"
 _PAGE = Path(__file__).with_name("page.html")
-_IDLE_S = 60.0
-"""How long a connection may take over its request."""
+_IDLE_S = 10.0
+"""How long a connection may be silent within its request."""
+_MOST_CONNECTIONS = 32
 
 
 class WatchServer(ThreadingHTTPServer):
@@ -66,6 +67,7 @@ class WatchServer(ThreadingHTTPServer):
         self.every, self.host, self.closing = every, host, threading.Event()
         self._reader, self._lock, self._read_at = RunReader(directory), threading.Lock(), -float("inf")
         self._reading = self._reader.read()
+        self._open = threading.BoundedSemaphore(_MOST_CONNECTIONS)
         self._token = secrets.token_urlsafe(32)
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         try:
@@ -123,6 +125,20 @@ class WatchServer(ThreadingHTTPServer):
         self.closing.set()
         with self._lock:
             super().server_close()
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer in a thread of its own, or not at all where there are too many."""
+        if self._open.acquire(blocking=False):
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Answer a connection, and count it no longer."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._open.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Say nothing of a reader that has gone; anything else is a fault, which is said."""
@@ -199,7 +215,10 @@ class _Handler(BaseHTTPRequestHandler):
         return admitted
 
     def _is_from_here(self, origin: str) -> bool:
-        same = urlsplit(origin).netloc == self.headers.get("Host")
+        try:
+            same = urlsplit(origin).netloc == self.headers.get("Host")
+        except ValueError:  # it is no address
+            same = False
         if not same:
             self._send(HTTPStatus.FORBIDDEN, "Only the page itself may stop the run.")
         return same

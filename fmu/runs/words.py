@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 from fmu.numbers import fixed
 from fmu.progress.words import duration, number
 from fmu.runs.reading import Progress
-from fmu.runs.status import FINISHED, KILLED, SILENT, STOPPED, RunReading, SamplerReading
+from fmu.runs.status import FINISHED, KILLED, RUNNING, SILENT, STOPPED, RunReader, RunReading, SamplerReading
 
 HEADER = ("sampler", "group", "state", "phase", "chains", "steps", "save age", "accept", "R-hat", "ESS", "solves",
           "per s", "failed", "left")  # fmt: skip
@@ -46,6 +47,19 @@ def to_resume(reading: RunReading) -> str:
     if reading.is_of_command:
         return f"fmu run --resume {reading.directory}"
     return f"repeat the same call of fmu.sample, with checkpoint={str(reading.directory)!r}"
+
+
+def why_no_traces(directory: Path) -> str:
+    """Say why a directory has no traces: a run in it goes on, or was interrupted and can be resumed."""
+    try:
+        reading = RunReader(directory).read()
+    except (ValueError, OSError):
+        return f"{directory} contains no traces (*.nc)"
+    if to_resume(reading):
+        return f"{directory} contains no traces yet: its run was interrupted. To resume: {to_resume(reading)}"
+    if reading.state == RUNNING:
+        return f"{directory} contains no traces yet: its run goes on; see fmu watch {directory}"
+    return f"{directory} contains no traces (*.nc)"
 
 
 def _rows(sampler: SamplerReading) -> Iterator[tuple[str, ...]]:
