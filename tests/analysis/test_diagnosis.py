@@ -146,7 +146,8 @@ def test_one_chain_in_each_mode_does_not_converge(section, section_maxima, aroun
 def test_ensembles_with_walkers_in_two_modes_are_calm_and_found_out(section, section_maxima, around, modes):
     """The false calm: in equal proportion in every ensemble, so that the ensembles agree."""
     init = np.concatenate([around(k, 4, 8) for k in modes], axis=1)
-    trace = fmu.sample(section, fmu.Ensemble(walkers=16), draws=400, warmup=0, init=init, seed=1)
+    calm = fmu.Ensemble(walkers=16, moves="stretch")
+    trace = fmu.sample(section, calm, draws=400, warmup=0, init=init, seed=1)
     assert summary(trace)["rhat"].max() < 1.02
     failures = convergence_failures(trace)
     assert any(": R-hat over walkers is " in f for f in failures)

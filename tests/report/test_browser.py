@@ -139,7 +139,7 @@ def test_all_verdicts_are_on_the_first_screen(browser):
     bottoms = browser.execute_script(
         "return [...document.querySelectorAll('.verdict')].map(e => e.getBoundingClientRect().bottom);"
     )
-    assert len(bottoms) == 5
+    assert len(bottoms) == (6 if "samplers" in browser.title else 5)
     assert max(bottoms) < SCREEN
 
 

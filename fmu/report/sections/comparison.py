@@ -211,7 +211,7 @@ def paths(found: Compared) -> PageSection:
 def _paths(run: ReportedRun) -> Picture:
     figure = new_figure(NARROW, height_of_row(len(run.names)) * len(run.names) + 0.9)
     worst = fixed(float(run.summary["rhat"].max()), 4)
-    axes = plot_traces({run.title: run.trace}, figure=figure)
+    axes = plot_traces({"": run.trace}, figure=figure)
     return picture(
         axes,
         f"paths-{run.name}",
