@@ -149,6 +149,7 @@ validate: $(READY_BENCH) $(READY_FAST)  ## Calibrate samplers, verdicts, interva
 	.venv/bin/python -m tests.validation.left_out results
 	.venv/bin/python -m tests.validation.fit results
 	.venv/bin/python -m tests.validation.several_tests results
+	.venv/bin/python -m tests.validation.damage_intervals results
 	.venv/bin/python -m tests.validation.garteur results
 	.venv/bin/python -m tests.validation.kills results
 	.venv/bin/python -m pytest --quiet -m validate
