@@ -633,6 +633,8 @@ def may_be_accepted(call: Call, name: str, key: str) -> bool:
             or bool(empty & set(kinds))
             or (key == "words" and "Place" in kinds)
         )
+    if key == "[None]":  # a place where nothing is
+        return "Sequence" in kinds and "None" in kinds and name == "spring_parameters"
     if key == "class":
         return "Callable" in kinds or name == "build"
     return key == "[nan]" and name == "theta"

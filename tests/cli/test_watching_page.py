@@ -128,9 +128,22 @@ def test_only_who_has_the_address_is_answered(out):
         for host in (f"localhost:{port}", "127.0.0.1:9000", "[::1]:9000"):  # through a tunnel, the port is another
             assert ask(server, path="OWN", Host=host)[0] == 200
         assert ask(server, "POST", "OWNstop", Origin="http://evil.example")[0] == 403
+        assert ask(server, "POST", "OWNstop", Origin="http://[")[0] == 403
         assert ask(server, path="OWNstop")[0] == 404
         assert ask(server, "POST", "OWNother")[0] == 404
         assert ask(server, "DELETE", "OWN")[0] == 501
+
+
+def test_too_many_connections_are_closed(out, monkeypatch):
+    monkeypatch.setattr(web, "_MOST_CONNECTIONS", 2)
+    with served(out) as server:
+        silent = [socket.create_connection(server.server_address[:2]) for _ in range(2)]
+        time.sleep(0.2)  # until both are accepted
+        with socket.create_connection(server.server_address[:2]) as third:
+            third.settimeout(10.0)
+            assert third.recv(1) == b""
+        for one in silent:
+            one.close()
 
 
 def test_it_listens_at_the_loopback_alone(out):

@@ -7,9 +7,12 @@ Each run has a folder of its own, in which the deck and the other inputs are. Wh
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import re
 import shutil
+import subprocess
+import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -28,6 +31,7 @@ from fmu.formats.decks import filled, filled_name, placeholders, read_deck, writ
 from fmu.formats.files import too_large, why_no_file
 from fmu.formats.modes import READERS
 from fmu.formats.shown import in_words, one_line, shown
+from fmu.numbers import significant
 from fmu.types import FloatArray
 
 STEP = 1e-3
@@ -82,16 +86,37 @@ class FoundFrequencies:
             if word not in ("job", "deck"):
                 raise ValueError(f"file: may have {{job}} and {{deck}} in braces (got {{{word}}})")
 
-    def read(self, path: Path) -> FloatArray:
-        """Return the frequencies in a file; ValueError if there are none."""
+    def read(self, path: Path, seconds: float = 60.0) -> FloatArray:
+        """Return the frequencies in a file; ValueError if there are none, or none are found within `seconds`."""
         wrong = why_no_file(path) or too_large(path, LARGEST_RESULT)
         if wrong:
             raise ValueError(wrong)
-        text = path.read_bytes().decode("utf-8", "replace")
-        words = [match[1] for match in re.finditer(self.pattern, text, re.MULTILINE)]
+        words = self._find(path, seconds)
         if not words:
             raise ValueError(f"{path.name} has nothing that the pattern {shown(self.pattern)} matches")
         return np.array([_number(word, path.name) for word in words])
+
+    def _find(self, path: Path, seconds: float) -> list[str | None]:
+        """Return what the pattern finds, in a process that can be killed: some patterns never end."""
+        command = [sys.executable, "-I", "-S", "-c", _MATCHING, str(path), self.pattern]
+        try:
+            done = subprocess.run(command, capture_output=True, timeout=seconds, check=True)
+        except subprocess.TimeoutExpired:
+            rule = f"must be matched within {significant(seconds)} s"
+            raise ValueError(
+                f"pattern: {rule} in {path.name} (got {shown(self.pattern)}, which took longer)"
+            ) from None
+        except subprocess.CalledProcessError as error:
+            raise ValueError(f"pattern: cannot be matched in {path.name} (exit code {error.returncode})") from None
+        found: list[str | None] = json.loads(done.stdout)
+        return found
+
+
+_MATCHING = (
+    "import json, re, sys\n"
+    "text = open(sys.argv[1], 'rb').read().decode('utf-8', 'replace')\n"
+    "print(json.dumps([match[1] for match in re.finditer(sys.argv[2], text, re.MULTILINE)]))"
+)
 
 
 def _number(word: str | None, name: str) -> float:
@@ -346,7 +371,7 @@ class CommandModel(BlackBoxModel):
         """Return frequencies and shapes that a run has written; ValueError if they are not all finite."""
         shapes = None
         if self.found is not None:
-            frequencies = self.found.read(folder / self._named(self.found.file))
+            frequencies = self.found.read(folder / self._named(self.found.file), self.timeout)
         else:
             form = READERS[str(self.reader)]
             path = _in_any_case(folder / self._named(self.result or form.result))
