@@ -319,8 +319,8 @@ def test_numbers_of_another_file_are_not_read(tmp_path):
 def test_not_there_or_not_known(tmp_path):
     with pytest.raises(ValueError, match="must be a file"):
         read_matrix(tmp_path / "k.mtx")
-    with pytest.raises(ValueError, match=r"must end in .mtx, .* \(got 'k.op2'\)"):
-        read_matrix(tmp_path / "k.op2")
+    with pytest.raises(ValueError, match=r"must end in .mtx, .* \(got 'k.mp4'\)"):
+        read_matrix(tmp_path / "k.mp4")
     write_matrix(tmp_path / "k.npy", K)
     with pytest.raises(ValueError, match=r"variable: a .npy file has one matrix, without a name \(got 'K'\)"):
         read_matrix(tmp_path / "k.npy", "K")

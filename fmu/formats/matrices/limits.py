@@ -78,6 +78,10 @@ class RefusedError(Exception):
     """A readable file that does not hold what is needed, or holds too much."""
 
 
+class NoMatrixError(RefusedError):
+    """A readable file without a matrix."""
+
+
 class SeveralError(RefusedError):
     """A file with several matrices, of which none was named.
 
@@ -94,7 +98,7 @@ class SeveralError(RefusedError):
 def chosen(names: Sequence[str], variable: str | None) -> str:
     """Return the name of the variable to read."""
     if not names:
-        raise RefusedError("must hold a matrix (it holds none)")
+        raise NoMatrixError("must hold a matrix (it holds none)")
     if variable is None and len(names) > 1:
         raise SeveralError(names)
     if variable is not None and variable not in names:

@@ -36,6 +36,7 @@ from typing import Any, Literal
 import numpy as np
 import scipy.sparse as sp
 
+from fmu.formats.advice import how_to_export
 from fmu.formats.files import too_large, why_no_file
 from fmu.formats.matrices import FORMATS
 from fmu.formats.matrices.limits import (
@@ -43,6 +44,7 @@ from fmu.formats.matrices.limits import (
     MOST_DOFS,
     Labelled,
     MatrixFormat,
+    NoMatrixError,
     RefusedError,
     checked,
     from_triplets,
@@ -103,6 +105,9 @@ def read_labelled(
         matrix. The text begins with ``variable:`` or ``triangle:`` where that is at fault.
     """
     suffix = _suffix(path)
+    advice = how_to_export(suffix)
+    if suffix not in _FORMAT_OF and advice:
+        raise ValueError(f"must hold a matrix (got {path.name!r}){advice}")
     if suffix not in _FORMAT_OF:
         raise ValueError(f"must end in {', '.join(_FORMAT_OF)} (got {path.name!r})")
     why = why_no_file(path)
@@ -118,6 +123,8 @@ def read_labelled(
             found = _FORMAT_OF[suffix].read(path, variable)
             if _is_triplets(found.matrix):
                 found = from_triplets(np.asarray(found.matrix, dtype=float), variable or path.name)
+    except NoMatrixError as refused:
+        raise ValueError(f"{refused}{advice}") from refused
     except RefusedError as refused:
         raise ValueError(str(refused)) from refused
     except MemoryError:

@@ -111,7 +111,10 @@ def _named(one: Labelled, where: str, mesh: Mesh, assumed: dict[str, None]) -> t
             return names
     known = ", ".join(f"{len(names)} of the {name}-set" for name, names in mesh.sets.items())
     rule = f"has {n} rows without names: give them in a file of node,direction a row (dofs)"
-    raise ValueError(f"{where}: {rule}{', as the mesh has other numbers of rows, ' + known if known else ''}")
+    if known:
+        rule += f", as the mesh has other numbers of rows, {known}; rows that AUTOSPC held are missing in matrices"
+        rule += " (SPC1 entries for them name them, and so does PARAM,AUTOSPC,N)"
+    raise ValueError(f"{where}: {rule}")
 
 
 def _order(dof: DofName) -> tuple[int, int]:

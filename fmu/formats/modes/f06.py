@@ -88,6 +88,9 @@ def computed_f06(path: Path, sensors: Sensors, deck: Path) -> Computed:
 def _printed(file: Path, sensors: Sensors, deck: Path | None) -> tuple[FloatArray, FloatArray | None, list[int]]:
     """Return frequencies, shapes at sensors, if there are any, and numbers of modes; see `read_f06`."""
     path = checked_file(file)
+    if path.suffix.lower() in (".op2", ".xdb"):
+        rule = "must be the printed output, .f06: DISP(PRINT) = ALL in the case control prints the modes"
+        raise ModesError(file.name, [f"{rule} (got a {path.suffix} file)"])
     try:
         with open(path, "rb") as content:
             found = _found(text_lines(content))
