@@ -83,7 +83,7 @@ def test_names_that_mean_something_elsewhere(tmp_path):
     best = fmu.find_map(fmu.load(path), starts=4)[0].theta
     for name, value in zip(NAMES, best, strict=True):
         assert found[f"{name}_" if name == "share" else name][1] == value
-    page = Parsed((out / "report" / "mixture.html").read_text(encoding="utf-8"))
+    page = Parsed((out / "report" / "index.html").read_text(encoding="utf-8"))
     assert page.foreign_scripts == []
     for name in (*NAMES, *UNITS, *LABELS, TITLE):
         assert name in page.text
