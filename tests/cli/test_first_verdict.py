@@ -44,11 +44,10 @@ def test_the_verdict_comes_before_what_takes_further_solves():
 
 @pytest.mark.usefixtures("folder", "_announced")
 def test_with_several_samplers_each_has_its_verdict_before_the_next_begins():
-    output = invoke("run", "two.toml", *of("hmc", "mh"), "--out", "out", "--progress", "none").output
-    assert_in_order(
-        output, *DRAWN, "(certificate)", "(modes left out)", "\nmh\n", "\nmh  not converged", "largest MCSE"
-    )
-    assert output.rfind("hmc  not converged: ") > output.find("largest MCSE")  # compared with the others, too
+    output = invoke("run", "two.toml", *of("mh", "hmc"), "--out", "out", "--progress", "none").output
+    of_first = ("Posterior maxima", "\nmh\n", "\nmh  not converged", "(certificate)", "(modes left out)")
+    assert_in_order(output, *of_first, "\nhmc\n", "\nhmc  not converged", "largest MCSE")
+    assert output.rfind("mh  not converged") > output.find("largest MCSE")  # compared with the others, too
 
 
 @pytest.mark.usefixtures("folder")
