@@ -10,6 +10,7 @@ from tests.models.written import Planted, dense_frequencies, write_problem
 
 LENGTH, WIDTH, E, NU, RHO = 0.3, 0.05, 2.1e11, 0.3, 7850.0
 TRUTH = {"E": 1.04, "rho": 0.97}
+PRIOR = 'prior = { distribution = "normal", mean = 1.0, sd = 0.05 }'
 SD = 2e-3
 """Relative standard deviation of a measured frequency."""
 

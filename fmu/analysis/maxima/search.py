@@ -26,14 +26,22 @@ STARTS = 256
 """A start costs about a millisecond, and nothing can warn of a maximum that was not found."""
 STARTS_WITHOUT_DERIVATIVES = 16
 """A start costs some hundred calls of the user's function, which may be a finite-element program."""
+STARTS_BY_FULL = 64
+"""A start costs about a hundred solves of a model that is not reduced."""
 _WEIGHING = 1
 _KNOWN: WeakKeyDictionary[Any, dict[tuple[int, int], Maxima]] = WeakKeyDictionary()
 
 
 def default_starts(problem: UpdatingProblem) -> int:
-    """Return the default number of optimiser starts: fewer if gradients are finite differences."""
+    """Return the default number of optimiser starts.
+
+    Fewer if gradients are finite differences, or if a large model is not reduced, so that a solve takes long.
+    """
     if problem.solves_per_gradient > 1:
         return STARTS_WITHOUT_DERIVATIVES
+    structure = problem.model.as_structure()
+    if structure is not None and structure.why_full:
+        return STARTS_BY_FULL
     return STARTS
 
 

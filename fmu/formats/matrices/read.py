@@ -55,6 +55,8 @@ Triangle = bool | Literal["lower", "upper"]
 
 SYMMETRIC = 1e-9
 """Largest asymmetry of a pair of entries, relative to the larger of them and to √(a_ii a_jj)."""
+_CANCELLED = 1e-13
+"""Of the largest number on the diagonal: an asymmetry that rounding alone leaves where large numbers cancel."""
 _FORMAT_OF: dict[str, MatrixFormat] = {suffix: form for form in FORMATS for suffix in form.suffixes}
 ENTRIES_AT_A_TIME = 2**20
 
@@ -214,6 +216,8 @@ def _symmetric(matrix: Any, triangle: Triangle) -> Any:
     n = matrix.shape[0]
     transposed = sp.csr_array(matrix.T)
     root = np.sqrt(np.abs(matrix.diagonal()))
+    # what is left where large numbers cancel, as in Tᵀ K T of constraints, is of this size
+    rounding = _CANCELLED * float(np.max(root, initial=0.0)) ** 2
     step = max(ENTRIES_AT_A_TIME * n // max(matrix.nnz, 1), 1)
     for first in range(0, n, step):  # some rows at a time: memory stays within what the matrix takes, twice
         here, there = matrix[first : first + step], transposed[first : first + step]
@@ -222,7 +226,8 @@ def _symmetric(matrix: Any, triangle: Triangle) -> Any:
             continue
         row, column = difference.row, difference.col
         larger = np.abs((abs(here) + abs(there)).tocsr()[row, column])
-        excess = np.abs(difference.data) - SYMMETRIC * np.maximum(root[first + row] * root[column], larger)
+        allowed = SYMMETRIC * np.maximum(root[first + row] * root[column], larger)
+        excess = np.abs(difference.data) - np.maximum(allowed, rounding)
         at = int(np.argmax(excess))
         if excess[at] > 0.0:
             by = significant(abs(difference.data[at]))
