@@ -47,7 +47,7 @@ def test_with_several_samplers_each_has_its_verdict_before_the_next_begins():
     output = invoke("run", "two.toml", *of("mh", "hmc"), "--out", "out", "--progress", "none").output
     of_first = ("Posterior maxima", "\nmh\n", "\nmh  not converged", "(certificate)", "(modes left out)")
     assert_in_order(output, *of_first, "\nhmc\n", "\nhmc  not converged", "largest MCSE")
-    assert output.rfind("mh  not converged") > output.find("largest MCSE")  # compared with the others, too
+    assert output.rfind("mh   not converged") > output.find("largest MCSE")  # compared with the others, too
 
 
 @pytest.mark.usefixtures("folder")
