@@ -181,7 +181,7 @@ BROKEN = {
     ),
     "infinite": (
         lambda made: [*made, replace(made[1], values={"E": np.inf})],
-        "exports.7.values.E: must be finite",
+        "values.E: must be a finite number",
     ),
     "no effect": (
         lambda made: [
@@ -216,3 +216,24 @@ def test_parameters_that_only_change_together():
         fmu.from_exports(made[:-1])
     more = [exported({"E": 8e10, "t": t}, model=two) for t in (0.0024, 0.0036)]
     assert fmu.from_exports([*made, *more]).n_parameters == 3
+
+
+@pytest.mark.parametrize("digits", [None, 6, 7])
+def test_round_numbers_lose_no_entry(digits):
+    def at(E):
+        k = 1e5 * np.array([E, E, E, 1.0, 1.0, 1.0])
+        K = np.diag(k + np.append(k[1:], 0.0)) - np.diag(k[1:], 1) - np.diag(k[1:], -1)
+        if digits is not None:
+            K = np.array([[float(f"{x:.{digits - 1}e}") for x in row] for row in K * 1.23456789])
+        dofs = tuple((i + 1, "x") for i in range(6))
+        none = np.zeros(0, dtype=np.int64), np.zeros((0, 3)), (), ()
+        return ExportedModel(sp.csr_array(K), sp.csr_array(2.0 * np.eye(6)), dofs, *none)
+
+    exports = [fmu.Export({"E": E}, at(E)) for E in (1.0, 1.2)] + [fmu.Export({"E": 0.8}, at(0.8), check=True)]
+    model = fmu.from_exports(exports)
+    for E in (0.7, 1.0, 1.9):
+        expected = at(E).stiffness.toarray()
+        assert_allclose(
+            model.K([E]).toarray(), expected, atol=(1e-12 if digits is None else 1e-4) * expected.max()
+        )
+    assert not [note for note in model.notes if "digits" in note] or digits is not None

@@ -37,6 +37,7 @@ FREQUENCY_ROUNDING = 1e-6
 """Standard deviation of the lowest frequency, relative, above which rounding of the exports is told."""
 _FITTED = 1e-9
 _RIGID = 6
+_FEWEST_DIGITS = 6
 _ROUNDING = 1e-14
 """Of assembly in double precision."""
 _SAFETY = 10.0
@@ -323,12 +324,15 @@ class _Entries:
 
 
 def _digits(entry: FloatArray) -> int:
-    """Return the significant decimal digits of numbers; 17 where decimals do not give them back."""
+    """Return the significant decimal digits of numbers; 17 where decimals do not give them back.
+
+    No program writes matrices with fewer than `_FEWEST_DIGITS`: rounder numbers are exact.
+    """
     numbers = entry[entry != 0]
     numbers = numbers[:: max(len(numbers) // _MOST_SAMPLED, 1)]
     for digits in range(3, 16):
         if all(float(f"{x:.{digits - 1}e}") == x for x in numbers.tolist()):
-            return digits
+            return digits if digits >= _FEWEST_DIGITS else 17
     return 17
 
 
@@ -352,13 +356,28 @@ class _Fit:
         """Return how much larger errors are at points with monomials X (n, n_terms) than in the exports, (n,)."""
         return np.asarray(np.abs(X @ self.inverse).sum(axis=1))
 
+    def solve(self, entry: FloatArray, used: BoolArray, noise: float) -> FloatArray:
+        """Return the coefficients (n_terms, n) of entries (n_exports, n), without what rounding alone explains.
+
+        A small coefficient is dropped unless the exports used are missed without it.
+        """
+        found = self.inverse @ entry[used]
+        least = _SAFETY * noise * np.abs(self.inverse).sum(axis=1)
+        kept = np.where(np.abs(found) > least[:, None], found, 0.0)
+        allowed = 2.0 * self.missed(entry, used)[used] + _SAFETY * (noise * np.abs(entry[used]) + _ROUNDING)
+        return np.where(np.any(self.missed_by(kept, entry)[used] > allowed, axis=0), found, kept)
+
     def error(self, entry: FloatArray, used: BoolArray) -> FloatArray:
         """Return the largest error in each export, shape (n_exports,)."""
         return np.asarray(self.missed(entry, used).max(axis=1, initial=0.0))
 
     def missed(self, entry: FloatArray, used: BoolArray) -> FloatArray:
         """Return the error of each entry in each export, shape (n_exports, n)."""
-        return np.asarray(np.abs(entry - self.of_exports @ (self.inverse @ entry[used])))
+        return self.missed_by(self.inverse @ entry[used], entry)
+
+    def missed_by(self, coefficients: FloatArray, entry: FloatArray) -> FloatArray:
+        """Return the error of each entry in each export, (n_exports, n), by coefficients (n_terms, n)."""
+        return np.asarray(np.abs(entry - self.of_exports @ coefficients))
 
     def reproduces(self, entry: FloatArray, used: BoolArray, which: BoolArray, noise: float) -> bool:
         """Say whether the exports in `which` are reproduced, as far as rounding lets one say."""
@@ -421,15 +440,11 @@ def _recovery(
                 f"({_worst(fit, used, exports, entries, own)})"
             )
         decided |= chosen != first
-        error = np.maximum(error, fit.error(entries.entry[:, own], used))
         rounding = max(rounding, float(entries.noise * fit.amplification(monomials(corners, fit.powers)).max()))
-        least = _SAFETY * entries.noise * np.abs(fit.inverse).sum(axis=1)
-        for powers, entry, small in zip(
-            fit.powers, fit.inverse @ entries.entry[np.ix_(used, own)], least, strict=True
-        ):
-            found.setdefault(powers, np.zeros(len(entries.scale)))[own] = np.where(
-                np.abs(entry) > small, entry, 0.0
-            )
+        solution = fit.solve(entries.entry[:, own], used, entries.noise)
+        error = np.maximum(error, fit.missed_by(solution, entries.entry[:, own]).max(axis=1, initial=0.0))
+        for powers, entry in zip(fit.powers, solution, strict=True):
+            found.setdefault(powers, np.zeros(len(entries.scale)))[own] = entry
     terms = [
         Term(entries.matrix(entry / float(np.prod(values[0] ** np.array(powers, dtype=float)))), powers)
         for powers, entry in found.items()
