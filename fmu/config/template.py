@@ -9,7 +9,7 @@ _FOLDER = Path(__file__).parent / "templates"
 _FILES = {
     "frame": ("frame.toml",),
     "matrices": ("matrices.toml", "K0.mtx", "K1.mtx", "K2.mtx", "M.mtx"),
-    "exports": ("exports.toml", "nominal.pch", "e1.pch", "e2.pch", "plate.bdf", "plate.bdf.in"),
+    "exports": ("exports.toml", "nominal.pch", "e1.pch", "e2.pch", "check.pch", "plate.bdf", "plate.bdf.in"),
     "command": ("command.toml", "plate.inp.in"),
     "nastran": ("nastran.toml", "plate.bdf.in"),
     "opensees": ("opensees.toml", "portal.py"),

@@ -69,6 +69,18 @@ def model(solve):
     return fmu.from_exports(exports)
 
 
+def test_rows_that_autospc_holds_are_told(solve, tmp_path):
+    """Without the SPC1 entry MYSTRAN holds the rotations itself: the deck does not say so."""
+    folder = solve("autospc")
+    deck = (folder / "plate.bdf").read_text()
+    (tmp_path / "plate.bdf").write_text(deck.replace("SPC1    1       6       2       3       6       7\n", ""))
+    read = run(tmp_path)
+    with pytest.raises(
+        ValueError, match=r"32 rows without names: .* 36 of the f-set; rows that AUTOSPC held"
+    ):
+        fmu.read_model(read / "plate.OU1", mesh=read / "plate.bdf")
+
+
 def test_terms_are_those_of_shells(model):
     powers = {term.powers for term in model.K_terms}
     assert powers == {(1, 0, 1), (1, 0, 3), (0, 1, 1), (0, 1, 3), (0, 0, 0)}

@@ -37,7 +37,7 @@ class CommandTable(TomlTable):
     """The file for the reader, with {job} and {deck}; by default {job}.dat of CalculiX, {job}.f06, {job}.uff and
     {job}.npz."""
     inputs: list[FileName] = []
-    """Other files that the program needs, from the folder of this file."""
+    """Other files that the program needs, from the folder of this file; what bulk data include is added."""
     timeout: Positive = 600.0
     """Seconds that a run may take."""
     retries: Annotated[int, Field(ge=0, le=100)] = 0

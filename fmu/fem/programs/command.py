@@ -29,6 +29,8 @@ from fmu.fem.black_box import Answer, AnswerError, BlackBoxModel, checked
 from fmu.fem.programs.store import Solve, SolveStore
 from fmu.formats.decks import filled, filled_name, placeholders, read_deck, write_deck
 from fmu.formats.files import too_large, why_no_file
+from fmu.formats.matrices.limits import RefusedError
+from fmu.formats.matrices.nastran.includes import BULK_DATA, included_files
 from fmu.formats.modes import READERS
 from fmu.formats.shown import in_words, one_line, shown
 from fmu.numbers import significant
@@ -148,7 +150,8 @@ class CommandModel(BlackBoxModel):
     result : str, optional
         The file for the reader, with ``{job}`` and ``{deck}``; by default the program's, such as ``{job}.f06``.
     inputs : sequence of str
-        Other files that the program needs, from `folder`. Copies are beside the deck.
+        Other files that the program needs, from `folder`. Copies are beside the deck. Those that bulk data of
+        Nastran include are added.
     timeout : float
         Seconds that a run may take.
     retries : int
@@ -211,6 +214,8 @@ class CommandModel(BlackBoxModel):
             wrong.append(f"template: {error}")
         self.program, of_program = self._program()
         wrong += of_program
+        if template.parent == self.folder:  # the deck is written beside its inputs
+            self.inputs += tuple(name for name in _included(template, self.deck) if name not in self.inputs)
         contents = {}
         for i, name in enumerate(self.inputs):
             why = why_no_file(self.folder / name)
@@ -404,6 +409,16 @@ def _given(solve: Solve) -> dict[str, Any]:
     if solve.reason:
         raise AnswerError(solve.reason)
     return {"frequencies": solve.frequencies, "shapes": solve.shapes}
+
+
+def _included(template: Path, deck: Path) -> list[str]:
+    """Return the files beside a template of Nastran's bulk data that it includes; none if they cannot be read."""
+    if deck.suffix.lower() not in BULK_DATA:
+        return []
+    try:
+        return [file.relative_to(template.parent).as_posix() for file in included_files(template)]
+    except (OSError, ValueError, RefusedError):  # of what the program may find all the same
+        return []
 
 
 def _packaged(name: str) -> str | None:

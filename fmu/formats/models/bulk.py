@@ -15,7 +15,7 @@ import numpy as np
 
 from fmu.formats.matrices.limits import MOST_DOFS, RefusedError
 from fmu.formats.matrices.nastran.cards import cards, components, identity, listed, number, whole
-from fmu.formats.matrices.nastran.includes import deck_lines
+from fmu.formats.matrices.nastran.includes import BULK_DATA, deck_lines
 from fmu.formats.models.coordinate_systems import Definition, Kind, Systems
 from fmu.formats.models.exported import MOST_ELEMENTS, MOST_NODES, DofName, Mesh, MeshFormat, mesh_of
 from fmu.formats.shown import names_shown
@@ -165,4 +165,4 @@ def _mesh(deck: _Deck, defaults: tuple[str, str, str], dependent: int) -> Mesh:
     return mesh_of(places, deck.elements, deck.kinds, notes, axes, sets)
 
 
-FORMAT = MeshFormat((".bdf", ".dat", ".nas"), _read)
+FORMAT = MeshFormat(BULK_DATA, _read)

@@ -28,7 +28,7 @@ from fmu.arguments import check_arguments
 from fmu.formats.calculix_dat import read_displacements, read_frequencies
 from fmu.formats.files import too_large, why_no_file
 from fmu.formats.matrices.limits import LARGEST_FILE, MOST_DOFS, Labelled, RefusedError, SeveralError, text_lines
-from fmu.formats.matrices.nastran.includes import included_files
+from fmu.formats.matrices.nastran.includes import BULK_DATA, included_files
 from fmu.formats.matrices.read import read_labelled
 from fmu.formats.models import FORMATS
 from fmu.formats.models.assembly import assembled
@@ -39,7 +39,7 @@ from fmu.formats.shown import names_shown, one_line, shown
 from fmu.types import DIRECTIONS
 
 _DIRECTION = {d: d for d in DIRECTIONS} | {str(k): d for k, d in enumerate(DIRECTIONS, 1)}
-INCLUDING = (".bdf", ".dat", ".nas", ".pch", ".dmig")
+INCLUDING = (*BULK_DATA, ".pch", ".dmig")
 _INITIALS = (("K", "M"), ("k", "m"))
 _FORMAT_OF = {suffix: form for form in FORMATS for suffix in form.suffixes}
 

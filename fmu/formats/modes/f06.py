@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from fmu.formats.matrices.limits import text_lines
+from fmu.formats.matrices.nastran.includes import BULK_DATA
 from fmu.formats.models.read import read_mesh
 from fmu.formats.modes.measured_modes import (
     MOST_MODES,
@@ -30,7 +31,6 @@ from fmu.formats.shown import shown
 from fmu.types import DIRECTIONS, FloatArray
 
 MOST_NODES = 2**20
-BULK_DATA = (".bdf", ".dat", ".nas")
 _REAL = r"[+-]?\d*\.\d*(?:[EeDd]?[+-]\d+)?"
 _CYCLES = re.compile(rf"\s*CYCLES\s*=\s*({_REAL})")
 _TITLE = re.compile(r"R E A L   E I G E N V E C T O R   N O \.\s+(\d{1,9})\s*$")
@@ -111,7 +111,7 @@ def _printed(file: Path, sensors: Sensors, deck: Path | None) -> tuple[FloatArra
     try:
         axes = {} if deck is None else read_mesh(deck).axes
     except ValueError as error:
-        raise ModesError(file.name, [f"deck: {error}"]) from None
+        raise ModesError(file.name, ["deck: " + str(error).removeprefix("path: ")]) from None
     shapes = [[_at(found.shapes[number], sensor, axes, file.name) for number in numbers] for sensor in sensors]
     if not np.all(np.isfinite(shapes)):
         raise ModesError(file.name, ["shapes: must be finite at the sensors"])

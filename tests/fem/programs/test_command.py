@@ -421,6 +421,29 @@ def test_shapes_are_turned_from_the_axes_of_the_deck(tmp_path):
     assert_array_equal(answer.shapes, expected.shapes)
 
 
+def test_what_bulk_data_include_is_beside_the_deck(tmp_path):
+    """It is copied without being named among the inputs, and what was solved with another content is not used."""
+    copy = "import shutil; shutil.copy('parts/nodes.bdf', 'out.f06')"
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "deck.bdf.in").write_text("$ {k1}\nINCLUDE 'parts/nodes.bdf'\n")
+    found = []
+    for cycles in ("1.0", "2.0"):
+        (tmp_path / "parts" / "nodes.bdf").write_text(
+            f"$   CYCLES = {cycles}    R E A L   E I G E N V E C T O R   N O .    1\n"[1:]
+            + "             7      G      1.000000E+00\n"
+        )
+        model = fmu.CommandModel(
+            ["k1"],
+            "deck.bdf.in",
+            [sys.executable, "-c", copy],
+            frequencies=fmu.FoundFrequencies("out.f06", r"CYCLES = (\S+)"),
+            folder=tmp_path,
+        )
+        assert model.inputs == ("parts/nodes.bdf",)
+        found.append(model.at(np.array([1.0])).frequencies[0])
+    assert found == [1.0, 2.0]
+
+
 def test_the_registry_of_readers_is_one():
     schema = CommandTable.model_json_schema()["properties"]["reader"]["anyOf"][0]
     assert tuple(schema["enum"]) == tuple(READERS)

@@ -16,6 +16,8 @@ from fmu.formats.files import why_no_file
 from fmu.formats.matrices.limits import LARGEST_FILE, RefusedError, text_lines
 from fmu.formats.shown import shown
 
+BULK_DATA = (".bdf", ".dat", ".nas")
+"""Suffixes of decks."""
 DEEPEST = 16
 """Files that include each other."""
 MOST_FILES = 1000
