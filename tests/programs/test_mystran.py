@@ -75,9 +75,7 @@ def test_rows_that_autospc_holds_are_told(solve, tmp_path):
     deck = (folder / "plate.bdf").read_text()
     (tmp_path / "plate.bdf").write_text(deck.replace("SPC1    1       6       2       3       6       7\n", ""))
     read = run(tmp_path)
-    with pytest.raises(
-        ValueError, match=r"32 rows without names: .* 36 of the f-set; rows that AUTOSPC held"
-    ):
+    with pytest.raises(ValueError, match=r"32 rows without names: .* 36 of the f-set; rows that AUTOSPC held"):
         fmu.read_model(read / "plate.OU1", mesh=read / "plate.bdf")
 
 
