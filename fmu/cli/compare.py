@@ -51,10 +51,11 @@ def _compare_run(directory: Path) -> None:
     """Compare the traces of a run."""
     from fmu.analysis.convergence.diagnostics import summary
     from fmu.analysis.trace.conversion import load_traces
+    from fmu.runs.words import why_no_traces
 
     traces = load_traces(directory)
     if not traces:
-        raise click.BadParameter(f"{directory} contains no traces (*.nc).", param_hint="'CASE|FILE|RUN'")
+        raise click.BadParameter(f"{why_no_traces(directory)}.", param_hint="'CASE|FILE|RUN'")
     problems = {trace.attrs["problem"] for trace in traces.values()}
     if len(problems) > 1:
         raise click.BadParameter(f"{directory} contains runs of different problems: "

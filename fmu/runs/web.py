@@ -31,6 +31,8 @@ LOOPBACK = "127.0.0.1"
 _PAGE = Path(__file__).with_name("page.html")
 _IDLE_S = 10.0
 """How long a connection may be silent within its request."""
+_PATIENCE = 0.5
+"""Seconds that a stop waits for a reading under way."""
 _MOST_CONNECTIONS = 32
 
 
@@ -87,16 +89,23 @@ class WatchServer(ThreadingHTTPServer):
             return self._reading
 
     def stop_run(self) -> str:
-        """Send the process of the run SIGTERM; return why that is not possible, or nothing."""
-        with self._lock:
-            reading = self._reading = self._reader.read()
-            why = why_not_to_stop(reading)
-            if not why and reading.at_work is not None:
-                try:
-                    os.kill(reading.at_work.pid, signal.SIGTERM)
-                except OSError as error:
-                    why = f"Process {reading.at_work.pid} could not be stopped: {error.strerror}."
-            return why
+        """Send the process of the run SIGTERM; return why that is not possible, or nothing.
+
+        A reading under way is not waited for long: then the one before it says which process that is.
+        """
+        reading = self._reading
+        if self._lock.acquire(timeout=_PATIENCE):
+            try:
+                reading = self._reading = self._reader.read()
+            finally:
+                self._lock.release()
+        why = why_not_to_stop(reading)
+        if not why and reading.at_work is not None:
+            try:
+                os.kill(reading.at_work.pid, signal.SIGTERM)
+            except OSError as error:
+                why = f"Process {reading.at_work.pid} could not be stopped: {error.strerror}."
+        return why
 
     def admits(self, host: str | None, path: str) -> bool:
         """Return whether a request to a host with a path comes from somebody who was given the address."""
@@ -119,12 +128,14 @@ class WatchServer(ThreadingHTTPServer):
     def server_close(self) -> None:
         """Close the page, where it is open too.
 
-        A reading under way is waited for: a thread that Python ends within HDF5 keeps its lock, and the process
-        would not end.
+        A reading under way is waited for, but not for long: a thread that Python ends within HDF5 keeps its lock,
+        and the process would not end.
         """
         self.closing.set()
-        with self._lock:
-            super().server_close()
+        waited = self._lock.acquire(timeout=_PATIENCE)
+        super().server_close()
+        if waited:
+            self._lock.release()
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """Answer in a thread of its own, or not at all where there are too many."""

@@ -13,6 +13,7 @@ import threading
 import time
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from urllib.parse import urlsplit
 
 import pytest
@@ -255,3 +256,23 @@ def test_in_a_browser(browser, stopped, tmp_path):  # noqa: F811
         assert "To resume: fmu run --resume" in browser.execute_script(text)
         assert browser.execute_script("return document.querySelector('#stop').disabled") is True
     wait.until(lambda b: "fmu watch cannot be reached" in b.execute_script(text))
+
+
+def test_neither_a_stop_nor_the_end_waits_for_a_reading(out, monkeypatch):
+    killed = []
+    monkeypatch.setattr(web.os, "kill", lambda pid, number: killed.append((pid, number)))
+    monkeypatch.setattr(web, "why_not_to_stop", lambda reading: "")
+    server = WatchServer(out, 0.02)
+    ends = threading.Event()
+    monkeypatch.setattr(server, "_reading", SimpleNamespace(at_work=SimpleNamespace(pid=4242)))
+    monkeypatch.setattr(server._reader, "read", lambda: ends.wait(60))
+    reading = threading.Thread(target=server.reading, daemon=True)
+    reading.start()
+    while not server._lock.locked():
+        time.sleep(0.001)
+    assert server.stop_run() == ""
+    assert killed == [(4242, signal.SIGTERM)]
+    server.server_close()
+    assert reading.is_alive()
+    ends.set()
+    reading.join()
