@@ -27,6 +27,7 @@ from fmu.analysis.convergence.remedies import (
     required_ess,
     rhat_excess,
 )
+from fmu.analysis.fit.deviations import deviation_warnings
 from fmu.analysis.fit.model_fit import ModelFit, model_fit
 from fmu.analysis.information import information_warnings
 from fmu.analysis.maxima.missed import Comparison, compared, missed_places
@@ -199,7 +200,7 @@ def judge(
         warnings += search_warnings(trace, best[0].log_prob)
     fit = model_fit(trace)
     unlike = [warning for warning in shape_warnings(trace) if warning not in fit.against]
-    warnings += [*fit.against, *bound_warnings(trace), *unlike, *jump_warnings(trace)]
+    warnings += [*fit.against, *bound_warnings(trace), *unlike, *jump_warnings(trace), *deviation_warnings(trace)]
     warnings += information_warnings(trace) + repeatability_warnings(trace)
     steps = int(trace.attrs["draws"]) if not trace.attrs.get("complete", 1) else 0
     stopped = f"the run was stopped after {steps} draws and can be resumed" if steps else ""

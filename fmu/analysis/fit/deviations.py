@@ -18,8 +18,8 @@ NEAR = 0.01
 """A misfit above this share of its frequency is the model's, whatever the deviations are."""
 
 
-def narrow_deviations(trace: xr.DataTree) -> str:
-    """Say which modes have a measured standard deviation that may be too small; empty for none.
+def deviation_warnings(trace: xr.DataTree) -> list[str]:
+    """Return a warning if modes have a measured standard deviation that may be too small.
 
     The deviations that an identification gives are of the scatter within one record. What changes between records
     (temperature, level of vibration) and the bias of the identification are not in them. So a mode is named whose
@@ -27,21 +27,21 @@ def narrow_deviations(trace: xr.DataTree) -> str:
     Inferred deviations, and those of repeated tests, are never named.
     """
     if not has(trace, "observed_data", "frequency") or not has(trace, "posterior_predictive", "model_frequency"):
-        return ""
+        return []
     observed = trace["observed_data"]
     if "tests" in observed or "of_test" in observed or has(trace, GROUP, "noise_isf"):
-        return ""
+        return []
     means = trace["posterior_predictive"]["model_frequency"].mean(("chain", "draw"))
     named = []
     for mode, measured in zip(observed["mode"].to_numpy(), observed["frequency"].to_numpy(), strict=True):
         sd, misfit = noise_sd(trace, mode), abs(float(means.sel(mode=mode)) - float(measured))
         if 0.0 < FAR * sd < misfit < NEAR * measured:
-            off = f"{significant(misfit, 2)} Hz ({share(misfit / float(measured))})"
-            named.append(f"mode {mode}, {significant(sd, 1)} Hz where the misfit is {off}")
+            off = f"{significant(misfit, 2)} Hz or {share(misfit / float(measured))}"
+            named.append(f"mode {mode} ({significant(sd, 1)} Hz, misfit {off})")
     if not named:
-        return ""
-    return (
-        f"Identified deviations may be too small: {names_in_words(named)}. They are of one record, without what "
+        return []
+    return [
+        f"identified deviations may be too small: {names_in_words(named)}. They are of one record, without what "
         "changes between records (temperature, level of vibration) and the bias of the identification. Repeat the "
         "test, or infer them: [[error]] with [[noise]]."
-    )
+    ]

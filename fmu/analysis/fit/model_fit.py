@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fmu.analysis.fit.checks import HELD_OUT, LEVEL, NOISE, PREDICTED, RESIDUALS, SHAPE, Check, checks_of, failed
-from fmu.analysis.fit.deviations import narrow_deviations
 from fmu.analysis.trace.misfit import GROUP
 from fmu.analysis.trace.reading import has, parameter_names
 from fmu.numbers import names_in_words, share
@@ -36,15 +35,12 @@ class ModelFit:
         Independent numbers that were measured and used in updating, and parameters, inferred noise included.
     left_out : str
         Measured quantities that no check is of, because their residuals have no known distribution.
-    narrow : str
-        Which modes have measured standard deviations that may be too small; empty for none.
     """
 
     checks: tuple[Check, ...]
     n_data: int
     n_parameters: int
     left_out: str = ""
-    narrow: str = ""
 
     @property
     def verdict(self) -> str:
@@ -102,7 +98,7 @@ class ModelFit:
     def notes(self) -> tuple[str, ...]:
         """How often a correct model would fail, and what inferred noise is beside what its prior expected."""
         level = () if self.verdict in (UNKNOWN, NOT_TESTABLE) else (self._level,)
-        return (*level, *self._noise, *([self.narrow] if self.narrow else []))
+        return (*level, *self._noise)
 
     def _of(self, *kinds: str) -> list[Check]:
         return [check for check in self.checks if check.kind in kinds]
@@ -159,7 +155,7 @@ def model_fit(trace: xr.DataTree) -> ModelFit:
         return ModelFit((), 0, len(parameter_names(trace)))
     told = trace[GROUP].attrs
     n_data, n_parameters = int(told["n_data"]), len(parameter_names(trace))
-    return ModelFit(tuple(checks_of(trace)), n_data, n_parameters, str(told["other"]), narrow_deviations(trace))
+    return ModelFit(tuple(checks_of(trace)), n_data, n_parameters, str(told["other"]))
 
 
 def _modes(checks: Sequence[Check]) -> str:
