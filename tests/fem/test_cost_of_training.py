@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose
 
 import fmu
 from fmu.analysis.check import model_in_words
+from fmu.analysis.maxima.search import STARTS, STARTS_BY_FULL, default_starts
 from fmu.fem.reduced import training
 from fmu.fem.reduced.cost import Cost
 from tests.models import free_bar, truss_deck
@@ -36,6 +37,7 @@ def test_the_full_model_answers_where_a_reduced_one_saves_little(deck):
     _, problem, _ = deck
     assert problem.model.reduced_sizes == ()
     assert problem.tolerance is None
+    assert default_starts(problem) == STARTS_BY_FULL < STARTS
     said = " ".join(model_in_words(problem))
     assert "The full model answers: a reduced one of" in said
 

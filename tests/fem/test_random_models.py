@@ -58,7 +58,8 @@ def exact(random, theta):
     """Return the lowest elastic frequencies in Hz, (MODES,), and how far rounding may move each, relative."""
     K, M = random.model.K(theta).toarray(), random.model.M(theta).toarray()
     lam, phi = lowest(K, M, MODES + 12)
-    elastic = np.flatnonzero(lam > 1e-9 * lam[-1])[:MODES]
+    n_rigid = 6 * random.free + 3 * random.mechanism
+    elastic = np.argsort(lam)[n_rigid : n_rigid + MODES]
     phi = phi[:, elastic] / np.sqrt(np.sum(phi[:, elastic] * (M @ phi[:, elastic]), axis=0))
     sizes = np.sum(np.abs(phi) * (np.abs(K) @ np.abs(phi)), axis=0)
     rounding = 0.5 * np.finfo(float).eps * (sizes / lam[elastic] + len(K) ** 0.5)

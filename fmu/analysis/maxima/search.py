@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from annotated_types import Interval
 
-from fmu.analysis.maxima.mode_weights import ModeWeight, mode_weights
+from fmu.analysis.maxima.mode_weights import DRAWS, ModeWeight, mode_weights
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 from fmu.arguments import Seed, check_arguments
 from fmu.posterior.scaled import ScaledDensity
@@ -39,10 +39,13 @@ def default_starts(problem: UpdatingProblem) -> int:
     """
     if problem.solves_per_gradient > 1:
         return STARTS_WITHOUT_DERIVATIVES
+    return STARTS_BY_FULL if _solves_in_full(problem) else STARTS
+
+
+def _solves_in_full(problem: UpdatingProblem) -> bool:
+    """Say whether a large model is not reduced."""
     structure = problem.model.as_structure()
-    if structure is not None and structure.why_full:
-        return STARTS_BY_FULL
-    return STARTS
+    return structure is not None and bool(structure.why_full)
 
 
 def is_updating(problem: Any) -> bool:
@@ -70,7 +73,7 @@ def find_map(
     problem : UpdatingProblem
     starts : int, optional
         Optimiser starts, see `fmu.posterior.maxima.local_maxima`. Fewer starts are faster but may miss a
-        maximum. 256 by default, or 16 if the model has no derivatives.
+        maximum. 256 by default, 16 if the model has no derivatives, 64 if a large model is not reduced.
     seed : int
         Seed of the starts and of the importance sampling.
 
@@ -111,7 +114,8 @@ def _searched(problem: UpdatingProblem, starts: int, seed: int) -> Maxima:
             under_way.advance()
     models, curvatures = zip(*curved, strict=True)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_WEIGHING,)))
-    weighed = mode_weights(scaled.log_prob, models, scaled.lower, scaled.upper, rng)
+    draws = DRAWS // 4 if _solves_in_full(problem) else DRAWS
+    weighed = mode_weights(scaled.log_prob, models, scaled.lower, scaled.upper, rng, draws)
     frequencies = problem.frequencies(theta)
     total = float(np.logaddexp.reduce([mass.log_mass for mass in weighed]))
     return Maxima(
