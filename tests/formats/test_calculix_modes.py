@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from fmu.formats.modes import READERS
 from fmu.formats.modes.calculix import computed_calculix
+from fmu.formats.modes.measured_modes import ModesError
 
 TABLE = """
      E I G E N V A L U E   O U T P U T
@@ -101,3 +103,23 @@ def test_no_file(tmp_path):
 
 def test_numbers_are_finite_or_told_by_the_model(write):
     assert np.isnan(computed_calculix(write(TABLE.replace("0.1087610E+02", "NaN")))[0][0])
+
+
+def test_as_measured_modes(tmp_path):
+    """Modes are taken by their numbers; those at 0 Hz, and sensors that are not printed, are refused."""
+    path = tmp_path / "job.dat"
+    path.write_text(TABLE + SHAPES)
+    modes = READERS["calculix"].read(path, [(9, "-z"), (45, "x")], modes=[1])
+    assert modes.labels == ("1",)
+    assert_array_equal(modes.frequencies_hz, [10.87610])
+    assert_array_equal(modes.shapes, [[-4.471053e-01], [1.110396e-14]])
+    for sensors, chosen, message in [
+        ([(9, "rx")], None, r"sensors: must be nodes, and x, y or z \(got 9\)"),
+        ([(9, "z")], [3], r"modes: must be some of 1 and 2|modes: must be some of 1, 2"),
+        ([(7, "z")], None, "has no displacement of node 7"),
+    ]:
+        with pytest.raises(ModesError, match=message):
+            READERS["calculix"].read(path, sensors, chosen)
+    path.write_text((TABLE + SHAPES).replace("0.1087610E+02", "0.0000000E+00"))
+    with pytest.raises(ModesError, match=r"above 0 Hz \(mode 1 has none"):
+        READERS["calculix"].read(path, [(9, "z")])
