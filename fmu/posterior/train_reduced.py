@@ -215,6 +215,8 @@ def _singular(problem: Problem, error: SingularAnchorError) -> str:
 def _paired_error(structure: PairedStructure, lower: FloatArray, upper: FloatArray, tolerance: float) -> float:
     """Return the largest relative error of the measured modes' frequencies at fresh points of the box."""
     theta = box_points(lower, upper, _CHECKED, _CHECK_SEED)
+    if structure.solver != LAPACK:  # where solves are dear, some of the points inside, on faces and at corners
+        theta = theta[:: max(len(theta) // _CHECKED, 1)]
     exact, reduced = structure.full_modes(theta).eigenvalues, structure.modes(theta).eigenvalues
     elastic = ~is_rigid(exact)
     # of a frequency, half as much
