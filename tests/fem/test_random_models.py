@@ -11,7 +11,7 @@ import pytest
 import scipy.linalg as sl
 
 import fmu
-from fmu.fem.modes.eigensolver import eigen
+from fmu.fem.modes.full_block import full_model
 from fmu.fem.reduced.training import BUDGET
 from fmu.posterior.rounding import RoundingWarning
 from fmu.posterior.train_reduced import ReductionWarning
@@ -71,9 +71,9 @@ def require_right(seed, most_dofs):
     """Pose a problem on the model of a seed, and fail if it costs too much, is wrong, or a library warns."""
     random = random_model(seed, most_dofs)
     start = np.ones(len(random.parameters))
-    K, M = random.model.K(1.03 * start), random.model.M(1.03 * start)
     n_rigid = 6 * random.free + 3 * random.mechanism
-    measured = np.sqrt(eigen(K, M, n_rigid + MODES)[0][n_rigid:]) / (2.0 * np.pi)
+    spectrum = full_model(random.model).spectrum(1.03 * start[None], n_rigid + MODES)
+    measured = np.sqrt(spectrum.eigenvalues[0, n_rigid:]) / (2.0 * np.pi)
     measured = np.maximum(measured, 1e-3)  # data, compared with nothing; 0 where a soft part is lost in rounding
     data = fmu.ModalData(measured, sd_hz=5e-3 * measured)
     with warnings.catch_warnings(), counted() as work:
