@@ -72,7 +72,7 @@ def test_a_run_that_was_killed_is_to_be_resumed(tmp_path):
         claimed(run, False),
     ):
         pass
-    for command in ("report", "export", "damage"):
+    for command in ("report", "export", "damage", "compare"):
         said = CliRunner().invoke(main, [command, str(run)])
         assert said.exit_code == 2
         assert f"its run was interrupted. To resume: fmu run --resume {run}" in said.stderr, command
