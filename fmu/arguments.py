@@ -24,6 +24,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, get_a
 
 from annotated_types import Ge, Interval
 
+from fmu.numbers import significant
+
 _LONGEST = 80
 _FILES = {
     "LogDensity": "fmu.load",
@@ -31,6 +33,7 @@ _FILES = {
     "DataTree": "fmu.load_trace",
 }
 """How to load an object whose file is given in its place."""
+_NAMES = {"DataTree": "a trace, as fmu.sample and fmu.load_trace return it"}
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,11 @@ class _Names(dict[str, Any]):
     """The names that an annotation may have, those of its module and what stands for those that it lacks."""
 
     def __missing__(self, name: str) -> Any:
-        return getattr(builtins, name) if hasattr(builtins, name) else _ByName(name, (), {})
+        if hasattr(builtins, name):
+            return getattr(builtins, name)
+        from fmu import types  # it takes NumPy, which rules of words and whole numbers do without
+
+        return getattr(types, name) if hasattr(types, name) else _ByName(name, (), {})
 
 
 def check_arguments[Door: Callable[..., Any]](door: Door) -> Door:
@@ -129,11 +136,9 @@ def shown(value: Any) -> str:
 @cache
 def _rules(door: Callable[..., Any]) -> tuple[inspect.Signature, dict[str, Any]]:
     """Return the signature of a function, and the annotation of each argument that has a rule."""
-    from fmu import types
-
     signature = inspect.signature(door)
     arrays = dict.fromkeys(("ArrayLike", "FloatArray", "IntArray"), Numbers)
-    names = _Names({"os": os} | vars(types) | door.__globals__ | arrays)
+    names = _Names({"os": os} | door.__globals__ | arrays)
     rules = {}
     for name, parameter in signature.parameters.items():
         rule = parameter.annotation
@@ -217,8 +222,8 @@ def _within(name: str, value: Any, rule: Any) -> Iterator[str]:
             yield _mistake(f"{name}.{i}", entry, of[0])
     elif origin is Mapping:
         for key, entry in value.items():
-            if not _is_kind(key, of[0]):
-                yield f"{name}: must have keys that are {_in_words(of[0])} (got {shown(key)})"
+            if _mistake(name, key, of[0]):
+                yield f"{name}.{key}: must have a key that is {_in_words(of[0])} (got {shown(key)})"
             yield _mistake(f"{name}.{key}", entry, of[1])
 
 
@@ -314,7 +319,7 @@ def _in_words(rule: Any) -> str:
     if origin in _KINDS:
         return _KINDS[origin]
     name = getattr(origin, "__name__", str(origin))
-    return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"
+    return _NAMES.get(name) or f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"
 
 
 def _number_in_words(whole: bool, marks: tuple[Any, ...]) -> str:
@@ -326,7 +331,7 @@ def _number_in_words(whole: bool, marks: tuple[Any, ...]) -> str:
         kind = f"positive {kind}"
     words = {"gt": "above", "ge": "of at least", "lt": "below", "le": "of at most"}
     ranges = [
-        f"{word} {getattr(one, key):g}"
+        f"{word} {significant(getattr(one, key))}"
         for one in limits
         for key, word in words.items()
         if hasattr(one, key) and not (key == "gt" and one.gt == 0)

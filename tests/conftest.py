@@ -139,7 +139,7 @@ def quick_figures():
 @pytest.fixture(scope="module")
 def no_pictures():
     """Leave the pictures of pages empty: most of the time of a page. Some are drawn for what is said of them."""
-    read = {"plot_ranks", "plot_autocorrelation", "plot_running_rhat"}
+    read = {"plot_ranks", "plot_ranks_of_samplers", "plot_autocorrelation", "plot_running_rhat"}
 
     def empty(axes, key, alt, caption, data=None):
         assert alt.strip()

@@ -229,7 +229,7 @@ def test_verdicts_know_the_maxima_and_a_saved_run_keeps_its_own(section_maxima, 
     """
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(fmu.analysis.maxima.search, "find_map", lambda problem, starts=None: section_maxima)
-    monkeypatch.setitem(fmu.sample.__kwdefaults__, "jumps", False)
+    monkeypatch.setitem(fmu.sample.__wrapped__.__kwdefaults__, "jumps", False)
     monkeypatch.setattr(Sampler, "first", (60, 20))
     arguments = ("--pairing", "index", "--sampler", "mh", "--init", "start")
     until = ("--max-solves", "400", "--out", "here", "--no-report")
@@ -358,9 +358,10 @@ def test_start_outside_the_bounds(invoke, young, monkeypatch, tmp_path):
 def test_existing_directory_is_left_alone(invoke, tmp_path):
     out = tmp_path / "mine"
     out.mkdir()
+    (out / "notes.txt").touch()
     assert_one_line(invoke("run", "cantilever-young", *SHORT, "--out", out), str(out), "exists", "--overwrite")
-    assert list(out.iterdir()) == []
-    (out / "mh.nc").write_text("precious")
+    assert [path.name for path in out.iterdir()] == ["notes.txt"]
+    (out / "notes.txt").rename(out / "mh.nc").write_text("precious")
     assert_one_line(invoke("run", "cantilever-young", *SHORT, "--out", out))
     assert files_in(out) == {"mh.nc": b"precious"}
 

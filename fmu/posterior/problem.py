@@ -217,8 +217,10 @@ class UpdatingProblem:
             If there is no such mode, or none is named.
         """
         unknown = [name for name in labels if name not in self.data.labels]
-        if unknown or not labels:
-            raise ValueError(f"labels: must be of {', '.join(self.data.labels)} (got {[*unknown, 'none'][0]!r})")
+        if unknown:
+            raise ValueError(f"labels: must be of {', '.join(self.data.labels)} (got {unknown[0]!r})")
+        if not labels:
+            raise ValueError(f"labels: must name at least one of {', '.join(self.data.labels)} (got none)")
         other = copy(self)
         other.data = replace(self.data, use=tuple(label in labels for label in self.data.labels))
         other.likelihood = self.likelihood.using(other.data.used)

@@ -9,9 +9,11 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+from annotated_types import Ge
 
 from fmu.arguments import Count, check_arguments
-from fmu.types import NotNegative
 
 
 @check_arguments
@@ -36,7 +38,7 @@ class Checkpoint:
 
     directory: str | os.PathLike[str]
     draws: Count = 1000
-    seconds: NotNegative = 30.0
+    seconds: Annotated[float, Ge(0.0)] = 30.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "directory", Path(self.directory))

@@ -308,7 +308,7 @@ def test_the_run_that_speaks_for_all_does_not_depend_on_their_order(flipped):
 
 
 def test_bad_arguments(good, section, in_b):
-    with pytest.raises(ValueError, match="trace: must be a trace written by fmu"):
+    with pytest.raises(ValueError, match="trace: must be a trace, as"):
         diagnose(3)
     with pytest.raises(ValueError, match=r"others\.2: must be a trace written by fmu"):
         diagnose(good, others=[good, 3])

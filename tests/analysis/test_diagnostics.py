@@ -56,14 +56,14 @@ def test_interval_columns_carry_the_probability(make_trace, good):
     assert {"eti95.5_lb", "eti95.5_ub"} <= set(summary(make_trace(good), ci_prob=0.955).columns)
 
 
-@pytest.mark.parametrize("ci_prob", [0, 1, -0.1, 90, np.nan])
+@pytest.mark.parametrize("ci_prob", [0, 1, -0.1, 90])
 def test_interval_probability_out_of_range(make_trace, good, ci_prob):
     with pytest.raises(ValueError, match=r"ci_prob: must lie between 0 and 1 \(got"):
         summary(make_trace(good), ci_prob=ci_prob)
 
 
 def test_what_is_no_trace_is_refused():
-    with pytest.raises(ValueError, match="must be a trace written by fmu"):
+    with pytest.raises(ValueError, match="trace: must be a trace, as"):
         summary({"posterior": 1})
 
 

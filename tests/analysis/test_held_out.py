@@ -195,7 +195,7 @@ def test_a_problem_with_other_modes_shares_the_model(problem):
     ("labels", "message"),
     [
         (["W1", "W9"], r"labels: must be of W1, W2, T1 \(got 'W9'\)"),
-        ([], "use: must be true for at least one mode"),
+        ([], r"labels: must name at least one of W1, W2, T1 \(got none\)"),
     ],
 )
 def test_modes_that_cannot_be_used(problem, labels, message):

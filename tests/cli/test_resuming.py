@@ -130,6 +130,6 @@ def test_another_run_instead(folder, whole, at_keep):
     at_keep(4, cut)
     with pytest.raises(Cut):
         run(*of("mh"), "--seed", 7)
-    assert_refused(run(*of("mh")), "out exists", "--overwrite")
+    assert_refused(run(*of("mh")), "resume it with fmu run --resume out", "--overwrite")
     assert run(*of("mh"), "--overwrite").exit_code == 0
     assert_same("mh", folder / "out", whole)

@@ -83,7 +83,7 @@ def test_the_trace_and_the_report_have_the_certificate(finished):
     attrs = fmu.load_trace(folder / "a" / "mixture.nc").attrs
     assert attrs["certificate_shift"] <= attrs["certificate_shift_tolerance"] == 0.05
     assert attrs["surrogate_solves"] == attrs["surrogate_design"] + attrs["certificate_draws"]
-    page = (folder / "a" / "report" / "mixture.html").read_text()
+    page = (folder / "a" / "report" / "index.html").read_text()
     assert "Certificate of the surrogate" in page
     assert "solves from which the surrogate was learnt" in page
 
@@ -172,7 +172,7 @@ def test_exact_draws_are_announced_and_told(exact):
     accepted, proposals = (whole(attrs[f"second_stage_{name}"]) for name in ("accepted", "proposals"))
     told = f"{accepted} of {proposals} draws of the surrogate were accepted"
     assert told in done.stdout
-    page = (folder / "a" / "report" / "mixture.html").read_text()
+    page = (folder / "a" / "report" / "index.html").read_text()
     assert page.count(f"{told} after a solve of the model itself") == 2  # at the top, and beside the certificate
 
 

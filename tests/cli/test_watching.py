@@ -32,7 +32,7 @@ def stopped(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         at_keep(patch, 12, lambda: signal.raise_signal(signal.SIGTERM))
-        names = (word for name in ("mh", "emcee", "slice") for word in ("--sampler", name))
+        names = (word for name in ("mh", "emcee", "mixture") for word in ("--sampler", name))
         assert CliRunner().invoke(main, [*RUN, *names]).exit_code == 130
     return folder / "out"
 
@@ -60,7 +60,7 @@ def test_a_stopped_run(out):
     assert rows["emcee"][1:3] == ["all", "stopped"]
     behind = min(int(rows[group][2].removesuffix("/25")) for group in ("1/2", "2/2"))
     assert rows["emcee"][3:5] == ["draws", f"{behind}/25"]
-    assert rows["slice"] == ["slice", "waiting"]
+    assert rows["mixture"] == ["mixture", "waiting"]
     assert lines[-1] == "To resume: fmu run --resume out"
     assert (watch("out/checkpoints")[0], watch("out/checkpoints")[-1]) == (lines[0], lines[-1])
 

@@ -62,7 +62,7 @@ def test_sensors_are_what_moves(tmp_path):
 
 
 def test_places_have_node_numbers(tmp_path):
-    path, nodes = tmp_path / "modes.uff", {11: "tip", "12": "middle"}
+    path, nodes = tmp_path / "modes.uff", {11: "tip", 12: "middle"}
     data = ModalData([3.0], sensors=(("tip", "z"), ("middle", "z")), shapes=[[1.0], [0.4]])
     data.to_uff(path, nodes)
     again = ModalData.from_uff(path, nodes)

@@ -124,5 +124,6 @@ def test_files_only_where_there_is_a_study(plan):
 def test_progress_is_a_phase_of_its_own_that_ends(weighted, plan, told):
     assert {phase for phase, *_ in told} == {"section-shape, vector β"}
     steps = plan.long["hmc"].steps
-    assert [done for _, done, *_ in told] == [*range(1, steps), steps - 1, steps]
+    # the last step of a run is reported again, with the numbers of the verdict
+    assert [done for _, done, *_ in told] == [*range(1, steps), steps - 1, steps - 1, steps]
     assert {total for _, _, total, _ in told} == {plan.long["hmc"].steps}

@@ -189,7 +189,7 @@ def test_a_state_without_gradient_is_refused():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"step_size": 0}, r"step_size: must be a positive finite number \(got 0\)"),
+        ({"step_size": 0}, r"step_size: must be a positive finite number or None \(got 0\)"),
         ({"step_size": np.inf}, "step_size: must be a positive finite number"),
         ({"step_size": [0.1, 0.2]}, "step_size: must be a positive finite number"),
         ({"n_steps": 0}, "n_steps: must be a whole number of at least 1"),

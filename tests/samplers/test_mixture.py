@@ -528,7 +528,7 @@ def test_what_a_fit_evaluates_is_counted():
     [
         ({"jumps": 0}, "jumps: must be a whole number of at least 1"),
         ({"local_steps": 0}, "local_steps: must be a whole number of at least 1"),
-        ({"wide": 1.0}, r"wide: must be between 0 and 1 \(got 1.0\)"),
+        ({"wide": 1.0}, r"wide: must be a positive finite number below 1 or None \(got 1.0\)"),
         ({"wide": float("nan")}, "wide: must be a positive finite number"),
         ({"adapt": False}, "components: must be given if adapt is False"),
         ({"components": [STEEP], "weights": [0.2, 0.8]}, r"weights: must be 1, one per component \(got 2\)"),
