@@ -319,7 +319,12 @@ class Training:
 
     def _needed(self) -> tuple[RankPairing | None, dict[int, int]]:
         """Return the pairing as fixed ranks where that is exact, and how many modes of each block are needed."""
-        found = {b: learner.solved() for b, learner in self.learners.items()}
+        # after a cut each block may have looked at points of its own: those before are the same
+        visited = [learner.theta for learner in self.learners.values()]
+        n = min(map(len, visited))
+        alike = np.all([np.all(theta[:n] == visited[0][:n], axis=1) for theta in visited], axis=0)
+        n = n if alike.all() else int(np.argmin(alike))
+        found = {b: tuple(of[:n] for of in learner.solved()) for b, learner in self.learners.items()}
         known = np.all([np.isfinite(lam).all(axis=1) for lam, _ in found.values()], axis=0)
         found = {b: (lam[known], y[known]) for b, (lam, y) in found.items()}
         seen = tuple(self.learners[b] if b in found else block for b, block in enumerate(self.full.blocks))
