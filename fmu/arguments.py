@@ -63,7 +63,7 @@ else:
 
 
 class Numbers:
-    """Stands for ArrayLike and arrays in rules: what NumPy makes an array of numbers of."""
+    """The rule for ArrayLike and arrays: any value that NumPy turns into an array of numbers."""
 
 
 class _ByName(type):
@@ -149,7 +149,7 @@ def _rules(door: Callable[..., Any]) -> tuple[inspect.Signature, dict[str, Any]]
 
 
 def _mistake(name: str, value: Any, rule: Any) -> str:
-    """Return what is wrong with a value, empty if nothing is."""
+    """Say how a value breaks a rule; empty if it does not."""
     marks: tuple[Any, ...] = ()
     if get_origin(rule) is Annotated:
         rule, *more = get_args(rule)
@@ -209,7 +209,7 @@ def _is_kind(value: Any, rule: Any, marks: tuple[Any, ...] = ()) -> bool:
 
 
 def _within(name: str, value: Any, rule: Any) -> Iterator[str]:
-    """Yield what is wrong with the entries of a sequence or a mapping."""
+    """Yield how entries of a sequence or a mapping break their rules."""
     origin, of = get_origin(rule), get_args(rule)
     if origin is tuple and of and of[-1] is not Ellipsis:
         if len(value) != len(of):
@@ -340,7 +340,7 @@ def _number_in_words(whole: bool, marks: tuple[Any, ...]) -> str:
 
 
 def _advice(value: Any, rule: Any, marks: tuple[Any, ...]) -> str:
-    """Return what to do, after a semicolon; nothing if there is no advice."""
+    """Return the advice, after a semicolon; nothing if there is none."""
     said = [mark for mark in marks if isinstance(mark, str)]
     if isinstance(value, str | os.PathLike):
         options = get_args(rule) if get_origin(rule) in (Union, UnionType) else (rule,)

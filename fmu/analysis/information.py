@@ -210,7 +210,7 @@ def _is_informed(x: FloatArray, prior: FloatArray, direction: FloatArray) -> boo
 
 
 def separation_in_words(trace: xr.DataTree, linearised: Identifiability) -> str:
-    """Return which two parameters the data separate least, and whether they do; empty if they confuse none.
+    """Name the two parameters that the data separate least, and say whether they do; empty if they confuse none.
 
     The draws decide, by the criterion of `information`; the linearised model, if the trace has no draws from the
     prior.

@@ -58,7 +58,7 @@ class Commands(click.Group):
         return list(self.commands)
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
-        """Run a command and exit with its code, whether or not anybody still reads what it prints."""
+        """Run a command and exit with its code, even if nobody reads its output any more."""
         if sys.stdout is sys.__stdout__ and sys.stdout is not None:
             sys.stdout = _Unbroken(sys.stdout)
         try:

@@ -97,10 +97,10 @@ def echo_comparison(
     tuple of pandas.DataFrame and dict
         The table and the verdicts.
     """
-    from fmu.analysis.convergence.comparison import judged
+    from fmu.analysis.convergence.comparison import compare_runs
     from fmu.analysis.convergence.diagnosis import NOTES, choose_run
 
-    _, verdicts, table = judged(traces, summaries=summaries)
+    _, verdicts, table = compare_runs(traces, summaries=summaries)
     columns = table.drop(columns="verdict")
     rows = [
         [_IN_WORDS.get(name, name), *(_cell(name, value) for value in columns[name])] for name in map(str, columns)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.analysis.convergence.comparison import judged
+from fmu.analysis.convergence.comparison import compare_runs
 from fmu.analysis.convergence.diagnostics import convergence_failures, interval_columns, summary
 from fmu.analysis.maxima.missed import missed_maxima
 from fmu.analysis.maxima.search import find_map
@@ -138,7 +138,7 @@ def compute(case: str, pairing: str, plan: Plan, progress: Report | None = None)
     }
     long = {s: runs.run(f"{s}, long run", long_settings(s), plan.long[s], long_start(s)) for s in SAMPLERS}
     one_start = runs.run("hmc, from one start", long_settings("hmc"), plan.one_start, "start", jumps=False)
-    _, diagnoses, comparison = judged(long)
+    _, diagnoses, comparison = compare_runs(long)
     pace = {}
     for s, length in plan.pace.items():
         starts = starts_in_the_posterior(long, diagnoses, length.chains)
@@ -327,7 +327,7 @@ class OneStart(NamedTuple):
 def one_start(result: Result) -> OneStart:
     """Return what the chains from the start vector came to."""
     trace = result.one_start
-    of_run = judged({"hmc": trace})
+    of_run = compare_runs({"hmc": trace})
     table = of_run.summaries["hmc"]
     return OneStart(
         int(trace.attrs["chains"]),

@@ -339,7 +339,7 @@ class UpdatingProblem:
         return np.clip(self.prior.draw(rng, n), self._lowest, self._highest)
 
     def walkers(self, n: int, seed: int = 1) -> FloatArray:
-        """Return starts for the walkers of an ensemble, such as that of emcee, shape (n, ndim), SI units.
+        """Return starts for the walkers of an ensemble, such as emcee's, shape (n, ndim), SI units.
 
         They are spread over the maxima of the posterior in proportion to their probability, around each of them
         twice as wide as the posterior, within the bounds and where the log-probability is finite

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmu.analysis.convergence.comparison import judged
+from fmu.analysis.convergence.comparison import compare_runs
 from fmu.analysis.convergence.diagnosis import Diagnosis, choose_run, maxima_of
 from fmu.analysis.information import Information, information
 from fmu.analysis.trace.conversion import load_trace
@@ -185,7 +185,7 @@ def chosen(directory: Path, sampler: str | None) -> tuple[str, xr.DataTree, Diag
         raise ValueError(f"run_directory: {why_no_traces(Path(directory))}")
     if sampler is not None and sampler not in traces:
         raise ValueError(f"sampler: must be one of {', '.join(traces)} (got {sampler!r})")
-    summaries, verdicts, _ = judged(traces)
+    summaries, verdicts, _ = compare_runs(traces)
     name = sampler or choose_run(verdicts, summaries)
     return name, traces[name], verdicts[name]
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from fmu.analysis.convergence.comparison import judged
+from fmu.analysis.convergence.comparison import compare_runs
 from fmu.analysis.convergence.diagnosis import Diagnosis, maxima_of
 from fmu.analysis.prediction import predict_frequencies
 from fmu.analysis.trace.reading import check_trace, has, parameter_names, walkers_of, without_scores
@@ -111,7 +111,7 @@ def runs_of(traces: Mapping[str, xr.DataTree]) -> dict[str, ReportedRun]:
     problems = {str(trace.attrs["problem"]) for trace in traces.values()}
     if len(problems) > 1:
         raise ValueError(f"traces: must be of one problem (got {', '.join(sorted(problems))})")
-    summaries, verdicts, comparison = judged(traces)
+    summaries, verdicts, comparison = compare_runs(traces)
     costs = comparison.T
     return {
         name: ReportedRun(

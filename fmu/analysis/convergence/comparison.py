@@ -85,7 +85,7 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
         raise ValueError(f"traces: must be a mapping of at least one name to a trace (got {traces!r:.60})")
     for name, trace in traces.items():
         check_trace(trace, f"traces.{name}")
-    return judged(traces, problem).comparison.join(costs_side_by_side(traces))
+    return compare_runs(traces, problem).comparison.join(costs_side_by_side(traces))
 
 
 class Judged(NamedTuple):
@@ -96,12 +96,12 @@ class Judged(NamedTuple):
     comparison: pd.DataFrame
 
 
-def judged(
+def compare_runs(
     traces: Mapping[str, xr.DataTree],
     problem: UpdatingProblem | None = None,
     summaries: Mapping[str, pd.DataFrame] | None = None,
 ) -> Judged:
-    """Return summaries, verdicts and comparison of several runs; the arguments are those of `diagnose_all`."""
+    """Return summaries, verdicts and comparison of several runs; it takes the arguments of `diagnose_all`."""
     summaries = summaries or {name: summary(trace) for name, trace in traces.items()}
     verdicts = diagnose_all(traces, problem, summaries)
     rows = [_row(trace, summaries[name], verdicts[name]) for name, trace in traces.items()]
@@ -141,7 +141,7 @@ def _row(trace: xr.DataTree, table: pd.DataFrame, diagnosis: Diagnosis) -> dict[
 def costs_side_by_side(
     traces: Mapping[str, xr.DataTree], grown: Mapping[str, Growth] | None = None, baseline: str = BASELINE
 ) -> pd.DataFrame:
-    """Return what each sampler cost, in solves, and as a multiple of what the baseline cost.
+    """Return the cost of each sampler, in solves, and as a multiple of the baseline's.
 
     Parameters
     ----------

@@ -226,7 +226,7 @@ def convergence_failures(
 
 
 def few_ensembles(trace: xr.DataTree) -> str:
-    """Return what fewer ensembles of plain emcee than four cannot exclude, and the remedy; else empty."""
+    """Say that fewer than four emcee ensembles cannot exclude separate modes, and the remedy; else empty."""
     n = trace["posterior"].sizes["chain"]
     if not is_imported(trace) or n >= MIN_ENSEMBLES:
         return ""

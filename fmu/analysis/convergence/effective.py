@@ -84,7 +84,7 @@ def mcse_mean(x: FloatArray, walkers: int = 1) -> float:
 
 
 def mcse_sd(x: FloatArray, walkers: int = 1) -> float:
-    """Return the Monte-Carlo standard error of the standard deviation s: that of s², over 2 s."""
+    """Return the Monte-Carlo standard error of the standard deviation s: the error of s² over 2 s."""
     if _is_degenerate(x):
         return np.nan
     return mcse_mean((x - x.mean()) ** 2, walkers) / (2.0 * float(np.std(x, ddof=1)))

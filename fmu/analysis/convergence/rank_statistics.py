@@ -52,7 +52,7 @@ def rank_rhat(x: FloatArray) -> float:
 
 
 def rank_ess(x: FloatArray) -> float:
-    """Return the bulk ESS: that of the mean of rank-normalised split chains (section 4.3)."""
+    """Return the bulk ESS: the ESS of the mean of rank-normalised split chains (section 4.3)."""
     return chain_ess(normal_scores(split_chains(x)))
 
 

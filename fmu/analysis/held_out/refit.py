@@ -232,7 +232,7 @@ def _drawn(
     u, log_q = mixture_draws(proposals, rng, max(_FIRST, _FIRST_IN_ALL // len(proposals)))
     values = np.concatenate(by_parts("importance sampling", evaluated, u))
     while True:
-        found = compared(scaled.to_theta(u), values[:, :2].T, values[:, 2:], log_q)
+        found = compare_posteriors(scaled.to_theta(u), values[:, :2].T, values[:, 2:], log_q)
         is_accepted = found.error <= ACCEPTED and found.effective >= _EFFECTIVE
         is_done = is_accepted and (found.error <= ERROR or 2 * len(u) > _FAIR)
         more_times = most / len(u)
@@ -261,7 +261,7 @@ def log_prob_of_all(problems: Sequence[UpdatingProblem], theta: FloatArray) -> F
     return np.concatenate([np.where(np.isfinite(found), found, -np.inf), hz], axis=1)
 
 
-def compared(theta: FloatArray, log_p: FloatArray, hz: FloatArray, log_q: FloatArray) -> LeftOut:
+def compare_posteriors(theta: FloatArray, log_p: FloatArray, hz: FloatArray, log_q: FloatArray) -> LeftOut:
     """Return the comparison of two posteriors, log P (2, n), by draws of a density q; the second has the mode."""
     log_w = log_p - log_q
     total = logsumexp(log_w, axis=1)

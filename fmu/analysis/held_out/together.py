@@ -28,7 +28,7 @@ from fmu.analysis.held_out.refit import (
     WIDER,
     LeftOut,
     cheaper,
-    compared,
+    compare_posteriors,
     effective,
     log_prob_of_all,
 )
@@ -86,7 +86,7 @@ def left_out_together(
         walked = _walk([*without, cheap], walkers, scaled, rng)
         groups |= {number: gaussians_of_groups(of, np.zeros(len(of)), rng) for number, of in walked.items()}
         parts = [gaussians([*models[k], *groups.get(k, ())], scaled, WIDER) for k in (*wanted, last)]
-        u, values, found = _compared(_Mixture(parts, prior), problems, wanted, scaled, rng)
+        u, values, found = _weigh_candidates(_Mixture(parts, prior), problems, wanted, scaled, rng)
         done |= found
         wanted = [k for k in wanted if not (done[k].predicts and done[k].is_known)]
         if not wanted:
@@ -194,7 +194,7 @@ def _draws(
     return u, log_q, np.concatenate(solved)
 
 
-def _compared(
+def _weigh_candidates(
     mixture: _Mixture,
     problems: Sequence[UpdatingProblem],
     wanted: Sequence[int],
@@ -206,7 +206,7 @@ def _compared(
     u, log_q, values = _draws(mixture, problems, scaled, rng, _FIRST)
     while True:
         theta, log_p, hz = scaled.to_theta(u), values[:, :n].T, values[:, n:]
-        found = {k: compared(theta, log_p[[k, -1]], hz, log_q) for k in wanted}
+        found = {k: compare_posteriors(theta, log_p[[k, -1]], hz, log_q) for k in wanted}
         worst = max(one.error for one in found.values())
         is_covered = all(one.predicts and one.is_known for one in found.values())
         needed = max(int(1.2 * len(u) * (worst / ACCEPTED) ** 2), _FAIR)

@@ -44,7 +44,7 @@ class StoredEnsemble:
 
     @classmethod
     def read(cls, source: Any, hdf_name: str) -> StoredEnsemble:
-        """Read the steps stored so far; the errors are those of `fmu.from_emcee`."""
+        """Read the steps stored so far; it raises what `fmu.from_emcee` raises."""
         backend, where = _backend(source, hdf_name)
         steps = int(backend.iteration) if backend.initialized else 0
         if steps < 1:
@@ -68,7 +68,7 @@ class StoredEnsemble:
         """Walkers and parameters."""
         return self.chain.shape[1], self.chain.shape[2]
 
-    def moved(self, thin_by: int) -> BoolArray | None:
+    def find_moves(self, thin_by: int) -> BoolArray | None:
         """Return which walkers each step moved, (steps, walkers); None where steps between were not stored.
 
         Whether the first step moved them follows from the number of accepted proposals.
@@ -115,7 +115,7 @@ def _backend(source: Any, hdf_name: str) -> tuple[Any, str]:
         path = Path(source)
         if not path.is_file():
             raise FileNotFoundError(f"source: must be a file of emcee's HDFBackend (no such file: {path})")
-        return _opened(HDFBackend(os.fspath(path), name=hdf_name, read_only=True)), str(path)
+        return _require_steps(HDFBackend(os.fspath(path), name=hdf_name, read_only=True)), str(path)
     backend = getattr(source, "backend", source)
     if not isinstance(backend, Backend):
         raise TypeError(
@@ -123,11 +123,11 @@ def _backend(source: Any, hdf_name: str) -> tuple[Any, str]:
             f"these (got {type(source).__name__})"
         )
     if isinstance(backend, HDFBackend):
-        return _opened(backend), str(backend.filename)
+        return _require_steps(backend), str(backend.filename)
     return backend, f"this {type(source).__name__}"
 
 
-def _opened(backend: Any) -> Any:
+def _require_steps(backend: Any) -> Any:
     """Return an HDF backend whose file has the run; ValueError if not."""
     try:
         with backend.open() as file:

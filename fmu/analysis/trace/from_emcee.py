@@ -121,11 +121,11 @@ def from_emcee(
     blobs = _blobs(ensembles, kept, blob_names)
     # numbers of a float32 backend are rounded
     precision = max(_SLACK, float(np.sqrt(np.finfo(ensembles[0].chain.dtype).eps)))
-    frequency = None if problem is None else _checked(result.posterior, blobs, problem, precision)
+    frequency = None if problem is None else _check_log_prob(result.posterior, blobs, problem, precision)
     density: Any = _Unknown(named) if problem is None else problem
     trace = to_trace(result, density, frequency=frequency)
     trace.attrs |= {IMPORTED: "emcee", "complete": 1}
-    trace = with_group(trace, GROUP, _counted(ensembles, kept, trace))
+    trace = with_group(trace, GROUP, _count_evaluations(ensembles, kept, trace))
     if blobs:
         trace = with_group(trace, BLOBS, _dataset(blobs, trace))
     if maxima is not None:
@@ -143,7 +143,7 @@ class _Unknown:
         self.lower, self.upper = np.full(self.ndim, -np.inf), np.full(self.ndim, np.inf)
 
     def configuration(self) -> dict[str, Any]:
-        """Return what is known of the density."""
+        """Return the name and the parameters of the density."""
         return {"density": "emcee", "names": list(self.names)}
 
 
@@ -225,7 +225,7 @@ def _result(ensembles: list[StoredEnsemble], kept: Kept, thin_by: int) -> RunRes
     walkers = ensembles[0].shape[0]
     accepted: list[NDArray[Any]] = []
     for ensemble in ensembles:
-        moved = ensemble.moved(thin_by)
+        moved = ensemble.find_moves(thin_by)
         share = np.broadcast_to(ensemble.accepted / len(ensemble.chain), ensemble.log_prob.shape)
         accepted.append(share if moved is None else moved)
     costs = [kept.evaluations(k, len(e.chain), thin_by) for k, e in enumerate(ensembles)]
@@ -297,7 +297,9 @@ def _blobs(ensembles: list[StoredEnsemble], kept: Kept, names: Sequence[str] | N
     return found
 
 
-def _checked(draws: Draws, blobs: dict[str, NDArray[Any]], problem: Any, precision: float) -> FloatArray | None:
+def _check_log_prob(
+    draws: Draws, blobs: dict[str, NDArray[Any]], problem: Any, precision: float
+) -> FloatArray | None:
     """Compare five draws with the problem; return its frequencies at all draws, if they are among the blobs.
 
     They are taken from `blobs`. ValueError if a log-probability is not that of the problem.
@@ -331,8 +333,8 @@ def _checked(draws: Draws, blobs: dict[str, NDArray[Any]], problem: Any, precisi
     return None
 
 
-def _counted(ensembles: list[StoredEnsemble], kept: Kept, trace: xr.DataTree) -> xr.Dataset:
-    """Return what emcee says of its ensembles."""
+def _count_evaluations(ensembles: list[StoredEnsemble], kept: Kept, trace: xr.DataTree) -> xr.Dataset:
+    """Return emcee's acceptance, autocorrelation times and counts of its ensembles."""
     import xarray as xr
     from emcee.autocorr import integrated_time
 

@@ -16,7 +16,7 @@ from fmu.formats.shown import names_shown
 
 
 class LineTable(TomlTable):
-    """A line of the pictures between two points, in the colours of the parameters of what it stands for."""
+    """A line of the pictures between two points, in the colours of the parameters of its member."""
 
     points: Annotated[list[Name], Field(min_length=2, max_length=2)]
     parameters: list[Name] = []
@@ -48,7 +48,7 @@ def mistakes_of_lines(
 def picture_of(
     points: Mapping[str, Sequence[float]], lines: Sequence[LineTable], parameters: Sequence[ParameterTable]
 ) -> LinePicture | None:
-    """Return what the pictures show; None without lines."""
+    """Return the picture of the structure; None without lines."""
     if not lines:
         return None
     names = list(points)

@@ -65,7 +65,7 @@ def sketch(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> Sk
         If the model knows neither its geometry nor a picture of lines.
     """
     if model.geometry is None and model.picture is not None:
-        return _pictured(model.picture, sensors)
+        return _sketch_picture(model.picture, sensors)
     geometry, nowhere = _geometry(model), np.full(3, np.nan)
     nodes = np.asarray(geometry.nodes, dtype=float)
     at = {name: nodes[row] for name, row in geometry.row_of.items()}
@@ -95,8 +95,8 @@ def is_drawable(model: SeparableModel, most: int) -> bool:
     return lines is not None and len(lines) <= most
 
 
-def _pictured(picture: LinePicture, sensors: Sequence[tuple[Any, str]]) -> Sketch:
-    """Return what is drawn of a picture of lines: they, and the sensors at points of their names."""
+def _sketch_picture(picture: LinePicture, sensors: Sequence[tuple[Any, str]]) -> Sketch:
+    """Return the sketch of a picture of lines: the lines, and the sensors at points of their names."""
     place = dict(zip(picture.names, np.asarray(picture.points, dtype=float), strict=True))
     nowhere = np.full(3, np.nan)
     seen = [(n, d) for n, d in sensors if n in place]

@@ -126,9 +126,9 @@ class StaticDisplacement:
         self.n_solves, n = 0, _FIRST
         with single_thread():
             theta = points(_CHECKS)
-            exact = np.array([loads[:, 1] @ _solved(model, one, loads)[:, 0] for one in theta])
+            exact = np.array([loads[:, 1] @ _solve_loads(model, one, loads)[:, 0] for one in theta])
             while True:
-                solved += [_solved(model, one, loads) for one in points(n)]
+                solved += [_solve_loads(model, one, loads) for one in points(n)]
                 self.n_solves += n
                 self._project(model, np.concatenate(solved, axis=1), loads)
                 self.error = float(np.max(np.abs(self(theta)[0][:, 0] / exact - 1.0))) if np.all(exact) else 0.0
@@ -177,7 +177,7 @@ def _coordinates(model: SeparableModel) -> FloatArray:
     return np.asarray(geometry.nodes)[[geometry.row_of[node] for node, _ in model.dofs]]
 
 
-def _solved(model: SeparableModel, theta: FloatArray, loads: FloatArray) -> FloatArray:
+def _solve_loads(model: SeparableModel, theta: FloatArray, loads: FloatArray) -> FloatArray:
     """Return K(θ)⁻¹ of loads (n_dof, 2), with each row and column scaled to a unit diagonal."""
     K = weighted_sum(model.K_terms, coefficients(model.K_terms, theta[None])[0])
     scale = 1.0 / np.sqrt(np.where(K.diagonal() > 0.0, K.diagonal(), 1.0))

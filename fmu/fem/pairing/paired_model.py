@@ -203,17 +203,17 @@ class GivenModel(ModalModel):
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
         """Return the user's frequencies; ValueError if the method raises or returns something else."""
-        return self._real("frequencies", self._called("frequencies", theta), (len(theta), self.n_modes))
+        return self._real("frequencies", self._call("frequencies", theta), (len(theta), self.n_modes))
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the user's frequencies and gradients; ValueError as `frequencies` raises."""
         method, shape = "frequencies_and_gradient", (len(theta), self.n_modes)
-        given = self._called(method, theta)
+        given = self._call(method, theta)
         if not (isinstance(given, tuple) and len(given) == 2):
             raise ValueError(f"model: {self.name}.{method} must return two arrays (got {type(given).__name__})")
         return self._real(method, given[0], shape), self._real(method, given[1], (*shape, self.n_parameters))
 
-    def _called(self, method: str, theta: FloatArray) -> Any:
+    def _call(self, method: str, theta: FloatArray) -> Any:
         try:
             return getattr(self.given, method)(theta)
         except Exception as error:

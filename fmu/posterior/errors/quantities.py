@@ -52,7 +52,7 @@ class QuantityTerm(NamedTuple):
         return (values - self.measured) / self.sd, slopes / self.sd[:, None]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what was measured, in plain Python types."""
+        """Return labels, units, values and deviations, in plain Python types."""
         return {
             "error": "quantity",
             "labels": list(self.labels),
@@ -188,10 +188,10 @@ class StaticErrors(QuantityErrors):
     def at_places(self, places: Mapping[str, Any]) -> StaticErrors:
         """Return the same with nodes of the model in place of the names that a file has for them."""
 
-        def named(place: tuple[int | str, str]) -> tuple[Any, str]:
+        def replace_name(place: tuple[int | str, str]) -> tuple[Any, str]:
             return places.get(str(place[0]), place[0]), place[1]
 
-        return replace(self, force=named(self.force), at=None if self.at is None else named(self.at))
+        return replace(self, force=replace_name(self.force), at=None if self.at is None else replace_name(self.at))
 
     def bind_structure(self, model: SeparableModel, parameters: Sequence[Parameter]) -> QuantityTerm:
         """Return the displacement of a structure, see `QuantityErrors`."""

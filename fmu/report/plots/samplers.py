@@ -144,7 +144,7 @@ def plot_ranks_of_samplers(
     summaries: Mapping[str, pd.DataFrame] | None = None,
     figure: Figure | None = None,
 ) -> NDArray[Any]:
-    """Draw ArviZ's rank plots of samplers: those of one distribution stay near zero.
+    """Draw ArviZ's rank plots of samplers: near zero if all draw from one distribution.
 
     As `plot_ranks`, each sampler in place of a chain. All are thinned to half of the smallest effective sample
     size of a parameter: draws so far apart are nearly independent, which the test takes them to be.

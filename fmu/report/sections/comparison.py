@@ -80,7 +80,7 @@ class Compared:
 
 
 def verdicts_on_samplers(found: Compared) -> tuple[Verdict, ...]:
-    """Return whether the samplers agree, whether they converged, and what they cost."""
+    """Return three verdicts: whether the samplers agree, whether they converged, and their costs."""
     runs, agreed = found.runs, found.agreed
     answer = {True: "Yes", False: "No", None: "Not known"}[agreed.agrees]
     failed = [run for run in runs.values() if not run.diagnosis.converged]

@@ -179,7 +179,7 @@ def losses(run: ReportedRun) -> PageSection | Omitted:
 
 
 def lost(run: ReportedRun) -> tuple[Verdict, ...]:
-    """Return what each later state lost, a line each; nothing if no parameter varies between groups of tests."""
+    """Return the losses of each later state, a line each; nothing if no parameter varies between groups."""
     if not has(run.trace, GROUP):
         return ()
     doubts = f" Do not rely on P: {' and '.join(run.diagnosis.doubts)}." if run.diagnosis.doubts else ""
@@ -188,7 +188,7 @@ def lost(run: ReportedRun) -> tuple[Verdict, ...]:
 
 
 def _lost_in(run: ReportedRun, state: str, table: pd.DataFrame, doubts: str) -> Verdict:
-    """Return what one state lost: `table` has a row for each parameter."""
+    """Return the losses of one state: `table` has a row for each parameter."""
     question = f"What was lost? After: {state_in_words(run.trace, state)}"
     p, beyond = table.iloc[:, 4], f"P(loss > {share(_BEYOND[0])})"
     by_size = table["mean"].sort_values(ascending=False).index
@@ -257,7 +257,7 @@ def _drawings(trace: xr.DataTree, table: pd.DataFrame) -> dict[str, tuple[Markup
 
 
 def _shade(p: float) -> str:
-    """Return the colour of a probability, that of what has no loss where it is negative."""
+    """Return the colour of a probability; a negative one has the colour of no loss."""
     return UNCHANGED if p < 0 else _SCALE[int(np.searchsorted(_STEPS, p))][0]
 
 

@@ -37,7 +37,7 @@ def verdicts(run: ReportedRun) -> tuple[Verdict, ...]:
 
 
 def of_the_model(run: ReportedRun) -> tuple[Verdict, ...]:
-    """Return what was lost, what else changed, how sure that is, and whether the model fits."""
+    """Return the verdicts on losses, other changes, their certainty, and the fit of the model."""
     names, losses = _most_changed(run), lost(run)
     what = changed(run, names)
     if losses:
