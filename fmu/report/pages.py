@@ -132,9 +132,10 @@ def _told(runs: Mapping[str, ReportedRun]) -> ReportedRun:
 def _common_verdicts(compared: comparison.Compared) -> tuple[Verdict, ...]:
     """Return the verdicts on the samplers, and what one of them says of the model: its page has the reasons."""
     told = _told(compared.runs)
-    by = f"From the draws of {told.title}."
-    others = (replace(one, reasons=(), notes=(), said=f"{one.said} {by}".strip()) for one in of_the_model(told))
-    return *comparison.verdicts_on_samplers(compared), *others
+    first, *others = (replace(one, reasons=(), notes=()) for one in of_the_model(told))
+    by = f"This and the rest by the draws of {told.title}."
+    first = replace(first, said=f"{first.said} {by}".strip())
+    return *comparison.verdicts_on_samplers(compared), first, *others
 
 
 def _footer(run: ReportedRun) -> str:
