@@ -21,6 +21,7 @@ _CLIMB = 12  # evaluations with gradient
 _WEIGHED = 1024  # draws for each maximum
 _SLOW_S = 0.005
 _OVERHEAD_S = 1e-4  # of a step beside a solve
+_MOST_OVERHEAD_S = 5e-3
 _PROBES, _PROBE_S = 5, 0.04
 _CERTIFIED = 64  # as long as so many full solves
 _WORTH_S = 60.0
@@ -75,8 +76,11 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
         solves = lines * (warmup * of_warmup + draws * of_draw) * per_step
         if not is_slow:
             side_by_side, each_s = 1, one_s + _OVERHEAD_S
-            with suppress(ValueError):  # a start without a finite log-probability: the run will report it
-                each_s = _seconds_in_a_sampler(problem, settings, orders, warmup, draws)
+            if (
+                solves * (one_s + _MOST_OVERHEAD_S) >= _WORTH_S
+            ):  # else measuring it would take longer than it saves
+                with suppress(ValueError):  # a start without a finite log-probability: the run will report it
+                    each_s = _seconds_in_a_sampler(problem, settings, orders, warmup, draws)
         else:
             each_s = one_s + _OVERHEAD_S
             # a function's evaluations are shared out, those of the chains of one step at most

@@ -60,12 +60,23 @@ def test_in_words():
     )
 
 
-@pytest.mark.parametrize(("each_s", "said"), [(0.0003, []), (0.03, ["mixture"])])
-def test_a_run_of_seconds_is_not_announced(each_s, said, monkeypatch):
-    """Nor is it said how long the most solves would take: hours, before seconds of sampling."""
-    monkeypatch.setattr("fmu.analysis.estimate._seconds_in_a_sampler", lambda *_: each_s)
+@pytest.mark.parametrize(
+    ("solve_s", "each_s", "said"), [(0.0001, None, []), (0.0049, 0.0003, []), (0.0049, 0.03, ["mixture"])]
+)
+def test_a_run_of_seconds_is_not_announced(solve_s, each_s, said, monkeypatch):
+    """Nor is it measured where solves are fast, nor said how long the most solves would take: hours."""
+    monkeypatch.setattr("fmu.analysis.estimate.seconds_of_a_solve", lambda problem: solve_s)
+    monkeypatch.setattr(
+        "fmu.analysis.estimate._seconds_in_a_sampler", lambda *_: each_s or pytest.fail("it is measured")
+    )
     young = fmu.cases.load("cantilever-young")
-    orders = ORDERS | {"samplers": ["mixture"], "draws": None, "warmup": None, "max_solves": 2_000_000}
+    orders = ORDERS | {
+        "samplers": ["mixture"],
+        "chains": 8,
+        "draws": None,
+        "warmup": None,
+        "max_solves": 2_000_000,
+    }
     parts = estimates(young, orders, 256, 1)
     assert [part.name for part in parts if part.name != "certificate"] == said
     assert " h" not in estimates_in_words(parts)
