@@ -16,6 +16,7 @@ import socket
 import sys
 import threading
 import time
+from contextlib import suppress
 from dataclasses import asdict
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -33,6 +34,8 @@ _IDLE_S = 10.0
 """How long a connection may be silent within its request."""
 _PATIENCE = 0.5
 """Seconds that a stop waits for a reading under way."""
+_REQUEST_S = 10.0
+"""Seconds for the headers of a request."""
 _MOST_CONNECTIONS = 32
 
 
@@ -190,6 +193,29 @@ class _Handler(BaseHTTPRequestHandler):
     server: WatchServer
     server_version, sys_version = "fmu", ""
     timeout = _IDLE_S
+
+    def setup(self) -> None:
+        """Close the connection unless its request is complete in time, however slowly it comes in."""
+        super().setup()
+        self._deadline = threading.Timer(_REQUEST_S, self._close)
+        self._deadline.daemon = True
+        self._deadline.start()
+
+    def parse_request(self) -> bool:
+        """Read the headers; from here on the connection may stay open."""
+        try:
+            return super().parse_request()
+        finally:
+            self._deadline.cancel()
+
+    def finish(self) -> None:
+        """End the connection."""
+        self._deadline.cancel()
+        super().finish()
+
+    def _close(self) -> None:
+        with suppress(OSError):  # it is closed already
+            self.connection.shutdown(socket.SHUT_RDWR)
 
     def do_GET(self) -> None:
         """Send the page, or what happens to the run for as long as the page is open."""

@@ -147,6 +147,16 @@ def test_too_many_connections_are_closed(out, monkeypatch):
             one.close()
 
 
+def test_a_request_that_comes_in_byte_by_byte_is_closed(out, monkeypatch):
+    monkeypatch.setattr(web, "_REQUEST_S", 0.3)
+    with served(out) as server, socket.create_connection(server.server_address[:2]) as slow:
+        slow.settimeout(5.0)
+        slow.sendall(b"GET / HT")
+        time.sleep(0.15)
+        slow.sendall(b"TP")
+        assert slow.recv(1) == b""  # long before the server's patience with a silent connection ends
+
+
 def test_it_listens_at_the_loopback_alone(out):
     with served(out) as server:
         assert server.server_address[0] == "127.0.0.1"
