@@ -42,7 +42,7 @@ def test_plain_emcee_agrees_with_ours(problem, plain_draws):
 
 
 def test_plain_emcee_agrees_with_hamiltonian_monte_carlo(problem, plain_draws):
-    trace = fmu.sample(problem, "hmc", draws=300, warmup=200, chains=4, seed=4)
+    trace = fmu.sample(problem, "hmc", draws=600, warmup=200, chains=4, seed=4)
     assert fmu.summary(trace)["rhat"].max() < 1.01
     assert np.all(np.abs(z_scores(plain_draws, WALKERS, parameter_draws(trace), 1)) < 5)
     # and the test can fail: a posterior standard deviation would be seen

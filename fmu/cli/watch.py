@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import sys
 import time
@@ -76,10 +77,12 @@ def _serve(directory: Path, every: float, host: str, port: int) -> Never:
             there = f"{server.server_port}:{host}:{server.server_port}"
             click.echo(f"From another machine: ssh -L {there} {socket.gethostname()}, and the same address there.")
         click.echo("Ctrl-C closes the page; the run goes on.")
+        sys.stdout.flush()
+        # Python would end the threads of open pages anywhere, and one with a lock of HDF5 keeps the process alive;
+        # a KeyboardInterrupt can get lost where an object is being deleted
+        signal.signal(signal.SIGINT, lambda *_: os._exit(0))
         with suppress(KeyboardInterrupt):
             server.serve_forever()
-    # Python would end the threads of open pages anywhere, and one with a lock of HDF5 keeps the process alive
-    sys.stdout.flush()
     os._exit(0)
 
 

@@ -207,7 +207,9 @@ class Learner:
         while True:
             top = _fewest(partial(is_enough, rows=tuned), low, high, guess)
             # no λ errs by more than the energy left of all these modes in K, which is at most `stretch` times Ā
-            others = np.setdiff1d(np.flatnonzero(~(stretch * total[top - 1] <= 2.0 * tolerance)), tuned)
+            with np.errstate(invalid="ignore"):  # an infinite stretch bounds nothing, not even no energy
+                bounded = stretch * total[top - 1] <= 2.0 * tolerance
+            others = np.setdiff1d(np.flatnonzero(~bounded), tuned)
             bad = others[~(worst(top, others) <= tolerance)] if len(others) else others
             if not len(bad) or top == high:
                 # weights mix the order of the directions: strongest first, a part of the basis is a coarser one
