@@ -82,7 +82,7 @@ class _ByName(type):
 
 
 class _Names(dict[str, Any]):
-    """The names that an annotation may have, those of its module and what stands for those that it lacks."""
+    """The names in an annotation: its module's, Python's, fmu's types, and stand-ins for the rest."""
 
     def __missing__(self, name: str) -> Any:
         if hasattr(builtins, name):

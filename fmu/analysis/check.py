@@ -22,6 +22,7 @@ from fmu.analysis.trace.modal_states import START, modal_states
 from fmu.arguments import Seed, check_arguments
 from fmu.fem.frame.drawing import changed_elements, drawn, is_drawable, parameter_colours, sketch
 from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.static import TRANSLATIONS, rigid_translation
 from fmu.fem.pairing.correlation import LOOK_AT_SENSORS
 from fmu.fem.pairing.paired_model import elsewhere
 from fmu.numbers import fixed, given, listed, names_in_words, shown, significant, with_sd
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
 _MOST_ELEMENTS = 5000
 _MOST_BLOCKS = 6
 _MOST_SENSORS = 8
-_TRANSLATIONS = ("x", "y", "z")
 _SAME_MASS = 1.1
 
 
@@ -116,12 +116,8 @@ def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
             f"At the start the diagonal of the mass matrix {between}; its rows have no directions (dofs in "
             f"[model]), so the total mass is not known."
         ]
-    directions = np.array([direction for _, direction in structure.dofs])
-    if structure.geometry is not None and structure.geometry.ids is not None:
-        known = {i: direction for _, direction, seen in structure.located() for i in seen}
-        directions = np.array([known.get(i, "") for i in range(structure.n_dof)])  # of nodes, none inside elements
-    rigid = {name: (directions == name).astype(float) for name in _TRANSLATIONS if name in directions}
-    masses = {name: float(motion @ (M @ motion)) for name, motion in rigid.items()}
+    rigid = {name: rigid_translation(structure, name) for name in TRANSLATIONS}
+    masses = {name: float(motion @ (M @ motion)) for name, motion in rigid.items() if motion.any()}
     if not masses:
         return []
     if max(masses.values()) <= _SAME_MASS * min(masses.values()):

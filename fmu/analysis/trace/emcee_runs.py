@@ -69,7 +69,7 @@ class StoredEnsemble:
         return self.chain.shape[1], self.chain.shape[2]
 
     def find_moves(self, thin_by: int) -> BoolArray | None:
-        """Return which walkers each step moved, (steps, walkers); None where steps between were not stored.
+        """Say for each step and walker whether it moved, (steps, walkers); None where steps were not stored.
 
         Whether the first step moved them follows from the number of accepted proposals.
         """

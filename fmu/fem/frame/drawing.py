@@ -165,7 +165,7 @@ def drawn(
 
 
 def without_sensors(structure: Sketch) -> Sketch:
-    """Return what is drawn, sensors left out."""
+    """Return the sketch without its sensors."""
     others = np.array([kind != "sensor" for kind in structure.kinds], dtype=bool)
     kinds = tuple(kind for kind in structure.kinds if kind != "sensor")
     places, ends, owners = structure.places[others], structure.ends[others], structure.owners[others]

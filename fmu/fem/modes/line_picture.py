@@ -1,4 +1,4 @@
-"""Lines that stand for a structure in drawings, where it is known by its matrices alone."""
+"""Lines that draw a structure known by its matrices alone."""
 
 from __future__ import annotations
 

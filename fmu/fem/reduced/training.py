@@ -286,7 +286,7 @@ class Training:
         return good >= enough
 
     def _fresh(self) -> FloatArray:
-        """Return points that a cut has not seen, as many near zero as elsewhere where a bound is zero."""
+        """Return points that a cut has not seen; half of them near zero where a bound is zero."""
         self._cut_seed += 1
         points = self._points(self._cut_seed)
         points = points[np.random.default_rng(self._cut_seed).permutation(len(points))[:_FRESH]]

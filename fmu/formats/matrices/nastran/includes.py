@@ -1,4 +1,4 @@
-"""Lines of a deck of Nastran with those of the files that ``INCLUDE`` names in their place.
+"""Lines of a Nastran deck, each ``INCLUDE`` replaced by the lines of its file.
 
 Names may be in quotes, and go on over several lines within them. They are relative to the folder of the deck or of
 the file that names them, and must be inside the folder of the deck.
