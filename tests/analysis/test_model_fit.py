@@ -1,9 +1,12 @@
 """When the verdict on the model turns: by each kind of check on a linear model, whose posteriors are exact."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import xarray as xr
 from scipy.stats import binom, chi2, norm
+from scipy.stats import t as student
 
 import fmu
 from fmu.analysis.convergence.diagnosis import judge
@@ -12,6 +15,7 @@ from fmu.analysis.fit.deviations import deviation_warnings
 from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, UNKNOWN, model_fit
 from fmu.analysis.trace.conversion import to_trace
 from fmu.analysis.trace.modal_states import MEASURED
+from fmu.numbers import change
 from tests.linear import SLOPES, LinearModel
 
 PRIOR_SD, SD = np.array([1.0, 2.0]), np.array([0.1, 0.1, 0.1])
@@ -101,17 +105,61 @@ def test_one_frequency_that_the_others_contradict(fit_of, off, verdict):
         assert fit.answer == f"contradicted by {len(fit.against)} of 4 checks"
 
 
-def test_the_smallest_error_that_would_have_been_found(fit_of):
+@pytest.mark.parametrize("side", ["below", "above"])
+def test_the_errors_that_would_have_been_found(fit_of, side):
     """The mode is moved as far as the check says, from where the others predict it: there the verdict turns."""
     row = left_out(FITTED, [0, 1, 2]).to_dataframe().loc["W2"]
     (check,) = (check for check in fit_of(FITTED).checks if check.of == "mode W2")
     for times, verdict in ((0.98, False), (1.02, True)):
         y = FITTED.copy()
-        y[1] = row["mean"] * (1.0 + times * check.least)
+        y[1] = row["mean"] * (1.0 + times * getattr(check, side))
         (moved,) = (check for check in fit_of(y).checks if check.of == "mode W2")
         assert moved.failed == verdict
     level = LEVEL / 2 / 3  # two kinds of checks, three modes
-    assert check.least == pytest.approx(norm.isf(level / 2) * row["sd"] / row["mean"], rel=1e-3)
+    assert check.above == pytest.approx(norm.isf(level / 2) * row["sd"] / row["mean"], rel=1e-3)
+    assert check.shows == f"errors below {change(check.below)} or above {change(check.above)} of its frequency"
+
+
+@pytest.mark.parametrize("off", [-0.5, -3.0, -4.0, -6.0, 0.5, 2.0])
+def test_a_check_that_passes_excludes_no_error_that_was_found(fit_of, off):
+    """A prediction with a long lower tail, a t distribution's: what was measured in it is no excluded error."""
+
+    def skewed(y, used):
+        table, sd = left_out(y, used), 0.2
+        row = table.sel(mode="W2")
+        mean = row["mean"].item()
+        measured = mean + off * sd
+        p = 2.0 * (student.sf(-off, 3) if off < 0 else norm.sf(2.0 * off))
+        for name, value in {
+            "measured": measured, "sd": sd, "p": p, "eti90_lb": mean + sd * student.ppf(0.05, 3),
+            "eti90_ub": mean + 0.5 * sd * norm.ppf(0.95),
+        }.items():  # fmt: skip
+            table[name] = xr.where(table["mode"] == "W2", value, table[name])
+        return table
+
+    (check,) = (check for check in fit_of(FITTED, table=skewed).checks if check.of == "mode W2")
+    mean = left_out(FITTED, [0, 1, 2])["mean"].sel(mode="W2").item()
+    own = off * 0.2 / mean
+    assert check.failed == (not check.below <= own <= check.above)
+    assert -check.below > 1.9 * check.above
+
+
+def test_a_mode_without_a_prediction_is_no_check(fit_of):
+    """Its residuals may be hundreds of times as large: the model was updated with it."""
+    fit = fit_of(FITTED, table=None)
+    assert [check.could_fail for check in fit.checks] == [False, False, False, True]
+    assert [check.kind for check in fit.able] == [RESIDUALS]
+    (line,) = (reason for reason in fit.reasons if "No check of" in reason)
+    assert line.startswith("No check of modes W1, W2 and T1: no prediction by the other modes was computed")
+    contradicted = fit_of(FITTED + np.array([0.0, 12.0, 0.0]), table=None)
+    assert contradicted.answer == f"contradicted by {len(contradicted.against)} of {len(contradicted.able)} checks"
+
+
+def test_where_no_check_could_fail_the_model_is_not_testable(fit_of):
+    fit = fit_of(FITTED, table=None)
+    silent = replace(fit, checks=tuple(check for check in fit.checks if not check.could_fail))
+    assert (silent.verdict, silent.answer) == (NOT_TESTABLE, "not testable: no check could have failed")
+    assert silent.reasons[0] == "No check could have failed."
 
 
 def test_data_that_the_model_cannot_reach(fit_of):
@@ -137,7 +185,7 @@ def test_no_more_data_than_parameters(fit_of):
     silent = fit_of(FITTED, used=(0, 1))
     assert silent.verdict == NOT_CONTRADICTED  # by the mode that was not used
     (line,) = (reason for reason in silent.reasons if "not used" in reason)
-    assert line.startswith("Predicted though not used in updating: mode T1; an error of ")
+    assert line.startswith("Predicted though not used in updating: mode T1; errors below ")
     assert "2 data, 2 parameters: only what was held out tests the model." in silent.reasons
     fit = fit_of(FITTED + np.array([0.0, 0.0, 2.0]), used=(0, 1))
     assert kinds(fit) == {HELD_OUT}

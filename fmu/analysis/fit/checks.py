@@ -41,7 +41,7 @@ from fmu.analysis.trace.misfit import GROUP, QUANTITIES
 from fmu.analysis.trace.modal_states import MEAN
 from fmu.analysis.trace.reading import array_of, has, parameter_units
 from fmu.fem.pairing.correlation import ALIKE
-from fmu.numbers import apart, given, share, significant, with_sd
+from fmu.numbers import apart, change, given, share, significant, with_sd
 from fmu.tables import data_frame
 from fmu.types import FloatArray
 
@@ -58,6 +58,10 @@ PREDICTED, HELD_OUT, RESIDUALS, TEST, NOISE, SHAPE, QUANTITY = (
 )  # fmt: skip
 _FEW = 500
 """Draws that are enough to see how much larger residuals would have failed."""
+_MOST = 10.0
+"""Residuals that only fail if more times as large are no check of a model with a parameter for each datum."""
+NOT_PREDICTED = "no prediction by the other modes was computed; fmu.leave_one_out(trace, problem) does so"
+_TINY = 1e-300
 _GAUSSIAN = 1e8  # degrees of freedom from which Student's distribution is the Gaussian
 
 
@@ -77,13 +81,13 @@ class Check:
         Its probability under a right model; NaN for shapes.
     failed : bool
     shows : str
-        The smallest error that it would have shown; empty if it could show none.
-    why_not : str
-        Why it could have shown no error; else empty.
+        The errors that it would have shown; empty if it could show none.
     sentence : str
         What it found against the model.
-    least : float
-        The smallest relative error of a frequency that it would have shown; else NaN.
+    why_not : str
+        Why it could have shown no error; else empty.
+    below, above : float
+        Relative errors of a frequency, measured over predicted, less one, beyond which it fails; else NaN.
     """
 
     kind: str
@@ -95,11 +99,12 @@ class Check:
     shows: str
     sentence: str
     why_not: str = ""
-    least: float = np.nan
+    below: float = np.nan
+    above: float = np.nan
 
     @property
     def could_fail(self) -> bool:
-        """Whether it would have shown an error."""
+        """Whether it would have shown an error: one that could not is no check."""
         return self.failed or not self.why_not
 
 
@@ -146,12 +151,9 @@ def _mode(trace: xr.DataTree, mode: str, row: pd.Series[Any], level: float) -> C
         return _reached(trace, mode, row, level)
     kind = PREDICTED if row["used"] else HELD_OUT
     measured, mean, sd = float(row["measured"]), float(row["mean"]), float(row["sd"])
-    # tails of the width that the 90 % interval has on either side: exact if its shape is that of the errors
-    freedom = min(float(row["freedom"]), _GAUSSIAN)
-    z = float(stdtrit(freedom, 0.5 * level) / stdtrit(freedom, 0.05))
-    low, high = mean - z * (mean - float(row["eti90_lb"])), mean + z * (float(row["eti90_ub"]) - mean)
+    low, high = _limits(row, level)
     low_hz, high_hz, _ = apart(low, high, measured, sd=sd)
-    p, failed, least = float(row["p"]), bool(row["p"] < level), min(mean - low, high - mean) / mean
+    p, below, above = float(row["p"]), low / mean - 1.0, high / mean - 1.0
     by = "the other modes predict" if row["used"] else "the modes used in updating predict"
     sentence = (
         f"mode {mode}{'' if row['used'] else ', not used in updating'}: {given(measured)} Hz was measured"
@@ -167,14 +169,41 @@ def _mode(trace: xr.DataTree, mode: str, row: pd.Series[Any], level: float) -> C
         f"{given(measured)} Hz, predicted {with_sd(mean, sd)} Hz",
         f"{low_hz} to {high_hz} Hz",
         p,
-        failed,
-        f"{share(least)} of its frequency",
+        p < level,
+        f"errors {beyond(below, above)} of its frequency",
         sentence,
         ""
         if says
         else f"the {'other' if row['used'] else 'used'} modes do not predict it any better than the prior",
-        float(least),
+        below,
+        above,
     )
+
+
+def _limits(row: pd.Series[Any], level: float) -> tuple[float, float]:
+    """Return between what a measured frequency has at least the two-sided tail probability `level`, Hz.
+
+    On either side the tail is that of the errors, as wide as the 90 % interval is there: exact if it has their
+    shape. On the side of what was measured it goes through the known probability of that as well, so that a mode
+    is beyond the limit if its probability is below the level.
+    """
+    freedom = min(float(row["freedom"]), _GAUSSIAN)
+    end, wanted, here = (-float(stdtrit(freedom, 0.5 * p)) for p in (0.1, level, max(float(row["p"]), _TINY)))
+    mean, measured, limits = float(row["mean"]), float(row["measured"]), []
+    for name, sign in (("eti90_lb", -1.0), ("eti90_ub", 1.0)):
+        width, away = sign * (float(row[name]) - mean), sign * (measured - mean)
+        if away > width and here > end:
+            reach = width + (away - width) * (wanted - end) / (here - end)
+        else:
+            reach = width * wanted / end
+        limits.append(mean + sign * reach)
+    return limits[0], limits[1]
+
+
+def beyond(below: float, above: float) -> str:
+    """Return ``"below -8.2 % or above +9.6 %"``; no frequency is wrong by -100 %."""
+    upper = f"above {change(above)}"
+    return upper if below <= -1.0 else f"below {change(below)} or {upper}"
 
 
 def _how(trace: xr.DataTree, mode: str) -> str:
@@ -204,6 +233,7 @@ def _reached(trace: xr.DataTree, mode: str, row: pd.Series[Any], level: float) -
         bool(p < level / 2),
         f"residuals {significant(larger, 2)} times as large",
         f"mode {mode}: the updated model does not reach what was measured, {measured}: {said} ({probability(p)})",
+        NOT_PREDICTED,
     )
 
 
@@ -231,6 +261,7 @@ def _residuals(trace: xr.DataTree, level: float) -> list[Check]:
             bool(p < level / 2),
             f"residuals {significant(larger, 2)} times as large",
             f"all used data together: with the residuals r in standard deviations, {said} ({probability(p)})",
+            _follows(trace, larger),
         )
     ]
 
@@ -259,9 +290,20 @@ def _tests(trace: xr.DataTree, level: float) -> list[Check]:
                 f"residuals {significant(larger, 2)} times as large",
                 f"test {name}: what it measured is not what the tests together say of the structure: with the "
                 f"residuals r in standard deviations, {said} ({probability(p)})",
+                _follows(trace, larger),
             )
         )
     return found
+
+
+def _follows(trace: xr.DataTree, larger: float) -> str:
+    """Return why residuals that could be `larger` times as large are no check; empty if they are one.
+
+    With a degree of freedom left there are errors that no parameter can follow, however well it follows these.
+    """
+    if larger <= _MOST or int(trace[GROUP].attrs["n_data"]) > len(parameter_units(trace)):
+        return ""
+    return f"the model can follow these data: only residuals {significant(larger, 2)} times as large would fail"
 
 
 def _larger(squares: FloatArray, freedom: int, limit: float) -> float:

@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.analysis.fit.checks import HELD_OUT, LEVEL, NOISE, PREDICTED, RESIDUALS, SHAPE, Check, checks_of, failed
+from fmu.analysis.fit.checks import (
+    HELD_OUT,
+    LEVEL,
+    NOISE,
+    PREDICTED,
+    RESIDUALS,
+    SHAPE,
+    Check,
+    beyond,
+    checks_of,
+    failed,
+)
 from fmu.analysis.trace.misfit import GROUP
 from fmu.analysis.trace.reading import has, parameter_names
 from fmu.numbers import names_in_words, share
@@ -48,14 +59,14 @@ class ModelFit:
 
         Where there are no more data than parameters, a model can follow any data that its priors allow, and data
         that it follows say nothing; a mode that was held out does. A model that does not follow them is
-        contradicted, however many parameters it has.
+        contradicted, however many parameters it has. Checks that could not have failed test nothing.
         """
         if any(check.failed for check in self.checks):
             return CONTRADICTED
         if not self.checks:
             return UNKNOWN
         is_tested = any(check.kind == HELD_OUT and check.could_fail for check in self.checks)
-        return NOT_CONTRADICTED if is_tested or self.n_data > self.n_parameters else NOT_TESTABLE
+        return NOT_CONTRADICTED if is_tested or (self.able and self.n_data > self.n_parameters) else NOT_TESTABLE
 
     @property
     def counts(self) -> str:
@@ -63,12 +74,20 @@ class ModelFit:
         return f"{self.n_data} data, {self.n_parameters} parameter{'' if self.n_parameters == 1 else 's'}"
 
     @property
+    def able(self) -> tuple[Check, ...]:
+        """The checks that failed or could have."""
+        return tuple(check for check in self.checks if check.could_fail)
+
+    @property
     def answer(self) -> str:
         """The verdict in a few words: ``"contradicted by 2 of 6 checks"``."""
         told = len(failed(self.checks))
         if self.verdict == CONTRADICTED:
-            return f"contradicted by {told} of {len(self.checks)} checks"
-        return f"not testable: {self.counts}" if self.verdict == NOT_TESTABLE else self.verdict
+            return f"contradicted by {told} of {len(self.able)} checks"
+        if self.verdict != NOT_TESTABLE:
+            return self.verdict
+        why = "no check could have failed" if self.n_data > self.n_parameters else self.counts
+        return f"not testable: {why}"
 
     @property
     def against(self) -> tuple[str, ...]:
@@ -87,6 +106,8 @@ class ModelFit:
                 f"There are no more data than parameters: {self.counts}. Such a model can follow any data that "
                 "its priors allow, and that it follows these does not confirm it."
             )
+            if self.n_data > self.n_parameters:
+                first = "No check could have failed."
             return (first, *self._could_fail, *self._held_out)
         left = self.n_data - self.n_parameters
         freedom = f"{self.counts}: {left} degree{'' if left == 1 else 's'} of freedom left." if left > 0 else (
@@ -108,17 +129,19 @@ class ModelFit:
         """Say of each kind of check what passed that could have failed, and what says nothing."""
         said = []
         for kind, by in ((PREDICTED, "by the other modes"), (HELD_OUT, "though not used in updating")):
-            telling = [check for check in self._of(kind) if check.could_fail and np.isfinite(check.least)]
+            telling = [check for check in self._of(kind) if check.could_fail and np.isfinite(check.below)]
             if telling:
-                least = sorted({share(check.least) for check in telling}, key=lambda x: float(x.strip("<>% ")))
-                sizes = least[0] if len(least) == 1 else f"{least[0].removesuffix(' %')} to {least[-1]}"
-                found = f"an error of {sizes} of its frequency would have been found"
-                said.append(f"Predicted {by}: {_modes(telling)}; {found}.")
+                errors = beyond(min(check.below for check in telling), max(check.above for check in telling))
+                of = "its frequency" if len(telling) == 1 else "any of these frequencies"
+                said.append(f"Predicted {by}: {_modes(telling)}; errors {errors} of {of} would have been found.")
             silent = [check for check in self._of(kind) if not check.could_fail]
-            if silent:
-                said.append(f"No check of {_modes(silent)}: {silent[0].why_not}.")
+            for why in dict.fromkeys(check.why_not for check in silent):
+                same = [check for check in silent if check.why_not == why]
+                said.append(f"No check of {_modes(same)}: {why}.")
         said += [
             f"All used data together: {check.found}; {check.shows} would have been found."
+            if check.could_fail
+            else f"All used data together: {check.found}; no check, since {check.why_not}."
             for check in self._of(RESIDUALS)
         ]
         shapes = self._of(SHAPE)

@@ -45,9 +45,8 @@ def _told(fit: ModelFit) -> str:
         return f"Strongest evidence: {against[0].of}{p}."
     if fit.verdict != NOT_CONTRADICTED:
         return ""
-    return (
-        f"{sum(check.could_fail for check in fit.checks)} of {len(fit.checks)} checks could have contradicted it."
-    )
+    n = len(fit.able)
+    return f"{n} check{'' if n == 1 else 's'} could have contradicted it and did not."
 
 
 def _shapes(run: ReportedRun) -> tuple[str, ...]:
@@ -71,7 +70,7 @@ def checks(run: ReportedRun) -> PageSection | Omitted:
         for check in fit.checks
     )  # fmt: skip
     header = (
-        "of", "check", "found", "fails beyond", "p", "result", "smallest error that would have been found",
+        "of", "check", "found", "fails beyond", "p", "result", "errors that would have been found",
     )  # fmt: skip
     caption = (
         "p is the probability of what was found, or of worse, if the model is right; such a model fails any of "
@@ -79,8 +78,8 @@ def checks(run: ReportedRun) -> PageSection | Omitted:
     )
     silent = tuple(i for i, check in enumerate(fit.checks) if not check.could_fail)
     said = (
-        "A model can only be contradicted: a check that passes excludes errors larger than those in the last "
-        "column, and no others."
+        "A model can only be contradicted. A check that passes would have found the errors in the last column, "
+        "and no smaller ones; what is greyed could have found none, and counts as no check."
     )
     table = PageTable(caption, header, rows, words=(1, 2, 3, 5, 6), greyed=silent)
     return PageSection("checks", title, (Text(said), table))

@@ -9,6 +9,7 @@ import numpy as np
 from fmu.analysis.certificate import exact_in_words
 from fmu.analysis.convergence.diagnostics import RHAT_LIMIT
 from fmu.analysis.convergence.remedies import required_ess
+from fmu.analysis.fit.model_fit import CONTRADICTED
 from fmu.analysis.information import DATA, information
 from fmu.analysis.prediction import at_bounds
 from fmu.analysis.trace.damage import GROUP as LOSSES
@@ -23,6 +24,9 @@ from fmu.report.sections.tests import lost
 
 SOUND = "The chains agree, and every parameter has enough effective draws."
 COVERED = "All maxima found that hold at least 1 % of the probability were visited."
+ASSUMED = "These intervals assume a model that the data reject."
+_PINNED = 0.5
+"""Share of the draws next to a bound with which the bound, and not the data, determines a parameter."""
 _FEW = 3
 """Parameters that a line names."""
 
@@ -107,7 +111,8 @@ def certainty(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
     least = max(spread, key=lambda name: spread[name])
     low, high, sd = (run.value(least, column) for column in ("eti90_lb", "eti90_ub", "sd"))
     ends = f"{interval(low, high, decimals(sd))} {run.unit(least).name}".rstrip()
-    said = f"Mean ± sd. Least certain: {least}, 90 % interval {ends}."
+    said = f"{ASSUMED} " if run.diagnosis.fit.verdict == CONTRADICTED else ""
+    said += f"Mean ± sd. Least certain: {least}, 90 % interval {ends}."
     if stopped := [one.name for one in at_bounds(run.trace)]:
         said += (
             f" {names_in_words(stopped)} {'lie' if len(stopped) > 1 else 'lies'} at the bounds, which narrow it."
@@ -127,7 +132,17 @@ def updated(run: ReportedRun) -> Verdict:
     if not found.uninformed:
         narrowed = "The data narrowed every combination of the parameters."
         said = f"Along the least informed direction {share(float(found.remaining_sd[0]))} of the prior sd remains."
-        return Verdict(question, "No", True, "Why we say the data determine the parameters", (narrowed,), said)
+        answer, why = "No", "Why we say the data determine the parameters"
+        pinned = [
+            one.name for one in at_bounds(run.trace) if one.near > _PINNED and not is_loss(run.trace, one.name)
+        ]
+        if pinned:
+            few = names_in_words(pinned) if len(pinned) <= _FEW else f"{len(pinned)} parameters"
+            answer, why = f"Yes, beyond the bounds: {few}", "What data and bounds determine"
+            said = f"The data ask for values that the bounds exclude. {said}"
+        elif run.diagnosis.fit.verdict == CONTRADICTED:
+            answer, why = "Not within this model", "What the data determine in a model that they reject"
+        return Verdict(question, answer, True if answer == "No" else None, why, (narrowed,), said)
     left = [name for name, basis in zip(found.names, found.basis, strict=True) if basis != DATA]
     few = ", ".join(left[:_FEW]) + (f" and {len(left) - _FEW} more" if len(left) > _FEW else "")
     said = f"The data updated {len(found.names) - len(left)} of {len(found.names)} parameters."
