@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 import fmu
 from fmu.analysis.held_out import modes
-from fmu.analysis.held_out.modes import with_left_out
+from fmu.analysis.held_out.modes import left_out_warnings, with_left_out
 from fmu.analysis.held_out.refit import approximation, cheaper, left_out
 from fmu.analysis.trace.conversion import to_trace
 from fmu.posterior.data.modal_data import ModalData
@@ -163,6 +163,31 @@ def test_no_number_where_updating_anew_would_take_long(few, problem, monkeypatch
     table = fmu.leave_one_out(with_left_out(few(problem), problem))
     assert not table["method"].any()
     assert table[["mean", "sd", "p", "elpd", "mcse_elpd"]].isna().all(axis=None)
+
+
+def with_poor_weights(make_result, problem, monkeypatch, seconds):
+    """A run of which all modes would take too long to leave out, and the weights of the last are unreliable."""
+    monkeypatch.setattr(modes, "_seconds_of_a_solve", lambda problem, theta: seconds)
+    draws = np.random.default_rng(1).multivariate_normal(*posterior_of((True,) * 3, np.diag(0.5 / BETA)), (4, 500))
+    trace = to_trace(make_result(draws), problem)
+    trace.attrs["n_solves"] = 1
+    return with_left_out(trace, problem)
+
+
+def test_a_mode_with_unreliable_weights_is_left_out_where_that_takes_seconds(make_result, problem, monkeypatch):
+    trace = with_poor_weights(make_result, problem, monkeypatch, 2e-4)
+    table = fmu.leave_one_out(trace)
+    assert table["method"].tolist() == ["importance weights", "importance weights", "refit"]
+    check(table, (True,) * 3, np.diag(0.5 / BETA))
+    assert not left_out_warnings(trace)
+
+
+def test_a_mode_that_was_not_left_out_is_named(make_result, problem, monkeypatch):
+    trace = with_poor_weights(make_result, problem, monkeypatch, 0.1)
+    assert fmu.leave_one_out(trace)["method"].tolist() == ["importance weights", "importance weights", ""]
+    (warning,) = left_out_warnings(trace)
+    assert warning.startswith(f"mode {problem.data.labels[2]} of 3 is not predicted by the others")
+    assert warning in fmu.diagnose(trace).notes
 
 
 def test_what_is_affordable_does_not_depend_on_the_clock():

@@ -29,6 +29,7 @@ from fmu.analysis.convergence.remedies import (
 )
 from fmu.analysis.fit.deviations import deviation_warnings
 from fmu.analysis.fit.model_fit import ModelFit, model_fit
+from fmu.analysis.held_out.modes import left_out_warnings
 from fmu.analysis.information import information_warnings
 from fmu.analysis.maxima.missed import Comparison, compared, missed_places
 from fmu.analysis.maxima.results import NEGLIGIBLE, Maxima
@@ -201,7 +202,7 @@ def judge(
     fit = model_fit(trace)
     unlike = [warning for warning in shape_warnings(trace) if warning not in fit.against]
     warnings += [*fit.against, *bound_warnings(trace), *unlike, *jump_warnings(trace), *deviation_warnings(trace)]
-    warnings += information_warnings(trace) + repeatability_warnings(trace)
+    warnings += information_warnings(trace) + repeatability_warnings(trace) + left_out_warnings(trace)
     steps = int(trace.attrs["draws"]) if not trace.attrs.get("complete", 1) else 0
     stopped = f"the run was stopped after {steps} draws and can be resumed" if steps else ""
     if "limit" in trace.attrs:

@@ -29,6 +29,7 @@ from fmu.analysis.trace.reading import (
 )
 from fmu.arguments import check_arguments
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
+from fmu.numbers import names_in_words
 from fmu.progress.phases import phase
 from fmu.tables import data_frame
 from fmu.types import FloatArray
@@ -50,6 +51,8 @@ SMOOTHED_K = 0.5
 _ENOUGH = 400
 _FREE_S = 5.0
 _SHARE = 0.5
+_A_REFIT, _REFITS = 0.5, 3.0
+"""Longest refit of a mode whose weights are not reliable, and of all of them, over `_FREE_S`."""
 _TIMED = 64
 _SEED = 1
 _KNOWN: WeakKeyDictionary[Any, dict[Any, Any]] = WeakKeyDictionary()
@@ -141,7 +144,9 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
         The problem that was sampled.
     most : float, optional
         The most solves that updating without modes may take. By default half as many as the draws took, or what
-        should take five seconds; and only for a run of 400 draws or more, of a model with derivatives.
+        should take five seconds; and only for a run of 400 draws or more, of a model with derivatives. Where that
+        is not enough for all modes, those whose weights are not reliable are left out nevertheless if one takes
+        2.5 seconds at most, and all 15.
     """
     import xarray as xr
 
@@ -150,11 +155,13 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
     theta = parameter_draws(trace).reshape(-1, problem.ndim)
     hz = array_of(trace, "posterior_predictive", "model_frequency").reshape(len(theta), -1)
     draws = _Draws(theta, hz, np.full(len(theta), -np.log(len(theta))))
+    a_solve = 0.0
     if most is None:
         enough = int(trace.attrs["draws"]) * trace["posterior"].sizes["chain"] >= _ENOUGH
         is_cheap = enough and problem.solves_per_gradient == 1
         share = _SHARE * int(trace.attrs["n_solves"])
-        most = max(_FREE_S / _seconds_of_a_solve(problem, theta), share) if is_cheap else 0.0
+        a_solve = _seconds_of_a_solve(problem, theta) if is_cheap else np.inf
+        most = max(_FREE_S / a_solve, share) if is_cheap else 0.0
     prior_sd = np.full(problem.data.n_modes, np.nan)
     if most >= DRAWS:
         prior_sd = prior_prediction(problem).sd
@@ -167,6 +174,10 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
     found |= _left_out_all(problem, doubtful, most / (len(doubtful) + 1))
     # weights with a Pareto k of 0.4 were off by 0.4 nats: only where no refit is affordable
     smoothed = _smoothed(trace) if len(found) < len(use) else {}
+    good = {label for label, one in smoothed.items() if one.is_good}
+    poor = [k for k in doubtful if k not in found and problem.data.labels[k] not in good]
+    if SOLVES * a_solve <= _A_REFIT * _FREE_S and a_solve > 0.0:
+        found |= _left_out_all(problem, poor[: int(_REFITS * _FREE_S / (SOLVES * a_solve))], SOLVES)
     rows = []
     for k, label in enumerate(problem.data.labels):
         row = found[k] if k in found else _weighted(problem, k, draws, smoothed.get(label))
@@ -196,6 +207,21 @@ def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -
                         found[k] = row
                 under_way.advance(int(is_new))
     return found
+
+
+def left_out_warnings(trace: xr.DataTree) -> list[str]:
+    """Say which used modes the others do not predict because neither weights nor a refit were to be had."""
+    table = kept_table(trace)
+    if table is None:
+        return []
+    missing = list(map(str, table.index[(table["method"] == NEITHER) & table["used"].astype(bool)]))
+    if not missing:
+        return []
+    few, are = (f"mode {missing[0]}", "is") if len(missing) == 1 else (f"modes {names_in_words(missing)}", "are")
+    return [
+        f"{few} of {len(table)} {are} not predicted by the others: the weights of the draws are not reliable, and "
+        "updating without them takes long; fmu.leave_one_out(trace, problem) does so"
+    ]
 
 
 class _Draws(NamedTuple):
@@ -374,7 +400,7 @@ def _seconds_of_a_solve(problem: UpdatingProblem, theta: FloatArray) -> float:
         if reduced:
             return float(sum(max(1e-5, 6e-8 * n**2) for n in reduced))
         sizes = [block.size for block in full.blocks]
-        return float(sum(5e-4 + 1.2e-7 * n**2 if n <= DENSE_LIMIT else 3e-5 * n for n in sizes))
+        return float(sum(1.7e-4 + 1.2e-7 * n**2 if n <= DENSE_LIMIT else 3e-5 * n for n in sizes))
     began = time.perf_counter()
     problem.log_prob(theta[:_TIMED])
     return (time.perf_counter() - began) / min(_TIMED, len(theta))

@@ -6,6 +6,7 @@ import numpy as np
 
 from fmu.analysis.fit.checks import LEVEL, failed
 from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, UNKNOWN, ModelFit
+from fmu.analysis.held_out.modes import left_out_warnings
 from fmu.analysis.information import information_warnings
 from fmu.analysis.prediction import measured_mac, shape_warnings
 from fmu.analysis.trace.modal_states import MEAN
@@ -25,7 +26,8 @@ _BECAUSE = {
 def model_fit(run: ReportedRun) -> Verdict:
     """Return the verdict on the model, which no convergence of a sampler tells."""
     fit = run.diagnosis.fit
-    elsewhere = {*information_warnings(run.trace), *fit.against}  # what `updated` is about, and what failed
+    # what `updated` is about, what failed, and what was not checked
+    elsewhere = {*information_warnings(run.trace), *fit.against, *left_out_warnings(run.trace)}
     found = tuple(warning for warning in run.diagnosis.warnings if warning not in elsewhere)
     answer = fit.answer[0].upper() + fit.answer[1:]
     if fit.verdict == NOT_CONTRADICTED and found:
