@@ -224,7 +224,7 @@ def sample(
         start, says = starts(problem, init, maxima, chains, settings.walkers, seed)
         if maxima is not None:
             starts_there = isinstance(says, dict)  # otherwise a chain may be caught at any of them
-            caught_at = [m for m in maxima if m.share > NEGLIGIBLE or not starts_there]
+            caught_at = [m for m in maxima if m.starting_share > NEGLIGIBLE or not starts_there]
             if jumps is None and len(caught_at) > 1 and can_jump(settings):
                 settings = with_jumps(settings)
         if maxima is not None or getattr(problem, "is_hierarchical", False):

@@ -195,7 +195,7 @@ def _effective_weights(maxima: Maxima, k: int) -> float:
 
 
 def _name(maxima: Maxima, k: int) -> str:
-    return f"maximum {k + 1} at {theta_in_words(maxima.names, maxima[k].theta, maxima.units, maxima[k].sd)}"
+    return f"{maxima.title(k)} at {theta_in_words(maxima.names, maxima[k].theta, maxima.units, maxima[k].sd)}"
 
 
 def _never_visited(maxima: Maxima, k: int, reached: float) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -30,12 +30,15 @@ class ModeWeight:
         Moments of the posterior there.
     effective : float
         Effective sample size of the estimate; 0 for the Laplace approximation, which evaluates nothing.
+    log_reach : float
+        Logarithm of the mass that the maximum's own model reaches: `log_mass`, unless another divides the draws.
     """
 
     log_mass: float
     mean: FloatArray
     covariance: FloatArray
     effective: float
+    log_reach: float
 
 
 def mode_weights(
@@ -45,6 +48,7 @@ def mode_weights(
     upper: FloatArray,
     rng: np.random.Generator,
     draws: int = DRAWS,
+    basins: Sequence[Quadratic] | None = None,
 ) -> tuple[ModeWeight, ...]:
     """Estimate the mass of every maximum.
 
@@ -61,6 +65,9 @@ def mode_weights(
     lower, upper : ndarray, shape (ndim,)
     rng : Generator
     draws : int
+    basins : sequence of Quadratic, optional
+        Divide the draws among the maxima instead of these, which then only propose them
+        (`fmu.analysis.maxima.kinds.basin`).
 
     Returns
     -------
@@ -69,10 +76,12 @@ def mode_weights(
     found = [_laplace(m, lower, upper, rng, draws) for m in maxima]
     best = max(mass.log_mass for mass in found)
     chosen = [i for i, mass in enumerate(found) if mass.log_mass > best - _HOPELESS]
-    weighed = _importance(log_prob, [maxima[i] for i in chosen], lower, upper, rng, draws)
-    for i, mass in zip(chosen, weighed, strict=True):
+    u, log_w = _importance(log_prob, [maxima[i] for i in chosen], lower, upper, rng, draws)
+    reached = _divided(u, log_w, [maxima[i] for i in chosen])
+    masses = reached if basins is None else _divided(u, log_w, [basins[i] for i in chosen])
+    for i, mass, reach in zip(chosen, masses, reached, strict=True):
         if mass is not None:
-            found[i] = mass
+            found[i] = replace(mass, log_reach=mass.log_mass if reach is None else reach.log_mass)
     return tuple(found)
 
 
@@ -119,11 +128,15 @@ def _importance(
     upper: FloatArray,
     rng: np.random.Generator,
     draws: int,
-) -> list[ModeWeight | None]:
-    """Return mass and moments of P around each maximum; None if no draw has a finite log-probability."""
+) -> tuple[FloatArray, FloatArray]:
+    """Return draws around the maxima (n, ndim), and the logarithms of their weights for P (n,)."""
     proposals = [m.proposal(lower, upper, t) for m in maxima for t in TEMPERATURES]
     u, log_q = mixture_draws(proposals, rng, draws)
-    log_w = np.concatenate(by_parts("importance sampling", log_prob, u)) - log_q
+    return u, np.concatenate(by_parts("importance sampling", log_prob, u)) - log_q
+
+
+def _divided(u: FloatArray, log_w: FloatArray, maxima: Sequence[Quadratic]) -> list[ModeWeight | None]:
+    """Return mass and moments of P around each maximum; None if no draw has a finite log-probability."""
     belongs = log_shares(maxima, u)
     return [_weighted(u, log_w + part, None) if np.any(np.isfinite(log_w + part)) else None for part in belongs]
 
@@ -134,9 +147,11 @@ def _weighted(u: FloatArray, log_w: FloatArray, effective: float | None) -> Mode
     w = np.exp(log_w - log_sum)
     mean = w @ u
     d = u - mean
+    log_mass = log_sum - float(np.log(len(u)))
     return ModeWeight(
-        log_mass=log_sum - float(np.log(len(u))),
+        log_mass=log_mass,
         mean=mean,
         covariance=(w * d.T) @ d,
         effective=float(1.0 / np.sum(w**2)) if effective is None else effective,
+        log_reach=log_mass,
     )

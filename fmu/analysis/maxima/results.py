@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fmu.analysis.maxima.kinds import EDGE, JUMP, KINK, MAXIMUM, SLOPE, basin
 from fmu.analysis.trace.provenance import configuration_hash
-from fmu.numbers import apart, given, hertz, rounded, share, shown, with_unit
+from fmu.numbers import apart, given, hertz, rounded, share, shown, significant, with_unit
 from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.tables import data_frame, distinct, text_table, wrapped
 from fmu.types import FloatArray, IntArray
@@ -23,6 +24,11 @@ if TYPE_CHECKING:
 MOST_SHOWN = 6
 """Maxima shown side by side."""
 _PROBABLE = ("log-probability", "share of probability", "starts")
+_ENDS = {
+    JUMP: "a jump down, where computed modes swap or coincide.",
+    EDGE: "a place beyond which the model has no solution.",
+    SLOPE: "where the search ended, and beyond: use more starts.",
+}
 NEGLIGIBLE = 0.01
 """Share of the probability that a run may leave out."""
 RELIABLE = 20.0
@@ -78,6 +84,14 @@ class PosteriorMaximum:
         Effective sample size of `mean`, `sd` and `log_mass`; 0 if they come from the Laplace approximation alone.
     share : float
         The mass over that of all maxima found.
+    kind : str
+        ``"maximum"``: the gradient vanishes, or bounds are active; ``"kink"``, where the gradient turns;
+        ``"jump"``, where log P falls; ``"edge"``, beyond which nothing can be solved; ``"slope"``, where the
+        search ended without a maximum.
+    slope : float
+        Length of the gradient over the free coordinates, in nats per posterior standard deviation.
+    weight : float
+        Share by which chains are started: what the quadratic model reaches, also across a jump. NaN: `share`.
     """
 
     theta: FloatArray
@@ -93,6 +107,19 @@ class PosteriorMaximum:
     log_mass: float
     effective_draws: float
     share: float
+    kind: str = MAXIMUM
+    slope: float = 0.0
+    weight: float = np.nan
+
+    @property
+    def is_maximum(self) -> bool:
+        """Whether log P rises from there in no direction."""
+        return self.kind in (MAXIMUM, KINK)
+
+    @property
+    def starting_share(self) -> float:
+        """Share of the chains that start there."""
+        return self.share if np.isnan(self.weight) else self.weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,9 +178,9 @@ class Maxima:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of positions, gradients, Hessians and shares of the maxima."""
-        what = ("theta", "log_prob", "gradient", "hessian", "share")
-        return configuration_hash({name: [getattr(m, name) for m in self.maxima] for name in what})
+        """SHA-256 of positions, gradients, Hessians and shares of the starts at the maxima."""
+        what = {name: name for name in ("theta", "log_prob", "gradient", "hessian")} | {"share": "starting_share"}
+        return configuration_hash({key: [getattr(m, name) for m in self.maxima] for key, name in what.items()})
 
     def table(self) -> pd.DataFrame:
         """Return one row per maximum, SI units.
@@ -188,7 +215,9 @@ class Maxima:
 
     def drop(self, theta: FloatArray) -> FloatArray:
         """Return by how much the quadratic model of each maximum falls to theta (n, ndim), shape (maxima, n)."""
-        models = (Quadratic(m.theta, m.log_prob, m.gradient, m.hessian) for m in self.maxima)
+        models = [
+            basin(Quadratic(m.theta, m.log_prob, m.gradient, m.hessian), m.kind, m.at_bound) for m in self.maxima
+        ]
         return np.stack([model.log_prob - model(theta) for model in models])
 
     def side_by_side(self, most: int = MOST_SHOWN) -> pd.DataFrame:
@@ -218,30 +247,44 @@ class Maxima:
             rows.append(["Hz", *hertz(*hz, measured=self.measured[k]), given(self.measured[k])])
         index = [*_PROBABLE, *self.names]
         index += [f"mode {label}" for label in self.labels]
-        header = ["unit", "before", *(f"maximum {k}" for k in range(1, len(best) + 1)), "measured"]
+        header = ["unit", "before", *(self.title(k) for k in range(len(best))), "measured"]
         return pd.DataFrame(rows, index=index, columns=header)
 
     def at_bounds(self, most: int = MOST_SHOWN) -> list[str]:
         """Return a sentence for each of the highest maxima that lies at bounds."""
         words = [self.words_at_bounds(m) for m in self.maxima[:most]]
-        return [f"Maximum {k} lies at bounds: {said}." for k, said in enumerate(words, 1) if said]
+        titles = [self.title(k).capitalize() for k in range(len(words))]
+        return [f"{title} lies at bounds: {said}." for title, said in zip(titles, words, strict=True) if said]
+
+    def title(self, k: int) -> str:
+        """Return ``"maximum 1"``, or ``"jump 2"`` of a place that is no maximum; `k` counts from 0."""
+        return f"{self.maxima[k].kind if not self.maxima[k].is_maximum else MAXIMUM} {k + 1}"
+
+    def no_maxima(self, most: int = MOST_SHOWN) -> list[str]:
+        """Return a sentence for each of the highest places at which the search ended though it is no maximum."""
+        return [
+            f"{self.title(k).capitalize()} is no maximum: the log-probability rises by "
+            f"{significant(m.slope, 2)} per posterior standard deviation up to {_ENDS[m.kind]}"
+            for k, m in enumerate(self.maxima[:most])
+            if not m.is_maximum
+        ]
 
     def as_text(self, most_rows: int | None = None) -> str:
         """Return the table as text; of one with more rows only how probable the maxima are."""
         table = self.side_by_side()
         if most_rows is not None and len(table) > most_rows:
             table = table.iloc[: len(_PROBABLE), 2:-1]
-        header = ["", *(str(name).removeprefix("maximum ") for name in table.columns)]
+        header = ["", *(str(name).removeprefix(f"{MAXIMUM} ") for name in table.columns)]
         rows = [[str(name), *row] for name, row in zip(table.index, table.to_numpy().tolist(), strict=True)]
         words = [i for i, name in enumerate(header) if name in ("", "unit")]
         lines = [text_table(["maximum", *header[1:]], rows, words=words)]
-        return "\n".join([*lines, *(wrapped(said, others="  ") for said in self.at_bounds())])
+        return "\n".join([*lines, *(wrapped(said, others="  ") for said in self.no_maxima() + self.at_bounds())])
 
     def __str__(self) -> str:
         return self.as_text()
 
     def _repr_html_(self) -> str:
-        said = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in self.at_bounds())
+        said = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in self.no_maxima() + self.at_bounds())
         return str(self.side_by_side().to_html()) + said
 
     def to_dataset(self) -> xr.Dataset:
@@ -265,7 +308,7 @@ class Maxima:
     @classmethod
     def from_dataset(cls, dataset: xr.Dataset) -> Maxima:
         """Return the maxima from what `to_dataset` returned."""
-        columns = {name: dataset[name].to_numpy() for name in _DIMENSIONS}
+        columns = {name: dataset[name].to_numpy() for name in _DIMENSIONS if name in dataset}
         rows = [{name: column[i] for name, column in columns.items()} for i in range(dataset.sizes["maximum"])]
         names, units, labels = (
             tuple(map(str, dataset[name].to_numpy())) for name in ("parameter", "unit", "mode")
@@ -291,4 +334,7 @@ _DIMENSIONS: dict[str, tuple[str, ...]] = {
     "log_mass": (),
     "effective_draws": (),
     "share": (),
+    "kind": (),
+    "slope": (),
+    "weight": (),
 }

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from annotated_types import Interval
 
+from fmu.analysis.maxima.kinds import basin, held, kind_of, slope
 from fmu.analysis.maxima.mode_weights import DRAWS, ModeWeight, mode_weights
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 from fmu.arguments import Seed, check_arguments
@@ -115,13 +117,22 @@ def _searched(problem: UpdatingProblem, starts: int, seed: int) -> Maxima:
     models, curvatures = zip(*curved, strict=True)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_WEIGHING,)))
     draws = DRAWS // 4 if _solves_in_full(problem) else DRAWS
-    weighed = mode_weights(scaled.log_prob, models, scaled.lower, scaled.upper, rng, draws)
+    kinds = [kind_of(problem, scaled, model) for model in models]
+    basins = [basin(model, kind, held(scaled, model)) for model, kind in zip(models, kinds, strict=True)]
+    are_divided = any(basin is not model for basin, model in zip(basins, models, strict=True))
+    weighed = mode_weights(scaled.log_prob, models, scaled.lower, scaled.upper, rng, draws, basins)
     frequencies = problem.frequencies(theta)
     total = float(np.logaddexp.reduce([mass.log_mass for mass in weighed]))
+    reached = float(np.logaddexp.reduce([mass.log_reach for mass in weighed]))
     return Maxima(
         maxima=tuple(
-            _in_si(problem, total, *parts)
-            for parts in zip(found, models, curvatures, weighed, frequencies, strict=True)
+            replace(
+                _in_si(problem, scaled, total, *parts),
+                kind=kind,
+                slope=slope(scaled, parts[1]),
+                weight=float(np.exp(parts[3].log_reach - reached)) if are_divided else np.nan,
+            )
+            for kind, *parts in zip(kinds, found, models, curvatures, weighed, frequencies, strict=True)
         ),
         names=problem.names,
         units=problem.units,
@@ -145,6 +156,7 @@ def quadratic_at(problem: UpdatingProblem, scaled: ScaledDensity, maximum: Maxim
 
 def _in_si(
     problem: UpdatingProblem,
+    scaled: ScaledDensity,
     total: float,
     found: Maximum,
     model: Quadratic,
@@ -154,15 +166,12 @@ def _in_si(
 ) -> PosteriorMaximum:
     """Return one maximum, converted from scaled coordinates to SI units."""
     scale = problem.scale
-    at_bound = np.where(model.gradient > 0, found.theta >= problem.upper, 0) - np.where(
-        model.gradient < 0, found.theta <= problem.lower, 0
-    )
     return PosteriorMaximum(
         theta=found.theta,
         log_prob=found.log_prob,
         frequencies=frequencies,
         starts=found.starts,
-        at_bound=at_bound.astype(np.int64),
+        at_bound=held(scaled, model).astype(np.int64),
         gradient=model.gradient / scale,
         hessian=model.hessian / np.outer(scale, scale),
         curvature=curvature,

@@ -98,7 +98,7 @@ def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: 
         SI units.
     """
     scaled, rng = ScaledDensity(density), generator(seed, START_STREAM)
-    share = np.array([m.share for m in maxima])
+    share = np.array([m.starting_share for m in maxima])
     home = allotted(share, chains) if walkers == 1 else np.tile(allotted(share, walkers), chains)
     u = np.empty((len(home), scaled.ndim))
     for k in np.unique(home):
@@ -128,8 +128,9 @@ def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadrat
     if maxima is None:
         return [middle(density)], np.ones(1)
     scaled = ScaledDensity(density)
-    chosen = sorted((m for m in maxima if m.share > _MAY_MATTER), key=lambda m: -m.share)[:_MOST_COMPONENTS]
-    share = np.array([m.share for m in chosen])
+    chosen = sorted((m for m in maxima if m.starting_share > _MAY_MATTER), key=lambda m: -m.starting_share)
+    chosen = chosen[:_MOST_COMPONENTS]
+    share = np.array([m.starting_share for m in chosen])
     return [_scaled(m, scaled) for m in chosen], 0.5 * (share / share.sum() + 1.0 / len(chosen))
 
 

@@ -156,15 +156,18 @@ def maxima(run: ReportedRun) -> PageSection | Omitted:
     if run.maxima is None:
         return Omitted(title, "the trace has none; fmu run searches for them before sampling")
     found = run.maxima
-    count = "One maximum was found." if len(found) == 1 else f"{len(found)} maxima were found, the highest first."
+    n = sum(m.is_maximum for m in found)
+    count = "One maximum was found." if n == 1 else f"{n} maxima were found, the highest first."
+    if n < len(found):
+        count += f" The search ended at {len(found) - n} other place{'' if len(found) - n == 1 else 's'}."
     runs = sum(m.starts for m in found)
     lead = (
         f"{count} Share: part of the posterior probability. Starts: how many of the {runs} optimiser runs ended "
-        "at this maximum."
+        "there."
     )
     seen = visits(run.trace, found)
     several = sum(m.share > NEGLIGIBLE for m in found) > 1
-    said = [*([_crossings(run, seen)] if several else []), *found.at_bounds()]
+    said = [*([_crossings(run, seen)] if several else []), *found.no_maxima(), *found.at_bounds()]
     if len(found) > MOST_SHOWN:
         said.append(f"The other {len(found) - MOST_SHOWN} are lower; map.csv lists them.")
     parts: tuple[Part, ...] = (Text(lead), _maxima_table(run, found, seen))
@@ -184,7 +187,7 @@ def _crossings(run: ReportedRun, seen: Visits) -> str:
 def _maxima_table(run: ReportedRun, found: Maxima, seen: Visits) -> PageTable:
     """Return a column per maximum, beside start, posterior mean and measurement."""
     best = found.maxima[:MOST_SHOWN]
-    names = tuple(f"maximum {k}" for k in range(1, len(best) + 1))
+    names = tuple(found.title(k) for k in range(len(best)))
     nothing = (MISSING,) * 2
     rows = [
         ("log-probability", "nats", MISSING, *(rounded(m.log_prob, 1.0) for m in best), *nothing),

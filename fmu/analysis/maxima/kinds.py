@@ -1,0 +1,96 @@
+"""What ends an ascent: a vanishing gradient, a wall, a kink or jump of the log-probability, or nothing.
+
+Where computed modes swap or coincide, the log-probability of paired modes has a kink or, with shapes, a jump. An
+ascent that meets a jump ends there with a gradient that points across it: the place is no maximum, and the
+quadratic model around it, which rises with this gradient, is wrong beyond it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fmu.posterior.scaled import ScaledDensity
+from fmu.samplers.mixture.quadratic import Quadratic
+from fmu.types import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from fmu.posterior.problem import UpdatingProblem
+
+MAXIMUM, KINK, JUMP, EDGE, SLOPE = "maximum", "kink", "jump", "edge", "slope"
+"""Vanishing gradient or a wall; a gradient that turns; a fall; no solution beyond; a rise that goes on."""
+VANISHING = 0.1
+"""Gradient of a maximum, in nats per posterior standard deviation, at most."""
+_FALL, _WITHIN = 0.05, 1e-5
+"""Smallest fall of a jump, nats, and within how many posterior standard deviations."""
+_AHEAD = np.logspace(-8.0, -1.0, 15)
+_HALVINGS = 40
+
+
+def slope(scaled: ScaledDensity, model: Quadratic) -> float:
+    """Return how steeply log P rises, in nats per posterior standard deviation, with pressed coordinates held.
+
+    That is √(gᵀH⁻¹g) over the free coordinates: the length of the gradient in the metric of the posterior.
+    """
+    from fmu.posterior.maxima import decrement
+
+    falls = decrement(model.position[None], -model.gradient[None], model.hessian[None], scaled.lower, scaled.upper)
+    return float(np.sqrt(max(2.0 * falls[0], 0.0)))
+
+
+def kind_of(problem: UpdatingProblem, scaled: ScaledDensity, model: Quadratic) -> str:
+    """Return what is at the end of an ascent: `MAXIMUM`, `KINK`, `JUMP`, `EDGE` or `SLOPE`.
+
+    If the gradient does not vanish, log P is followed along the step that its quadratic model proposes, from 1e-8
+    of the step to a tenth. The first place where it does not rise as its gradient says is then found by bisection.
+
+    Parameters
+    ----------
+    problem : UpdatingProblem
+    scaled : ScaledDensity
+    model : Quadratic
+        Around the end of the ascent, scaled.
+    """
+    rise = slope(scaled, model)
+    if rise <= VANISHING:
+        return MAXIMUM
+    u, free = model.position, held(scaled, model) == 0
+    step = np.zeros(len(u))
+    H = model.hessian[np.ix_(free, free)]
+    step[free] = np.linalg.solve(
+        H + 1e-12 * (1.0 + np.trace(model.hessian)) * np.eye(int(free.sum())), model.gradient[free]
+    )
+
+    def gained(t: FloatArray) -> FloatArray:
+        points = np.clip(u + t[:, None] * step, scaled.lower, scaled.upper)
+        values = np.asarray(scaled.log_prob(points)) - model.log_prob
+        return np.where(np.isfinite(values), values, -np.inf)
+
+    failing = np.flatnonzero(gained(_AHEAD) < 0.5 * rise**2 * _AHEAD * (1.0 - 0.5 * _AHEAD) - 1e-9)
+    if not len(failing):
+        return SLOPE
+    last, first = (0.0 if failing[0] == 0 else _AHEAD[failing[0] - 1]), _AHEAD[failing[0]]
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (last + first)
+        rises = gained(np.array([middle]))[0] >= 0.5 * rise**2 * middle * (1.0 - 0.5 * middle) - 1e-9
+        last, first = (middle, first) if rises else (last, middle)
+    before, just, after = gained(np.array([last, first, first + _WITHIN / rise]))
+    if np.isneginf(just):
+        return EDGE
+    return JUMP if before - min(just, after) > _FALL else KINK
+
+
+def held(scaled: ScaledDensity, model: Quadratic) -> FloatArray:
+    """Return −1 where the lower bound is active, 1 where the upper one is, 0 elsewhere, shape (ndim,)."""
+    above = (model.gradient > 0) & (model.position >= scaled.upper)
+    below = (model.gradient < 0) & (model.position <= scaled.lower)
+    return above.astype(float) - below.astype(float)
+
+
+def basin(model: Quadratic, kind: str, at_bound: FloatArray | IntArray) -> Quadratic:
+    """Return the model by which draws are divided: no slope across a jump, beyond which it is wrong."""
+    if kind in (MAXIMUM, KINK):
+        return model
+    return replace(model, gradient=np.where(at_bound != 0, model.gradient, 0.0))
