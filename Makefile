@@ -153,6 +153,7 @@ validate: $(READY_BENCH) $(READY_FAST)  ## Calibrate samplers, verdicts, interva
 	.venv/bin/python -m tests.validation.garteur results
 	.venv/bin/python -m tests.validation.kills results
 	.venv/bin/python -m pytest --quiet -m validate
+	.venv/bin/python -m tests.validation.random_models results
 	.venv/bin/python -m tests.validation.workers results
 	.venv/bin/python -m tests.validation.bound results
 	.venv/bin/python -m tests.validation.emcee_moves results

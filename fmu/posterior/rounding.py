@@ -38,8 +38,9 @@ WARN, REFUSE = 0.05, 1.0
 # 30 times the error found in extended precision.
 _ROUNDINGS = 4.0
 # Strain energy of a term in a motion, relative to the sum of the magnitudes that cancel in it. Below this the
-# motion does not strain the term, apart from rounding, also in matrices exported with ten digits.
-_LOST = 1e-6
+# motion does not strain the term, apart from rounding, also in matrices exported with ten digits; and of motions
+# whose energy in all terms is rounding of 16 digits, for which λ is exactly zero.
+_LOST, _LOST_EXACTLY = 1e-6, 1e-9
 _RIGID_AT_MOST = 7
 # The last start of each model: it is asked for before training and after.
 _SOLVED: WeakKeyDictionary[PairedStructure, tuple[FloatArray, FloatArray, ModalSolution]] = WeakKeyDictionary()
@@ -163,13 +164,17 @@ def _require_no_term_lost(problem: Problem, model: PairedStructure, theta: Float
     counts = model.rule.counts(model.full)  # so many were solved for
     for b, block in enumerate(model.full.blocks):
         lam, shapes = block.modes(theta[None], max(counts.get(b, 0), min(_RIGID_AT_MOST, block.n_modes)))
-        N = np.zeros((structure.n_dof, int(np.sum(lam[0] <= RIGID * top))))
-        N[block.dofs] = shapes[0][:, : N.shape[1]]
+        rigid = lam[0] <= RIGID * top
+        N = np.zeros((structure.n_dof, int(np.sum(rigid))))
+        N[block.dofs] = shapes[0][:, rigid]
         if np.any(lam[0] < -RIGID * top):
             raise ValueError(_negative(problem, model, theta, N[:, 0]))
+        allowed = np.where(lam[0, rigid] == 0.0, _LOST_EXACTLY, _LOST)
         for term in structure.K_terms if N.shape[1] else ():
             energy = N * (term.matrix @ N)
-            if energy.sum() > _LOST * np.sum(np.abs(N) * (abs(term.matrix) @ np.abs(N))):
+            lost = energy.sum(axis=0) > allowed * np.sum(np.abs(N) * (abs(term.matrix) @ np.abs(N)), axis=0)
+            if lost.any():
+                energy = energy[:, lost]
                 dof = int(np.argmax(energy.sum(axis=1)))
                 node, direction = structure.dofs[dof]
                 stiffness = significant(structure.K(theta).diagonal()[dof])

@@ -16,7 +16,7 @@ from fmu.fem.modes.solver import LAPACK
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.reduced.anchors import SingularAnchorError
 from fmu.fem.reduced.cache import load_basis, store_basis
-from fmu.fem.reduced.training import box_points
+from fmu.fem.reduced.training import BUDGET, box_points
 from fmu.numbers import apart, significant, typed
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.maxima import GaussNewton, local_maxima
@@ -103,7 +103,8 @@ def reduce_model(
     a run, the certificate tells whether the tolerances were met (`fmu.analysis.certificate`). Where the box is so
     wide that a basis for it would not pay, frequencies keep 1e-3 in it, and their tolerance where the
     log-probability is within `PLAUSIBLE` of its maximum, if that basis pays. An engine solves the full model at
-    several points at once.
+    several points at once. What is compared with the full model counts against a budget
+    (`fmu.fem.reduced.training.BUDGET`).
 
     Raises
     ------
@@ -130,6 +131,7 @@ def reduce_model(
     likelihood = problem.likelihood
 
     differences: list[float] = []
+    compared: list[int] = []
     trained = np.stack([lower, upper])
 
     def some_points() -> FloatArray:
@@ -153,6 +155,11 @@ def reduce_model(
         if by_bound and isinstance(likelihood, ModalLikelihood):  # cheaper than full solves, and blind to jumps
             difference = _log_prob_bound(structure, likelihood, points)
         else:
+            left = BUDGET - sum(compared)
+            if left <= 0:
+                return None
+            points = points[:: -(-len(points) // left)]  # some of every maximum
+            compared.append(len(points))
             exact = np.concatenate(by_parts("training", likelihood.full_terms, points, _AT_ONCE))
             difference = np.sum(likelihood.terms(points) - exact, axis=1)
         wrong = ~(np.abs(difference) <= _TUNED * tolerance.log_prob)

@@ -7,9 +7,13 @@ from numpy.testing import assert_allclose
 import fmu
 from fmu.analysis.check import model_in_words
 from fmu.analysis.maxima.search import STARTS, STARTS_BY_FULL, default_starts
+from fmu.fem.modes.full_block import full_model
 from fmu.fem.reduced import training
 from fmu.fem.reduced.cost import Cost
+from fmu.posterior import train_reduced
+from fmu.posterior.errors.likelihood import ModalLikelihood
 from tests.models import free_bar, truss_deck
+from tests.models.random_models import random_model
 from tests.work import counted
 
 FRAME = Cost(n_dof=1000, n_entries=55_000, n_terms=18, massless=True)
@@ -75,3 +79,35 @@ def test_a_spent_budget_ends_training_with_the_best_basis_so_far(tmp_path, monke
     problem = fmu.load(planted.path)
     assert not problem.model.confirmed
     assert problem.model.reduced_sizes
+
+
+def test_a_block_that_no_parameter_changes_is_solved_once():
+    """Two springs beside one that is uncertain, and a mass that nothing holds."""
+    K = np.diag([0.0, 3.0, 2.0, 0.0])
+    model = fmu.SeparableModel.from_terms(["k"], [K, (np.diag([1.0, 0.0, 0.0, 0.0]), "k")], [np.eye(4)])
+    full, theta = full_model(model), np.linspace(0.5, 1.5, 7)[:, None]
+    assert [block.constant for block in full.blocks] == [False, True, True, True]
+    with counted() as work:
+        eigenvalues = full.spectrum(theta, 4).eigenvalues
+        full.spectrum(2.0 * theta[:3], 4)
+    assert work.eigenproblems == 7 + 3 + 3
+    expected = np.stack([np.sort([0.0, 3.0, 2.0, k]) for k in theta[:, 0]])
+    assert_allclose(eigenvalues, expected, atol=1e-15)
+
+
+@pytest.mark.parametrize("budget", [20, 64, 400])
+def test_comparisons_of_a_small_model_keep_to_the_budget(monkeypatch, budget):
+    monkeypatch.setattr(train_reduced, "BUDGET", budget)
+    monkeypatch.setenv("FMU_CACHE_DIR", "")
+    compared, whole = [], ModalLikelihood.full_terms
+
+    def counting(self, points):
+        compared.append(len(points))
+        return whole(self, points)
+
+    monkeypatch.setattr(ModalLikelihood, "full_terms", counting)
+    random = random_model(102, 300)
+    measured = np.array([1.0, 1.1, 1.3]) * np.sqrt(random.modes(np.ones(5), 3)[0].astype(float)) / (2.0 * np.pi)
+    data = fmu.ModalData(measured, sd_hz=1e-2 * measured)
+    fmu.UpdatingProblem.reduced(random.model, data, random.parameters, pairing="index")
+    assert 0 < sum(compared) <= budget

@@ -289,3 +289,20 @@ def test_rule_by_shape_offers_a_margin_of_candidates():
     learner = Training(full_model(model), rule, lower, lower * 2, 1e-6)
     learner.run()
     assert {of.count for of in learner.learners.values()} == {4 + rule.margin}
+
+
+def test_the_pairing_is_judged_at_points_that_all_blocks_visited():
+    """After a cut each block may have looked at points of its own, as many or more than another."""
+    model, lower, upper = two_groups()
+    rule = shape_rule(model, lower * 1.2, 4)
+    training = Training(full_model(model), rule, lower, upper, 1e-6)
+    training.run()
+    assert len(training.learners) >= 2
+    before = training._needed()
+    first, *others = training.learners.values()
+    own = inside(lower, upper, 3, seed=0)
+    first.visit(own, np.full(first.count, 1e-6))
+    assert training._needed() == before
+    for seed, other in enumerate(others, start=1):
+        other.visit(inside(lower, upper, 3, seed), np.full(other.count, 1e-6))
+    assert training._needed() == before

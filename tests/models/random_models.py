@@ -13,6 +13,7 @@ import scipy.sparse as sp
 import fmu
 from fmu.fem.frame.components import ElementGroup, Material, Section
 from fmu.fem.frame.frame import Frame
+from tests.models.extended_precision import elastic_modes, long_sum
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 MASSES = ("consistent", "lumped", "without rotations", "reduced integration")
@@ -32,6 +33,8 @@ class RandomModel:
         One of `MASSES`.
     decades : float
         Between the stiffest and the softest term.
+    nodes : ndarray, shape (n_nodes, 3)
+        Of the structure, without the body beside it.
     """
 
     model: fmu.SeparableModel
@@ -41,6 +44,36 @@ class RandomModel:
     mechanism: bool
     masses: str
     decades: float
+    nodes: np.ndarray
+
+    @property
+    def n_rigid(self) -> int:
+        """How many motions strain nothing, by construction."""
+        return 6 * self.free + 3 * self.mechanism
+
+    def modes(self, theta, count, changed=None):
+        """Return the lowest elastic λ (count,) and shapes (n, count), in extended precision.
+
+        At theta (n_parameters,); `n` are the degrees of freedom of the structure, the first of the model;
+        `changed` returns another K.
+        """
+        n = self.model.n_dof - 3 * self.mechanism
+        K, M = (long_sum(terms, theta)[:n, :n] for terms in (self.model.K_terms, self.model.M_terms))
+        K = K if changed is None else changed(K)
+        return elastic_modes(K, M, count, self._rigid_motions() if self.free else None)
+
+    def _rigid_motions(self):
+        x, y, z = self.nodes.T
+        one, no = np.ones(len(x)), np.zeros(len(x))
+        motions = [
+            (one, no, no, no, no, no),
+            (no, one, no, no, no, no),
+            (no, no, one, no, no, no),
+            (no, -z, y, one, no, no),
+            (z, no, -x, no, one, no),
+            (-y, x, no, no, no, one),
+        ]
+        return np.stack([np.stack(motion, axis=1).ravel() for motion in motions], axis=1)
 
     def __str__(self) -> str:
         kinds = [name for name in ("free", "double", "mechanism") if getattr(self, name)]
@@ -84,7 +117,7 @@ def random_model(seed, most_dofs=5000):
         dofs += [(10**6, d) for d in "xyz"]
     model = fmu.SeparableModel.from_terms(names, terms, [M], dofs)
     parameters = tuple(fmu.Parameter(name, 1.0, 0.7, 1.3) for name in names)
-    return RandomModel(model, parameters, bool(free), bool(double), bool(mechanism), masses, decades)
+    return RandomModel(model, parameters, bool(free), bool(double), bool(mechanism), masses, decades, nodes)
 
 
 def _lattice(rng, n_nodes, double):
@@ -127,5 +160,9 @@ def _mass(M, kind, dofs, rng):
         return sp.diags_array(np.where(turns, 0.0, lumped)).tocsr()
     # by few points of integration: sums of rank one over neighbouring degrees of freedom
     n = len(dofs)
-    rows = sp.random_array((max(n // 3, 12), n), density=min(8.0 / n, 1.0), rng=rng, format="csr")
+    m, near, each = max(n // 3, 12), 24, 8
+    first = rng.integers(0, n - near + 1, size=(m, 1))
+    columns = first + rng.permuted(np.tile(np.arange(near), (m, 1)), axis=1)[:, :each]
+    entries = (rng.random(m * each), (np.repeat(np.arange(m), each), columns.ravel()))
+    rows = sp.csr_array(entries, shape=(m, n))
     return sp.csr_array(float(np.mean(lumped)) * (rows.T @ rows))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.fem.frame.components import ElementGroup, JointSpring, Material, Section
+from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, Material, Section
 from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.separable import SeparableModel
 from fmu.posterior import rounding as module
@@ -17,6 +17,7 @@ from fmu.posterior.parameters import Parameter
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.rounding import RoundingWarning, rounding
 from fmu.posterior.train_reduced import ReductionWarning
+from tests.models.extended_precision import HAS_DIGITS, elastic_modes, long_sum
 
 N, SOFT, MASS = 6, 1e5, 10.0
 
@@ -184,3 +185,32 @@ def test_a_rod_on_a_rotational_spring(modulus):
         return
     with pytest.raises(ValueError, match=r"^rounding: "):
         posed()
+
+
+@pytest.mark.skipif(not HAS_DIGITS, reason="numpy.longdouble has no more digits than float here")
+@pytest.mark.parametrize("decades", [4, 6, 8, 10])
+def test_a_soft_root_is_computed_or_refused_never_taken_for_a_hinge(decades):
+    """The rest of the cantilever moves on it nearly as a rigid body; its modes are soft, not without strain."""
+    elements = np.stack([np.arange(60), np.arange(1, 61)], axis=1)
+    moduli = {"root": 2.1e11 * 10.0**-decades, "rest": 2.1e11}
+    section = Section(A=3e-3, Iy=4e-6, Iz=9e-6, J=7e-6)
+    groups = [
+        ElementGroup(name, part, section, Material(E, 0.3, 7850.0))
+        for (name, E), part in zip(moduli.items(), np.split(elements, 2), strict=True)
+    ]
+    frame = Frame(np.linspace(0.0, 1.0, 61)[:, None] * [1.0, 0.0, 0.0], groups, {0: DIRECTIONS})
+    model, theta = frame.separable({name: [("E", name)] for name in moduli}), np.array(list(moduli.values()))
+    K, M = (long_sum(terms, theta) for terms in (model.K_terms, model.M_terms))
+    exact = np.sqrt(elastic_modes(K, M, 3)[0].astype(float)) / (2 * np.pi)
+    parameters = [Parameter(name, E, 0.5 * E, 2.0 * E) for name, E in moduli.items()]
+    data = ModalData(exact, sd_hz=5e-3 * exact)
+    if decades > 6:
+        with pytest.raises(ValueError, match=r"^rounding: .*soft part is lost in rounding"):
+            UpdatingProblem(model, data, parameters, pairing="index")
+        return
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        problem = UpdatingProblem(model, data, parameters, pairing="index")
+    assert [w.category for w in caught] == ([RoundingWarning] if decades == 6 else [])
+    error = np.abs(problem.frequencies(theta[None])[0] / exact - 1.0)
+    assert np.all(error <= 4.0 * rounding(problem).relative)

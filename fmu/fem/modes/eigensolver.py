@@ -6,7 +6,9 @@ matrix instead, and the largest μ = 1/λ of M φ = μ K φ are found. Their err
 mode. M may be singular: degrees of freedom without mass have μ = 0 and follow the others as in statics.
 
 A free structure has a singular K. Its motions without strain N, with K N = 0, are found from K alone, by its
-eigenvalues at a unit diagonal. They have λ = 0 exactly. The elastic modes are M-orthogonal to them. Let
+eigenvalues at a unit diagonal. They have λ = 0 exactly. A low eigenvalue alone does not tell a rigid motion from
+one of a soft part: the strain energy must be rounding beside the terms that cancel in it. The elastic modes are
+M-orthogonal to the rigid ones. Let
 P = I − N Nᵀ M, and let f be the degrees of freedom that remain when just enough others are held to make the
 structure statically determinate. With φ = P [y; 0],
 
@@ -28,7 +30,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
 
 from fmu.fem.modes.solver import DenseFactor, Factor, factorised
-from fmu.types import FloatArray
+from fmu.types import BoolArray, FloatArray
 
 # Up to this size LAPACK on the dense matrices beats a sparse factorisation and its Lanczos iterations.
 DENSE_LIMIT = 400
@@ -41,6 +43,9 @@ _AT_ONCE = 12
 # Modes with λ above this multiple of the lowest are improved by a Ritz problem of their own: the inverse
 # problem has an error relative to the lowest mode.
 _WIDE = 1e4
+# The energy of a motion that strains nothing, in rounding units of the magnitudes that cancel in it. Observed in
+# assembled structures: at most 3.
+_STRAINED = 10.0
 # An estimate of the lowest eigenvalue must exceed `ZERO` by this factor to rule out that one is zero.
 _CAUTION = 10.0
 
@@ -104,10 +109,17 @@ def _of_scaled(S: Any, M: Any, count: int) -> tuple[FloatArray, FloatArray]:
         nu, vectors = lowest(S)
         if nu[0] <= -NEGATIVE:
             return _polished(S, M, _highest(_shifted(S, M), M, count))
-        if np.any(nu < ZERO):
-            return _of_free(S, M, _mass_normalised(M, vectors[:, nu < ZERO]), count)
+        rigid = (nu < ZERO) & ~_is_strained(S, vectors)
+        if rigid.any():
+            return _of_free(S, M, _mass_normalised(M, vectors[:, rigid]), count)
         factor = _definite(S)
     return _polished(S, M, _highest(factor, M, count))
+
+
+def _is_strained(S: Any, X: FloatArray) -> BoolArray:
+    """Say of which motions (n, m) the energy is more than rounding: soft, not rigid, however low."""
+    sizes = np.sum(np.abs(X) * (abs(S) @ np.abs(X)), axis=0)
+    return np.asarray(np.sum(X * (S @ X), axis=0) > _STRAINED * 0.5 * np.finfo(float).eps * sizes)
 
 
 def _of_free(S: Any, M: Any, N: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:

@@ -38,6 +38,8 @@ class FullBlock(Block):
     K_terms, M_terms : tuple of Term
     n_modes : int
         Number of modes with a finite frequency: fewer than `size` where degrees of freedom have no mass.
+    constant : bool
+        Whether no parameter changes it.
     """
 
     def __init__(self, model: SeparableModel, dofs: IntArray) -> None:
@@ -46,6 +48,7 @@ class FullBlock(Block):
         self.size = len(dofs)
         self.n_modes = self.n_trained = _finite_modes(self.M_terms)
         self.massless = self.n_modes < self.size
+        self.constant = self.constant_mass and all(term.constant for term in self.K_terms)
         self._constant_rank: int | None = None
         self._last: tuple[Any, FloatArray, FloatArray] | None = None
 
@@ -69,15 +72,22 @@ class FullBlock(Block):
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues (n, count) and mass-normalised shapes (n, size, count); NaN on failure.
 
-        Of a large block the last solve at a single theta is remembered: of a start several things are asked.
+        Of a large block the last solve at a single theta is remembered: of a start several things are asked. A
+        block that no parameter changes is solved once.
         """
-        asked = (theta.tobytes(), count) if len(theta) == 1 and self.size > DENSE_LIMIT else None
+        times = 1
+        if self.constant:
+            times, theta = len(theta), theta[:1]
+        asked = None
+        if len(theta) == 1 and (self.constant or self.size > DENSE_LIMIT):
+            asked = (b"" if self.constant else theta.tobytes(), count)
         if asked is None or self._last is None or self._last[0] != asked:
             found = self._solved(theta, count)
             if asked is None:
                 return found
             self._last = (asked, *found)
-        return self._last[1].copy(), self._last[2].copy()
+        _, lam, phi = self._last
+        return np.repeat(lam, times, axis=0), np.repeat(phi, times, axis=0)
 
     def _solved(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         lam = np.full((len(theta), count), np.nan)
@@ -169,4 +179,4 @@ def _restricted(terms: tuple[Term, ...], dofs: IntArray) -> tuple[Term, ...]:
     else:
         restricted = tuple(Term(sp.csr_array(t.matrix[dofs][:, dofs]), t.powers) for t in terms)
     nonzero = tuple(t for t in restricted if abs(t.matrix).max() > 0.0)
-    return nonzero or (Term(sp.csr_array((len(dofs), len(dofs))), terms[0].powers),)
+    return nonzero or (Term(sp.csr_array((len(dofs), len(dofs))), (0,) * len(terms[0].powers)),)
