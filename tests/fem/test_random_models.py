@@ -21,10 +21,10 @@ SMALL = random_model(102, 700)
 START = np.ones(len(SMALL.parameters))
 
 
-@pytest.mark.parametrize("seed", [101, 102, 103, 108, 111, 112])
+@pytest.mark.parametrize("seed", [102, 103, 107, 108, 110, 111, 112])
 def test_some_small_models(seed, monkeypatch):
     monkeypatch.setenv("FMU_CACHE_DIR", "")
-    found = examined(seed, 700 if seed == 101 else 300)  # one that is solved as a sparse one
+    found = examined(seed, 700 if seed == 110 else 300)  # one that is solved as a sparse one
     assert found.faults == []
     assert found.refused is None
     assert found.work.eigenproblems > 0

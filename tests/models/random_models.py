@@ -1,4 +1,5 @@
-"""A generator of models: free or held, masses lumped, consistent or singular, stiff and soft terms, double modes.
+"""A generator of models: free or held, masses lumped, consistent or singular, stiff and soft terms, double modes,
+springs that are nearly singular.
 
 Each is a structure of springs and masses or of beams, built from a seed alone, with an updating problem on it.
 """
@@ -16,6 +17,8 @@ from fmu.fem.frame.frame import Frame
 from tests.models.extended_precision import elastic_modes, long_sum
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
+WEAK = 1e-9
+"""Stiffness of a nearly singular spring across it, of that along it."""
 MASSES = ("consistent", "lumped", "without rotations", "reduced integration")
 
 
@@ -27,8 +30,9 @@ class RandomModel:
     ----------
     model : fmu.SeparableModel
     parameters : tuple of fmu.Parameter
-    free, double, mechanism : bool
-        Whether nothing holds it; its modes come in pairs; a part of it can move without strain.
+    free, double, mechanism, weak : bool
+        Whether nothing holds it; its modes come in pairs; a part of it can move without strain; a body is held by
+        a spring that is nearly singular.
     masses : str
         One of `MASSES`.
     decades : float
@@ -42,6 +46,7 @@ class RandomModel:
     free: bool
     double: bool
     mechanism: bool
+    weak: bool
     masses: str
     decades: float
     nodes: np.ndarray
@@ -73,10 +78,11 @@ class RandomModel:
             (z, no, -x, no, one, no),
             (-y, x, no, no, no, one),
         ]
-        return np.stack([np.stack(motion, axis=1).ravel() for motion in motions], axis=1)
+        of_nodes = np.stack([np.stack(motion, axis=1).ravel() for motion in motions], axis=1)
+        return np.concatenate([of_nodes, of_nodes[-6:-3]]) if self.weak else of_nodes
 
     def __str__(self) -> str:
-        kinds = [name for name in ("free", "double", "mechanism") if getattr(self, name)]
+        kinds = [name for name in ("free", "double", "mechanism", "weak") if getattr(self, name)]
         return (
             f"{self.model.n_dof} DOF, {len(self.model.K_terms)} terms over {self.decades:.1f} decades, "
             f"{self.masses} mass{''.join(f', {kind}' for kind in kinds)}"
@@ -115,9 +121,23 @@ def random_model(seed, most_dofs=5000):
         terms = [(sp.csr_array(sp.block_diag([K, sp.csr_array((3, 3))])), name) for K, name in terms]
         M = sp.csr_array(sp.block_diag([M, 5.0 * np.eye(3)]))
         dofs += [(10**6, d) for d in "xyz"]
+    weak = not (double or mechanism) and rng.random() < 0.4
+    if weak:  # a body at the last node, on a spring that is stiff along one direction alone
+        along = rng.standard_normal(3)
+        spring = np.mean(terms[0][0].diagonal()) * (np.outer(along, along) + WEAK * np.eye(3))
+        last = [dofs.index((len(nodes) - 1, d)) for d in "xyz"]
+        apart = sp.csr_array((np.ones(6), (np.tile(range(3), 2), [*last, *range(len(dofs), len(dofs) + 3)])))
+        apart.data[apart.indices >= len(dofs)] = -1.0
+        empty = sp.csr_array((3, 3))
+        terms = [(sp.csr_array(sp.block_diag([K, empty])), name) for K, name in terms]
+        terms[0] = (sp.csr_array(terms[0][0] + apart.T @ spring @ apart), terms[0][1])
+        M = sp.csr_array(sp.block_diag([M, 5.0 * np.eye(3)]))
+        dofs += [(10**6, d) for d in "xyz"]
     model = fmu.SeparableModel.from_terms(names, terms, [M], dofs)
     parameters = tuple(fmu.Parameter(name, 1.0, 0.7, 1.3) for name in names)
-    return RandomModel(model, parameters, bool(free), bool(double), bool(mechanism), masses, decades, nodes)
+    return RandomModel(
+        model, parameters, bool(free), bool(double), bool(mechanism), bool(weak), masses, decades, nodes
+    )
 
 
 def _lattice(rng, n_nodes, double):

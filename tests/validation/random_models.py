@@ -7,6 +7,7 @@ wrong, if a library warns, or if a model is refused whose digits are not lost.
 from __future__ import annotations
 
 import os
+import re
 import sys
 import warnings
 from dataclasses import dataclass, field
@@ -32,8 +33,8 @@ MOST = Work(4 * BUDGET, BUDGET, 60 * BUDGET)
 """An eigenproblem of a full model takes about 40 solves and 4 factorisations."""
 ALLOWED = 10.0
 """Roundings that an error may be, of those that the cancellation in φᵀKφ allows."""
-TRUSTED, LOOSEST = 1e-6, 1e-2
-"""Errors of a confirmed reduced model, and of one that misses its tolerance and says so."""
+TRUSTED, BEYOND = 1e-6, 2.0
+"""Error of a reduced model; where it says by how much it misses that, the most as a multiple of what it says."""
 _SOLVER, _DRAWS = 4.0, 4  # roundings of a solver beside those of an entry, as in fmu.posterior.rounding
 
 
@@ -101,18 +102,16 @@ def examined(seed: int, most_dofs: int = MOST_DOFS) -> Found:
 
 def _compare(found: Found, model: object, theta: FloatArray, full: FloatArray, answered: FloatArray) -> None:
     """Compare frequencies (n, MODES) of the full model and of the one that answers with extended precision."""
-    if found.basis is None or model.confirmed:
-        tolerance = np.full(full.shape, TRUSTED)
-    else:
-        tolerance = np.minimum(model.frequency_bound(theta), LOOSEST)
-    for point, of_full, of_answer, missed in zip(theta, full, answered, tolerance, strict=True):
+    told = re.search(r"frequencies are off by up to ([^ ;]+)", " ".join(found.said))
+    allowed = BEYOND * float(told[1]) if told else model.elsewhere or TRUSTED
+    for point, of_full, of_answer in zip(theta, full, answered, strict=True):
         frequencies, rounding = exact(found.random, point)
         error, reduced = np.abs(of_full / frequencies - 1.0), np.abs(of_answer / frequencies - 1.0)
         found.error, found.reduced = max(found.error, error.max()), max(found.reduced, reduced.max())
         found.roundings = max(found.roundings, np.max(error / rounding))
         if not np.all(error <= ALLOWED * rounding):
             found.faults.append(f"full model: {of_full} Hz, not {frequencies}")
-        if not np.all(reduced <= ALLOWED * rounding + missed):
+        if not np.all(reduced <= ALLOWED * rounding + allowed):
             found.faults.append(f"reduced model: {of_answer} Hz, not {frequencies}")
 
 
@@ -168,17 +167,17 @@ def page(found: list[Found]) -> str:
         "# Forty random models\n\n"
         "Written by `make validate` (`python -m tests.validation.random_models results`). Each model is made from "
         "a seed: beams, springs and masses of 50 to 5000 degrees of freedom, free or held, with masses of four "
-        "kinds, 1 to 20 terms over 0.1 to 8 decades of stiffness, double modes and parts that nothing holds "
-        f"(`tests/models/random_models.py`). {MODES} modes are measured with a standard deviation of "
-        f"{significant(100 * SD)} %. Frequencies of the full model and of the reduced one are compared at "
-        f"{POINTS} points with subspace iterations in extended precision "
+        "kinds, 1 to 20 terms over 0.1 to 8 decades of stiffness, double modes, parts that nothing holds, and "
+        f"springs that are nearly singular (`tests/models/random_models.py`). {MODES} modes are measured with a "
+        f"standard deviation of {significant(100 * SD)} %. Frequencies of the full model and of the reduced one "
+        f"are compared at {POINTS} points with subspace iterations in extended precision "
         "(`tests/models/extended_precision.py`).\n\n"
         f"An error of the full model may be {ALLOWED:g} times the rounding that the cancellation in φᵀKφ allows; "
-        f"one of the reduced model may be {significant(TRUSTED, 1)} more, or as much more as its own bound where "
-        f"it says that it missed its tolerance. The budget of a model is {whole(MOST.factorisations)} "
+        f"one of the reduced model may be {significant(TRUSTED, 1)} more or, where fmu says that it misses this "
+        f"tolerance, {BEYOND:g} times what it says. The budget of a model is {whole(MOST.factorisations)} "
         f"factorisations, {whole(MOST.eigenproblems)} eigenproblems of the full model and {whole(MOST.solves)} "
         "solves. A refusal is right where rounding the entries of K, as often as a solver does, moves a frequency "
-        "by its standard deviation. Warnings of libraries are faults.\n\n"
+        "by its standard deviation. Warnings of libraries are faults. Without a basis the full model answers.\n\n"
         f"Faults: {whole(len(faults))}. Refused: {whole(len(refused))} of {whole(len(found))}.\n\n"
         + "".join(f"{line}\n" for line in faults + refused)
         + ("\n" if faults or refused else "")
