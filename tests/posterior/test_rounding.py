@@ -6,10 +6,12 @@ from functools import partial
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import fmu
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, Material, Section
 from fmu.fem.frame.frame import Frame
+from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.modes.separable import SeparableModel
 from fmu.posterior import rounding as module
 from fmu.posterior.data.modal_data import ModalData
@@ -19,6 +21,7 @@ from fmu.posterior.rounding import RoundingWarning, rounding
 from fmu.posterior.train_reduced import ReductionWarning
 from tests.models.extended_precision import HAS_DIGITS, elastic_modes, long_sum
 
+LONG_DOUBLE = pytest.mark.skipif(not HAS_DIGITS, reason="numpy.longdouble has no more digits than float here")
 N, SOFT, MASS = 6, 1e5, 10.0
 
 
@@ -147,7 +150,7 @@ def test_inferred_errors_count_as_they_start():
         problem = UpdatingProblem(chain(1e16), ModalData(measured), parameters, error=errors, pairing="index")
     with pytest.warns(RoundingWarning):
         same = posed(1e16, 1e-3)
-    np.testing.assert_allclose(rounding(problem).of_sd, rounding(same).of_sd, rtol=1e-3)
+    assert_allclose(rounding(problem).of_sd, rounding(same).of_sd, rtol=1e-3)
 
 
 def test_check_says_it_too():
@@ -187,22 +190,37 @@ def test_a_rod_on_a_rotational_spring(modulus):
         posed()
 
 
-@pytest.mark.skipif(not HAS_DIGITS, reason="numpy.longdouble has no more digits than float here")
-@pytest.mark.parametrize("decades", [4, 6, 8, 10])
-def test_a_soft_root_is_computed_or_refused_never_taken_for_a_hinge(decades):
-    """The rest of the cantilever moves on it nearly as a rigid body; its modes are soft, not without strain."""
-    elements = np.stack([np.arange(60), np.arange(1, 61)], axis=1)
+def soft_root(decades, n):
+    """Return a cantilever of n elements with a softer half at its root, its moduli, and λ of three modes."""
+    elements = np.stack([np.arange(n), np.arange(1, n + 1)], axis=1)
     moduli = {"root": 2.1e11 * 10.0**-decades, "rest": 2.1e11}
     section = Section(A=3e-3, Iy=4e-6, Iz=9e-6, J=7e-6)
     groups = [
         ElementGroup(name, part, section, Material(E, 0.3, 7850.0))
         for (name, E), part in zip(moduli.items(), np.split(elements, 2), strict=True)
     ]
-    frame = Frame(np.linspace(0.0, 1.0, 61)[:, None] * [1.0, 0.0, 0.0], groups, {0: DIRECTIONS})
+    frame = Frame(np.linspace(0.0, 1.0, n + 1)[:, None] * [1.0, 0.0, 0.0], groups, {0: DIRECTIONS})
     model, theta = frame.separable({name: [("E", name)] for name in moduli}), np.array(list(moduli.values()))
     K, M = (long_sum(terms, theta) for terms in (model.K_terms, model.M_terms))
-    exact = np.sqrt(elastic_modes(K, M, 3)[0].astype(float)) / (2 * np.pi)
-    parameters = [Parameter(name, E, 0.5 * E, 2.0 * E) for name, E in moduli.items()]
+    return model, theta, elastic_modes(K, M, 3)[0].astype(float)
+
+
+@LONG_DOUBLE
+@pytest.mark.parametrize("decades", [8.0, 8.5, 9.0])
+def test_a_soft_root_is_no_hinge_while_digits_are_left(decades):
+    """At a unit diagonal the lowest eigenvalue of K is 4e-14 to 4e-15, some of it rounding."""
+    model, theta, exact = soft_root(decades, 20)
+    found, _ = eigen(model.K(theta), model.M(theta), 3)
+    assert_allclose(found, exact, rtol=0.1)
+
+
+@LONG_DOUBLE
+@pytest.mark.parametrize("decades", [4, 6, 8, 10])
+def test_a_soft_root_is_computed_or_refused_never_taken_for_a_hinge(decades):
+    """The rest of the cantilever moves on it nearly as a rigid body; its modes are soft, not without strain."""
+    model, theta, lam = soft_root(decades, 60)
+    exact = np.sqrt(lam) / (2 * np.pi)
+    parameters = [Parameter(name, E, 0.5 * E, 2.0 * E) for name, E in zip(("root", "rest"), theta, strict=True)]
     data = ModalData(exact, sd_hz=5e-3 * exact)
     if decades > 6:
         with pytest.raises(ValueError, match=r"^rounding: .*soft part is lost in rounding"):
