@@ -67,3 +67,14 @@ def test_the_page_names_faults_and_refusals():
     assert "Faults: 1. Refused: 1 of 2." in text
     assert f"- seed 2, {SMALL}: refused, but\n" in text
     assert "Faults: 0. Refused: 0 of 1." in page([good])
+
+
+@pytest.mark.parametrize(("faults", "refused", "code"), [([], 1, 0), ([], 2, 1), (["wrong"], 0, 1)])
+def test_faults_and_more_than_one_refusal_fail(tmp_path, monkeypatch, faults, refused, code):
+    monkeypatch.setattr(
+        random_models,
+        "examined",
+        lambda seed: Found(seed, SMALL, refused="rounding: no" if seed < refused else None, faults=faults),
+    )
+    assert random_models.main(tmp_path) == code
+    assert f"Refused: {refused} of 40." in (tmp_path / "random-models.md").read_text(encoding="utf-8")

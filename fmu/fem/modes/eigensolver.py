@@ -43,8 +43,8 @@ _AT_ONCE = 12
 # Modes with λ above this multiple of the lowest are improved by a Ritz problem of their own: the inverse
 # problem has an error relative to the lowest mode.
 _WIDE = 1e4
-# The most energy of a motion that strains nothing, in roundings of the magnitudes that cancel in it; up to 1.1 were
-# observed in frames, shells and solids.
+# The most energy of a motion that strains nothing, in roundings of the magnitudes that cancel in it. In frames,
+# shells and solids up to 1.1 were observed.
 _STRAINED = 10.0
 # An estimate of the lowest eigenvalue must exceed `ZERO` by this factor to rule out that one is zero.
 _CAUTION = 10.0
