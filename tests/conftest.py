@@ -1,21 +1,17 @@
 """What every test runs under: one BLAS thread, a cache of reduced bases that ends with the session, its worker."""
 
 import gc
-import importlib
 import math
 import os
-import pkgutil
 
 import pytest
-from markupsafe import Markup
 from threadpoolctl import threadpool_limits
 
 import fmu
 from fmu.analysis import certificate
 from fmu.analysis.held_out import modes
 from fmu.progress import lines
-from fmu.report import sections
-from fmu.report.document import Picture
+from tests.pictures import without_pictures
 
 FREE_S = modes._FREE_S
 
@@ -139,18 +135,5 @@ def quick_figures():
 @pytest.fixture(scope="module")
 def no_pictures():
     """Leave the pictures of pages empty: most of the time of a page. Some are drawn for what is said of them."""
-    read = {"plot_ranks", "plot_ranks_of_samplers", "plot_autocorrelation", "plot_running_rhat"}
-
-    def empty(axes, key, alt, caption, data=None):
-        assert alt.strip()
-        return Picture(Markup("<svg></svg>"), caption, 400)
-
-    with pytest.MonkeyPatch.context() as patch:
-        for found in pkgutil.iter_modules(sections.__path__, f"{sections.__name__}."):
-            module = importlib.import_module(found.name)
-            for name in vars(module).copy():
-                if name.startswith(("plot_", "linked_")) and name not in read:
-                    patch.setattr(module, name, lambda *_, **__: None)
-            if hasattr(module, "picture"):
-                patch.setattr(module, "picture", empty)
+    with without_pictures():
         yield

@@ -151,7 +151,7 @@ class _Learner:
         needs = problem.likelihood.needs_shapes
         self.reference = np.asarray(problem.data.shapes) if needs else None
         self.solves = self.rounds = 0
-        self.frequency_error = 0.0
+        self.frequency_error, self.most_scatter = 0.0, np.inf
         self.previous: FloatArray | None = None
 
     @property
@@ -231,6 +231,7 @@ class _Learner:
         good = ~answers.failed
         off = np.abs(expected[good] / answers.frequencies[good] - 1.0)
         self.frequency_error = float(np.max(off, initial=0.0))
+        self.most_scatter = float(np.sqrt(np.max(np.mean(off**2, axis=0)))) if good.any() else np.inf
         return np.where(good, errors, np.nan), answers
 
     def learn(self, answers: Design) -> None:
@@ -243,6 +244,7 @@ class _Learner:
         """Return the attributes of a trace, see `fmu.analysis.certificate.certify`."""
         assert self.design is not None  # narrowed for the type checker: `begin` comes first
         failed = self.design.failed
+        estimated = 0.5 * float(np.max(self.model.pairs.of_eigenvalues(self.model.scatter)))
         where = failed_region(self.design.theta, failed, self.problem.names) if failed.any() else ""
         return {
             "surrogate_solves": self.solves,
@@ -250,7 +252,7 @@ class _Learner:
             "surrogate_failed": int(np.sum(failed)) + limits.n_failed,
             "surrogate_failed_where": where,
             "surrogate_doubts": self._doubts(),
-            "surrogate_scatter": 0.5 * float(np.max(self.model.pairs.of_eigenvalues(self.model.scatter))),
+            "surrogate_scatter": min(estimated, self.most_scatter),  # unseen solves would scatter as much
             "certificate_draws": limits.n,
             "certificate_frequency_error": self.frequency_error,
             "certificate_log_prob_error": limits.largest,

@@ -1,11 +1,14 @@
 """Gaussian processes: derivatives, batches, what they learn of lengths and scatter; failed regions."""
 
+import re
+
 import numpy as np
 import pytest
+from scipy.stats import qmc
 
 from fmu.fem.surrogate.coordinates import Coordinates
 from fmu.fem.surrogate.feasibility import Feasibility, failed_region
-from fmu.fem.surrogate.process import Process
+from fmu.fem.surrogate.process import LEAST_SCATTER, Process
 
 
 def values(x):
@@ -115,6 +118,34 @@ def test_a_corner_that_fails_is_learnt_and_told():
     assert "below" not in said
 
 
+def test_two_corners_that_fail_are_both_named():
+    x = np.random.default_rng(6).uniform(-1.0, 1.0, (120, 2))
+    failed = ((x[:, 0] > 0.4) & (x[:, 1] > 0.2)) | ((x[:, 0] < -0.6) & (x[:, 1] < -0.3))
+    said = failed_region(x, failed, ("stiffness", "mass"))
+    assert said.startswith(f"of its {failed.sum()} failures ")
+    assert all(f"{name} is {side}" in said for name in ("stiffness", "mass") for side in ("above", "below"))
+    counts = [int(number) for number in re.findall(r"(\d+) (?:where|elsewhere)", said)]
+    assert sum(counts) == failed.sum()
+
+
 def test_without_failures_everything_can_be_solved():
     x = np.zeros((3, 2))
     assert Feasibility(x, np.zeros(3, dtype=bool))(10.0 + x).all()
+
+
+def springs(d, n):
+    """Points of a box of four decades, and the logarithm of the stiffness of springs in a row: exact."""
+    x = 2.0 * qmc.Sobol(d, rng=np.random.default_rng(3)).random_base2(int(np.log2(n))) - 1.0
+    return x, -np.log(1.0 + np.sum(10.0 ** (-2.0 * x), axis=1))[:, None]
+
+
+@pytest.mark.parametrize(("d", "n"), [(2, 32), (4, 32), (4, 64)])
+def test_what_is_not_yet_learnt_is_no_scatter(d, n):
+    """Of these exact functions up to a fifth of the spread was taken for scatter of the solver."""
+    assert Process(*springs(d, n)).relative_scatter == pytest.approx(np.sqrt(LEAST_SCATTER), rel=1e-3)
+
+
+def test_scatter_is_found_where_there_is_some():
+    x, y = springs(2, 64)
+    noise = 1e-2 * y.std() * np.random.default_rng(5).standard_normal(y.shape)
+    assert Process(x, y + noise).relative_scatter == pytest.approx(1e-2, rel=0.4)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
-from fmu.numbers import significant
+from fmu.numbers import names_in_words, significant
 from fmu.types import BoolArray, FloatArray
 
 _STRICT = 1e6  # penalty of a point on the wrong side: failures of a solver are no noise
 _WORDS_DEPTH = 3
+_NAMED = 0.2
+"""Failures of a region that is named, over those of the region with the most."""
 EDGE = 0.9
 """Largest |margin| of points that may be on either side: at those solved and failed next to the edge it is 1."""
 
@@ -57,7 +60,8 @@ class Feasibility:
 def failed_region(theta: FloatArray, failed: BoolArray, names: Sequence[str]) -> str:
     """Return in words where a model failed: bounds that hold for failed points and for few others.
 
-    They are the leaf with the most failures of a decision tree of depth three.
+    They are the leaves of a decision tree of depth three with a fifth as many failures as the one with the most,
+    or more.
 
     Parameters
     ----------
@@ -72,8 +76,20 @@ def failed_region(theta: FloatArray, failed: BoolArray, names: Sequence[str]) ->
     tree = DecisionTreeClassifier(max_depth=_WORDS_DEPTH, random_state=0).fit(theta / scale, failed)
     leaf = tree.apply(theta / scale)
     of_leaf = {int(one): int(np.sum(failed[leaf == one])) for one in np.unique(leaf)}
-    chosen = max(of_leaf, key=lambda one: of_leaf[one])
-    inside = leaf == chosen
+    least = max(_NAMED * max(of_leaf.values()), 1.0)
+    named = [one for one in sorted(of_leaf, key=lambda one: -of_leaf[one]) if of_leaf[one] >= least]
+    regions = [f"{of_leaf[one]} where {_bounds_of(tree, leaf == one, theta, scale, names)}" for one in named]
+    there, n_failed = np.isin(leaf, named), int(np.sum(failed))
+    other = n_failed - sum(of_leaf[one] for one in named)
+    rest = [f"{other} elsewhere"] if other else []
+    return (
+        f"of its {n_failed} failures {names_in_words([*regions, *rest])}; "
+        f"{int(np.sum(there & ~failed))} points {'there' if len(named) == 1 else 'in these regions'} were solved"
+    )
+
+
+def _bounds_of(tree: Any, inside: BoolArray, theta: FloatArray, scale: FloatArray, names: Sequence[str]) -> str:
+    """Return in words the bounds of a leaf, given which points are in it."""
     path = np.flatnonzero(tree.decision_path(theta[inside][:1] / scale).toarray()[0])
     lowest: dict[int, float] = {}
     highest: dict[int, float] = {}
@@ -86,8 +102,4 @@ def failed_region(theta: FloatArray, failed: BoolArray, names: Sequence[str]) ->
             lowest[j] = max(value, lowest.get(j, -np.inf))
     bounds = [f"{names[j]} is above {significant(value, 3)}" for j, value in sorted(lowest.items())]
     bounds += [f"{names[j]} is below {significant(value, 3)}" for j, value in sorted(highest.items())]
-    where = " and ".join(bounds) if bounds else "nearly everywhere"
-    return (
-        f"{of_leaf[chosen]} of its {int(np.sum(failed))} failures are where {where}; "
-        f"{int(np.sum(inside & ~failed))} points there were solved"
-    )
+    return " and ".join(bounds) if bounds else "nearly everywhere"

@@ -49,7 +49,7 @@ def parameters(run: ReportedRun) -> PageSection:
         start, lower, upper = (constant(run.trace, c, name) / unit.factor for c in ("start", "lower", "upper"))
         mean, sd, low, high = (run.value(name, c) for c in ("mean", "sd", "eti90_lb", "eti90_ub"))
         n = decimals(sd)
-        bounds = interval(lower, upper, max(0, n - 1)) if np.isfinite([lower, upper]).any() else "none"
+        bounds = interval(lower, upper, n) if np.isfinite([lower, upper]).any() else "none"
         moved = change(mean / start - 1) if start else MISSING
         if found and not found.informed[k]:
             greyed.append(k)
@@ -158,6 +158,8 @@ def maxima(run: ReportedRun) -> PageSection | Omitted:
     found = run.maxima
     n = sum(m.is_maximum for m in found)
     count = "One maximum was found." if n == 1 else f"{n} maxima were found, the highest first."
+    if not n:
+        count = "No maximum was found."
     if n < len(found):
         count += f" The search ended at {len(found) - n} other place{'' if len(found) - n == 1 else 's'}."
     runs = sum(m.starts for m in found)

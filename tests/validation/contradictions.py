@@ -1,0 +1,238 @@
+"""Does a page say two things that contradict each other? A checker of pages, and 200 random problems.
+
+    python -m tests.validation.contradictions OUT_DIRECTORY [--n N]
+
+What a page says is held against what else it says, and against the log-probability of its problem: shares against
+gradients and draws, intervals against bounds, checks against their power, certainty against the verdict on the
+model. Exit code 1 where a page contradicts itself.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+import fmu
+from fmu.analysis.convergence.diagnosis import maxima_of
+from fmu.analysis.fit.checks import PREDICTED
+from fmu.report.document import Page, PageTable, Verdict
+from fmu.report.pages import sampler_page
+from fmu.report.run import runs_of
+from fmu.report.sections.verdicts import ASSUMED
+from tests.pictures import without_pictures
+from tests.validation.contradictions_cases import LENGTH, random_case
+
+PROBLEMS = 200
+_NUMBER = r"[-+]?\d+(?:[  ]\d{3})*(?:\.\d+)?(?:e[-+]?\d+)?"
+_AWAY, _HIGHER, _DIRECTIONS = 0.05, 0.01, 64
+"""Posterior standard deviations around a maximum within which nothing may be higher, and by how many nats."""
+
+
+@dataclass(frozen=True)
+class Said:
+    """A page, and the run that it is of."""
+
+    page: Page
+    trace: xr.DataTree
+    problem: fmu.UpdatingProblem
+
+    def verdict(self, question: str) -> Verdict:
+        """Return the line of the first screen that answers a question."""
+        return next(one for one in self.page.verdicts if one.question.startswith(question))
+
+    def rows(self, section: str) -> Iterator[tuple[dict[str, str], bool]]:
+        """Return each row of the first table of a section by its header, and whether it is grey."""
+        for found in (*self.page.leading, *self.page.sections):
+            if found.id != section:
+                continue
+            table = next((part for part in found.parts if isinstance(part, PageTable)), None)
+            for k, row in enumerate(table.rows if table else ()):
+                yield dict(zip(table.header, map(str, row), strict=True)), k in table.greyed
+
+    @property
+    def words(self) -> str:
+        """All reasons and notes of the verdicts."""
+        return " ".join(line for one in self.page.verdicts for line in (one.said, *one.reasons, *one.notes))
+
+
+def numbers(text: str) -> list[float]:
+    """Return the numbers in a text."""
+    return [float(re.sub(r"[  ]", "", found)) for found in re.findall(_NUMBER, text.replace("−", "-"))]
+
+
+def said_of(trace: xr.DataTree, problem: fmu.UpdatingProblem) -> Said:
+    """Return what the page of a run says."""
+    runs = runs_of({"run": trace})
+    with without_pictures():
+        return Said(sampler_page(runs["run"], {"run": "index.html"}, runs), trace, problem)
+
+
+def shares_against_gradients(said: Said) -> Iterator[str]:
+    """What is called a maximum and holds probability has nothing higher next to it."""
+    table = {row["quantity"]: row for row, _ in said.rows("maxima")}
+    maxima = maxima_of(said.trace) if table else ()
+    rng = np.random.default_rng(1)
+    for k, m in enumerate(maxima):
+        title, share = f"maximum {k + 1}", table["share"].get(f"maximum {k + 1}", "<")
+        if share.startswith("<"):
+            continue
+        steps = rng.standard_normal((_DIRECTIONS, said.problem.ndim)) * m.sd
+        steps *= _AWAY / np.linalg.norm(steps / m.sd, axis=1, keepdims=True)
+        near = np.clip(m.theta + steps, said.problem.lower, said.problem.upper)
+        higher = float(np.max(np.asarray(said.problem.log_prob(near))) - m.log_prob)
+        if higher > _HIGHER:
+            yield f"{title} holds {share}, but log P is {higher:.2g} higher {_AWAY} sd away: it is none"
+
+
+def shares_against_draws(said: Said) -> Iterator[str]:
+    """The draws of a converged run are divided as the probability is; what is no maximum has none."""
+    table = {row["quantity"]: row for row, _ in said.rows("maxima")}
+    if "share of the draws" not in table or not said.verdict("Can the run").is_good:
+        return
+    names = [name for name in table["share"] if re.fullmatch(r"[a-z]+ \d+", name)]
+    for name in names:
+        share, draws = (numbers(table[row][name]) for row in ("share", "share of the draws"))
+        off, error = abs(share[0] - draws[0]), draws[1] if len(draws) > 1 else 0.0
+        if off > 3.0 + 5.0 * error:
+            yield f"{name} holds {share[0]} % of the probability and {draws[0]} % of the draws of a converged run"
+        if not name.startswith("maximum") and draws[0] > 1.0:
+            yield f"{name} is no maximum, and {draws[0]} % of the draws are its own"
+
+
+def intervals_against_bounds(said: Said) -> Iterator[str]:
+    """Intervals lie within bounds; a parameter that a bound determines is named as such."""
+    left, sure = said.verdict("Anything left"), said.verdict("How sure")
+    for row, _ in said.rows("parameters"):
+        interval, bounds = numbers(row["90 % interval"]), numbers(row["bounds"])
+        if len(bounds) == 2 and len(interval) == 2:
+            room = 0.051 * (interval[1] - interval[0]) + 1e-9
+            if interval[0] < bounds[0] - room or interval[1] > bounds[1] + room:
+                yield f"{row['parameter']}: the interval {row['90 % interval']} leaves the bounds {row['bounds']}"
+    for name, part in re.findall(rf"(\S+): (?:> )?({_NUMBER}) % of the draws", said.words):
+        if float(part) > 51.0 and left.is_good:
+            yield f"{name}: {part} % of the draws lie at a bound, and nothing is left undetermined"
+        if "bound" not in sure.said and sure.said:
+            yield f"{name}: {part} % of the draws lie at a bound, of which the certainty says nothing"
+
+
+def checks_against_power(said: Said) -> Iterator[str]:
+    """A check that passes excludes no error that it saw; only what could fail counts."""
+    fit, able, fails = said.verdict("Does the model fit"), 0, 0
+    for row, is_grey in said.rows("checks"):
+        of, result, shows = row["of"], row["result"], row["errors that would have been found"]
+        able, fails = able + (not is_grey), fails + (result == "fails")
+        if is_grey == (result in ("passes", "fails")):
+            yield f"{of}: {result}, and it is {'no' if is_grey else 'a'} check"
+        if "of its frequency" in shows:
+            measured, predicted, sd = numbers(row["found"])[:3]
+            ends = [0.01 * x for x in numbers(shows)]
+            low, high = (-np.inf, ends[0]) if len(ends) == 1 else ends
+            room = (0.06 * sd + 0.011 * max(abs(low if np.isfinite(low) else 0.0), high) * predicted) / predicted
+            own = measured / predicted - 1.0
+            if result == "passes" and not low - room <= own <= high + room:
+                yield f"{of} passes, which excludes {shows}, and its own error is {100 * own:.3g} %"
+            if result == "fails" and low + room < own < high - room:
+                yield f"{of} fails, and its own error, {100 * own:.3g} %, is none of those: {shows}"
+        elif row["check"] == PREDICTED and not is_grey and result == "passes":
+            yield f"{of} passes with {shows}: a mode that was not predicted without it is no check"
+    counted = re.search(r"contradicted by (\d+) of (\d+) checks", fit.answer, re.IGNORECASE)
+    if counted and (fails, able) != tuple(map(int, counted.groups())):
+        yield f"{fit.answer}, and the table has {fails} of {able}"
+    passed = re.search(r"(\d+) checks? could have contradicted", fit.said)
+    if passed and able != int(passed.group(1)):
+        yield f"{fit.said} The table has {able}."
+    if bool(fails) != fit.answer.lower().startswith("contradicted"):
+        yield f"{fit.answer}, and {fails} checks fail"
+
+
+def certainty_against_fit(said: Said) -> Iterator[str]:
+    """Where the model is contradicted, the certainty says first that it assumes it; nothing is green then."""
+    fit, sure, left = (said.verdict(words) for words in ("Does the model fit", "How sure", "Anything left"))
+    is_rejected = fit.answer.lower().startswith("contradicted")
+    if sure.said and sure.said.startswith(ASSUMED) != is_rejected:
+        yield f"{fit.answer}, and the certainty begins: {sure.said[:60]}"
+    if is_rejected and left.is_good:
+        yield f"{fit.answer}, and nothing is left undetermined"
+    if left.is_good and any(is_grey for _, is_grey in said.rows("parameters")):
+        yield "nothing is left undetermined, and parameters are grey: not informed by the data"
+
+
+def convergence_against_numbers(said: Said) -> Iterator[str]:
+    """A converged run has the R-hat and the effective draws that are needed; another is provisional everywhere."""
+    trust, sure = said.verdict("Can the run"), said.verdict("How sure")
+    rhat, below, ess, needed = numbers(trust.said.replace("R-hat", ""))[:4]
+    if trust.is_good and not (rhat < below and ess >= needed):
+        yield f"converged, with {trust.said}"
+    if sure.said and ("Provisional" in sure.said) == bool(trust.is_good):
+        yield f"{trust.answer}, and the certainty says: {sure.said}"
+
+
+def modes_without_a_word(said: Said) -> Iterator[str]:
+    """A mode that the others do not predict is named in the verdict on the model."""
+    fit = said.verdict("Does the model fit")
+    silent = [row for row, _ in said.rows("loo") if "not" in row["how"] and "used" not in row["how"]]
+    if silent and not fit.answer.lower().startswith("contradicted") and "No check of" not in said.words:
+        yield f"{len(silent)} modes are not predicted by the others, and the verdict on the model does not say so"
+
+
+def table_against_screen(said: Said) -> Iterator[str]:
+    """The means of the first screen are those of the table."""
+    sure = said.verdict("How sure")
+    table = {row["parameter"]: row for row, _ in said.rows("parameters")}
+    for name, mean in re.findall(rf"(\S+) ({_NUMBER}) ±", sure.answer):
+        if name in table:
+            listed, sd = numbers(table[name]["mean"])[0], numbers(table[name]["sd"])[0]
+            if abs(float(mean) - listed) > 0.06 * sd + 1e-12:
+                yield f"{name} is {mean} on the first screen and {listed} in the table"
+
+
+RULES: tuple[Callable[[Said], Iterator[str]], ...] = (
+    shares_against_gradients, shares_against_draws, intervals_against_bounds, checks_against_power,
+    certainty_against_fit, convergence_against_numbers, modes_without_a_word, table_against_screen,
+)  # fmt: skip
+
+
+def contradictions(said: Said) -> list[str]:
+    """Return what a page says against itself, a sentence each."""
+    return [f"{rule.__name__}: {found}" for rule in RULES for found in rule(said)]
+
+
+def page_of(seed: int) -> tuple[Said, str]:
+    """Return what the page of random problem number `seed` says, and the problem in words."""
+    case = random_case(seed)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        trace = fmu.sample(case.problem, case.sampler, seed=seed, **LENGTH)
+        return said_of(trace, case.problem), f"{case.words}; {case.sampler}"
+
+
+def main(directory: Path, n: int) -> int:
+    """Check `n` pages, write ``contradictions.md`` and return the exit code."""
+    from tests.validation.contradictions_page import Checked, write
+
+    began, found = time.process_time(), []
+    for seed in range(n):
+        said, words = page_of(seed)
+        against = contradictions(said)
+        found.append(Checked.of(seed, words, said, against))
+        for line in against:
+            print(f"{seed} ({words}): {line}", flush=True)
+    write(found, directory, time.process_time() - began)
+    return 1 if any(one.against for one in found) else 0
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("directory", type=Path)
+    parser.add_argument("--n", type=int, default=PROBLEMS)
+    arguments = parser.parse_args()
+    sys.exit(main(arguments.directory, arguments.n))
