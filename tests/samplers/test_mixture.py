@@ -446,6 +446,33 @@ def test_without_components_local_steps_find_them():
     np.testing.assert_allclose(stats[LOG_WEIGHT].ravel(), expected, atol=1e-8)
 
 
+class Ring:
+    """A ring of radius 1 ± 0.01, of no component's shape."""
+
+    ndim = 2
+    lower, upper = np.full(2, -3.0), np.full(2, 3.0)
+
+    def log_prob(self, theta):
+        return -0.5 * ((np.linalg.norm(theta, axis=1) - 1.0) / 0.01) ** 2
+
+    def log_prob_and_grad(self, theta):
+        radius = np.linalg.norm(theta, axis=1)
+        return self.log_prob(theta), -((radius - 1.0) / 0.01**2 / radius)[:, None] * theta
+
+
+def test_where_candidates_are_rarely_accepted_most_steps_are_local_ones():
+    start = Quadratic(np.array([2 / 3, 0.5]), 0.0, np.zeros(2), np.diag([1e5, 20.0]))  # of one point of the ring
+    angle = np.array([0.1, 1.6, 3.2, 4.8])
+    init = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    run = Run(Ring(), MixtureSampler([start]), chains=4, warmup=400, seed=1, init=init)
+    result = run.extend(300)
+    assert (result.learnt["local_steps"], result.learnt["jumps"]) == (3, 1)
+    x = result.posterior.position.reshape(4, 300, 2)
+    standing = np.mean(np.all(np.diff(x, axis=1) == 0.0, axis=2), axis=1)
+    assert standing.max() < 0.5
+    np.testing.assert_allclose(x.mean(axis=(0, 1)), 0.0, atol=0.25)
+
+
 def test_after_a_fit_weights_and_candidates_are_those_of_the_new_mixture():
     """Whether the first step after it is a jump or a local one."""
     target, rng = TwoModes(), np.random.default_rng(3)

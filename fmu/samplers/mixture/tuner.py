@@ -44,6 +44,15 @@ local steps cross by themselves."""
 _LOWEST = -5.0  # of the logarithm of a new component's share
 _CHECKED = 5  # points per fit
 _BETWEEN = np.arange(6) / 6.0  # from the component to the point
+_JUDGED = 3
+"""Fits after which a mixture has had its chance: from this one on, rarely accepted candidates give way."""
+_RARE, _OFTEN = 0.1, 0.3
+"""Acceptance rate of candidates, in the chain with the lowest, below which most steps are local ones, and above
+which most are candidates again. A local step gives some 0.05 effective draws per evaluation."""
+_LOCAL_STEPS = 3
+"""Local steps per candidate where those are rarely accepted."""
+_ENOUGH_JUMPS, _ENOUGH_STEPS = 20, 100
+"""Candidates per chain that tell their acceptance rate, and local steps that tell their own metric."""
 
 
 class MixtureTuner:
@@ -53,6 +62,10 @@ class MixtureTuner:
     draws, with the gradients if those were evaluated. Where a chain or a candidate has found a maximum that the
     mixture does not know, it is given a component. The local steps after the first fit have a metric from the
     covariance of the mixture.
+
+    Where candidates are still rarely accepted in some chain after the first fits, the steps go to local ones,
+    which learn a metric of their own from their draws. Further fits are to these draws. Candidates come back when
+    they are accepted often.
 
     Parameters
     ----------
@@ -71,7 +84,9 @@ class MixtureTuner:
         self.target = Target(density)
         self.stages: list[Mixture] = []  # of each fit, the last one in use
         self.counts: list[int] = []  # of the candidates of each that were evaluated
-        self.drawn = self.visited = Evaluated.none(density.ndim)
+        self.drawn = self.visited = self.walked = Evaluated.none(density.ndim)  # `walked` as local steps prevail
+        self.accepted, self.jumped = np.zeros(chains), 0  # of the candidates since the last fit
+        self.switched = -1  # step at which local steps began to prevail; -1 where they do not
         self.covariance: FloatArray | None = None
         self.local_settings = sampler.local_of(density)
         self.local: Tuner | None = None
@@ -90,8 +105,14 @@ class MixtureTuner:
     def update(self, state: State, info: Info) -> IntArray | None:
         """Learn from one step; return the evaluations of each chain that this took, shape (chains,)."""
         self.done += 1
-        if info.parts is not None and self.local is not None:
-            self.local.update(State(state.position, state.log_prob, state.gradient), info.parts)
+        if info.parts is not None:
+            if self.local is not None:
+                self.local.update(State(state.position, state.log_prob, state.gradient), info.parts)
+            if self.switched >= 0:
+                self.walked = self.walked.with_more(state.position, state.log_prob, state.gradient)
+        else:
+            self.accepted = self.accepted + info.extra["acceptance_rate"]
+            self.jumped += 1
         if self.mixture is None:
             self.visited = self.visited.with_more(state.position, state.log_prob, state.gradient)
             if self.done == self.first:
@@ -103,6 +124,9 @@ class MixtureTuner:
         spent = None
         if self.done in self.fit_at and self.drawn.log_prob.size:
             spent = self._fit(state)
+            if self.done >= self.fit_at[_JUDGED]:
+                self._choose_steps()
+            self.accepted, self.jumped = np.zeros(self.chains), 0
         self._take_kernel()
         return spent
 
@@ -112,13 +136,15 @@ class MixtureTuner:
             self._fit_to_draws()
         assert self.mixture is not None
         local: Any = self.local_settings if self.local is None else self.local.finished()
+        steps, jumps = self._cycle(self.mixture.wide)
         return replace(
             self.sampler,
             components=self.mixture.quadratics,
             weights=tuple(self.mixture.weights.tolist()),
             bent=tuple(self.mixture.warp.bent.tolist()),
             wide=self.mixture.wide,
-            jumps=self.sampler.jumps_with(self.mixture.wide),
+            local_steps=steps,
+            jumps=jumps,
             local=local,
             adapt=False,
         )
@@ -129,6 +155,10 @@ class MixtureTuner:
             "done": self.done,
             "drawn": self.drawn._asdict(),
             "visited": self.visited._asdict(),
+            "walked": self.walked._asdict(),
+            "accepted": self.accepted,
+            "jumped": self.jumped,
+            "switched": self.switched,
             "stages": {str(k): stage.arrays() for k, stage in enumerate(self.stages)},
             "counts": list(self.counts),
             "covariance": self.covariance,
@@ -139,12 +169,16 @@ class MixtureTuner:
         """Take over what another tuner had learnt."""
         self.done = state["done"]
         self.drawn, self.visited = Evaluated(**state["drawn"]), Evaluated(**state["visited"])
+        self.walked, self.switched = Evaluated(**state["walked"]), int(state["switched"])
+        self.accepted, self.jumped = np.array(state["accepted"]), int(state["jumped"])
         self.counts = [int(n) for n in state["counts"]]
         lower, upper = self.density.lower, self.density.upper
         stages = state["stages"]
         self.stages = [Mixture.of_arrays(stages[str(k)], lower, upper) for k in range(len(stages))]
         if self.stages:
             self._take_covariance(state["covariance"])
+            if self.switched >= 0:
+                self._prefer_local()
         if self.local is not None:
             self.local.restore(state["local"])
         self._take_kernel()
@@ -155,8 +189,12 @@ class MixtureTuner:
         self._take_covariance(mixture.covariance_within(np.random.default_rng(0), _SAMPLE))
 
     def _fit_to_draws(self) -> None:
-        """Fit the first mixture to the later half of the local steps' draws, each group of chains by itself."""
-        u, log_prob, slope = (one.reshape(-1, self.chains, *one.shape[1:]) for one in self.visited)
+        """Take the first mixture, fitted to the local steps' draws."""
+        self._begin_with(self._fitted_to(self.visited))
+
+    def _fitted_to(self, draws: Evaluated) -> Mixture:
+        """Return a mixture fitted to the later half of the local steps' draws, each group of chains by itself."""
+        u, log_prob, slope = (one.reshape(-1, self.chains, *one.shape[1:]) for one in draws)
         u, log_prob, slope = (one[len(one) // 2 :] for one in (u, log_prob, slope))
         near = log_prob >= np.median(log_prob, axis=0) - _FAR - self.density.ndim
         moved = np.array([_has_moved(u[near[:, k], k]) for k in range(self.chains)])
@@ -168,7 +206,7 @@ class MixtureTuner:
         x, value, of_x = points.under(warp)
         members = [(group == k).astype(float) for k in np.unique(group)]
         each = [fitted(x, value, member, of_x) for member in members]
-        self._begin_with(fitted_mixture(points, Mixture(each, np.sum(members, axis=1), warp)))
+        return fitted_mixture(points, Mixture(each, np.sum(members, axis=1), warp))
 
     def _fit(self, state: State) -> IntArray | None:
         """Fit the mixture to all candidates so far, weighted over all mixtures so far (Cornuet et al. 2012).
@@ -193,6 +231,9 @@ class MixtureTuner:
             with suppress(np.linalg.LinAlgError):  # go on with the mixture that there is
                 mixture = refitted_mixture(Points.weighted(u[old], log_prob[old], seen.log_q[:n][old]), mixture)
         mixture = _with_found(mixture, new)
+        if len(self.walked.log_prob) > _ENOUGH_JUMPS * self.chains:
+            with suppress(np.linalg.LinAlgError):
+                mixture = self._better_of(self._fitted_to(self.walked), mixture)
         if mixture is not self.mixture:
             lost, more = self._unknown_maxima(mixture, seen)
             mixture = _with_found(mixture, lost)
@@ -202,6 +243,37 @@ class MixtureTuner:
         if mixture is not self.mixture:
             self._take(mixture)
         return spent
+
+    def _better_of(self, one: Mixture, other: Mixture) -> Mixture:
+        """Return the mixture from which the draws of local steps would come with the larger effective share."""
+        u, log_prob, _ = self.walked
+        points = Points(u, log_prob, np.ones(len(u)))
+        shares = [np.nan_to_num(points.effective_share(mixture.log_density(u))) for mixture in (one, other)]
+        return one if shares[0] > shares[1] else other
+
+    def _choose_steps(self) -> None:
+        """Let local steps prevail where some chain rarely accepts a candidate, until all accept them often."""
+        if self.jumped < _ENOUGH_JUMPS or self.sampler.local_steps >= self.sampler.jumps_with(WIDE):
+            return
+        least = float(self.accepted.min()) / self.jumped
+        if self.switched < 0 and least < _RARE:
+            self.switched = self.done
+            self._prefer_local()
+        elif self.switched >= 0 and least > _OFTEN:
+            self.switched = -1
+
+    def _prefer_local(self) -> None:
+        """Begin local steps that learn their metric from their draws; from the mixture where they are too few."""
+        steps = (self.steps - self.switched) * _LOCAL_STEPS // (_LOCAL_STEPS + 1)
+        if steps >= _ENOUGH_STEPS:
+            self.local_settings = self.sampler.local_of(self.density)
+            self.local = self.local_settings.tuner(self.density, self.chains, steps)
+
+    def _cycle(self, wide: float) -> tuple[int, int]:
+        """Return so many local steps, then so many candidates."""
+        if self.switched >= 0:
+            return _LOCAL_STEPS, 1
+        return self.sampler.local_steps, self.sampler.jumps_with(wide)
 
     def _at_last(self, mixture: Mixture, points: Points) -> Mixture:
         """Return the mixture with the share of wider copies that was asked for; if none, less where it is good."""
@@ -269,7 +341,7 @@ class MixtureTuner:
 
     def _take_kernel(self) -> None:
         local = self.local_settings.bind(self.density) if self.local is None else self.local.kernel
-        steps, jumps = self.sampler.local_steps, self.sampler.jumps_with(WIDE)
+        steps, jumps = self._cycle(WIDE)
         self.kernel = MixtureKernel(self.target, self.mixture, local, steps, jumps, len(self.stages), gathers=True)
 
 
