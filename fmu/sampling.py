@@ -285,6 +285,8 @@ def sample(
         if limit:
             trace.attrs["limit"] = limit
         trace.attrs["complete"] = 1
+        if of_model is not None and of_model.model.is_uncertain:
+            trace.attrs.update(of_model.model.record)  # no verdict before the certificate
         if on_draws is not None:
             on_draws(trace)
         if of_model is not None:

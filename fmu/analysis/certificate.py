@@ -203,6 +203,20 @@ def surrogate_in_words(record: Mapping[Any, Any]) -> list[str]:
     return said
 
 
+def certificate_failures(attrs: Mapping[Any, Any]) -> list[str]:
+    """Return why draws of a surrogate do not count: its certificate is not kept. Exact draws need none."""
+    if "certificate_shift" not in attrs or "second_stage_proposals" in attrs:
+        return []
+    shift, allowed = (float(attrs[f"certificate_{name}"]) for name in ("shift", "shift_tolerance"))
+    if shift <= allowed:
+        return []
+    off = f"by {significant(shift, 2)} posterior standard deviations" if np.isfinite(shift) else "by any amount"
+    return [
+        f"the surrogate misses its tolerance: by its certificate posterior means may be off {off} (allowed: "
+        f"{typed(allowed)}), whatever its draws say"
+    ]
+
+
 def exact_in_words(attrs: Mapping[Any, Any]) -> list[str]:
     """Return what delayed acceptance made of a surrogate's draws, in sentences; none if it was not asked for."""
     if "second_stage_proposals" not in attrs:

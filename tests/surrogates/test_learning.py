@@ -159,6 +159,27 @@ def test_scatter_of_the_answers_is_estimated_and_told():
     assert np.max(np.abs(moments(found)[0] - mean) / sd) <= record["certificate_shift"]
 
 
+def test_no_verdict_without_the_certificate(learnt):
+    """Draws of a surrogate that misses its tolerance have not converged to the posterior of the model."""
+    found, seen = learnt[0], []
+    trace = fmu.sample(found, draws=400, warmup=300, on_draws=lambda trace: seen.append(fmu.diagnose(trace)))
+    assert [seen[0].converged, fmu.diagnose(trace).converged] == [True, True]
+    trace.attrs["certificate_shift"] = 3.7
+    verdict = fmu.diagnose(trace)
+    assert not verdict.converged
+    assert verdict.reasons == (
+        "the surrogate misses its tolerance: by its certificate posterior means may be off by 3.7 posterior "
+        "standard deviations (allowed: 0.05), whatever its draws say",
+    )
+    trace.attrs["second_stage_proposals"] = 400
+    assert fmu.diagnose(trace).converged
+    record = dict(found.model.record)
+    found.model.record = record | {"certificate_shift": np.inf}
+    fmu.sample(found, draws=400, warmup=300, on_draws=lambda trace: seen.append(fmu.diagnose(trace)))
+    found.model.record = record
+    assert "may be off by any amount" in seen[-1].reasons[-1]
+
+
 def test_a_small_budget_is_told_and_its_limit_holds():
     with pytest.warns(SurrogateWarning, match="misses its tolerance"):
         found = fmu.surrogate(problem(sd=0.02 * SD), tolerance=1e-4, max_solves=22)

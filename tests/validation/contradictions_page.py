@@ -49,11 +49,11 @@ def write(found: Sequence[Checked], directory: Path, processor_s: float) -> None
             [fit, str(n), str(sum(one.is_converged for one in those)), str(sum(one.is_green for one in those))]
         )
     places = Counter(place for one in found for place in one.places)
-    ends = ", ".join(f"{n} at a {place}" if place != "edge" else f"{n} at an edge" for place, n in places.items())
+    ends = "; ".join(f"{n} times at {'an' if place == 'edge' else 'a'} {place}" for place, n in places.items())
     table = markdown_table(["the model", "pages", "converged", "nothing left undetermined"], rows)
     text = PAGE.format(
-        minutes=f"{processor_s / 60:.0f}", verdict="\n\n".join([verdict, "\n".join(lines)]).strip(), table=table,
-        n=len(found), ends=f"The search ended {ends}." if ends else "The search ended at maxima only.",
+        minutes=f"{processor_s / 60:.0f}", verdict="\n\n".join([verdict, "\n".join(lines)]).strip(), table=table.strip(),
+        n=len(found), ends=f"The search for maxima ended {ends}." if ends else "The search ended at maxima only.",
     )  # fmt: skip
     (directory / "contradictions.md").write_text(text, encoding="utf-8")
 
@@ -84,7 +84,9 @@ and the words of its page are held against each other and against the log-probab
 
 {table}
 
-{ends} `tests/validation/test_contradictions.py` puts each fault that pages once had into a page: the checker
-turns. The rules are in [contradictions.py](../tests/validation/contradictions.py), the problems in
+{ends}
+
+`tests/validation/test_contradictions.py` puts each fault that pages once had into a page: the checker turns.
+The rules are in [contradictions.py](../tests/validation/contradictions.py), the problems in
 [contradictions_cases.py](../tests/validation/contradictions_cases.py).
 """

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fmu.analysis.certificate import certificate_failures
 from fmu.analysis.convergence.candidates import growth_for_candidates
 from fmu.analysis.convergence.diagnostics import (
     autocorrelation_times_run,
@@ -197,6 +198,7 @@ def judge(
     """
     best = max(known, key=lambda maxima: maxima.log_evidence, default=None)
     reasons, warnings = _reasons(trace, best, others or {}, table)
+    reasons += certificate_failures(trace.attrs)
     if best is not None:
         warnings += search_warnings(trace, best[0].log_prob)
     fit = model_fit(trace)
