@@ -10,6 +10,7 @@ import numpy as np
 from fmu.analysis.convergence.diagnostics import interval_columns
 from fmu.analysis.convergence.effective import mcse_mean
 from fmu.analysis.trace.conversion import ONE_MORE_TEST
+from fmu.analysis.trace.damage import is_loss
 from fmu.analysis.trace.modal_states import GROUP, MEAN, MEASURED, START
 from fmu.analysis.trace.reading import (
     array_of,
@@ -206,6 +207,15 @@ def at_bounds(trace: xr.DataTree) -> list[AtBound]:
             if near >= LEAST_SHARE and near > MORE_THAN_THE_PRIOR * before and is_close:
                 found.append(AtBound(name, side, with_unit(float(bound), unit), near, before))
     return found
+
+
+PINNED = 0.5
+"""Share of the draws next to a bound with which the bound determines a parameter, together with the data."""
+
+
+def pinned(trace: xr.DataTree) -> list[str]:
+    """Return the parameters most of whose draws lie next to a bound; no losses, which physics bounds."""
+    return [one.name for one in at_bounds(trace) if one.near > PINNED and not is_loss(trace, one.name)]
 
 
 def bound_warnings(trace: xr.DataTree) -> list[str]:

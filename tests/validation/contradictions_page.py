@@ -50,10 +50,11 @@ def write(found: Sequence[Checked], directory: Path, processor_s: float) -> None
         )
     places = Counter(place for one in found for place in one.places)
     ends = "; ".join(f"{n} times at {'an' if place == 'edge' else 'a'} {place}" for place, n in places.items())
+    ends = f"The search for maxima ended {ends}." if ends else "The search ended at maxima only."
     table = markdown_table(["the model", "pages", "converged", "nothing left undetermined"], rows)
     text = PAGE.format(
         minutes=f"{processor_s / 60:.0f}", verdict="\n\n".join([verdict, "\n".join(lines)]).strip(),
-        table=table.strip(), n=len(found), ends=f"The search for maxima ended {ends}." if ends else "The search ended at maxima only.",
+        table=table.strip(), n=len(found), ends=ends,
     )  # fmt: skip
     (directory / "contradictions.md").write_text(text, encoding="utf-8")
 

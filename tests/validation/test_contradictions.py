@@ -8,6 +8,7 @@ import xarray as xr
 from scipy.special import stdtrit
 from scipy.stats import t as student
 
+from fmu.analysis import prediction
 from fmu.analysis.convergence.diagnosis import maxima_of, with_maxima
 from fmu.analysis.fit import checks
 from fmu.analysis.maxima.kinds import MAXIMUM
@@ -133,7 +134,7 @@ def test_a_certainty_that_does_not_say_what_it_assumes(pages, monkeypatch):
 
 
 def test_a_green_line_beside_a_parameter_at_its_bound(pages, monkeypatch):
-    monkeypatch.setattr(verdicts, "_PINNED", 2.0)
+    monkeypatch.setattr(prediction, "PINNED", 2.0)
     monkeypatch.setattr(verdicts, "CONTRADICTED", "")
     for seed in (AT_A_BOUND, CONTRADICTED):
         assert "intervals_against_bounds" in rules(said_of(pages[seed].trace, pages[seed].problem))

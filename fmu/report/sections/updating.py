@@ -10,7 +10,7 @@ from fmu.analysis.evidence import PSEUDO, WHAT, found_evidences
 from fmu.analysis.information import PRIOR, information
 from fmu.analysis.maxima.missed import Visits, visits
 from fmu.analysis.maxima.results import MOST_SHOWN, NEGLIGIBLE, Maxima, share_of_mass
-from fmu.analysis.prediction import measured_tests, measurement_in_words
+from fmu.analysis.prediction import measured_tests, measurement_in_words, pinned
 from fmu.analysis.trace.reading import constant, is_pseudo, mode_names, walkers_of
 from fmu.numbers import (
     MISSING,
@@ -43,7 +43,7 @@ NO_FREQUENCIES = "the trace holds no frequencies to compare with measured ones"
 def parameters(run: ReportedRun) -> PageSection:
     """Return the updated parameters beside prior, bounds and start; those not informed by the data are grey."""
     found = information(run.trace)
-    rows, greyed, seen = [], [], []
+    rows, greyed, seen, stopped = [], [], [], pinned(run.trace)
     for k, name in enumerate(run.names):
         unit = run.unit(name)
         start, lower, upper = (constant(run.trace, c, name) / unit.factor for c in ("start", "lower", "upper"))
@@ -54,7 +54,8 @@ def parameters(run: ReportedRun) -> PageSection:
         if found and not found.informed[k]:
             greyed.append(k)
             moved = PRIOR
-        told = (found.basis[k],) if found else ()
+        basis = "data and bound" if name in stopped and found and found.informed[k] else found and found.basis[k]
+        told = (basis,) if basis else ()
         rows.append(
             (
                 name, unit.name or MISSING, run.priors.get(name, MISSING), bounds, fixed(start, n), fixed(mean, n),

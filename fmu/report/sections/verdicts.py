@@ -11,7 +11,7 @@ from fmu.analysis.convergence.diagnostics import RHAT_LIMIT
 from fmu.analysis.convergence.remedies import required_ess
 from fmu.analysis.fit.model_fit import CONTRADICTED
 from fmu.analysis.information import DATA, information
-from fmu.analysis.prediction import at_bounds
+from fmu.analysis.prediction import at_bounds, pinned
 from fmu.analysis.trace.damage import GROUP as LOSSES
 from fmu.analysis.trace.damage import is_loss
 from fmu.analysis.trace.reading import constant, has, mode_names
@@ -25,8 +25,6 @@ from fmu.report.sections.tests import lost
 SOUND = "The chains agree, and every parameter has enough effective draws."
 COVERED = "All maxima found that hold at least 1 % of the probability were visited."
 ASSUMED = "These intervals assume a model that the data reject."
-_PINNED = 0.5
-"""Share of the draws next to a bound with which the bound, and not the data, determines a parameter."""
 _FEW = 3
 """Parameters that a line names."""
 
@@ -133,13 +131,12 @@ def updated(run: ReportedRun) -> Verdict:
         narrowed = "The data narrowed every combination of the parameters."
         said = f"Along the least informed direction {share(float(found.remaining_sd[0]))} of the prior sd remains."
         answer, why = "No", "Why we say the data determine the parameters"
-        pinned = [
-            one.name for one in at_bounds(run.trace) if one.near > _PINNED and not is_loss(run.trace, one.name)
-        ]
-        if pinned:
-            few = names_in_words(pinned) if len(pinned) <= _FEW else f"{len(pinned)} parameters"
+        stopped = pinned(run.trace)
+        if stopped:
+            few = names_in_words(stopped) if len(stopped) <= _FEW else f"{len(stopped)} parameters"
             answer, why = f"Yes, beyond the bounds: {few}", "What data and bounds determine"
             said = f"The data ask for values that the bounds exclude. {said}"
+            narrowed = "The data narrowed every combination of the parameters, up to the bounds."
         elif run.diagnosis.fit.verdict == CONTRADICTED:
             answer, why = "Not within this model", "What the data determine in a model that they reject"
         return Verdict(question, answer, True if answer == "No" else None, why, (narrowed,), said)
