@@ -175,23 +175,29 @@ def _require_no_term_lost(problem: Problem, model: PairedStructure, theta: Float
             lost = energy.sum(axis=0) > allowed * np.sum(np.abs(N) * (abs(term.matrix) @ np.abs(N)), axis=0)
             if lost.any():
                 energy = energy[:, lost]
-                dof = int(np.argmax(energy.sum(axis=1)))
-                node, direction = structure.dofs[dof]
-                stiffness = significant(structure.K(theta).diagonal()[dof])
-                raise ValueError(
-                    "rounding: stiffnesses of neighbours must differ by less than 1e14, and no mode may be below "
-                    f"3e-5 of the measured frequencies (got {stiffness} at node {node} {direction}, where "
-                    "a soft part is lost in rounding); to make a part rigid, make it 1e3 to 1e6 "
-                    "times as stiff as its neighbours, or tie its ends"
-                )
+                raise ValueError(_lost(model, theta, int(np.argmax(energy.sum(axis=1)))))
+
+
+def _lost(model: PairedStructure, theta: FloatArray, dof: int) -> str:
+    """Say that a soft part is lost in rounding at a degree of freedom."""
+    node, direction = model.structure.dofs[dof]
+    return (
+        "rounding: stiffnesses of neighbours must differ by less than 1e14, and no mode may be below 3e-5 of the "
+        f"measured frequencies (got {significant(model.structure.K(theta).diagonal()[dof])} at node {node} "
+        f"{direction}, where a soft part is lost in rounding); to make a part rigid, make it 1e3 to 1e6 times as "
+        "stiff as its neighbours, or tie its ends"
+    )
 
 
 def _negative(problem: Problem, model: PairedStructure, theta: FloatArray, motion: FloatArray) -> str:
-    """Say which term makes K negative for a motion (n_dof,)."""
+    """Say which term makes K negative for a motion (n_dof,), or that rounding of it does."""
     terms = model.structure.K_terms
     weights = coefficients(terms, theta[None])[0]
     energy = [c * (motion @ (t.matrix @ motion)) for c, t in zip(weights, terms, strict=True)]
-    worst = terms[int(np.argmin(energy))]
+    k = int(np.argmin(energy))
+    worst, sizes = terms[k], np.abs(weights[k]) * np.abs(motion) * (abs(terms[k].matrix) @ np.abs(motion))
+    if energy[k] >= -_LOST_EXACTLY * sizes.sum():
+        return _lost(model, theta, int(np.argmax(sizes)))
     names = [p.name for p, power in zip(problem.parameters, worst.powers, strict=False) if power]
     of = f"the term of {' and '.join(names)}" if names else "the term that no parameter changes"
     node, direction = model.structure.dofs[int(np.argmax(np.abs(motion)))]

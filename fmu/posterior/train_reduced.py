@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from fmu.engines.base import Engine
-from fmu.fem.modes.modal import is_rigid
+from fmu.fem.modes.modal import ModalSolution, is_rigid
 from fmu.fem.modes.solver import LAPACK
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.reduced.anchors import SingularAnchorError
@@ -224,12 +224,14 @@ def _paired_error(structure: PairedStructure, lower: FloatArray, upper: FloatArr
     theta = box_points(lower, upper, _CHECKED, _CHECK_SEED)
     if structure.solver != LAPACK:  # where solves are dear, some of the points inside, on faces and at corners
         theta = theta[:: max(len(theta) // _CHECKED, 1)]
-    exact, reduced = structure.full_modes(theta).eigenvalues, structure.modes(theta).eigenvalues
+    full = structure.full_modes(theta)
+    exact, reduced = full.eigenvalues, structure.modes(theta).eigenvalues
     elastic = ~is_rigid(exact)
     # of a frequency, half as much
     error = np.max(np.where(elastic, 0.5 * np.abs(reduced / np.where(elastic, exact, 1.0) - 1.0), 0.0), axis=1)
     wrong = ~(error <= tolerance) & np.isfinite(exact).all(axis=1)
-    wrong[wrong] = ~on_a_jump(structure, theta[wrong], tolerance)
+    if wrong.any():
+        wrong &= ~on_a_jump(structure, theta, tolerance, full)
     return float(np.max(error[wrong], initial=0.0))
 
 
@@ -291,7 +293,9 @@ def has_stalled(differences: Sequence[float]) -> bool:
     return len(differences) > PATIENCE and min(differences[-PATIENCE:]) > 0.5 * min(differences[:-PATIENCE])
 
 
-def on_a_jump(structure: PairedStructure, theta: FloatArray, tolerance: float) -> BoolArray:
+def on_a_jump(
+    structure: PairedStructure, theta: FloatArray, tolerance: float, full: ModalSolution | None = None
+) -> BoolArray:
     """Return where the reduced model has the full model's modes but pairs others, as where two swap, shape (n,).
 
     Parameters
@@ -301,8 +305,10 @@ def on_a_jump(structure: PairedStructure, theta: FloatArray, tolerance: float) -
     theta : ndarray, shape (n, n_parameters)
     tolerance : float
         Largest relative difference between frequencies that are the same.
+    full : ModalSolution, optional
+        The full model's modes there, if they are at hand.
     """
-    reduced, full = structure.modes(theta), structure.full_modes(theta)
+    reduced, full = structure.modes(theta), full or structure.full_modes(theta)
     answers = np.full(full.eigenvalues.shape, np.nan)
     for b in np.unique(full.block):
         block = structure.reduced.blocks[b] if structure.reduced is not None else structure.full.blocks[b]

@@ -8,6 +8,7 @@ import fmu
 from fmu.analysis.check import model_in_words
 from fmu.analysis.maxima.search import STARTS, STARTS_BY_FULL, default_starts
 from fmu.fem.modes.full_block import full_model
+from fmu.fem.modes.solver import LAPACK
 from fmu.fem.reduced import training
 from fmu.fem.reduced.cost import Cost
 from fmu.posterior import train_reduced
@@ -111,3 +112,17 @@ def test_comparisons_of_a_small_model_keep_to_the_budget(monkeypatch, budget):
     data = fmu.ModalData(measured, sd_hz=1e-2 * measured)
     fmu.UpdatingProblem.reduced(random.model, data, random.parameters, pairing="index")
     assert 0 < sum(compared) <= budget
+
+
+def test_the_error_of_a_basis_that_missed_its_tolerance_takes_one_full_solve_a_point(monkeypatch):
+    monkeypatch.setenv("FMU_CACHE_DIR", "")
+    random = random_model(110, 700)
+    start = np.ones(len(random.parameters))
+    measured = np.sqrt(random.modes(start, 3)[0].astype(float)) / (2.0 * np.pi)
+    data = fmu.ModalData(measured, sd_hz=1e-2 * measured)
+    problem = fmu.UpdatingProblem.reduced(random.model, data, random.parameters, pairing="index")
+    assert problem.model.solver != LAPACK
+    with counted() as work:
+        error = train_reduced._paired_error(problem.model, 0.7 * start, 1.3 * start, 1e-12)
+    assert 1e-12 < error < 1e-6
+    assert 30 <= work.eigenproblems <= 40

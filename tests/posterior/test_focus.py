@@ -299,7 +299,7 @@ def test_training_ends_where_no_basis_is_good_enough(bases, monkeypatch):
         Training, "refined", lambda self, theta, times: rounds.append(theta) or refined(self, theta, times)
     )
     promise(monkeypatch, 1e-6, 1e-300)
-    monkeypatch.setattr(focus, "on_a_jump", lambda structure, theta, tolerance: np.zeros(len(theta), dtype=bool))
+    monkeypatch.setattr(focus, "on_a_jump", lambda structure, theta, *_: np.zeros(len(theta), dtype=bool))
     with pytest.warns(
         ReductionWarning, match=r"^reduction: with a basis of \d+ vectors .* log-probability is off"
     ):

@@ -190,8 +190,8 @@ def test_a_rod_on_a_rotational_spring(modulus):
         posed()
 
 
-def soft_root(decades, n):
-    """Return a cantilever of n elements with a softer half at its root, its moduli, and λ of three modes."""
+def halves(decades, n, supports):
+    """Return a beam of n elements whose first half is softer, and its moduli."""
     elements = np.stack([np.arange(n), np.arange(1, n + 1)], axis=1)
     moduli = {"root": 2.1e11 * 10.0**-decades, "rest": 2.1e11}
     section = Section(A=3e-3, Iy=4e-6, Iz=9e-6, J=7e-6)
@@ -199,8 +199,13 @@ def soft_root(decades, n):
         ElementGroup(name, part, section, Material(E, 0.3, 7850.0))
         for (name, E), part in zip(moduli.items(), np.split(elements, 2), strict=True)
     ]
-    frame = Frame(np.linspace(0.0, 1.0, n + 1)[:, None] * [1.0, 0.0, 0.0], groups, {0: DIRECTIONS})
-    model, theta = frame.separable({name: [("E", name)] for name in moduli}), np.array(list(moduli.values()))
+    frame = Frame(np.linspace(0.0, 1.0, n + 1)[:, None] * [1.0, 0.0, 0.0], groups, supports)
+    return frame.separable({name: [("E", name)] for name in moduli}), np.array(list(moduli.values()))
+
+
+def soft_root(decades, n):
+    """Return a cantilever of n elements with a softer half at its root, its moduli, and λ of three modes."""
+    model, theta = halves(decades, n, {0: DIRECTIONS})
     K, M = (long_sum(terms, theta) for terms in (model.K_terms, model.M_terms))
     return model, theta, elastic_modes(K, M, 3)[0].astype(float)
 
@@ -212,6 +217,15 @@ def test_a_soft_root_is_no_hinge_while_digits_are_left(decades):
     model, theta, exact = soft_root(decades, 20)
     found, _ = eigen(model.K(theta), model.M(theta), 3)
     assert_allclose(found, exact, rtol=0.1)
+
+
+@pytest.mark.parametrize("decades", [12, 14])
+def test_a_term_that_is_negative_by_rounding_alone_is_not_called_negative(decades):
+    """Free in space, so that rigid-body motions are taken out; of the soft half nothing is left."""
+    model, theta = halves(decades, 60, {})
+    parameters = [Parameter(name, E, 0.5 * E, 2.0 * E) for name, E in zip(("root", "rest"), theta, strict=True)]
+    with pytest.raises(ValueError, match=r"^rounding: .*soft part is lost in rounding"):
+        UpdatingProblem(model, ModalData([1e-4, 2e-4, 3e-4], sd_hz=1e-6), parameters, pairing="index")
 
 
 @LONG_DOUBLE
