@@ -60,7 +60,7 @@ _FEW = 500
 """Draws that are enough to see how much larger residuals would have failed."""
 _MOST = 10.0
 """Residuals that only fail if more times as large are no check of a model with a parameter for each datum."""
-NOT_PREDICTED = "no prediction by the other modes was computed; fmu.leave_one_out(trace, problem) does so"
+NOT_PREDICTED = "no prediction by the other modes was computed (Python: fmu.leave_one_out(trace, problem))"
 _TINY = 1e-300
 _GAUSSIAN = 1e8  # degrees of freedom from which Student's distribution is the Gaussian
 

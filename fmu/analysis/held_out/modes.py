@@ -220,7 +220,7 @@ def left_out_warnings(trace: xr.DataTree) -> list[str]:
     few, are = (f"mode {missing[0]}", "is") if len(missing) == 1 else (f"modes {names_in_words(missing)}", "are")
     return [
         f"{few} of {len(table)} {are} not predicted by the others: the weights of the draws are not reliable, and "
-        "updating without them takes long; fmu.leave_one_out(trace, problem) does so"
+        "updating without them takes long (Python: fmu.leave_one_out(trace, problem))"
     ]
 
 

@@ -24,7 +24,7 @@ from fmu.report.sections.tests import lost
 
 SOUND = "The chains agree, and every parameter has enough effective draws."
 COVERED = "All maxima found that hold at least 1 % of the probability were visited."
-ASSUMED = "These intervals assume a model that the data reject."
+ASSUMED = "Assumes a model that the data reject."
 _FEW = 3
 """Parameters that a line names."""
 
@@ -116,7 +116,7 @@ def certainty(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
             f" {names_in_words(stopped)} {'lie' if len(stopped) > 1 else 'lies'} at the bounds, which narrow it."
         )
     if not run.diagnosis.converged:
-        said += " Provisional, because the draws have not converged."
+        said += " Provisional."
     return Verdict(question, ", ".join(words), None, said=said)
 
 
@@ -129,7 +129,7 @@ def updated(run: ReportedRun) -> Verdict:
         return Verdict(question, "Unknown", None, "Why this is unknown", (nothing,))
     if not found.uninformed:
         narrowed = "The data narrowed every combination of the parameters."
-        said = f"Along the least informed direction {share(float(found.remaining_sd[0]))} of the prior sd remains."
+        said = f"The least informed direction keeps {share(float(found.remaining_sd[0]))} of its prior sd."
         answer, why = "No", "Why we say the data determine the parameters"
         stopped = pinned(run.trace)
         if stopped:
