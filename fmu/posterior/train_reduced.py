@@ -20,7 +20,7 @@ from fmu.fem.reduced.training import BUDGET, box_points
 from fmu.numbers import apart, significant, typed
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.maxima import GaussNewton, local_maxima
-from fmu.posterior.parameters import box
+from fmu.posterior.parameters import Parameter, box
 from fmu.posterior.protocol import Problem
 from fmu.posterior.rounding import bounded_rounding
 from fmu.progress.phases import by_parts
@@ -42,6 +42,9 @@ _CHECKED, _CHECK_SEED = 32, 10_000
 _TRIED = 7  # steps along the way to a point
 # A box leaves out at most this share of the posterior, as draws at maxima this little below the highest tell.
 _OUTSIDE, _RELEVANT, _DRAWN = 0.02, 10.0, 512
+# A bound belongs to the box if it is at most this share of the width beyond, and the prior's log-density is no
+# further below that at the end of the box: of a normal prior, within six standard deviations.
+_NEAR, _NOT_RARE = 0.5, 10.0
 
 
 class ReductionWarning(UserWarning):
@@ -126,7 +129,7 @@ def reduce_model(
         return
     bounded_rounding(problem)  # before the time for training is spent
     n = structure.n_parameters
-    lower, upper = box(problem.parameters[:n])
+    lower, upper = training_box(problem.parameters[:n])
     rng = np.random.default_rng(0)
     likelihood = problem.likelihood
 
@@ -194,6 +197,22 @@ def reduce_model(
         state["reached"] = reached
     store_basis(key, state)
     _warn_if_missed(problem, structure, tolerance, state)
+
+
+def training_box(parameters: Sequence[Parameter]) -> tuple[FloatArray, FloatArray]:
+    """Return the limits of the box in which a reduced model is trained first, shape (n,) each.
+
+    That of the priors (`fmu.posterior.parameters.box`), and up to a bound that is near: some draws in ten thousand
+    lie outside four standard deviations of a prior, and none outside the bounds.
+    """
+    ends, bounds = np.array(box(parameters)), np.array([[p.lower, p.upper] for p in parameters]).T
+    is_near = np.abs(bounds - ends) <= _NEAR * (ends[1] - ends[0])
+    for j, parameter in enumerate(parameters):
+        with np.errstate(divide="ignore", invalid="ignore"):  # a log-normal prior has no density at 0
+            fall = parameter.prior.log_pdf(ends[:, j]) - parameter.prior.log_pdf(bounds[:, j])
+        is_near[:, j] &= fall <= _NOT_RARE
+    lower, upper = np.where(is_near, bounds, ends)
+    return lower, upper
 
 
 def _log_prob_bound(structure: PairedStructure, likelihood: ModalLikelihood, points: FloatArray) -> FloatArray:

@@ -22,7 +22,7 @@ import platformdirs
 from fmu.types import FloatArray
 
 # Raised whenever what is stored, or how it is trained, changes.
-_VERSION = 9
+_VERSION = 10
 
 
 def load_basis(key: Any) -> dict[str, FloatArray] | None:
