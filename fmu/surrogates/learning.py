@@ -181,9 +181,11 @@ class _Learner:
             if np.sum(~self.design.failed) > self.n + 1:
                 break
             if self.left < self.n_first or self.solves > 10 * self.n_first:
+                reasons = self.truth.reasons
+                first = f", first with: {reasons[0].reason}" if reasons else ""
                 raise ValueError(
                     "model: must be solved at more points within the bounds "
-                    f"({int(np.sum(self.design.failed))} of {self.solves} failed)"
+                    f"({int(np.sum(self.design.failed))} of {self.solves} failed{first})"
                 )
             theta = np.empty((0, self.n))
         self._fit(None)

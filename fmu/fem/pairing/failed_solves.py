@@ -26,14 +26,23 @@ def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
     Parameters
     ----------
     model : ModalModel
-        A user's function is not called again: it may be slow, or fail in another way.
+        A user's function is not called again: it may be slow, or fail in another way. Of several tests the first
+        that failed is named.
     theta : ndarray, shape (n_parameters,)
         Where it has just failed.
     """
     if model.black_box is not None:
         return model.black_box.reason_at(theta)
     if model.is_uncertain:
-        return "near points at which the model could not be solved, where its surrogate expects no frequencies"
+        first = f" ({model.reasons[0].reason})" if model.reasons else ""
+        where = f"near points at which the model could not be solved{first}"
+        return f"{where}, where its surrogate expects no frequencies"
+    for test, part, point in model.failed_tests(theta):
+        found = why_no_frequencies(part, point)
+        if found is not None:
+            return f"test {test}: {found}"
+    if model.n_tests > 1:
+        return None
     with np.errstate(all="ignore"):
         structure = model.as_structure()
         if structure is not None:

@@ -159,21 +159,25 @@ class PairedBlackBox(ModalModel):
     def _paired(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return paired frequencies, the function's own gradients and shapes; NaN where it failed or has none.
 
-        The function is not called again where it has answered before.
+        The function is not called again where it has answered before, and once where points are the same, as
+        those of several tests may be.
         """
         n, m, p, s = len(theta), self.n_modes, self.n_parameters, self._n_sensors or 0
         rows = self._empty(n)
-        missing = []
+        missing: dict[bytes, list[int]] = {}
         for i, point in enumerate(theta):
             known = self._memory.row(point)
             if known is None:
-                missing.append(i)
+                missing.setdefault(point.tobytes(), []).append(i)
             else:
                 rows[i] = known
         if missing:
-            for i, answer in zip(missing, self.black_box.answers(theta[missing]), strict=True):
+            first = [same[0] for same in missing.values()]
+            for i, answer in zip(first, self.black_box.answers(theta[first]), strict=True):
                 if answer is not None:
                     self._take(theta[i], answer, rows[i])
+            for same in missing.values():
+                rows[same[1:]] = rows[same[0]]
         f, df, phi = np.split(rows, [m, m * (1 + p)], axis=1)
         return f, df.reshape(n, m, p), phi.reshape(n, s, m)
 

@@ -137,6 +137,13 @@ class ModalModel:
         structure = self.as_structure()
         return () if structure is None else (structure,)
 
+    def failed_tests(self, theta: FloatArray) -> Iterator[tuple[str, ModalModel, FloatArray]]:
+        """Yield the tests without frequencies at a theta (n_parameters,): name, model, and its own parameters.
+
+        None of a model of one test. Of a user's function all are given: it knows where it has failed.
+        """
+        yield from ()
+
     def coarser(self, share: float) -> Self:
         """Return a cheaper and less accurate model, by a share of the reduced basis; itself if there is none."""
         return self

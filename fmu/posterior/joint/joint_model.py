@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -110,6 +110,18 @@ class JointModel(ModalModel):
     def structures(self) -> tuple[PairedStructure, ...]:
         """Return that of each configuration."""
         return tuple(structure for part in self.configurations for structure in part.model.structures())
+
+    def failed_tests(self, theta: FloatArray) -> Iterator[tuple[str, ModalModel, FloatArray]]:
+        """Yield the tests without frequencies at a theta (n_parameters,): name, model, and its own parameters."""
+        values = self.layout.values(theta[None])
+        for part in self.configurations:
+            points = part.points(values)
+            if part.model.black_box is not None:  # not called again
+                failed = np.ones(len(points), dtype=bool)
+            else:
+                failed = ~np.isfinite(part.model.frequencies(points)).all(axis=1)
+            for row in np.flatnonzero(failed):
+                yield self.layout.tests[part.tests[row]], part.model, points[row]
 
     def of_modes(self, theta: FloatArray, of: Callable[[Any, FloatArray], FloatArray]) -> FloatArray:
         """Return what `of` makes of each configuration's model and parameters, for every measured mode."""
