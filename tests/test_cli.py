@@ -155,6 +155,8 @@ def test_run_prints_the_tables_and_nothing_else(ran):
     assert lines[1].split() == ["maximum", "unit", "before", "1", "measured"]
     at = lines.index("mh")
     assert all(column in lines[at + 1] for column in ("mean", "sd", " 5 %", "R-hat", "tail ESS", "unit", "from"))
+    cells = re.split(r"\s{2,}", lines[at + 1].strip())
+    assert cells[2:6] == ["5 %", "±", "95 %", "±"]
     assert [line.split()[0] for line in lines[at + 2 : at + 7]] == ["E1", "E2", "E3", "E4", "E5"]
     assert any(line.startswith("solves ") for line in lines)
     assert not re.search(r"[a-z]_[a-z]", re.sub(r"\(Python: [^)]*\)+", "", " ".join(result.stdout.split())))

@@ -24,9 +24,10 @@ _DECIMALS = {
 _WORDS = ("", "unit", "from")
 _IN_WORDS = {
     "eti90_lb": "5 %", "eti90_ub": "95 %", "rhat": "R-hat", "ess_bulk": "bulk ESS", "ess_tail": "tail ESS",
-    "mcse_mean": "MCSE", "rhat_max": "largest R-hat", "ess_bulk_min": "smallest bulk ESS",
-    "ess_tail_min": "smallest tail ESS", "mcse_over_sd_max": "largest MCSE / sd", "accept_rate": "acceptance rate",
-    "n_solves": "solves", "n_gradients": "gradients", "gradient_cost": "solves that a gradient costs",
+    "mcse_mean": "MCSE", "mcse_eti90_lb": "±", "mcse_eti90_ub": "±", "rhat_max": "largest R-hat",
+    "ess_bulk_min": "smallest bulk ESS", "ess_tail_min": "smallest tail ESS",
+    "mcse_over_sd_max": "largest MCSE / sd", "accept_rate": "acceptance rate", "n_solves": "solves",
+    "n_gradients": "gradients", "gradient_cost": "solves that a gradient costs",
     "wall_s": "time, s", "ess_per_solve": "ESS per solve", "ess_per_s": "ESS per second",
 }  # fmt: skip
 """Columns of `fmu.summary` and `fmu.compare` as they are printed; others are printed as they are called."""
@@ -45,7 +46,8 @@ def echo_maxima(maxima: Maxima) -> None:
 def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
     """Print the summary of a sampler's trace; the sd decides how many digits of means and intervals are shown.
 
-    A last column says what each value comes from, if that is known; those that the data did not inform are dim.
+    Behind each end of an interval stands its Monte-Carlo standard error. A last column says what each value comes
+    from, if that is known; those that the data did not inform are dim.
     Losses between groups of tests have a table of their own (`fmu.cli.damage.echo_losses`).
     """
     from fmu.analysis.information import information
@@ -57,7 +59,7 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
     table = table.loc[[name for name in told if not is_loss(trace, name)]]
     table.attrs = attributes
     columns, units = {"": list(map(str, table.index))}, [shown(table.attrs["units"][name]) for name in table.index]
-    for column in map(str, table.columns):
+    for column in _beside_the_ends(list(map(str, table.columns))):
         scales = (1.0 if column in _DECIMALS else unit.factor for unit in units)
         cells = zip(table[column], table["sd"], scales, strict=True)
         columns[column] = [_summary_cell(column, x / scale, sd / scale) for x, sd, scale in cells]
@@ -156,7 +158,15 @@ def echo_evidences(found: Sequence[FoundEvidence]) -> None:
 def _summary_cell(name: str, value: float, sd: float) -> str:
     if name in _DECIMALS:
         return fixed(value, _DECIMALS[name])
-    return apart(value, digits=2)[0] if name in ("sd", "mcse_mean") else rounded(value, sd)
+    is_spread = name == "sd" or name.startswith("mcse_")
+    return apart(value, digits=2)[0] if is_spread else rounded(value, sd)
+
+
+def _beside_the_ends(columns: list[str]) -> list[str]:
+    """Return the columns of a summary with the error of each end of an interval after it."""
+    errors = {column.removeprefix("mcse_"): column for column in columns if column.startswith("mcse_eti")}
+    others = [column for column in columns if column not in errors.values()]
+    return [name for column in others for name in (column, errors.get(column)) if name is not None]
 
 
 def _cell(name: str, value: Any) -> str:

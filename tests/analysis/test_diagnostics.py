@@ -42,12 +42,15 @@ def test_summary_by_hand(make_result, problem, good):
         "ess_bulk",
         "ess_tail",
         "mcse_mean",
+        "mcse_eti80_lb",
+        "mcse_eti80_ub",
     ]
     assert list(table.index) == ["E1", "rho"]
     assert table.attrs["units"] == {"E1": "Pa", "rho": "kg/m³"}
     x = position[..., 1]
     expected = [np.mean(x), np.std(x, ddof=1), *np.quantile(x, [0.1, 0.9]), effective.rhat(x)]
     expected += [effective.ess_bulk(x), effective.ess_tail(x), effective.mcse_mean(x)]
+    expected += [effective.mcse_quantile(x, p) for p in (0.1, 0.9)]
     np.testing.assert_allclose(table.loc["rho"].to_numpy(dtype=float), expected, rtol=1e-14)
 
 

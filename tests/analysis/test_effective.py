@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from emcee.autocorr import integrated_time
+from scipy.special import ndtr, ndtri
 
 from fmu.analysis.convergence import effective
 from fmu.analysis.convergence.pareto import pareto_k
@@ -30,6 +31,7 @@ def test_units_do_not_change_the_effective_sample_size(ar1):
     tiny = 1e-20 * x
     assert effective.ess_mean(tiny) == pytest.approx(effective.ess_mean(x), rel=1e-9)
     assert effective.mcse_mean(tiny) == pytest.approx(1e-20 * effective.mcse_mean(x), rel=1e-9)
+    assert effective.mcse_quantile(tiny, 0.9) == pytest.approx(1e-20 * effective.mcse_quantile(x, 0.9), rel=1e-9)
     assert effective.ess_mean(x) < 0.2 * x.size
 
 
@@ -44,6 +46,7 @@ def test_what_cannot_be_computed_is_nan(walkers, spoil):
     assert np.isnan(effective.rhat(x))
     for measure in (effective.ess_bulk, effective.ess_tail, effective.ess_mean, effective.mcse_mean):
         assert np.isnan(measure(x, walkers))
+    assert np.isnan(effective.mcse_quantile(x, 0.05, walkers))
 
 
 def test_one_chain_has_no_rhat_but_an_ess():
@@ -60,6 +63,7 @@ def test_tail_ess_does_not_count_repetitions_of_the_largest_draw():
     x = np.random.default_rng(7).standard_normal((4, 100))
     x[2, 40:80] = x.max() + 1.0
     assert np.isnan(effective.ess_tail(x))
+    assert np.isnan(effective.mcse_quantile(x, 0.95))
 
 
 def test_ensemble_that_stands_still_is_nan():
@@ -137,6 +141,41 @@ def test_tail_ess_of_an_ensemble_is_that_of_the_quantiles(ar1):
     # The smaller of two noisy ESS is smaller than either, hence a little above the scatter.
     assert 0.8 * scatter < reported < 1.4 * scatter
     assert effective.ess_tail(runs[0], 8) > 1.3 * effective.ess_bulk(runs[0], 8)
+
+
+@pytest.mark.parametrize(
+    ("phi", "steps", "walkers", "of_normal"),
+    [
+        (0.0, 100, 1, np.asarray),
+        (0.0, 100, 1, np.exp),  # an upper tail that is longer than the lower
+        (0.6, 400, 1, lambda x: -np.log(ndtr(-x))),  # exponential: it ends at 0
+        (0.5, 300, 1, ndtr),  # uniform: it ends at both sides
+        (0.8, 120, 8, np.exp),
+    ],
+)
+def test_error_of_a_quantile_is_what_it_is_off_by_in_replicates(ar1, phi, steps, walkers, of_normal):
+    rng = np.random.default_rng(18)
+    runs = [of_normal(flat(ar1(rng, (4, steps, walkers), phi))) for _ in range(600)]
+    for normal in (-1.6448536269514722, 1.6448536269514722):
+        truth, p = of_normal(np.array(normal)), float(ndtr(normal))
+        z = np.array([(np.quantile(x, p) - truth) / effective.mcse_quantile(x, p, walkers) for x in runs])
+        assert 0.87 < np.std(z) < 1.13
+        assert np.mean(np.abs(z) > 2.58) < 0.035
+
+
+def test_error_of_a_quantile_sees_a_slow_part_of_the_correlation(ar1):
+    # Two places, chosen anew once in ten steps on average: of "below the 5 % quantile" the autocorrelation is
+    # 0.02 after one step and falls as slowly as 0.9^k, within the noise that ends a sum of autocorrelations.
+    rng = np.random.default_rng(19)
+    quantile, z = float(ndtri(0.05 / 0.7)), []
+    for _ in range(600):
+        leaves = rng.random((4, 1000)) > 0.9
+        leaves[:, 0] = True
+        last = np.maximum.accumulate(np.where(leaves, np.arange(1000), 0), axis=1)
+        right = np.take_along_axis(rng.random((4, 1000)) > 0.7, last, axis=1)
+        x = rng.standard_normal((4, 1000)) + 20.0 * right
+        z.append((np.quantile(x, 0.05) - quantile) / effective.mcse_quantile(x, 0.05))
+    assert 0.88 < np.std(z) < 1.09
 
 
 def test_by_walker_follows_each_walker_through_the_steps():

@@ -64,6 +64,17 @@ def test_parameters(hmc):
     assert rows == {}
 
 
+def test_errors_of_the_ends_of_the_intervals(hmc):
+    rows = {row["parameter"]: row for row in table(chains.reliability(hmc))}
+    for name, expected in hmc.summary.iterrows():
+        assert shows(rows[name]["MCSE of the 5 % end"], expected["mcse_eti90_lb"] / 1e9)
+        assert shows(rows[name]["MCSE of the 95 % end"], expected["mcse_eti90_ub"] / 1e9)
+    (shown,) = (part for part in updating.parameters(hmc).parts if isinstance(part, PageTable))
+    ends = hmc.summary[["mcse_eti90_lb", "mcse_eti90_ub"]].max(axis=1) / hmc.summary["sd"]
+    largest = f"a Monte Carlo error of at most {ends.max():.2g} sd ({ends.idxmax()})"
+    assert largest in shown.caption
+
+
 def test_frequencies(hmc):
     before = hmc.trace["modes"]["frequency"].sel(state="start").to_numpy()
     rows = table(updating.frequencies(hmc))

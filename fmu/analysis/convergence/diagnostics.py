@@ -65,7 +65,8 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
     pandas.DataFrame
         One row per parameter, SI units: ``mean``, ``sd``, the ends of the interval, named after its
         probability in per cent (``eti90_lb``, ``eti90_ub``), ``rhat`` (over ensembles for an ensemble sampler),
-        ``ess_bulk``, ``ess_tail`` (of the 5 % and the 95 % quantile) and ``mcse_mean``. NaN if a quantity is
+        ``ess_bulk``, ``ess_tail`` (of the 5 % and the 95 % quantile), and the Monte-Carlo standard errors of the
+        mean and of both ends, ``mcse_mean``, ``mcse_eti90_lb`` and ``mcse_eti90_ub``. NaN if a quantity is
         undefined: R-hat of one chain, everything for a constant. Of plain emcee (`fmu.from_emcee`) also
         ``ess_emcee``, the draws over emcee's own autocorrelation time, which is shorter by about 10 times its
         square over the steps (`fmu.analysis.convergence.effective.autocorrelation_times`), and by far more where
@@ -82,7 +83,9 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
     names, draws = parameter_names(trace), parameter_draws(trace)
     rows = []
     for x in np.moveaxis(draws, -1, 0):
-        ends = np.quantile(x, [(1 - ci_prob) / 2, (1 + ci_prob) / 2])
+        of_ends = (1 - ci_prob) / 2, (1 + ci_prob) / 2
+        ends = np.quantile(x, of_ends)
+        errors = [effective.mcse_quantile(x, probability, walkers) for probability in of_ends]
         rows.append(
             {
                 "mean": x.mean(),
@@ -93,6 +96,8 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
                 "ess_bulk": effective.ess_bulk(x, walkers),
                 "ess_tail": effective.ess_tail(x, walkers),
                 "mcse_mean": effective.mcse_mean(x, walkers),
+                f"mcse_{lower}": errors[0],
+                f"mcse_{upper}": errors[1],
             }
         )
     table = data_frame(rows, "parameter", names)

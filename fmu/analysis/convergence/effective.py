@@ -30,6 +30,9 @@ TAIL = (0.05, 0.95)
 WINDOW = 5
 """Autocorrelation times over which the autocorrelation is summed (Sokal; emcee's default)."""
 _MIN_DRAWS = 4
+_LOG_ODDS, _NODES = 0.8, 21
+"""Half the range of log p/(1 − p) over which a quantile's slope is taken, and the quantiles there."""
+_BATCHES = 20
 
 
 def rhat(x: FloatArray) -> float:
@@ -88,6 +91,50 @@ def mcse_sd(x: FloatArray, walkers: int = 1) -> float:
     if _is_degenerate(x):
         return np.nan
     return mcse_mean((x - x.mean()) ** 2, walkers) / (2.0 * float(np.std(x, ddof=1)))
+
+
+def mcse_quantile(x: FloatArray, probability: float, walkers: int = 1) -> float:
+    """Return the Monte-Carlo standard error of a quantile: that of the share of draws below it, over its density.
+
+    The error of the share is from the effective sample size of "below or not" (Vehtari et al. 2021, section 4.3),
+    or from overlapping batch means where these give more: a slow part of the correlation that is weak at the
+    quantile ends the sum of autocorrelations early. One over the density is the slope of the quantile as a
+    function of log p/(1 − p), by least squares over p/(1 − p) from 0.45 to 2.2 times its own. The slope scatters
+    as well, by some 20 % where 20 effective draws lie beyond the quantile, and an error divided by it has wider
+    tails than a normal variate: 2/(ESS p (1 − p)) is added to the relative variance.
+
+    In replicates of known processes errors over it have an sd of 0.9 to 1.1 (``results/replicates.md``).
+
+    Parameters
+    ----------
+    x : ndarray, shape (chains, draws)
+    probability : float
+        Of the quantile.
+    walkers : int
+    """
+    if _is_degenerate(x):
+        return np.nan
+    below = x <= np.quantile(x, probability)
+    if below.all():
+        return np.nan
+    binomial = probability * (1.0 - probability)
+    ess = _ensemble_ess(below, walkers) if walkers > 1 else quantile_ess(x, probability)
+    variance = float(np.maximum(binomial / ess, _variance_by_batches(below, walkers)))
+    odds = np.linspace(-_LOG_ODDS, _LOG_ODDS, _NODES)
+    quantiles = np.quantile(x, 1.0 / (1.0 + (1.0 / probability - 1.0) * np.exp(-odds)))
+    slope = float(odds @ quantiles / (odds @ odds)) / binomial
+    return slope * math.sqrt(variance * (1.0 + 2.0 * variance / binomial**2))
+
+
+def _variance_by_batches(x: NDArray[np.generic], walkers: int) -> float:
+    """Return the variance of the mean of all draws, from overlapping batches of a twentieth of each chain."""
+    steps = x.reshape(len(x), -1, walkers).mean(axis=2)
+    n = steps.shape[1]
+    size = max(1, n // _BATCHES)
+    sums = np.cumsum(np.pad(steps, ((0, 0), (1, 0))), axis=1)
+    batches = (sums[:, size:] - sums[:, :-size]) / size
+    part = size / steps.size
+    return float(np.mean((batches - steps.mean()) ** 2)) * part / (1.0 - part)
 
 
 def by_walker(x: NDArray[np.generic], walkers: int) -> NDArray[np.generic]:

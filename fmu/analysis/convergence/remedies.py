@@ -24,6 +24,8 @@ ESS_LIMIT = 400
 MIN_AUTOCORRELATION_TIMES = 50
 WALKER_RHAT_LIMIT = 1.05
 MCSE_LIMIT = 0.1
+MCSE_OF_ENDS = ("mcse_eti90_lb", "mcse_eti90_ub")
+"""Columns of the Monte-Carlo standard errors of the ends of the 90 % intervals."""
 
 Places = Literal["unknown", "one", "missed"]
 RELIABLE_ESS = 50.0

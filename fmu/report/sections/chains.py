@@ -8,6 +8,7 @@ import numpy as np
 
 from fmu.analysis.convergence.diagnostics import RHAT_LIMIT
 from fmu.analysis.convergence.effective import energy_fraction
+from fmu.analysis.convergence.remedies import MCSE_OF_ENDS
 from fmu.analysis.trace.reading import array_of, has, parameter_draws
 from fmu.numbers import decimals, fixed, given, interval, significant
 from fmu.report.document import Omitted, PageSection, PageTable, Part, Picture, Pictures, Text, picture
@@ -54,14 +55,18 @@ def reliability(run: ReportedRun) -> PageSection:
         rhat, bulk, tail, error, sd = (
             float(run.summary[column][name]) for column in ("rhat", "ess_bulk", "ess_tail", "mcse_mean", "sd")
         )
-        shown = run.value(name, "mcse_mean")
+        of_mean, *of_ends = (run.value(name, column) for column in ("mcse_mean", *MCSE_OF_ENDS))
         rows.append(
             (
                 name, run.unit(name).name, fixed(rhat, 4), fixed(bulk, 0), fixed(tail, 0),
-                fixed(shown, decimals(shown)), significant(error / sd if sd else np.nan, 2),
+                fixed(of_mean, decimals(of_mean)), significant(error / sd if sd else np.nan, 2),
+                *(fixed(of_end, decimals(of_end)) for of_end in of_ends),
             )
         )  # fmt: skip
-    header = ("parameter", "unit", "R-hat", "bulk ESS", "tail ESS", "MCSE of the mean", "MCSE/sd")
+    header = (
+        "parameter", "unit", "R-hat", "bulk ESS", "tail ESS", "MCSE of the mean", "MCSE/sd",
+        "MCSE of the 5 % end", "MCSE of the 95 % end",
+    )  # fmt: skip
     caption = f"Accuracy of the posterior estimates: {run.chains_in_words}."
     return PageSection(
         "reliability", "Reliability of the draws", (PageTable(caption, header, tuple(rows), words=(1,)),)

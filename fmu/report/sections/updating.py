@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from fmu.analysis.convergence.remedies import MCSE_OF_ENDS
 from fmu.analysis.evidence import PSEUDO, WHAT, found_evidences
 from fmu.analysis.information import PRIOR, information
 from fmu.analysis.maxima.missed import Visits, visits
@@ -25,6 +26,7 @@ from fmu.numbers import (
     rounded,
     share,
     shown,
+    significant,
     whole,
 )
 from fmu.report.document import Items, Omitted, PageSection, PageTable, Part, Pictures, Text, picture
@@ -76,6 +78,7 @@ def parameters(run: ReportedRun) -> PageSection:
             "there is the prior, whose mean may differ from the start, and no change. Combination: the data "
             "inform it only together with others."
         )
+    caption += f" {_error_of_ends(run)}"
     of_words = (1, 2) if found is None else (1, 2, 9)
     parts: list[Part] = [PageTable(caption, header, tuple(rows), of_words, tuple(greyed))]
     maximum = run.maxima[0].theta if run.maxima else None
@@ -83,6 +86,16 @@ def parameters(run: ReportedRun) -> PageSection:
     drawing = picture(axes, "updates", f"Posterior means with 90 % intervals. {'; '.join(seen)}.",
                       "Means and 90 % intervals between the bounds.")  # fmt: skip
     return PageSection("parameters", "Updated parameters", (*parts, Pictures((drawing,))))
+
+
+def _error_of_ends(run: ReportedRun) -> str:
+    """Return the largest Monte-Carlo error of an end of an interval, beside the sd of its parameter."""
+    errors = run.summary[list(MCSE_OF_ENDS)].max(axis=1, skipna=False) / run.summary["sd"]
+    if errors.isna().any():
+        return "The Monte Carlo error of the ends of the intervals is unknown."
+    name = str(errors.idxmax())
+    largest = significant(float(errors[name]), 2)
+    return f"The ends of the intervals have a Monte Carlo error of at most {largest} sd ({name})."
 
 
 def frequencies(run: ReportedRun) -> PageSection | Omitted:
