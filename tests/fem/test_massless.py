@@ -13,6 +13,7 @@ from fmu.fem.modes import eigensolver, full_block
 from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, eigen
 from fmu.fem.modes.separable import SeparableModel, Term
 from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.reduced.basis import ReducedBlock
 from tests.fem.massless_bridge import LOWER, START, UPPER, bridge, condensed
 
 ROTATIONS = ((3, "ry"), (8, "rx"), (4, "z"), (9, "y"))
@@ -114,6 +115,20 @@ def test_sensors_see_what_has_no_mass_in_the_reduced_model(trained):
     turn = np.sign(np.sum(seen * reduced.shapes, axis=1, keepdims=True))[..., None]
     found = reduced.shape_slopes * theta[:, None, None] * turn
     assert_allclose(found, slopes, rtol=0, atol=2e-2 * np.abs(slopes).max())
+
+
+def test_the_few_lowest_modes_of_a_large_basis_are_those_of_all(monkeypatch):
+    block = paired(bridge(40)).full.blocks[0]
+    rng = np.random.default_rng(4)
+    reduced = ReducedBlock(block, np.linalg.qr(rng.standard_normal((block.size, 140)))[0], 6)
+    theta = LOWER + (UPPER - LOWER) * rng.random((3, 3))
+    lam, phi = reduced.modes(theta, 140)
+    monkeypatch.setattr(np.linalg, "eigh", None)  # which finds all
+    few_lam, few_phi = reduced.modes(theta, 6)
+    assert_allclose(few_lam, lam[:, :6], rtol=1e-10)
+    assert_allclose(
+        few_phi * np.sign(np.sum(few_phi * phi[:, :, :6], axis=1, keepdims=True)), phi[:, :, :6], atol=1e-7
+    )
 
 
 def test_a_free_structure():

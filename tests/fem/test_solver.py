@@ -12,7 +12,8 @@ from fmu.fem.modes import solver
 from fmu.fem.modes.solver import PARDISO, SUPERLU, factorised, sparse_solver
 
 fast = pytest.mark.skipif(find_spec("pypardiso") is None, reason="pypardiso, the extra fast, is not installed")
-SOLVERS = [SUPERLU, pytest.param(PARDISO, marks=fast), "LAPACK"]
+BANDED = None  # what a narrow band gets where no solver is named
+SOLVERS = [SUPERLU, pytest.param(PARDISO, marks=fast), "LAPACK", BANDED]
 N = 60
 
 
@@ -21,6 +22,12 @@ def chain(shift=0.0):
     return sp.csr_array(
         sp.diags_array([[2.0 - shift] * N, [-1.0] * (N - 1), [-1.0] * (N - 1)], offsets=[0, 1, -1])
     )
+
+
+def arrow(n=600):
+    """Return a matrix whose first row is full: every order of its rows has a wide band."""
+    spread = sp.csr_array((np.full(n - 1, -1.0), (np.zeros(n - 1, dtype=int), np.arange(1, n))), shape=(n, n))
+    return sp.csr_array(sp.diags_array(np.full(n, 2.0 * n)) + spread + spread.T)
 
 
 def factors(matrix, name):
@@ -63,7 +70,23 @@ def test_pardiso_where_it_is_installed_else_superlu(monkeypatch):
     assert sparse_solver() == (PARDISO if find_spec("pypardiso") else SUPERLU)
     monkeypatch.setattr(solver, "find_spec", lambda name: None)
     assert sparse_solver() == SUPERLU
-    assert type(factorised(chain())).__name__ == "_SuperLU"
+    assert type(factorised(arrow())).__name__ == "_SuperLU"
+
+
+def test_a_narrow_band_is_factorised_as_one_whatever_the_order_of_its_rows():
+    order = np.random.default_rng(1).permutation(N)
+    A = chain()[order][:, order]
+    factor, loads = factorised(A), np.random.default_rng(2).standard_normal((N, 3))
+    assert type(factor).__name__ == "_BandedFactor"
+    assert factor.n_entries == 4 * N  # of the diagonal and one beside it, and of the transpose
+    assert_allclose(A @ factor.solve(loads), loads, atol=1e-11)
+    heavier = factorised(2.0 * A)  # the same pattern
+    assert_allclose(heavier.solve(loads[:, 0]), 0.5 * factor.solve(loads[:, 0]), rtol=1e-9)
+
+
+def test_an_entry_given_in_parts_counts_in_full():
+    A = sp.csr_array((np.array([1.0, 1.0, -1.0, -1.0, 2.0]), np.array([0, 0, 1, 0, 1]), np.array([0, 3, 5])))
+    assert_allclose(factorised(A).solve(np.array([1.0, 0.0])), [2.0 / 3.0, 1.0 / 3.0], rtol=1e-14)
 
 
 @fast

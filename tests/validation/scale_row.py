@@ -102,7 +102,7 @@ def measured(row: Row) -> dict[str, Any]:
     if solver.sparse_solver() != row.solver:
         raise RuntimeError(f"row {row.name} is of {row.solver} (here: {solver.sparse_solver()})")
     full = Stopwatch(full_block, "eigen")
-    kinds = (solver._SuperLU, solver._Pardiso)
+    kinds = (solver._BandedFactor, solver._SuperLU, solver._Pardiso)
     factors = [Stopwatch(kind, "__init__") for kind in kinds]
     loads = [Stopwatch(kind, "solve", lambda _, b: 1 if b.ndim == 1 else b.shape[1]) for kind in kinds]
     began, busy = time.perf_counter(), time.process_time()

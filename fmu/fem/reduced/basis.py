@@ -105,11 +105,11 @@ class ReducedBlock(Block):
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues (n, count) and M-normalised shapes (n, r, count) in the basis; NaN on failure."""
         A = _assemble(self._K, self._K_map(theta))
+        few = self.size >= _PARTIAL and 4 * count <= self.size
         if self.massless:
             M = _assemble(self._M, self._M_map(theta))
-            lam, phi = _row_by_row(_inverted, A, M)
+            lam, phi = _row_by_row(partial(_inverted, count=count if few else None), A, M)
             return lam[:, :count], phi[:, :, :count]
-        few = self.size >= _PARTIAL and 4 * count <= self.size
         solve: Any = partial(_lowest, count=count) if few else np.linalg.eigh
         if self.constant_mass:
             lam, phi = _row_by_row(solve, A)
@@ -225,13 +225,20 @@ def _whitened(K: FloatArray, M: FloatArray) -> tuple[FloatArray, FloatArray]:
     return inverse @ K @ np.swapaxes(inverse, 1, 2), inverse
 
 
-def _inverted(K: FloatArray, M: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return λ (n, r) and M-normalised shapes (n, r, r), where M may be singular; NaN beyond its rank."""
+def _inverted(K: FloatArray, M: FloatArray, count: int | None) -> tuple[FloatArray, FloatArray]:
+    """Return λ (n, m) and M-normalised shapes (n, r, m), where M may be singular; NaN beyond its rank.
+
+    The lowest `count` of them, or all of the reduced model if None.
+    """
     # K + s M is definite for a free structure too, and s of the size of λ keeps the digits of both matrices
     shift = np.array([np.trace(k) / np.trace(m) for k, m in zip(K, M, strict=True)])
     C, inverse = _whitened(M, K + shift[:, None, None] * M)
-    nu, y = np.linalg.eigh(C)
-    nu, y = nu[:, None, ::-1], y[:, :, ::-1]
+    if count is None:
+        nu, y = np.linalg.eigh(C)
+        nu, y = nu[:, None, ::-1], y[:, :, ::-1]
+    else:
+        nu, y = _lowest(-C, count)
+        nu = -nu[:, None]
     nu = np.where(nu > _FINITE * nu[:, :, :1], nu, np.nan)
     return 1.0 / nu[:, 0] - shift[:, None], np.swapaxes(inverse, 1, 2) @ (y / np.sqrt(nu))
 
