@@ -217,7 +217,8 @@ class ProblemFile(TomlTable):
         """Return the problem of several tests."""
         if beta is not None:
             raise ValueError(f"beta: must not be given for several tests (got {beta})")
-        tests, found = built_tests(self.tests or [], folder, structure, isinstance(self.error, str))
+        errors = with_places(errors, structure.places)
+        tests, found = built_tests(self.tests or [], folder, structure, not any(map(is_of_modes, errors)))
         if found:
             raise BrokenError(found)
         try:

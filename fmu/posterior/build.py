@@ -167,4 +167,7 @@ def likelihood_of(
     if paired.is_soft or not isinstance(model, SeparableModel):
         got = "soft pairing" if paired.is_soft else type(model).__name__
         raise ValueError(f"error: a mass or a displacement needs a SeparableModel, paired one to one (got {got})")
+    named = [one.test for one in others if one.test is not None]
+    if named:
+        raise ValueError(f"test: must not be given where there is one test only (got {named[0]!r})")
     return ModalLikelihood(paired, data, errors, [one.bind_structure(model, parameters) for one in others])

@@ -66,10 +66,11 @@ class QuantityErrors:
     """Settings of the errors of quantities that are not of modes."""
 
     sd: ClassVar[Any] = None
+    test: str | None
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
         """Raise ValueError: these errors are of the structure, see `bind_structure`."""
-        raise ValueError(f"error: {type(self).__name__} must be given to an UpdatingProblem of one test")
+        raise ValueError(f"error: {type(self).__name__} must be given to a problem of a SeparableModel")
 
     def n_errors(self, data: ModalData) -> int:
         """Return 0: no errors of modes."""
@@ -112,6 +113,8 @@ class MassErrors(QuantityErrors):
     at_supports : float, kg
         Mass that the model leaves out because supports hold it still, such as half of the lowest columns. It was
         weighed too. 0 for a free structure. A centre of gravity must be of the rest.
+    test : str, optional
+        Of several tests, the name of the one in which it was measured, and whose changes and parameters it has.
 
     Raises
     ------
@@ -125,6 +128,7 @@ class MassErrors(QuantityErrors):
     centre: tuple[float, float, float] | None = None
     centre_sd: Positive | None = None
     at_supports: float = 0.0
+    test: str | None = None
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.at_supports < self.mass:
@@ -166,6 +170,8 @@ class StaticErrors(QuantityErrors):
         Its standard deviation.
     at : tuple of (place, direction), optional
         Where it was measured; where the load acts if not given.
+    test : str, optional
+        Of several tests, the name of the one in which it was measured, and whose changes and parameters it has.
 
     Raises
     ------
@@ -178,6 +184,7 @@ class StaticErrors(QuantityErrors):
     displacement: float
     sd: Positive  # type: ignore[misc]  # a setting here
     at: tuple[int | str, str] | None = None
+    test: str | None = None
 
     def __post_init__(self) -> None:
         for name in ("load", "displacement"):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -26,10 +25,11 @@ from fmu.posterior.joint.joint_model import Configuration, JointModel, SlopesByT
 from fmu.posterior.joint.layout import BY_GROUP, BY_TEST, VARIES, Layout, scattered
 from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.population import Population
+from fmu.posterior.joint.quantities import Errors, over
 from fmu.posterior.joint.scored_prior import ScoredPrior
 from fmu.posterior.joint.typical import centred
 from fmu.posterior.parameters import Parameter
-from fmu.posterior.priors.base import Prior, Uniform
+from fmu.posterior.priors.base import Prior
 from fmu.posterior.problem import UpdatingProblem
 from fmu.types import FloatArray, Positive
 
@@ -82,7 +82,8 @@ class JointProblem(UpdatingProblem):
         Independent by default.
     pairing, beta, error, reduction, engine, name
         See `UpdatingProblem` and `UpdatingProblem.reduced`. ``"soft"`` pairing and the modal residual are for
-        single tests.
+        single tests. `fmu.MassErrors` and `fmu.StaticErrors` name the test in which the mass was weighed, or the
+        displacement measured: ``fmu.MassErrors(32.5e3, sd=300.0, test="autumn")``.
 
     Attributes
     ----------
@@ -120,7 +121,9 @@ class JointProblem(UpdatingProblem):
         varies, slopes = dict(varies or {}), {key: dict(value) for key, value in (slopes or {}).items()}
         check_names(parameters)
         self.reference = (self.tests[0].group if self.tests else "") if reference is None else reference
+        errors = Errors.of(error)
         found = mistakes(self.tests, parameters, varies, slopes, self.reference, correlation)
+        found += errors.mistakes(model, [test.name for test in self.tests])
         if any(isinstance(one, (ShapeErrors, MACErrors)) for one in np.ravel(np.array(error, dtype=object))):
             found += mistakes_of_shapes(self.tests)
         if found:
@@ -130,10 +133,12 @@ class JointProblem(UpdatingProblem):
             raise ValueError(f"tests: {what} is for a single test (got {len(self.tests)})")
         self.layout = Layout.of(parameters, self.tests, varies, slopes, self.reference, correlation)
         data = stacked(self.tests)
-        options = {"pairing": pairing, "beta": beta, "error": error, "reduction": reduction, "engine": engine}
+        common = {"beta": beta, "error": errors.of_modes}
+        options = {"pairing": pairing, "reduction": reduction, "engine": engine, **common}
         parts, tolerance = _configurations(model, self.tests, self.layout, options)
         joint = JointModel(self.layout, parts, data.n_modes)
-        self._pose(joint, data, self.layout.parameters, beta=beta, error=error, name=name)
+        self._pose(joint, data, self.layout.parameters, name=name, **common)
+        self.likelihood.quantities = errors.bound(joint)
         self.tolerance = tolerance
         if self.is_hierarchical:
             self._take(centred(self))
@@ -142,7 +147,7 @@ class JointProblem(UpdatingProblem):
         """Return the log-probability and its gradient, put together from the derivatives in every test."""
         likelihood: Any = copy(self.likelihood)
         n = self.n_structural
-        likelihood.model = SlopesByTest(self.model)
+        likelihood.model, likelihood.quantities = SlopesByTest(self.model), ()
         terms, slopes = likelihood.terms_and_gradient(points)
         P, modes = len(self.layout.structural), likelihood.of_used(np.arange(self.data.n_modes))
         test = self.model.test[modes]  # ascending
@@ -152,6 +157,12 @@ class JointProblem(UpdatingProblem):
         gradient = self.prior.log_pdf_gradient(points)
         gradient[:, :n] += self.layout.pulled(points[:, :n], by_test)
         gradient[:, n:] += slopes[:, :, P:].sum(axis=1)
+        parts = [terms]
+        for quantity in self.likelihood.quantities:
+            r, J = quantity.residuals_and_slopes(points[:, :n])
+            gradient[:, :n] -= np.einsum("nq,nqk->nk", r, J)
+            parts.append(quantity.terms(points[:, :n]))
+        terms = terms if len(parts) == 1 else np.concatenate(parts, axis=1)
         return self._recorded(terms, points).sum(axis=1) + self.prior.log_pdf(points), gradient
 
     def _take(self, layout: Layout) -> None:
@@ -422,7 +433,7 @@ def _configurations(
             except ValueError as error:
                 raise TestsError([f"tests.{here[0]}.{error}"]) from error
         parameters = [
-            _over(layout.structural[j], float(lower[here, j].min()), float(upper[here, j].max())) for j in kept
+            over(layout.structural[j], float(lower[here, j].min()), float(upper[here, j].max())) for j in kept
         ]
         data, modes = _together([tests[t] for t in here])
         alone = UpdatingProblem.reduced(changed, data, parameters, **options)
@@ -438,13 +449,6 @@ def _configurations(
             )
         )
     return found, tolerance
-
-
-def _over(p: Parameter, lower: float, upper: float) -> Parameter:
-    """Return a parameter for the box in which the values of some tests lie."""
-    if p.lower <= lower and upper <= p.upper:
-        return p
-    return replace(p, lower=lower, upper=upper, prior=Uniform(), start=float(np.clip(p.start, lower, upper)))
 
 
 def _together(tests: Sequence[Test]) -> tuple[ModalData, list[Any]]:

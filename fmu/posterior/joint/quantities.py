@@ -1,0 +1,128 @@
+"""Weighed masses and static displacements of single tests among several."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fmu.arguments import shown
+from fmu.fem.modes.separable import SeparableModel
+from fmu.formats.shown import names_shown
+from fmu.posterior.errors.base import ErrorModel
+from fmu.posterior.errors.quantities import QuantityErrors, QuantityTerm
+from fmu.posterior.joint.joint_model import Configuration, JointModel
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors.base import Uniform
+from fmu.types import FloatArray
+
+
+class Errors(NamedTuple):
+    """Error models of several tests.
+
+    Attributes
+    ----------
+    of_modes : str or sequence of ErrorModel
+        Those of all tests; by default as of a single one.
+    of_quantities : mapping of int to QuantityErrors
+        Those of one test each, by their place in the order given.
+    """
+
+    of_modes: Any
+    of_quantities: Mapping[int, QuantityErrors]
+
+    @classmethod
+    def of(cls, error: str | ErrorModel | Sequence[ErrorModel]) -> Errors:
+        """Return the error models apart."""
+        given: Any = error if isinstance(error, Sequence) and not isinstance(error, str) else [error]
+        quantities = {i: one for i, one in enumerate(given) if isinstance(one, QuantityErrors)}
+        if not quantities:
+            return cls(error, {})
+        return cls([one for i, one in enumerate(given) if i not in quantities] or "frequency", quantities)
+
+    def mistakes(self, model: Any, tests: Sequence[str]) -> list[str]:
+        """Return what is wrong between them, the model and the names of the tests, each with its place."""
+        rule = f"must be the test in which it was measured, one of {names_shown(tests)}"
+        found = [
+            f"error.{i}.test: {rule} (got {'none' if one.test is None else shown(one.test)})"
+            for i, one in self.of_quantities.items()
+            if one.test not in tests
+        ]
+        if self.of_quantities and not isinstance(model, SeparableModel):
+            first = next(iter(self.of_quantities))
+            found.append(
+                f"error.{first}: a mass or a displacement needs a model with matrices, a SeparableModel "
+                f"(got {type(model).__name__})"
+            )
+        return found
+
+    def bound(self, joint: JointModel) -> tuple[QuantityTerm, ...]:
+        """Return the quantities as functions of the parameters of all tests, with the test in their labels.
+
+        Raises
+        ------
+        ValueError
+            If the structure, as it was in that test, cannot give one; with its place.
+        """
+        lower, upper = joint.layout.box()
+        found = []
+        for i, one in self.of_quantities.items():
+            t = joint.layout.tests.index(str(one.test))
+            part = next(part for part in joint.configurations if t in part.tests)
+            parameters = [_ended(joint.layout.structural[j], lower[t, j], upper[t, j]) for j in part.parameters]
+            structure: Any = part.model.structure
+            try:
+                term = one.bind_structure(structure, parameters)
+            except ValueError as error:
+                raise ValueError(f"error.{i}.{error}") from error
+            labels = tuple(f"{one.test}: {label}" for label in term.labels)
+            found.append(term._replace(labels=labels, computed=InOneTest(term.computed, joint, part, t)))
+        return tuple(found)
+
+
+@dataclass(frozen=True, eq=False)
+class InOneTest:
+    """A quantity of the structure in one test, as a function of the parameters of all tests.
+
+    Attributes
+    ----------
+    computed : callable
+        Of the structure's parameters in the test, see `fmu.posterior.errors.quantities.QuantityTerm`.
+    joint : JointModel
+    part : Configuration
+        The one of the test.
+    test : int
+    """
+
+    computed: Any
+    joint: JointModel
+    part: Configuration
+    test: int
+
+    def __call__(self, theta: FloatArray, gradient: bool = False) -> tuple[FloatArray, FloatArray | None]:
+        """Return the values, (n, q), at theta (n, n_parameters), and their derivatives if `gradient`."""
+        layout = self.joint.layout
+        own = layout.values(theta)[:, self.test, self.part.parameters]
+        values, by_own = self.computed(own, gradient)
+        if by_own is None:
+            return values, None
+        slopes = np.zeros((*values.shape, len(layout.structural)))
+        slopes[:, :, self.part.parameters] = by_own
+        return values, layout.chained(theta, slopes, np.full(values.shape[1], self.test))
+
+
+def over(p: Parameter, lower: float, upper: float) -> Parameter:
+    """Return a parameter for the box in which the values of some tests lie."""
+    if p.lower <= lower and upper <= p.upper:
+        return p
+    return replace(p, lower=lower, upper=upper, prior=Uniform(), start=float(np.clip(p.start, lower, upper)))
+
+
+def _ended(p: Parameter, lower: float, upper: float) -> Parameter:
+    """Return a parameter for the box of the values of a test, which ends it where it has no bound."""
+    found = over(p, lower, upper)
+    low = found.lower if np.isfinite(found.lower) else float(lower)
+    high = found.upper if np.isfinite(found.upper) else float(upper)
+    return replace(found, lower=low, upper=high)
