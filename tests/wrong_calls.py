@@ -314,9 +314,11 @@ def calls(folder: Path) -> Iterator[Call]:
     )
     yield Call("ModalData.to_uff", data.to_uff, {"path": folder / "out.uff", "nodes": None})
     yield Call("MassErrors", fmu.MassErrors, {
-        "mass": 7.5, "sd": 0.1, "centre": (0.0, 0.0, 0.0), "centre_sd": 0.1, "at_supports": 0.0, "test": None})  # fmt: skip
+        "mass": 7.5, "sd": 0.1, "centre": (0.0, 0.0, 0.0), "centre_sd": 0.1, "at_supports": 0.0,
+        "test": None})  # fmt: skip
     yield Call("StaticErrors", fmu.StaticErrors, {
-        "force": (3, "x"), "load": 1.0, "displacement": 1e-5, "sd": 1e-6, "at": (2, "x"), "test": None})  # fmt: skip
+        "force": (3, "x"), "load": 1.0, "displacement": 1e-5, "sd": 1e-6, "at": (2, "x"),
+        "test": None})  # fmt: skip
     yield Call("MixtureMove", fmu.MixtureMove, {"density": None, "lower": [0.5], "upper": [2.0]})
     yield Call("from_emcee", fmu.from_emcee, {
         "source": walked(), "problem": None, "names": ["k"], "discard": 0, "thin": 1, "thin_by": 1,

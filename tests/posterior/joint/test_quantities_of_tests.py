@@ -1,10 +1,14 @@
 """Weighed masses and static displacements of single tests among several: the sum of what each test says."""
 
+import pickle
+
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from numpy.testing import assert_allclose, assert_array_equal
 
 import fmu
+from fmu import cli
 from fmu.config import ConfigurationError
 from fmu.posterior.joint.joint_problem import TestsError
 from tests.posterior.test_quantities import cantilever
@@ -256,6 +260,23 @@ def test_in_a_problem_file(tmp_path):
     assert_allclose(problem.log_prob(theta), same.log_prob(theta), rtol=1e-9)
     words = " ".join(str(fmu.check(problem)).split())
     assert "Measured besides, with Gaussian errors: bare: mass 32500 ± 300 kg" in words
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_a_run_of_a_problem_file_writes_them_into_its_page(tmp_path):
+    (tmp_path / "chain.toml").write_text(FILE)
+    options = ["--draws", "60", "--warmup", "60", "--chains", "2", "--out", str(tmp_path / "run"), "--report"]
+    result = CliRunner().invoke(cli.main, ["run", str(tmp_path / "chain.toml"), *options], prog_name="fmu")
+    assert result.exit_code == 0, result.output
+    page = (tmp_path / "run" / "report" / "index.html").read_text(encoding="utf-8")
+    assert "bare: mass 32500 ± 300 kg" in page
+    assert "laden: displacement of top x" in page
+
+
+def test_another_process_has_the_same_density():
+    problem = joint(k1=fmu.Population())
+    theta = points(problem)
+    assert_array_equal(pickle.loads(pickle.dumps(problem)).log_prob(theta), problem.log_prob(theta))
 
 
 @pytest.mark.parametrize(
