@@ -72,11 +72,11 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
 
 def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
     """Return one row per parameter: unit, start and bounds in it, prior in words, what it changes if known."""
-    structure = problem.model.structure
     rows = []
-    for j, parameter in enumerate(problem.parameters):
-        changes, unit = "" if structure is None else _changes(structure, j), shown(parameter.unit)
-        if j >= problem.model.n_parameters:
+    for k, parameter in enumerate(problem.parameters):
+        found, unit = problem.model.matrices_of(k), shown(parameter.unit)
+        changes = "" if found is None else _changes(*found)
+        if k >= problem.model.n_parameters:
             changes = "measurement errors"
         rows.append(
             {
@@ -97,8 +97,10 @@ def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
     structure = problem.model.structure
     if structure is None or not is_drawable(structure, _MOST_ELEMENTS):
         return "", [None] * problem.ndim
-    found, others = sketch(structure, problem.data.sensors), [None] * (problem.ndim - structure.n_parameters)
-    return drawn(found), [*parameter_colours(found), *others]
+    found = sketch(structure, problem.data.sensors)
+    colours = parameter_colours(found)
+    changed = [problem.model.matrices_of(k) for k in range(problem.ndim)]
+    return drawn(found), [None if of is None or of[0] is not structure else colours[of[1]] for of in changed]
 
 
 def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
@@ -129,8 +131,6 @@ def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
 
 def _changes(structure: SeparableModel, j: int) -> str:
     """Describe what a parameter changes: ``"stiffness of 10 of 50 elements"``."""
-    if j >= structure.n_parameters:
-        return ""
     kinds = []
     touched = np.zeros(structure.n_dof, dtype=bool)
     for kind, terms in (("stiffness", structure.K_terms), ("mass", structure.M_terms)):

@@ -219,6 +219,25 @@ def test_all_of_it_in_words():
     assert "<svg" in found._repr_html_()
 
 
+def test_of_several_tests_a_parameter_changes_what_that_of_the_structure_does():
+    """Whatever test it is of, and where one is known in the first test."""
+    K = [np.diag([1.0, 0.0]), np.array([[1.0, -1.0], [-1.0, 1.0]])]
+    model = fmu.SeparableModel.from_terms(
+        ["k1", "k2", "m"], list(zip(K, ["k1", "k2"], strict=True)), [(np.eye(2), "m")]
+    )
+    uncertain = [fmu.Parameter(name, 1.0, 0.5, 2.0) for name in ("k1", "k2", "m")]
+    data = fmu.ModalData([0.1, 0.26], sd_hz=0.01)
+    tests = [
+        fmu.Test(name, data, known={"k1": 1.0} if name == "first" else {}) for name in ("first", "second", "third")
+    ]
+    varies = {"k1": "test", "k2": fmu.Population(), "m": fmu.Population()}
+    problem = fmu.JointProblem(model, tests, uncertain, varies=varies, correlation=2.0, pairing="index")
+    changes = dict(zip(problem.names, check(problem).parameters["changes"], strict=True))
+    of = {"k1": "stiffness at 1 of 2", "k2": "stiffness at 2 of 2", "m": "mass at 2 of 2"}
+    assert changes.pop("k2 m correlation") == ""
+    assert changes == {name: f"{of[name.split()[0]]} degrees of freedom" for name in changes}
+
+
 def test_a_model_without_matrices_and_a_name_that_is_html():
     problem = linear(measured=(103.0, 99.5, 120.0))
     problem.name = "<b>bold</b>"

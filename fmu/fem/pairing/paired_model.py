@@ -137,6 +137,10 @@ class ModalModel:
         structure = self.as_structure()
         return () if structure is None else (structure,)
 
+    def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
+        """Return the matrices that parameter `k` of theta changes, and its number there; None without any."""
+        return None if self.structure is None or k >= self.n_parameters else (self.structure, k)
+
     def failed_tests(self, theta: FloatArray) -> Iterator[tuple[str, ModalModel, FloatArray]]:
         """Yield the tests without frequencies at a theta (n_parameters,): name, model, and its own parameters.
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from fmu.fem.black_box import Failure
+from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.paired_model import ModalModel, PairedStructure
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.joint.layout import Layout
@@ -110,6 +111,14 @@ class JointModel(ModalModel):
     def structures(self) -> tuple[PairedStructure, ...]:
         """Return that of each configuration."""
         return tuple(structure for part in self.configurations for structure in part.model.structures())
+
+    def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
+        """Return the first matrices that parameter `k` of theta changes, and its number there, or None."""
+        j = self.layout.owners[k] if k < self.n_parameters else None
+        for part in self.configurations:
+            if j is not None and j in part.parameters:
+                return part.model.matrices_of(int(np.flatnonzero(part.parameters == j)[0]))
+        return None
 
     def failed_tests(self, theta: FloatArray) -> Iterator[tuple[str, ModalModel, FloatArray]]:
         """Yield the tests without frequencies at a theta (n_parameters,): name, model, and its own parameters."""

@@ -299,6 +299,8 @@ class Layout:
         Parameters that have a value of their own in each group of tests.
     correlation : Correlation, optional
         Of the populations; they are independent without one.
+    owners : tuple of int or None
+        Which parameter of the structure each of `parameters` is of; None for correlations.
     """
 
     structural: tuple[Parameter, ...]
@@ -309,6 +311,7 @@ class Layout:
     by_test: tuple[str, ...] = ()
     by_state: tuple[str, ...] = ()
     correlation: Correlation | None = None
+    owners: tuple[int | None, ...] = ()
 
     @classmethod
     def of(
@@ -324,12 +327,14 @@ class Layout:
         main: list[Parameter] = []
         scores: list[Parameter] = []
         pending: list[Any] = []
+        owners: list[int | None] = []
+        of_scores: list[int | None] = []
 
         def add(parameter: Parameter) -> int:
             main.append(parameter)
             return len(main) - 1
 
-        for p in structural:
+        for j, p in enumerate(structural):
             how = varies.get(p.name, SHARED)
             here = [t for t, test in enumerate(tests) if p.name not in test.known]
             columns = np.zeros(len(tests), dtype=np.int64)
@@ -357,6 +362,8 @@ class Layout:
                 of_slopes.append(add(Parameter(f"{p.name} per {covariate}", at, prior=prior)))
             trend = (tuple(of_slopes), np.array(away), tuple(slopes.get(p.name, {})), tuple(means))
             pending.append((base, trend))
+            owners += [j] * (len(main) - len(owners))
+            of_scores += [j] * (len(scores) - len(of_scores))
 
         correlation = None
         if eta is not None:
@@ -383,6 +390,7 @@ class Layout:
                 if varies.get(p.name) == BY_GROUP or isinstance(varies.get(p.name), Damage)
             ),
             correlation,
+            (*owners, *[None] * (len(main) - len(owners)), *of_scores),
         )
 
     def losses(self, theta: FloatArray, reference: IntArray, later: IntArray) -> FloatArray:
