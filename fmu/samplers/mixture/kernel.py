@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.samplers.kernel import Info, State, Target
+from fmu.samplers.mixture.curved import CurvedMixture
 from fmu.samplers.mixture.proposal import Mixture
 from fmu.samplers.trajectory import HamiltonianKernel
 from fmu.types import FloatArray
@@ -34,7 +35,7 @@ class MixtureKernel:
 
     Attributes
     ----------
-    proposal : Mixture or None
+    proposal : Mixture, CurvedMixture or None
         None before the first fit: every step is then a local one.
     local : Kernel
     local_steps, jumps : int
@@ -48,7 +49,7 @@ class MixtureKernel:
     """
 
     target: Target
-    proposal: Mixture | None
+    proposal: Mixture | CurvedMixture | None
     local: Any
     local_steps: int
     jumps: int
@@ -103,7 +104,9 @@ class MixtureKernel:
         told = Info(info.accepted, end.log_prob, info.n_solves + solves, info.n_gradients + gradients, stats, info)
         return replace(end, extra=extra), told
 
-    def _jump(self, rng: np.random.Generator, state: State, proposal: Mixture) -> tuple[State, Info]:
+    def _jump(
+        self, rng: np.random.Generator, state: State, proposal: Mixture | CurvedMixture
+    ) -> tuple[State, Info]:
         extra = dict(state.extra)
         chains, ndim = state.position.shape
         n_solves, n_nonfinite = (np.zeros(chains, dtype=np.int64) for _ in range(2))

@@ -13,6 +13,7 @@ from fmu.arguments import check_arguments
 from fmu.samplers.hmc import HamiltonianMonteCarlo
 from fmu.samplers.kernel import Sampler, Target
 from fmu.samplers.metropolis import MetropolisHastings
+from fmu.samplers.mixture.curved import CurvedMixture
 from fmu.samplers.mixture.kernel import MixtureKernel
 from fmu.samplers.mixture.proposal import WIDE, Mixture
 from fmu.samplers.mixture.quadratic import Quadratic
@@ -38,9 +39,10 @@ class MixtureSampler(Sampler):
 
     Parameters
     ----------
-    components : sequence of Quadratic, optional
+    components : sequence of Quadratic, or CurvedMixture, optional
         Where the fit begins, in scaled units, such as the maxima of the posterior with their curvature, which
-        `fmu.sample` gives. Without them, local steps find them in the first half of the warm-up.
+        `fmu.sample` gives. Without them, local steps find them in the first half of the warm-up, or less. Where
+        the density turns out to be bent, hollow or infinite at a wall, warm-up learns a `CurvedMixture`.
     weights : vector, optional
         Their weights; equal if not given.
     bent : vector of bool, optional
@@ -69,7 +71,7 @@ class MixtureSampler(Sampler):
     Mira & Robert (2012), Scand. J. Stat. 39, 798-812.
     """
 
-    components: tuple[Quadratic, ...] | None = None
+    components: tuple[Quadratic, ...] | CurvedMixture | None = None
     weights: Any = None
     bent: Sequence[bool] | None = None
     wide: Annotated[float, Interval(gt=0.0, lt=1.0)] | None = None
@@ -96,6 +98,9 @@ class MixtureSampler(Sampler):
             if not self.adapt:
                 raise ValueError("components: must be given if adapt is False (got None)")
             return
+        if isinstance(self.components, CurvedMixture):
+            object.__setattr__(self, "weights", tuple(self.components.weights.tolist()))
+            return
         components = tuple(self.components)
         if not components:
             raise ValueError("components: must be at least one, or None (got none)")
@@ -117,7 +122,7 @@ class MixtureSampler(Sampler):
         """Return the kernel that samples `density`."""
         local = self.local_of(density).bind(density)
         mixture = self.mixture(density)
-        jumps = self.jumps_with(WIDE if mixture is None else mixture.wide)
+        jumps = self.jumps_with(mixture.wide if isinstance(mixture, Mixture) else WIDE)
         return MixtureKernel(Target(density), mixture, local, self.local_steps, jumps)
 
     def jumps_with(self, wide: float) -> int:
@@ -130,10 +135,10 @@ class MixtureSampler(Sampler):
         """Return a tuner that fits the mixture in `steps` warm-up steps; None if it is not to be fitted."""
         return MixtureTuner(self, density, chains, steps) if self.adapt else None
 
-    def mixture(self, density: LogDensity) -> Mixture | None:
+    def mixture(self, density: LogDensity) -> Mixture | CurvedMixture | None:
         """Return the mixture that the components make; None if there are none."""
-        if self.components is None:
-            return None
+        if self.components is None or isinstance(self.components, CurvedMixture):
+            return self.components
         warp, wide = first_warp(density), WIDE if self.wide is None else self.wide
         if self.bent is not None:  # components that were fitted are in the coordinates of the warp
             warp = replace(warp, bent=np.array(self.bent))

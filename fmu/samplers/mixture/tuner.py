@@ -13,6 +13,8 @@ from scipy.special import logsumexp
 from fmu.samplers.hmc import HamiltonianMonteCarlo
 from fmu.samplers.kernel import Info, State, Target, Tree, Tuner
 from fmu.samplers.metropolis import MetropolisHastings
+from fmu.samplers.mixture.curve import infinite_margins
+from fmu.samplers.mixture.curved import CurvedMixture
 from fmu.samplers.mixture.kernel import MixtureKernel
 from fmu.samplers.mixture.proposal import (
     GOOD,
@@ -26,6 +28,7 @@ from fmu.samplers.mixture.proposal import (
     refitted_mixture,
 )
 from fmu.samplers.mixture.quadratic import Quadratic, climbed, fitted, n_coefficients
+from fmu.samplers.mixture.rounds import learnt_in_rounds
 from fmu.samplers.slice import Slice
 from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
 
@@ -53,6 +56,14 @@ _LOCAL_STEPS = 3
 """Local steps per candidate where those are rarely accepted."""
 _ENOUGH_JUMPS, _ENOUGH_STEPS = 20, 100
 """Candidates per chain that tell their acceptance rate, and local steps that tell their own metric."""
+_LEAST_WALK, _WALK_SOLVES = 50, 1000
+"""Local steps that give a first idea of a density, and evaluations of a chain after which they are enough."""
+_CANDIDATES = 5
+"""Most candidates of the rounds in which a curved mixture is learnt, per step of the warm-up and chain."""
+_WORTH = 0.02
+"""Effective draws per candidate of a curved mixture below which local steps give more."""
+_CURVED_CYCLE = 1, 79
+"""Local steps, then candidates, of a curved mixture."""
 
 
 class MixtureTuner:
@@ -65,7 +76,8 @@ class MixtureTuner:
 
     Where candidates are still rarely accepted in some chain after the first fits, the steps go to local ones,
     which learn a metric of their own from their draws. Further fits are to these draws. Candidates come back when
-    they are accepted often.
+    they are accepted often. Once the draws show the density roughly, a `CurvedMixture` is learnt from rounds of
+    candidates; it stays if its candidates are accepted. It is also learnt where the density is infinite at a wall.
 
     Parameters
     ----------
@@ -80,13 +92,14 @@ class MixtureTuner:
         self.sampler, self.density, self.chains, self.steps = sampler, density, chains, steps
         self.done = 0
         self.first = 0 if sampler.components is not None else max(int(_LOCAL_PART * steps), 1)
-        self.fit_at = [self.first + int(part * (steps - self.first)) for part in _FITS]
         self.target = Target(density)
-        self.stages: list[Mixture] = []  # of each fit, the last one in use
+        self.stages: list[Mixture | CurvedMixture] = []  # of each fit, the last one in use
         self.counts: list[int] = []  # of the candidates of each that were evaluated
         self.drawn = self.visited = self.walked = Evaluated.none(density.ndim)  # `walked` as local steps prevail
         self.accepted, self.jumped = np.zeros(chains), 0  # of the candidates since the last fit
         self.switched = -1  # step at which local steps began to prevail; -1 where they do not
+        self.walk = 0, 0.0  # local steps before there was a mixture, or as they prevail, and evaluations per chain
+        self.is_bent = self.has_tried = False  # what a curved mixture is for, and whether one was learnt
         self.covariance: FloatArray | None = None
         self.local_settings = sampler.local_of(density)
         self.local: Tuner | None = None
@@ -98,9 +111,14 @@ class MixtureTuner:
         self._take_kernel()
 
     @property
-    def mixture(self) -> Mixture | None:
+    def mixture(self) -> Mixture | CurvedMixture | None:
         """The mixture in use; None before the first fit."""
         return self.stages[-1] if self.stages else None
+
+    @property
+    def fit_at(self) -> list[int]:
+        """Steps after which the mixture is fitted again."""
+        return [self.first + int(part * (self.steps - self.first)) for part in _FITS]
 
     def update(self, state: State, info: Info) -> IntArray | None:
         """Learn from one step; return the evaluations of each chain that this took, shape (chains,)."""
@@ -110,12 +128,15 @@ class MixtureTuner:
                 self.local.update(State(state.position, state.log_prob, state.gradient), info.parts)
             if self.switched >= 0:
                 self.walked = self.walked.with_more(state.position, state.log_prob, state.gradient)
+            if self.switched >= 0 or self.mixture is None:
+                self.walk = self.walk[0] + 1, self.walk[1] + float(np.mean(info.n_solves))
         else:
             self.accepted = self.accepted + info.extra["acceptance_rate"]
             self.jumped += 1
         if self.mixture is None:
             self.visited = self.visited.with_more(state.position, state.log_prob, state.gradient)
-            if self.done == self.first:
+            if self.done == self.first or self._has_walked:
+                self.first = self.done
                 self._fit_to_draws()
         elif info.parts is None and int(state.extra["next"]) == 1:  # a new block
             u, log_prob = state.extra["block_position"], state.extra["block_log_prob"]
@@ -125,8 +146,10 @@ class MixtureTuner:
         if self.done in self.fit_at and self.drawn.log_prob.size:
             spent = self._fit(state)
             if self.done >= self.fit_at[_JUDGED]:
-                self._choose_steps()
+                spent = _sum(spent, self._choose_steps(state))
             self.accepted, self.jumped = np.zeros(self.chains), 0
+        elif self.switched >= 0 and self.is_bent and self._has_walked and self._can_learn:
+            spent = self._learn_curved(state)
         self._take_kernel()
         return spent
 
@@ -136,6 +159,11 @@ class MixtureTuner:
             self._fit_to_draws()
         assert self.mixture is not None
         local: Any = self.local_settings if self.local is None else self.local.finished()
+        if isinstance(self.mixture, CurvedMixture):
+            steps, jumps = self._cycle(WIDE)
+            return replace(
+                self.sampler, components=self.mixture, local_steps=steps, jumps=jumps, local=local, adapt=False
+            )
         steps, jumps = self._cycle(self.mixture.wide)
         return replace(
             self.sampler,
@@ -159,6 +187,10 @@ class MixtureTuner:
             "accepted": self.accepted,
             "jumped": self.jumped,
             "switched": self.switched,
+            "first": self.first,
+            "walk": list(self.walk),
+            "is_bent": int(self.is_bent),
+            "has_tried": int(self.has_tried),
             "stages": {str(k): stage.arrays() for k, stage in enumerate(self.stages)},
             "counts": list(self.counts),
             "covariance": self.covariance,
@@ -167,14 +199,19 @@ class MixtureTuner:
 
     def restore(self, state: Tree) -> None:
         """Take over what another tuner had learnt."""
-        self.done = state["done"]
+        self.done, self.first = state["done"], int(state["first"])
+        self.walk = int(state["walk"][0]), float(state["walk"][1])
+        self.is_bent, self.has_tried = bool(state["is_bent"]), bool(state["has_tried"])
         self.drawn, self.visited = Evaluated(**state["drawn"]), Evaluated(**state["visited"])
         self.walked, self.switched = Evaluated(**state["walked"]), int(state["switched"])
         self.accepted, self.jumped = np.array(state["accepted"]), int(state["jumped"])
         self.counts = [int(n) for n in state["counts"]]
         lower, upper = self.density.lower, self.density.upper
         stages = state["stages"]
-        self.stages = [Mixture.of_arrays(stages[str(k)], lower, upper) for k in range(len(stages))]
+        self.stages = [
+            CurvedMixture.of_arrays(one) if "bends" in one else Mixture.of_arrays(one, lower, upper)
+            for one in (stages[str(k)] for k in range(len(stages)))
+        ]
         if self.stages:
             self._take_covariance(state["covariance"])
             if self.switched >= 0:
@@ -183,7 +220,7 @@ class MixtureTuner:
             self.local.restore(state["local"])
         self._take_kernel()
 
-    def _begin_with(self, mixture: Mixture) -> None:
+    def _begin_with(self, mixture: Mixture | CurvedMixture) -> None:
         """Take the first mixture, and local steps of its shape."""
         self._take(mixture)
         self._take_covariance(mixture.covariance_within(np.random.default_rng(0), _SAMPLE))
@@ -215,6 +252,8 @@ class MixtureTuner:
         since a fit may lose one. Return the evaluations of each chain that this took.
         """
         assert self.mixture is not None
+        if isinstance(self.mixture, CurvedMixture):
+            return None
         u, log_prob, _ = self.drawn
         known = np.isfinite(log_prob)
         u, log_prob = u[known], log_prob[known]
@@ -251,16 +290,71 @@ class MixtureTuner:
         shares = [np.nan_to_num(points.effective_share(mixture.log_density(u))) for mixture in (one, other)]
         return one if shares[0] > shares[1] else other
 
-    def _choose_steps(self) -> None:
-        """Let local steps prevail where some chain rarely accepts a candidate, until all accept them often."""
+    @property
+    def _has_walked(self) -> bool:
+        """Whether local steps have shown a density on which they are long; on others they may go on."""
+        return self.walk[0] >= _LEAST_WALK and self.walk[1] >= _WALK_SOLVES
+
+    def _choose_steps(self, state: State) -> IntArray | None:
+        """Let local steps prevail where some chain rarely accepts a candidate, until all accept them often.
+
+        Where most chains rarely do, learn a curved mixture, if their draws are there already. Return the
+        evaluations that this took.
+        """
         if self.jumped < _ENOUGH_JUMPS or self.sampler.local_steps >= self.sampler.jumps_with(WIDE):
-            return
-        least = float(self.accepted.min()) / self.jumped
-        if self.switched < 0 and least < _RARE:
-            self.switched = self.done
-            self._prefer_local()
-        elif self.switched >= 0 and least > _OFTEN:
+            return None
+        rates = self.accepted / self.jumped
+        self.is_bent = bool(np.median(rates) < _RARE) or self._is_infinite()
+        if self.switched < 0 and self.is_bent and self._can_learn:
+            return self._learn_curved(state)
+        if self.switched < 0 and (rates.min() < _RARE or self.is_bent):
+            self._switch()
+        elif self.switched >= 0 and rates.min() > _OFTEN:
             self.switched = -1
+        return None
+
+    def _switch(self) -> None:
+        """Let local steps prevail from now on."""
+        self.switched, self.walk = self.done, (0, 0.0)
+        self._prefer_local()
+
+    @property
+    def _can_learn(self) -> bool:
+        """Whether there are local draws enough from which to learn a curved mixture, for the first time."""
+        draws = self.walked if self.switched >= 0 else self.visited
+        return not self.has_tried and len(draws.log_prob) >= _LEAST_WALK * self.chains
+
+    def _is_infinite(self) -> bool:
+        """Say whether the density is infinite at a wall, by the candidates so far; no Gaussian is."""
+        if isinstance(self.mixture, CurvedMixture):
+            return False
+        u, log_prob, _ = self.drawn
+        known = np.isfinite(log_prob)
+        if not known.any():
+            return False
+        points = Points.weighted(u[known], log_prob[known], self._log_density_so_far(u[known]))
+        shapes = infinite_margins(points.position, points.weight, self.density.lower, self.density.upper)
+        return bool(np.isfinite(shapes).any())
+
+    def _learn_curved(self, state: State) -> IntArray:
+        """Learn a curved mixture from where local steps were; return the evaluations that this took.
+
+        If its candidates are rarely accepted as well, local steps prevail.
+        """
+        self.has_tried = True
+        draws = self.walked if self.switched >= 0 else self.visited
+        later = draws.position[len(draws.position) // 3 :]
+        rng = np.random.default_rng(state.position.view(np.uint64).ravel())  # another one for another seed
+        most = _CANDIDATES * self.steps * self.chains
+        mixture, efficiency, n_solves = learnt_in_rounds(self.target, later, rng, most)
+        if mixture is not None and efficiency >= _WORTH:
+            self.switched = -1
+            self._begin_with(mixture)
+        elif self.switched < 0:
+            self._switch()
+        spent = np.full(self.chains, n_solves // self.chains)
+        spent[: n_solves % self.chains] += 1
+        return spent
 
     def _prefer_local(self) -> None:
         """Begin local steps that learn their metric from their draws; from the mixture where they are too few."""
@@ -273,6 +367,8 @@ class MixtureTuner:
         """Return so many local steps, then so many candidates."""
         if self.switched >= 0:
             return _LOCAL_STEPS, 1
+        if isinstance(self.mixture, CurvedMixture):
+            return _CURVED_CYCLE
         return self.sampler.local_steps, self.sampler.jumps_with(wide)
 
     def _at_last(self, mixture: Mixture, points: Points) -> Mixture:
@@ -328,7 +424,7 @@ class MixtureTuner:
         ]
         return np.asarray(logsumexp(of_stages, axis=0))
 
-    def _take(self, mixture: Mixture) -> None:
+    def _take(self, mixture: Mixture | CurvedMixture) -> None:
         self.stages.append(mixture)
         self.counts.append(0)
 
@@ -336,13 +432,23 @@ class MixtureTuner:
         self.covariance = covariance
         cycle = self.sampler.local_steps + self.sampler.jumps_with(WIDE)
         remaining = max((self.steps - self.first) * self.sampler.local_steps // cycle, 1)
-        self.local_settings = shaped(self.sampler.local_of(self.density), covariance)
+        local = self.sampler.local_of(self.density)
+        if isinstance(self.mixture, CurvedMixture) and self.sampler.local is None:
+            local = Slice()  # the gradients of such a density say little of what is a standard deviation away
+        self.local_settings = shaped(local, covariance)
         self.local = self.local_settings.tuner(self.density, self.chains, remaining)
 
     def _take_kernel(self) -> None:
         local = self.local_settings.bind(self.density) if self.local is None else self.local.kernel
         steps, jumps = self._cycle(WIDE)
         self.kernel = MixtureKernel(self.target, self.mixture, local, steps, jumps, len(self.stages), gathers=True)
+
+
+def _sum(one: IntArray | None, other: IntArray | None) -> IntArray | None:
+    """Return the sum of two numbers of evaluations, either of which may be none."""
+    if one is None or other is None:
+        return other if one is None else one
+    return one + other
 
 
 def groups_of_chains(u: FloatArray) -> IntArray:

@@ -1,0 +1,163 @@
+"""A mixture of Gaussians, each bent along its own axes, fitted by expectation and maximisation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from fmu.samplers.mixture.curve import BETTER, HALF_LOG_2PI, features, least_squares, of_coordinates
+from fmu.types import FloatArray
+
+MOST = 32
+"""Gaussians of a mixture."""
+_SWEEPS, _LITTLE = 12, 2e-3
+"""Most sweeps of a fit, and a gain of log-likelihood per point that is not worth another."""
+_POINTS, _PER_GAUSSIAN = 4, 20
+"""Effective points per coefficient of a bend, and per coordinate of a Gaussian."""
+PENALTY = 3.0
+"""Log-likelihood that a coefficient must gain. Weighted points say less than as many independent ones: Akaike's
+criterion, 1, leaves too many Gaussians, which collapse on single points."""
+_WORTH, _FAILURES = 0.01, 2
+_NEAR = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class BentGaussians:
+    """x = mean + A t and t_i = b_i(t) + sd_i z_i, z Gaussian; b_i is quadratic in the wider t_j, j > i.
+
+    The columns of A are the principal axes, the shortest first, so that a thin curved sheet or thread is bent
+    along itself. The map from z to t is triangular.
+
+    Attributes
+    ----------
+    weights : ndarray, shape (k,)
+    means : ndarray, shape (k, ndim)
+    axes : ndarray, shape (k, ndim, ndim)
+        The matrices A.
+    bends : ndarray, shape (k, ndim, n)
+        Coefficients of b_i for the n `features` of t.
+    sds : ndarray, shape (k, ndim)
+    """
+
+    weights: FloatArray
+    means: FloatArray
+    axes: FloatArray
+    bends: FloatArray
+    sds: FloatArray
+
+    def z_of(self, x: FloatArray, k: int) -> FloatArray:
+        """Return z of points x (n, ndim) as those of Gaussian k."""
+        t = np.linalg.solve(self.axes[k], (x - self.means[k]).T).T
+        return np.asarray((t - features(t) @ self.bends[k].T if self.bends[k].any() else t) / self.sds[k])
+
+    def x_of(self, z: FloatArray, k: int) -> FloatArray:
+        """Return x of points z (n, ndim) of Gaussian k."""
+        t = z * self.sds[k]
+        if self.bends[k].any():
+            for i in range(t.shape[1] - 2, -1, -1):
+                t[:, i] += features(t) @ self.bends[k, i]
+        return np.asarray(self.means[k] + t @ self.axes[k].T)
+
+    def log_densities(self, x: FloatArray, wider: FloatArray) -> FloatArray:
+        """Return log-densities with the weights, (factors, k, n), of Gaussians `wider` by each of the factors."""
+        ndim, found = x.shape[1], np.empty((len(wider), len(self.weights), len(x)))
+        for k, weight in enumerate(self.weights):
+            square = np.sum(self.z_of(x, k) ** 2, axis=1)
+            log_volume = np.linalg.slogdet(self.axes[k])[1] + np.sum(np.log(self.sds[k])) + ndim * HALF_LOG_2PI
+            found[:, k] = np.log(weight) - log_volume - ndim * np.log(wider)[:, None]
+            found[:, k] -= 0.5 * square / wider[:, None] ** 2
+        return found
+
+    def responsibilities(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the probability that each point came from each Gaussian, (k, n), and the log-densities (n,)."""
+        each = self.log_densities(x, np.ones(1))[0]
+        total = np.asarray(logsumexp(each, axis=0))
+        return np.exp(each - total), total
+
+    @property
+    def n_coefficients(self) -> int:
+        """How many numbers describe the mixture."""
+        ndim = self.means.shape[1]
+        return int(np.count_nonzero(self.bends)) + len(self.weights) * (ndim + 1) * (ndim + 2) // 2
+
+
+def fitted_gaussians(x: FloatArray, weight: FloatArray) -> tuple[BentGaussians, float]:
+    """Return the mixture that fits points x (n, ndim) with weights (n,) best, and its penalised log-likelihood.
+
+    One Gaussian, then twice as many each time, every one cut in two across its longest axis, until that no longer
+    helps.
+    """
+    ndim, weight = x.shape[1], weight / weight.sum()
+    size = 1.0 / float(np.sum(weight**2))
+    best: BentGaussians | None = None
+    best_score, failures = -np.inf, 0
+    parts = _maximised(x, weight[None], size)
+    while parts is not None and failures < _FAILURES:
+        parts, value = _improved(x, weight, size, parts)
+        score = value - PENALTY * parts.n_coefficients / size
+        if best is None or score > best_score + _WORTH:
+            best, best_score, failures = parts, score, 0
+        else:
+            failures += 1
+        k = 2 * len(parts.weights)
+        if k > MOST or size < _PER_GAUSSIAN * ndim * k:
+            break
+        side = np.stack([parts.z_of(x, i)[:, -1] for i in range(len(parts.weights))])
+        side = 1.0 / (1.0 + np.exp(-4.0 * np.clip(side, -50.0, 50.0)))
+        r = parts.responsibilities(x)[0] * weight
+        parts = _maximised(x, np.concatenate([r * side, r * (1.0 - side)]), size)
+    if best is None:
+        raise np.linalg.LinAlgError("too few points for a Gaussian")
+    return best, best_score
+
+
+def _improved(x: FloatArray, weight: FloatArray, size: float, parts: BentGaussians) -> tuple[BentGaussians, float]:
+    """Return the mixture after sweeps of expectation and maximisation, and its mean log-density."""
+    best, highest = parts, -np.inf
+    for sweep in range(_SWEEPS + 1):
+        r, total = parts.responsibilities(x)
+        value, before = float(weight @ total), highest
+        if value > highest:
+            best, highest = parts, value
+        following = None if sweep == _SWEEPS or value < before + _LITTLE else _maximised(x, r * weight, size)
+        if following is None:
+            break
+        parts = following
+    return best, highest
+
+
+def _maximised(x: FloatArray, r: FloatArray, size: float) -> BentGaussians | None:
+    """Return the likeliest Gaussians of points with shares r (k, n); None if all have too few.
+
+    Each is as much wider as it is uncertain: with the mean and covariance of n points, another point is by
+    1 + (ndim + 2)/n farther off than those.
+    """
+    ndim = x.shape[1]
+    r = r[r.sum(axis=1) * size > ndim + 2]
+    if not len(r):
+        return None
+    k, n = len(r), len(of_coordinates(np.ones(ndim, dtype=bool)))
+    means, axes = np.empty((k, ndim)), np.empty((k, ndim, ndim))
+    bends, sds = np.zeros((k, ndim, n)), np.empty((k, ndim))
+    for one in range(k):
+        w = r[one] / r[one].sum()
+        points = 1.0 / float(np.sum(w**2))
+        means[one] = w @ x
+        d = x - means[one]
+        values, vectors = np.linalg.eigh((w * d.T) @ d)
+        length = np.sqrt(np.maximum(values, 1e-14 * values[-1] + 1e-300))
+        axes[one], sds[one] = vectors * length, np.sqrt(1.0 + (ndim + 2.0) / points)
+        near = w > _NEAR * w.max()
+        t, w = d[near] @ vectors / length, w[near] / w[near].sum()
+        phi = features(t)
+        for i in range(ndim - 1):
+            used = of_coordinates(np.arange(ndim) > i)
+            if points < _POINTS * used.sum():
+                continue
+            c = least_squares(phi[:, used], t[:, i], w)
+            left = max(float(w @ (t[:, i] - phi[:, used] @ c) ** 2), 1e-14)
+            if -0.5 * np.log(left) > BETTER + used.sum() / points:
+                bends[one, i, used], sds[one, i] = c, np.sqrt(left * (1.0 + (used.sum() + 2.0) / points))
+    return BentGaussians(r.sum(axis=1) / r.sum(), means, axes, bends, sds)

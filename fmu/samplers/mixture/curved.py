@@ -1,0 +1,136 @@
+"""A mixture for densities that are bent or hollow: bent Gaussians in the coordinates of a curve."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.special import gammaln, logsumexp
+
+from fmu.samplers.mixture.bent import PENALTY, BentGaussians, fitted_gaussians
+from fmu.samplers.mixture.curve import Curve, fitted_curve, thinned
+from fmu.types import FloatArray
+
+_WIDE, _SAFE = 0.1, 0.05
+"""Shares of the wider copies, and of the t distribution."""
+_WIDER, _DF = 1.5, 3.0
+"""How much wider than the points the t distribution is, and its degrees of freedom."""
+_MOST_POINTS = 6000
+_NEGLIGIBLE = 1e-4
+"""Weight of a point, over the mean, below which a fit leaves it out."""
+
+
+@dataclass(frozen=True, eq=False)
+class CurvedMixture:
+    """A normalised density: bent Gaussians, each with a wider copy, and a t distribution that is not bent.
+
+    The last one, in the margins of the curve and wider than the points that were fitted, keeps the weights P/q of
+    an independence sampler bounded where a bend goes on wrongly (Hesterberg 1995, Technometrics 37, 185-194). The
+    density is not cut off at the box; draws outside are rejected without an evaluation.
+
+    Attributes
+    ----------
+    curve : Curve
+    parts : BentGaussians
+        In the coordinates x of the curve.
+    mean : ndarray, shape (ndim,)
+    factor : ndarray, shape (ndim, ndim)
+        Centre of the t distribution, and Cholesky factor of its scale matrix.
+    """
+
+    curve: Curve
+    parts: BentGaussians
+    mean: FloatArray
+    factor: FloatArray
+
+    @property
+    def weights(self) -> FloatArray:
+        """Weights of the bent Gaussians, shape (k,)."""
+        return self.parts.weights
+
+    @property
+    def _copies(self) -> tuple[FloatArray, FloatArray]:
+        """Factors by which the copies of a Gaussian are wider, and their shares."""
+        return np.array([1.0, np.exp(0.5 * min(5.0 / len(self.mean), 2.5))]), np.array([1.0 - _WIDE, _WIDE])
+
+    def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
+        """Return `n` independent draws, shape (n, ndim), some of them outside the box."""
+        wider, shares = self._copies
+        part = rng.choice(len(self.weights), size=n, p=self.weights / self.weights.sum())
+        z = rng.standard_normal((n, len(self.mean)))
+        of_copy, is_safe = wider[(rng.random(n) >= shares[0]).astype(int)], rng.random(n) < _SAFE
+        x = np.empty_like(z)
+        for k in np.unique(part):
+            x[part == k] = self.parts.x_of(of_copy[part == k, None] * z[part == k], int(k))
+        u = self.curve.to_u(x)
+        stretch = np.sqrt(_DF / rng.chisquare(_DF, n))[is_safe, None]
+        u[is_safe] = self.curve.from_margins(self.mean + stretch * z[is_safe] @ self.factor.T)
+        return u
+
+    def log_density(self, u: FloatArray) -> FloatArray:
+        """Return the logarithm of the normalised density at points u (n, ndim) of the box, shape (n,)."""
+        if not len(u):
+            return np.empty(0)
+        wider, shares = self._copies
+        x, log_slope = self.curve.to_x(u)
+        each = self.parts.log_densities(x, wider) + np.log(shares)[:, None, None]
+        y, of_margins = self.curve.margins(u)
+        z = np.linalg.solve(self.factor, (y - self.mean).T)
+        half = 0.5 * (_DF + len(z))
+        constant = gammaln(half) - gammaln(0.5 * _DF) - 0.5 * len(z) * np.log(_DF * np.pi)
+        constant -= np.sum(np.log(np.diag(self.factor)))
+        safe = of_margins + constant - half * np.log1p(np.sum(z**2, axis=0) / _DF)
+        bent = logsumexp(each, axis=(0, 1)) + log_slope
+        return np.asarray(np.logaddexp(np.log1p(-_SAFE) + bent, np.log(_SAFE) + safe))
+
+    def covariance_within(self, rng: np.random.Generator, n: int) -> FloatArray:
+        """Return the covariance of `n` draws, shape (ndim, ndim)."""
+        u = np.clip(self.draw(rng, n), self.curve.lower, self.curve.upper)
+        ndim = len(self.mean)
+        return np.asarray(1e-12 * np.eye(ndim) + np.cov(u.T).reshape(ndim, ndim))
+
+    def arrays(self) -> dict[str, FloatArray]:
+        """Return the mixture as arrays by name."""
+        fields = {**vars(self.curve), **vars(self.parts), "mean": self.mean, "factor": self.factor}
+        return {name: value.astype(float) for name, value in fields.items()}
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, Any]) -> CurvedMixture:
+        """Return the mixture that `arrays` describes."""
+        of_curve, of_parts = (
+            {name: np.asarray(arrays[name]) for name in kind.__dataclass_fields__}
+            for kind in (Curve, BentGaussians)
+        )
+        curve = Curve(**of_curve | {"order": of_curve["order"].astype(int)})
+        return cls(curve, BentGaussians(**of_parts), np.asarray(arrays["mean"]), np.asarray(arrays["factor"]))
+
+
+def fitted_curved(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: FloatArray) -> CurvedMixture:
+    """Return the mixture that fits points u (n, ndim) with weights (n,) best.
+
+    LinAlgError if the points span no Gaussian.
+    """
+    counts = weight > _NEGLIGIBLE * weight.mean()
+    u, weight = thinned(u[counts], weight[counts], _MOST_POINTS)
+    curve = fitted_curve(u, weight, lower, upper)
+    parts, score = _fitted_under(curve, u, weight)
+    if curve.location.any():  # a sphere, say, is better put together of bent Gaussians alone
+        straight = replace(curve, location=0.0 * curve.location, scale=0.0 * curve.scale)
+        others, other_score = _fitted_under(straight, u, weight)
+        if other_score > score:
+            curve, parts = straight, others
+    y, _ = curve.margins(u)
+    mean = weight @ y
+    covariance = (weight * (y - mean).T) @ (y - mean)
+    factor = _WIDER * np.linalg.cholesky(covariance + 1e-9 * np.diag(np.diag(covariance)))
+    return CurvedMixture(curve, parts, mean, factor)
+
+
+def _fitted_under(curve: Curve, u: FloatArray, weight: FloatArray) -> tuple[BentGaussians, float]:
+    """Return the Gaussians that fit points best in the coordinates of a curve, and their penalised likelihood."""
+    x, log_slope = curve.to_x(u)
+    parts, score = fitted_gaussians(x, weight)
+    n = np.count_nonzero(curve.location) + np.count_nonzero(curve.scale)
+    return parts, score + float(weight @ log_slope - PENALTY * n * np.sum(weight**2))

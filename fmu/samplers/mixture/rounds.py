@@ -1,0 +1,135 @@
+"""How a mixture for a bent density is learnt: by rounds of candidates, each fitted to all that came before."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import numpy as np
+from scipy.special import logsumexp
+
+from fmu.samplers.kernel import Target
+from fmu.samplers.mixture.curved import CurvedMixture, fitted_curved
+from fmu.types import FloatArray
+
+PER_ROUND = 2000
+"""Candidates of a round."""
+ENOUGH = 0.45
+"""Efficiency of two rounds at which no further one is drawn."""
+_TWICE = 2
+_MILDER = 0.8
+_LEAST_POINTS = 60
+"""Effective points per coordinate that a fit is to have, by an exponent on the weights below 1."""
+_MOST_PART = 0.2
+_SAMPLE = 1000  # draws that tell the efficiency of a mixture
+_FEWEST = 200
+"""Candidates that are not worth a round."""
+
+
+class Rounds:
+    """Candidates with their weights over all mixtures that they came from (Cornuet et al. 2012).
+
+    Attributes
+    ----------
+    target : Target
+    position : ndarray, shape (n, ndim)
+    log_prob : ndarray, shape (n,)
+    mixtures : list
+        Each draws a round, the later ones fitted to the rounds before.
+    counts, found : list of int
+        Candidates of each round, and those with a finite log-density.
+    n_solves : int
+        Evaluations of the rounds so far.
+    """
+
+    def __init__(self, target: Target) -> None:
+        self.target = target
+        self.position, self.log_prob = np.empty((0, target.ndim)), np.empty(0)
+        self.mixtures: list[CurvedMixture] = []
+        self.counts, self.found = list[int](), list[int]()
+        self.n_solves = 0
+        self._by_mixture = np.empty((0, 0))
+
+    def draw(self, mixture: CurvedMixture, rng: np.random.Generator, n: int) -> None:
+        """Draw a round of `n` candidates from a mixture, and evaluate those inside the box."""
+        u = mixture.draw(rng, n)
+        found = self.target.evaluate(u)
+        self.n_solves += int(found.n_solves.sum())
+        u, log_prob = (one[np.isfinite(found.log_prob)] for one in (u, found.log_prob))
+        by_others = np.stack([q.log_density(u) for q in self.mixtures]) if self.mixtures else np.empty((0, len(u)))
+        self.position = np.concatenate([self.position, u])
+        self.log_prob = np.concatenate([self.log_prob, log_prob])
+        known = np.concatenate([self._by_mixture, by_others], axis=1)
+        self._by_mixture = np.concatenate([known, mixture.log_density(self.position)[None]])
+        self.mixtures.append(mixture)
+        self.counts.append(n)
+        self.found.append(len(u))
+
+    @property
+    def log_weight(self) -> FloatArray:
+        """Log-weights of the candidates, up to a constant; the largest cut (Ionides 2008)."""
+        log_q = logsumexp(self._by_mixture + np.log(self.counts)[:, None], axis=0)
+        log_w = self.log_prob - log_q
+        return np.asarray(np.minimum(log_w, logsumexp(log_w) - 0.5 * np.log(len(log_w))))
+
+    def fitted(self) -> CurvedMixture:
+        """Return the mixture that fits all candidates; LinAlgError if they span no Gaussian.
+
+        Where a few candidates have nearly all the weight, the weights are evened out: what is fitted is wider than
+        the density, and the next round comes nearer.
+        """
+        log_w = self.log_weight
+        least = np.log(min(_LEAST_POINTS * self.target.ndim, _MOST_PART * len(log_w)))
+        while 2.0 * logsumexp(log_w) - logsumexp(2.0 * log_w) < least:
+            log_w = _MILDER * log_w
+        weight = np.exp(log_w - log_w.max())
+        return fitted_curved(self.position, weight, self.target.lower, self.target.upper)
+
+    def efficiency(self, k: int) -> float:
+        """Return the effective draws per candidate of an independence sampler with mixture k.
+
+        It is 1/E[2/a(x) − 1], with the rate a(x) at which candidates are accepted at x, over draws x of the
+        density: those of all rounds, by their weights, so that a mixture that misses what another one knows is
+        seen to be poor (Liu 1996, Statistics and Computing 6, 113-119).
+        """
+        first, own = int(sum(self.found[:k])), self.found[k]
+        if not own:
+            return 0.0
+        log_w = self.log_weight
+        weight = np.cumsum(np.exp(log_w - logsumexp(log_w)))
+        draws = np.minimum(np.searchsorted(weight, (np.arange(_SAMPLE) + 0.5) / _SAMPLE), len(weight) - 1)
+        r = self.log_prob - self._by_mixture[k]
+        log_rate = np.minimum(0.0, r[first : first + own] - r[draws][:, None])
+        rate = np.exp(logsumexp(log_rate, axis=1)) / self.counts[k]
+        return float(1.0 / np.mean(2.0 / rate - 1.0))
+
+
+def learnt_in_rounds(
+    target: Target, u: FloatArray, rng: np.random.Generator, most: int
+) -> tuple[CurvedMixture | None, float, int]:
+    """Return a mixture for a density, its efficiency, and the evaluations that it took.
+
+    Parameters
+    ----------
+    target : Target
+    u : ndarray, shape (n, ndim)
+        Points where the density is high, such as the draws of local steps.
+    rng : Generator
+    most : int
+        No more candidates than this.
+    """
+    rounds = Rounds(target)
+    n, good = min(PER_ROUND, most), 0
+    with suppress(np.linalg.LinAlgError):  # go on with what there is
+        mixture = fitted_curved(u, np.ones(len(u)), target.lower, target.upper)
+        while n >= _FEWEST:
+            rounds.draw(mixture, rng, n)
+            good = good + 1 if rounds.efficiency(len(rounds.counts) - 1) >= ENOUGH else 0
+            if good == _TWICE or not len(rounds.position):
+                break
+            n = min(PER_ROUND, most - sum(rounds.counts))
+            mixture = rounds.fitted()
+    if not rounds.mixtures:
+        return None, 0.0, rounds.n_solves
+    rates = [rounds.efficiency(k) for k in range(len(rounds.mixtures))]
+    best = int(np.argmax(rates))
+    return rounds.mixtures[best], rates[best], rounds.n_solves

@@ -1,0 +1,188 @@
+"""Mixtures for bent densities: their coordinates, their exact density, what they fit, and the draws with them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import fmu
+from fmu.analysis.convergence.effective import mcse_mean
+from fmu.posterior.scaled import ScaledDensity
+from fmu.samplers import MixtureSampler, Run
+from fmu.samplers.kernel import Target
+from fmu.samplers.mixture.bent import fitted_gaussians
+from fmu.samplers.mixture.curve import fitted_curve, infinite_margins
+from fmu.samplers.mixture.curved import CurvedMixture, fitted_curved
+from fmu.samplers.mixture.rounds import Rounds, learnt_in_rounds
+from tests.densities import Banana, Beta, Funnel, Ridges, Shell
+
+EXACT_GRADIENT = 2
+"""Evaluations that an exact gradient counts for."""
+
+
+def exact_draws(density, n, seed=1):
+    scaled = ScaledDensity(density)
+    return scaled, scaled.to_scaled(density.draw(n, np.random.default_rng(seed)))
+
+
+class Mixed:
+    """A coordinate that is infinite at its walls, and one whose place and width depend on it."""
+
+    lower, upper = np.array([0.0, -np.inf]), np.array([1.0, np.inf])
+
+    def draw(self, n):
+        rng = np.random.default_rng(2)
+        u = np.stack([rng.beta(0.4, 0.6, n), rng.standard_normal(n)], axis=1)
+        y = stats.norm.ppf(np.clip(u[:, 0], 1e-12, 1 - 1e-12))
+        u[:, 1] = 0.3 * y**2 + np.exp(0.3 * y) * u[:, 1]
+        return u
+
+
+def test_curves_are_inverted_and_have_the_right_slope():
+    mixed = Mixed()
+    u = mixed.draw(3000)
+    curve = fitted_curve(u, np.ones(3000), mixed.lower, mixed.upper)
+    assert np.isfinite(curve.a).tolist() == [True, False]
+    assert curve.location[1].any()
+    assert curve.scale[1].any()
+    u = u[(u[:, 0] > 0.01) & (u[:, 0] < 0.99)][:50]
+    x, log_slope = curve.to_x(u)
+    np.testing.assert_allclose(curve.to_u(x), u, rtol=1e-9, atol=1e-9)
+    h = 1e-6
+    columns = [(curve.to_x(u + h * e)[0] - curve.to_x(u - h * e)[0]) / (2 * h) for e in np.eye(2)]
+    found = np.linalg.slogdet(np.stack(columns, axis=2))[1]
+    np.testing.assert_allclose(log_slope, found, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("density", "bent"), [(Banana(), [1, 3]), (Funnel(), [1, 2, 3, 4, 5, 6, 7])], ids=["banana", "funnel"]
+)
+def test_a_triangular_map_makes_a_banana_and_a_funnel_gaussian(density, bent):
+    scaled, u = exact_draws(density, 3000)
+    curve = fitted_curve(u, np.ones(3000), scaled.lower, scaled.upper)
+    assert np.flatnonzero(curve.location.any(axis=1) | curve.scale.any(axis=1)).tolist() == bent
+    x, _ = curve.to_x(exact_draws(density, 3000, seed=2)[1])
+    for one in x.T:
+        assert stats.kstest((one - one.mean()) / one.std(), "norm").statistic < 1.7 / np.sqrt(3000)
+    square = np.corrcoef(x**2, rowvar=False)
+    assert np.abs(square - np.eye(len(square))).max() < 0.15
+
+
+@pytest.mark.parametrize(
+    ("draw", "is_infinite"),
+    [
+        (lambda rng: rng.beta(0.5, 0.5, 4000), True),
+        (lambda rng: rng.beta(0.6, 3.0, 4000), True),
+        (lambda rng: rng.random(4000), False),
+        (lambda rng: 0.05 * rng.standard_exponential(4000), False),
+        (lambda rng: 1.0 - 0.1 * np.abs(rng.standard_normal(4000)), False),
+        (lambda rng: 0.5 + 0.01 * rng.standard_normal(4000), False),
+    ],
+)
+def test_a_density_is_infinite_at_a_wall_where_its_shape_is_below_one(draw, is_infinite):
+    u = draw(np.random.default_rng(3))[:, None]
+    shapes = infinite_margins(u, np.ones(len(u)), np.zeros(1), np.ones(1))
+    assert np.isfinite(shapes).all() == is_infinite
+
+
+@pytest.mark.parametrize(
+    ("density", "accepted"),
+    [(Banana(), 0.8), (Funnel(), 0.7), (Shell(), 0.65), (Ridges(), 0.7), (Beta(), 0.8)],
+    ids=lambda one: getattr(one, "name", None),
+)
+def test_candidates_of_a_mixture_fitted_to_exact_draws_are_accepted(density, accepted):
+    scaled, u = exact_draws(density, 8000)
+    q = fitted_curved(u, np.ones(len(u)), scaled.lower, scaled.upper)
+    rng = np.random.default_rng(4)
+    candidates, draws = q.draw(rng, 4000), exact_draws(density, 4000, seed=5)[1]
+    of_candidates = Target(scaled).evaluate(candidates).log_prob - q.log_density(candidates)
+    of_draws = scaled.log_prob(draws) - q.log_density(draws)
+    assert np.mean(np.exp(np.minimum(0.0, of_candidates - of_draws))) > accepted
+    # the mean weight is the evidence: the density of the mixture is normalised
+    weight = np.exp(of_candidates + np.sum(np.log(scaled.scale)))
+    assert weight.mean() == pytest.approx(1.0, abs=5 * weight.std() / np.sqrt(4000))
+
+
+def test_a_sphere_is_covered_by_bent_gaussians():
+    _, u = exact_draws(Shell(), 4000)
+    parts, _ = fitted_gaussians(u, np.ones(len(u)))
+    assert 8 <= len(parts.weights) <= 32
+    assert np.all(parts.sds[:, 0] < 0.5)  # what a bend leaves of the thickness of a flat sheet
+
+
+def test_arrays_keep_a_curved_mixture_bit_for_bit():
+    scaled, u = exact_draws(Banana(), 1000)
+    q = fitted_curved(u, np.ones(len(u)), scaled.lower, scaled.upper)
+    again = CurvedMixture.of_arrays(q.arrays())
+    np.testing.assert_array_equal(again.log_density(u), q.log_density(u))
+    drawn = (one.draw(np.random.default_rng(1), 50) for one in (q, again))
+    np.testing.assert_array_equal(*drawn)
+
+
+def test_a_mixture_that_misses_what_another_knows_is_inefficient():
+    """Its own candidates show nothing of that."""
+    density = Ridges()
+    scaled, u = exact_draws(density, 4000)
+    of_one = density.draw(4000, np.random.default_rng(1))[:, 2] > 0
+    rounds = Rounds(Target(scaled))
+    for points in (u[of_one], u):
+        mixture = fitted_curved(points, np.ones(len(points)), scaled.lower, scaled.upper)
+        rounds.draw(mixture, np.random.default_rng(2), 2000)
+    assert rounds.efficiency(0) < 0.02
+    assert rounds.efficiency(1) > 0.3
+
+
+def test_rounds_learn_a_banana_from_points_on_a_part_of_it():
+    density = Banana()
+    scaled, u = exact_draws(density, 400)
+    part = u[np.abs(u[:, 0] - u[:, 0].mean()) < 0.5 * u[:, 0].std()]
+    mixture, efficiency, n_solves = learnt_in_rounds(Target(scaled), part, np.random.default_rng(1), 20_000)
+    assert efficiency > 0.6
+    assert n_solves <= 20_000
+    draws = exact_draws(density, 4000, seed=5)[1]
+    log_w = scaled.log_prob(draws) - mixture.log_density(draws)
+    assert log_w.max() - np.median(log_w) < 3.0
+
+
+def test_rounds_that_find_nothing_in_the_box_end():
+    scaled, u = exact_draws(Shell(), 200)
+    _, efficiency, n_solves = learnt_in_rounds(Target(scaled), u + 50.0, np.random.default_rng(1), 20_000)
+    assert efficiency < 0.02
+    assert n_solves <= 2000
+
+
+@pytest.mark.parametrize("density", [Banana(), Ridges(), Shell(), Beta()], ids=lambda one: one.name)
+def test_bent_hollow_and_infinite_densities_converge_within_50_000_evaluations(density):
+    trace = fmu.sample(density, draws=250, until_ess=400, max_solves=50_000)
+    stats_of = [trace["sample_stats"], trace["warmup_sample_stats"]]
+    n_solves, n_gradients = (sum(int(one[name].sum()) for one in stats_of) for name in ("n_solves", "n_gradients"))
+    assert n_solves + (EXACT_GRADIENT - 1) * n_gradients <= 50_000
+    table = fmu.summary(trace)
+    assert table["rhat"].max() < 1.01
+    assert "not converged" not in str(fmu.diagnose(trace))
+    assert np.all(np.abs(table["mean"] - density.mean) < 5 * table["mcse_mean"])
+    x = np.stack([trace["posterior"][name].to_numpy() for name in trace["posterior"].data_vars], axis=-1)
+    square = ((x.reshape(len(x), -1, density.ndim) - density.mean) / density.sd) ** 2
+    for one in np.moveaxis(square, 2, 0):
+        error = mcse_mean(one)
+        assert abs(one.mean() - 1.0) < 5 * error
+
+
+def test_a_curved_mixture_is_kept_in_the_settings_and_the_state_of_the_tuner():
+    density = Beta()
+    sampler = MixtureSampler()
+    begun = Run(density, sampler, warmup=300, chains=4, seed=1, init="prior")
+    learnt = begun.extend(1).learnt
+    assert json.loads(json.dumps(learnt))["components"]["type"] == "CurvedMixture"
+    scaled = ScaledDensity(density)
+    tuner = sampler.tuner(scaled, 4, 300)
+    tuner.restore(begun._groups[0].state.tuner)
+    again = sampler.tuner(scaled, 4, 300)
+    again.restore(tuner.state())
+    u = exact_draws(density, 50)[1]
+    assert isinstance(tuner.mixture, CurvedMixture)
+    np.testing.assert_array_equal(again.mixture.log_density(u), tuner.mixture.log_density(u))
+    assert (again.finished().jumps, again.finished().local_steps) == (learnt["jumps"], learnt["local_steps"])
