@@ -105,8 +105,8 @@ def sample(
         Seed of the random numbers.
     init : {"maxima", "prior", "start"} or array_like, shape (chains, ndim) or (chains, walkers, ndim)
         Where the chains start. ``"maxima"``: around the maxima of the posterior, in proportion to their
-        probability (`fmu.analysis.maxima.starts`); a log-density that is no `UpdatingProblem` starts from the
-        prior if no `maxima` are given. ``"prior"``: at draws from the prior. ``"start"``: at ``problem.start``.
+        probability (`fmu.analysis.maxima.starts`); chains on a log-density that is no `UpdatingProblem` start
+        from its prior, if it has one and not several maxima. ``"prior"``: at draws from the prior. ``"start"``: at ``problem.start``.
         An array: there (SI units).
     jumps : bool, optional
         Whether every other step of ``"mh"``, ``"slice"`` or ``"hmc"`` is an independent candidate from a mixture
@@ -129,7 +129,7 @@ def sample(
         No more is drawn than about so many solves allow, warm-up included; the first `draws` are always made.
     maxima : Maxima, optional
         The result of `fmu.find_map`. It is stored in the trace, and every verdict on the trace uses it. By default
-        the maxima of an updating problem are searched for if `until_ess` or ``init="maxima"`` needs them.
+        the maxima are searched for, wherever the chains start, but not in a hierarchical posterior.
     checkpoint : path-like or Checkpoint, optional
         A directory in which draws and state are saved during the run. The same call with the same directory
         resumes a run that was stopped or killed; a run that has finished is read, not repeated.
@@ -179,7 +179,7 @@ def sample(
     from fmu.analysis.estimate import gradient_cost
     from fmu.analysis.maxima.results import NEGLIGIBLE
     from fmu.analysis.maxima.search import find_map, is_searchable, is_updating
-    from fmu.analysis.maxima.starts import components, starts
+    from fmu.analysis.maxima.starts import components, starts, worth_starting_from
     from fmu.analysis.trace.conversion import to_trace
     from fmu.analysis.trace.failure_ledger import failure_rate_exceeded
     from fmu.interruption import interruptible
@@ -216,19 +216,19 @@ def sample(
 
         # 2. Where the chains start.
         found = None
-        is_needed = jumps or until_ess is not None or (isinstance(init, str) and init == "maxima")
-        if maxima is None and is_searchable(problem) and is_needed:
+        if maxima is None and is_searchable(problem):
             maxima = None if saved is None else kept_maxima(saved.directory, problem)
             if maxima is None:
-                maxima = found = find_map(of_model)
-        start, says = starts(problem, init, maxima, chains, settings.walkers, seed)
-        if maxima is not None:
+                maxima = found = find_map(problem)
+        begin_at = maxima if of_model is not None else maxima and worth_starting_from(problem, maxima)
+        start, says = starts(problem, init, begin_at, chains, settings.walkers, seed)
+        if begin_at is not None:
             starts_there = isinstance(says, dict)  # otherwise a chain may be caught at any of them
-            caught_at = [m for m in maxima if m.starting_share > NEGLIGIBLE or not starts_there]
+            caught_at = [m for m in begin_at if m.starting_share > NEGLIGIBLE or not starts_there]
             if jumps is None and len(caught_at) > 1 and can_jump(settings):
                 settings = with_jumps(settings)
-        if maxima is not None or getattr(problem, "is_hierarchical", False):
-            settings = settings.starting_from(*components(problem, maxima))
+        if begin_at is not None or getattr(problem, "is_hierarchical", False):
+            settings = settings.starting_from(*components(problem, begin_at))
 
         # 3. The draws, saved in the checkpoint meanwhile.
         stack = outer.enter_context(ExitStack())  # closed before what follows the draws

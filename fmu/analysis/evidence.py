@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 
 from fmu.analysis.convergence import effective
 from fmu.analysis.convergence.pareto import GOOD_K, pareto_k
-from fmu.analysis.maxima.results import NEGLIGIBLE, RELIABLE
+from fmu.analysis.maxima.results import RELIABLE
 from fmu.analysis.trace.reading import array_of, has, is_pseudo
 from fmu.arguments import check_arguments
 from fmu.numbers import apart, given, significant, with_sd
@@ -67,6 +67,8 @@ class Evidence:
         next rung, and ``log_ratio``, the logarithm of the evidence at the next rung over that at this one.
     pareto_k : float
         Shape of the tail of the candidates' weights; NaN for tempering.
+    doubts : tuple of str
+        Places that it may leave out, because a mixture knows those alone that its chains visited; else empty.
     """
 
     log_evidence: float
@@ -76,14 +78,16 @@ class Evidence:
     between: float
     table: pd.DataFrame
     pareto_k: float = np.nan
+    doubts: tuple[str, ...] = ()
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Why the error is not reliable, a sentence each: chains that disagree, or weights with a heavy tail."""
+        """Why it is not reliable, a sentence each: places left out, chains that disagree, weights of heavy tail."""
         if self.method in OF_MIXTURE:
             if self.pareto_k <= GOOD_K:
-                return ()
+                return self.doubts
             return (
+                *self.doubts,
                 f"Pareto k {significant(self.pareto_k, 2)} of the candidates' weights is above {given(GOOD_K)}: "
                 f"the mixture does not fit the posterior well enough, and the error is underestimated",
             )
@@ -104,7 +108,7 @@ class Evidence:
         within, between = (significant(error, 2) for error in (self.within, self.between))
         rows = "chains" if self.method in OF_MIXTURE else "rungs"
         line = (
-            f"log-evidence {with_sd(self.log_evidence, self.error)} "
+            f"log-evidence {with_sd(self.log_evidence, self.error)}{' of the visited places alone' * bool(self.doubts)} "
             f"({self.method}, {len(self.table)} {rows}; standard error within chains {within}, between {between})"
         )
         return "\n".join([line, *(f"  - {warning}" for warning in self.warnings)])
@@ -193,7 +197,18 @@ def _of_mixture(trace: xr.DataTree, method: str) -> Evidence:
     between, error = _errors(within, alone)
     table = data_frame({"log_evidence": alone}, "chain", range(len(alone)))
     shape = pareto_k(candidates[np.isfinite(candidates)])
-    return Evidence(value, error, method, within, between, table, shape)
+    return Evidence(value, error, method, within, between, table, shape, _places_left_out(trace))
+
+
+def _places_left_out(trace: xr.DataTree) -> tuple[str, ...]:
+    """Return why candidates may leave out a part of the posterior, judged by the maxima kept in the trace."""
+    from fmu.analysis.convergence.diagnosis import maxima_of
+    from fmu.analysis.maxima.missed import compared
+
+    known = maxima_of(trace)
+    if known is None:
+        return ("no maxima were searched for: whatever the chains did not visit is left out",)
+    return (*compared(trace, known).reasons[:1], *known.doubts)
 
 
 def _errors(within: float, alone: Sequence[float]) -> tuple[float, float]:
@@ -392,8 +407,7 @@ def _of_candidates(name: str, trace: xr.DataTree, verdict: Diagnosis, method: st
 
 def _of_maxima(maxima: Maxima, reached: float) -> FoundEvidence:
     """Return the sum of the masses of the maxima, and why it may be unreliable."""
-    matter = [m for m in maxima if m.share > NEGLIGIBLE]
-    fewest = min(m.effective_draws for m in matter)
+    fewest = maxima.effective_draws
     at = "at the maximum" if len(maxima) == 1 else f"at {len(maxima)} maxima"
     doubts = []
     if fewest == 0.0:

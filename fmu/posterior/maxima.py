@@ -15,7 +15,7 @@ from fmu.numbers import names_in_words
 from fmu.posterior.parameters import box
 from fmu.posterior.protocol import Problem
 from fmu.posterior.scaled import ScaledDensity
-from fmu.progress.phases import advanced, phase
+from fmu.progress.phases import advanced, phase, solves
 from fmu.types import BoolArray, FloatArray, IntArray
 
 STARTS = 256
@@ -77,13 +77,23 @@ def local_maxima(
     if near is not None:
         points = np.concatenate([points, np.clip(scaled.to_scaled(near), scaled.lower, scaled.upper)])
     with phase("search", len(points)):
-        return _found(problem, scaled, points)
+        return maxima_from(problem, scaled, points)
 
 
-def _found(problem: Problem, scaled: ScaledDensity, points: FloatArray) -> tuple[Maximum, ...]:
-    """Return the maxima reached from scaled points (n, ndim)."""
+def maxima_from(
+    problem: Problem, scaled: ScaledDensity, points: FloatArray, most_solves: float = np.inf
+) -> tuple[Maximum, ...]:
+    """Return the maxima reached from scaled points (n, ndim), the highest first.
+
+    Without errors of modes, no further start climbs once `most_solves` are spent.
+    """
     if not problem.likelihood.of_modes:
-        return _merged(problem, [_climb(scaled, u) for u in points])
+        before, ends = solves(), list[Maximum]()
+        for u in points:
+            if solves() - before >= most_solves:
+                break
+            ends.append(_climb(scaled, u))
+        return _merged(problem, [end for end in ends if np.isfinite(end.log_prob)])
     quadratic = GaussNewton(problem)
     highest, starts = leaders(ascend(quadratic, points, scaled.lower, scaled.upper, tolerance=_ROUGH))
     if not len(highest):

@@ -47,12 +47,11 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 
-CONVERGED = "converged"
+CONVERGED, LOCALLY, NOT_CONVERGED = "converged", "converged locally", "not converged"
 NOTES = "notes on the model and the data"
 UNSEARCHED = (
     "judged by its own draws only, as no maxima are known: chains that agree cannot reveal a maximum that "
-    "none of them visited; "
-    "fmu.diagnose(trace, problem) searches for maxima"
+    "none of them visited; fmu.diagnose(trace, problem) searches for maxima"
 )
 GROUP = "maxima"
 """Group of a trace that keeps the maxima known when it was made."""
@@ -72,8 +71,11 @@ class Diagnosis:
         Warnings about the model, converged or not: what contradicts it (`fit`), parameters at their bounds, shapes
         unlike the measured ones, a pairing that jumps; and about the data: parameters that they did not update,
         repeated tests that are not independent.
-    searched : bool
-        Whether maxima of the posterior were known. Without them a run that missed one may pass for converged.
+    doubts_of_search : tuple of str
+        Why maxima that no chain visited are not excluded, one sentence each; empty if the search for them was
+        complete. A run that misses one passes its tests, so that it has converged locally at best.
+    search : str
+        Where the search of a plain log-density began and what it found; else empty.
     stopped : str
         If the run was stopped early, after how many draws or at which limit, in words; else empty.
     fit : ModelFit
@@ -85,20 +87,35 @@ class Diagnosis:
     converged: bool
     reasons: tuple[str, ...]
     warnings: tuple[str, ...]
-    searched: bool = False
+    doubts_of_search: tuple[str, ...] = (UNSEARCHED,)
+    search: str = ""
     stopped: str = ""
     fit: ModelFit = field(default_factory=lambda: ModelFit((), 0, 0), repr=False)
     few: str = ""
 
     @property
+    def searched(self) -> bool:
+        """Whether maxima that no chain visited are excluded, as far as a search can."""
+        return not self.doubts_of_search
+
+    @property
+    def state(self) -> str:
+        """``"converged"``; ``"converged locally"`` if other maxima are not excluded; ``"not converged"``."""
+        if not self.converged:
+            return NOT_CONVERGED
+        return CONVERGED if self.searched else LOCALLY
+
+    @property
     def verdict(self) -> str:
-        """``"converged"``, or ``"not converged: "`` and the first reason."""
-        return CONVERGED if self.converged else f"not converged: {self.reasons[0]}"
+        """The `state`; if the run has not converged, with the first reason."""
+        return self.state if self.converged else f"{self.state}: {self.reasons[0]}"
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """The reasons; for a converged run, what its verdict does not cover."""
-        said = (UNSEARCHED,) if self.converged and not self.searched and not self.few else self.reasons
+        said = self.reasons
+        if self.converged and not self.few:
+            said = self.doubts_of_search or ((self.search,) if self.search else ())
         return (*said, *(more for more in (self.few, self.stopped) if more))
 
     @property
@@ -113,7 +130,7 @@ class Diagnosis:
         return (*unfinished, f"the model is {self.fit.answer}") if self.fit.against else unfinished
 
     def __str__(self) -> str:
-        lines = [CONVERGED if self.converged else "not converged", *(f"  - {remark}" for remark in self.remarks)]
+        lines = [self.state, *(f"  - {remark}" for remark in self.remarks)]
         for title, items in self._of_model():
             lines += [title, *(f"  - {item}" for item in items)]
         return "\n".join(lines)
@@ -123,7 +140,7 @@ class Diagnosis:
             entries = "".join(f"<li>{html.escape(item)}</li>" for item in items)
             return f"<p><strong>{title}</strong></p>" + (f"<ul>{entries}</ul>" if entries else "")
 
-        blocks = [(CONVERGED if self.converged else "not converged", self.remarks), *self._of_model()]
+        blocks = [(self.state, self.remarks), *self._of_model()]
         return "".join(block(*one) for one in blocks)
 
     def _of_model(self) -> list[tuple[str, tuple[str, ...]]]:
@@ -199,7 +216,7 @@ def judge(
     best = max(known, key=lambda maxima: maxima.log_evidence, default=None)
     reasons, warnings = _reasons(trace, best, others or {}, table)
     reasons += certificate_failures(trace.attrs)
-    if best is not None:
+    if best is not None and not best.search:
         warnings += search_warnings(trace, best[0].log_prob)
     fit = model_fit(trace)
     unlike = [warning for warning in shape_warnings(trace) if warning not in fit.against]
@@ -213,11 +230,19 @@ def judge(
         not reasons,
         tuple(reasons),
         tuple(warnings),
-        searched=best is not None,
+        doubts_of_search=_doubts_of_search(trace, best),
+        search="" if best is None else best.search,
         stopped=stopped,
         fit=fit,
         few=few_ensembles(trace),
     )
+
+
+def _doubts_of_search(trace: xr.DataTree, best: Maxima | None) -> tuple[str, ...]:
+    """Return why maxima that no chain visited are not excluded."""
+    if best is None:
+        return (UNSEARCHED,)
+    return best.doubts + tuple(search_warnings(trace, best[0].log_prob) if best.search else ())
 
 
 def _reasons(

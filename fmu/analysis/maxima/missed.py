@@ -110,6 +110,10 @@ def compared(trace: xr.DataTree, maxima: Maxima) -> Comparison:
     trace : xarray.DataTree
     maxima : Maxima
     """
+    if (
+        maxima.search and not maxima.are_weighed
+    ):  # of a plain log-density: nothing says that they should be visited
+        return Comparison([], [])
     walkers = walkers_of(trace)
     draws = parameter_draws(trace)
     theta = draws.reshape(-1, draws.shape[2])

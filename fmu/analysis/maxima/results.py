@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -140,6 +141,10 @@ class Maxima:
     n_solves, n_gradients : int
         Model solves that the search and the masses took, and how many of them gave an exact gradient too; 0 if not
         known.
+    search : str
+        Where the search of a plain density began and what it found, in words; empty for an updating problem.
+    doubts : tuple of str
+        Why the search does not exclude other maxima, a sentence each; empty if it does as far as a search can.
     """
 
     maxima: tuple[PosteriorMaximum, ...]
@@ -153,6 +158,8 @@ class Maxima:
     before: FloatArray
     n_solves: int = 0
     n_gradients: int = 0
+    search: str = ""
+    doubts: tuple[str, ...] = ()
 
     def __iter__(self) -> Iterator[PosteriorMaximum]:
         return iter(self.maxima)
@@ -167,6 +174,16 @@ class Maxima:
     def log_evidence(self) -> float:
         """Logarithm of the total mass of the maxima: an estimate of log P(D), if all maxima were found."""
         return float(np.logaddexp.reduce([m.log_mass for m in self.maxima]))
+
+    @property
+    def effective_draws(self) -> float:
+        """The fewest effective draws that the mass of a maximum with more than negligible mass rests on."""
+        return min(m.effective_draws for m in self.maxima if m.share > NEGLIGIBLE)
+
+    @property
+    def are_weighed(self) -> bool:
+        """Whether those that matter are maxima, and enough effective draws tell their mass."""
+        return self.effective_draws >= RELIABLE and all(m.is_maximum for m in self.maxima if m.share > NEGLIGIBLE)
 
     @property
     def log_evidence_error(self) -> float:
@@ -303,6 +320,7 @@ class Maxima:
                 "mode": list(self.labels),
                 "unit": ("parameter", list(self.units)),
             },
+            attrs={"search": self.search, "doubts": json.dumps(self.doubts)} if self.search else {},
         )
 
     @classmethod
@@ -316,6 +334,8 @@ class Maxima:
         vectors = ("lower", "upper", "start", "measured", "before")
         others: dict[str, Any] = {name: dataset[name].to_numpy() for name in vectors}
         others |= {name: int(dataset[name]) for name in _COUNTS if name in dataset}
+        if "search" in dataset.attrs:
+            others |= {"search": dataset.attrs["search"], "doubts": tuple(json.loads(dataset.attrs["doubts"]))}
         return cls(tuple(PosteriorMaximum(**row) for row in rows), names, units, labels, **others)
 
 

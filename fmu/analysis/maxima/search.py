@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any
 from weakref import WeakKeyDictionary
@@ -12,12 +12,13 @@ from annotated_types import Interval
 
 from fmu.analysis.maxima.kinds import basin, held, kind_of, slope
 from fmu.analysis.maxima.mode_weights import DRAWS, ModeWeight, mode_weights
+from fmu.analysis.maxima.plain import PlainDensity
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 from fmu.arguments import Seed, check_arguments
 from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import gradients, phase, solves
 from fmu.samplers.mixture.quadratic import Quadratic
-from fmu.types import FloatArray
+from fmu.types import FloatArray, LogDensity
 
 if TYPE_CHECKING:
     from fmu.posterior.maxima import Maximum
@@ -30,17 +31,23 @@ STARTS_WITHOUT_DERIVATIVES = 16
 """A start costs some hundred calls of the user's function, which may be a finite-element program."""
 STARTS_BY_FULL = 64
 """A start costs about a hundred solves of a model that is not reduced."""
+STARTS_OF_PLAIN, MOST_EVALUATIONS = 64, 20_000
+"""For a plain log-density with gradients; and evaluations after which no further start climbs."""
+_MOST_PLACES = 8
+"""Places of a plain log-density whose curvature and mass are computed."""
 _WEIGHING = 1
 _KNOWN: WeakKeyDictionary[Any, dict[tuple[int, int], Maxima]] = WeakKeyDictionary()
 
 
-def default_starts(problem: UpdatingProblem) -> int:
+def default_starts(problem: UpdatingProblem | PlainDensity) -> int:
     """Return the default number of optimiser starts.
 
     Fewer if gradients are finite differences, or if a large model is not reduced, so that a solve takes long.
     """
     if problem.solves_per_gradient > 1:
         return STARTS_WITHOUT_DERIVATIVES
+    if isinstance(problem, PlainDensity):
+        return STARTS_OF_PLAIN
     return STARTS_BY_FULL if _solves_in_full(problem) else STARTS
 
 
@@ -56,13 +63,13 @@ def is_updating(problem: Any) -> bool:
 
 
 def is_searchable(problem: Any) -> bool:
-    """Say whether `find_map` can search it: an updating problem whose maxima are where its mass is."""
-    return is_updating(problem) and not getattr(problem, "is_hierarchical", False)
+    """Say whether the maxima of the density are where its mass is: not those of a population."""
+    return not getattr(problem, "is_hierarchical", False)
 
 
 @check_arguments
 def find_map(
-    problem: UpdatingProblem, starts: Annotated[int, Interval(ge=1, le=1_000_000)] | None = None, seed: Seed = 1
+    problem: LogDensity, starts: Annotated[int, Interval(ge=1, le=1_000_000)] | None = None, seed: Seed = 1
 ) -> Maxima:
     """Find the maxima of the posterior within the bounds, with the curvature and the mass of each.
 
@@ -70,12 +77,17 @@ def find_map(
     posterior has other maxima, and how much probability they hold. The result is cached with the problem: a second
     search with the same number of starts and the same seed costs nothing.
 
+    Of any other log-density the starts are drawn from its prior (``sample_prior``), or within its bounds. One with
+    neither is searched around its start, which excludes nothing: `Maxima.doubts` say so, and so does the verdict
+    on a run. A maximum that attracts fewer than one start in `starts` may be missed.
+
     Parameters
     ----------
-    problem : UpdatingProblem
+    problem : LogDensity
     starts : int, optional
         Optimiser starts, see `fmu.posterior.maxima.local_maxima`. Fewer starts are faster but may miss a
-        maximum. 256 by default, 16 if the model has no derivatives, 64 if a large model is not reduced.
+        maximum. 256 by default, 16 if there are no derivatives, 64 if a large model is not reduced, and of a plain
+        log-density.
     seed : int
         Seed of the starts and of the importance sampling.
 
@@ -89,12 +101,18 @@ def find_map(
     Raises
     ------
     ValueError
-        If `starts` is not positive, or `problem` is not an updating problem.
+        If `starts` is not positive, `problem` is no log-density or has a population, or a plain log-density is
+        finite at none of the starts.
     """
-    if not is_updating(problem):
-        raise ValueError(f"problem: must be an UpdatingProblem (got {type(problem).__name__})")
+    if missing := [name for name in ("ndim", "lower", "upper", "log_prob") if not hasattr(problem, name)]:
+        kind = type(problem).__name__
+        raise ValueError(
+            f"problem: must be an UpdatingProblem or a log-density (got a {kind} without {missing[0]})"
+        )
     if not is_searchable(problem):
         raise ValueError("problem: must have no population: its maximum is far from its mass; sample it instead")
+    if not is_updating(problem):
+        return _searched_plainly(PlainDensity(problem), starts, seed)
     starts = default_starts(problem) if starts is None else starts
     known = _KNOWN.setdefault(problem, {}) if isinstance(problem, Hashable) else {}
     if (starts, seed) not in known:
@@ -103,10 +121,34 @@ def find_map(
 
 
 def _searched(problem: UpdatingProblem, starts: int, seed: int) -> Maxima:
+    """Search an updating problem."""
     from fmu.posterior.maxima import local_maxima
 
     solved, differentiated = solves(), gradients()
-    found = local_maxima(problem, starts, seed)
+    return _weighed(problem, local_maxima(problem, starts, seed), seed, solved, differentiated)
+
+
+def _searched_plainly(density: PlainDensity, starts: int | None, seed: int) -> Maxima:
+    """Search a plain log-density, and say what that cannot exclude."""
+    from fmu.posterior.maxima import maxima_from
+
+    starts = default_starts(density) if starts is None else starts
+    solved, differentiated = solves(), gradients()
+    scaled = ScaledDensity(density)
+    points = scaled.to_scaled(density.starting_points(starts, seed))
+    with phase("search", len(points)):
+        found = maxima_from(density, scaled, points, MOST_EVALUATIONS)
+    if not found:
+        raise ValueError(
+            f"problem: the log-density must be finite somewhere; it is so at none of {starts} points "
+            f"{density.region}"
+        )
+    best = _weighed(density, found[:_MOST_PLACES], seed, solved, differentiated)
+    return replace(best, search=density.search_in_words(found), doubts=density.doubts(best, found, starts))
+
+
+def _weighed(problem: Any, found: Sequence[Maximum], seed: int, solved: int, differentiated: int) -> Maxima:
+    """Return the maxima with curvature and mass; `solved` and `differentiated` were counted before the search."""
     theta = np.array([maximum.theta for maximum in found])
     scaled = ScaledDensity(problem)
     with phase("curvature", len(found)) as under_way:
@@ -116,7 +158,7 @@ def _searched(problem: UpdatingProblem, starts: int, seed: int) -> Maxima:
             under_way.advance()
     models, curvatures = zip(*curved, strict=True)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_WEIGHING,)))
-    draws = DRAWS // 4 if _solves_in_full(problem) else DRAWS
+    draws = DRAWS // 4 if isinstance(problem, PlainDensity) or _solves_in_full(problem) else DRAWS
     kinds = [kind_of(problem, scaled, model) for model in models]
     basins = [basin(model, kind, held(scaled, model)) for model, kind in zip(models, kinds, strict=True)]
     are_divided = any(basin is not model for basin, model in zip(basins, models, strict=True))
@@ -227,11 +269,12 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray) -> tuple[FloatArray,
 def _differences(problem: UpdatingProblem, theta: FloatArray, step: FloatArray) -> FloatArray:
     """Return the symmetric part of the gradient's differences over ± `step` (ndim,), in scaled coordinates."""
     h = np.diag(step * problem.scale)
-    # at a bound where the prior vanishes there is no gradient: go only halfway
-    vanishing = [(p.lowest > p.lower, p.highest < p.upper) for p in problem.parameters]
-    vanish_below, vanish_above = np.array(vanishing).T
-    lower = np.where(vanish_below, 0.5 * (problem.lower + theta), problem.lower)
-    upper = np.where(vanish_above, 0.5 * (problem.upper + theta), problem.upper)
+    lower, upper = problem.lower, problem.upper
+    if problem.parameters:  # at a bound where the prior vanishes there is no gradient: go only halfway
+        vanishing = [(p.lowest > p.lower, p.highest < p.upper) for p in problem.parameters]
+        vanish_below, vanish_above = np.array(vanishing).T
+        lower = np.where(vanish_below, 0.5 * (lower + theta), lower)
+        upper = np.where(vanish_above, 0.5 * (upper + theta), upper)
     ahead, behind = np.minimum(theta + h, upper), np.maximum(theta - h, lower)
     slopes = [problem.log_prob_and_grad(points)[1] * problem.scale for points in (ahead, behind)]
     hessian = (slopes[1] - slopes[0]) / (np.diag(ahead - behind) / problem.scale)[:, None]

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from fmu.analysis.maxima.missed import NEARBY, OUT_OF_PROPORTION
+from fmu.analysis.maxima.plain import PlainDensity
 from fmu.analysis.maxima.results import NEGLIGIBLE
 from fmu.analysis.maxima.search import find_map, is_searchable
 from fmu.analysis.trace.conversion import START_STREAM, generator
@@ -30,6 +31,7 @@ sampling, and is far less than the distance to another maximum. It cannot show a
 find; nor can starts from the prior, unless one of them falls into its basin.
 """
 _HALVINGS = 30
+_SCATTERED = 16
 _MAY_MATTER, _MOST_COMPONENTS = 1e-6, 8
 
 
@@ -42,7 +44,8 @@ def starts(
     ----------
     density : LogDensity
     init : "maxima", "prior", "start" or array_like
-        "maxima" means the middle of a hierarchical posterior; and the prior if otherwise no maxima are known.
+        "maxima" means the middle of a hierarchical posterior; and otherwise, without maxima, the prior, or
+        points within the bounds if there is none.
     maxima : Maxima or None
     chains, walkers, seed : int
         See `starts_at_maxima`.
@@ -55,10 +58,35 @@ def starts(
     if maxima is not None:
         return starts_at_maxima(density, maxima, chains, walkers, seed), {"maxima": maxima.hash}
     if not getattr(density, "is_hierarchical", False):
-        return "prior", "prior"
+        if hasattr(density, "sample_prior"):
+            return "prior", "prior"
+        theta = _scattered(density, chains * walkers, seed)
+        return theta if walkers == 1 else theta.reshape(chains, walkers, -1), {"maxima": "scattered"}
     scaled, rng = ScaledDensity(density), generator(seed, START_STREAM)
     theta = scaled.to_theta(_around(middle(density), scaled, rng, chains * walkers))
     return theta if walkers == 1 else theta.reshape(chains, walkers, -1), {"maxima": "typical point"}
+
+
+def _scattered(density: LogDensity, n: int, seed: int) -> FloatArray:
+    """Return `n` points (n, ndim) of a plain log-density without a prior at which it is finite.
+
+    Of many within its bounds, or around its start. Where too few are finite they are repeated.
+    """
+    plain = PlainDensity(density)
+    theta = plain.starting_points(_SCATTERED * n, seed)
+    theta = theta[np.isfinite(plain.log_prob(theta))]
+    if not len(theta):
+        raise ValueError(f"problem: the log-density must be finite somewhere {plain.region} (got −inf or NaN)")
+    return np.resize(theta, (n, density.ndim))
+
+
+def worth_starting_from(density: LogDensity, maxima: Maxima) -> Maxima | None:
+    """Return the maxima of a plain log-density if chains had better start there than from its prior, else None.
+
+    They had if there are several, or no prior, and if the maxima are where the mass is: not those of a funnel.
+    """
+    several = sum(m.share > NEGLIGIBLE for m in maxima) > 1
+    return maxima if maxima.are_weighed and (several or not hasattr(density, "sample_prior")) else None
 
 
 def middle(problem: Any) -> Quadratic:

@@ -1,0 +1,139 @@
+"""A plain log-density as the search for maxima sees it: where it begins, gradients, and what it cannot exclude."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fmu.analysis.maxima.results import NEGLIGIBLE, Maxima
+from fmu.analysis.trace.conversion import names_of, units_of
+from fmu.posterior.scaled import ScaledDensity
+from fmu.progress.phases import solved
+from fmu.samplers.trajectory import CentralDifference
+from fmu.types import FloatArray, LogDensity
+
+if TYPE_CHECKING:
+    from fmu.posterior.maxima import Maximum
+
+_STEP = 1e-5
+"""Of the differences that replace a missing gradient, in scaled coordinates."""
+_DECADES = (-1.0, 2.0)
+"""Distances of the starts from the given one, in scaled units, where there are neither bounds nor a prior."""
+
+
+class PlainDensity:
+    """A log-density with the attributes of an updating problem that the search needs; it has no modes.
+
+    What is not finite counts as −inf: the search goes around it. Evaluations are counted as solves.
+
+    Parameters
+    ----------
+    density : LogDensity
+        ``log_prob_and_grad``, ``start`` and ``sample_prior`` are used if it has them. Central differences replace
+        a missing gradient.
+
+    Attributes
+    ----------
+    region : str
+        Where the starts of the search are, in words.
+    is_bounded : bool
+        Whether bounds or a prior say where maxima can be.
+    """
+
+    is_hierarchical = False
+    likelihood = SimpleNamespace(of_modes=False)
+    parameters = ()
+
+    def __init__(self, density: LogDensity) -> None:
+        scaled = ScaledDensity(density)
+        self.density: Any = density
+        self.ndim, self.offset, self.scale = density.ndim, scaled.offset, scaled.scale
+        self.lower, self.upper = scaled.theta_lower, scaled.theta_upper
+        self.names, self.units = names_of(density), units_of(density)
+        self.data = SimpleNamespace(labels=(), frequencies_hz=np.empty(0))
+        self._has_gradient = hasattr(density, "log_prob_and_grad")
+        self.solves_per_gradient = 1 if self._has_gradient else 2 * self.ndim + 1
+        boxed = np.isfinite(self.lower) & np.isfinite(self.upper)
+        middle = np.clip(self.offset + 0.5 * self.scale * boxed, self.lower, self.upper)
+        self.start: FloatArray = np.asarray(getattr(density, "start", middle), dtype=float)
+        has_prior = hasattr(density, "sample_prior")
+        self.is_bounded = has_prior or bool(boxed.all())
+        self.region = (
+            "from the prior" if has_prior else "within the bounds" if self.is_bounded else "around its start"
+        )
+
+    def starting_points(self, starts: int, seed: int) -> FloatArray:
+        """Return points to climb from, shape (starts, ndim): the start, then some from the region."""
+        from scipy.stats import qmc
+
+        rng, more = np.random.default_rng(seed), starts - 1
+        if hasattr(self.density, "sample_prior"):
+            theta = np.asarray(self.density.sample_prior(rng, max(more, 1)), dtype=float)[:more]
+        elif self.is_bounded:
+            unit = qmc.Sobol(self.ndim, rng=rng).random_base2(int(np.ceil(np.log2(max(starts, 2)))))[:more]
+            theta = self.lower + (self.upper - self.lower) * unit
+        else:
+            away = rng.standard_normal((more, self.ndim)) * 10.0 ** rng.uniform(*_DECADES, (more, 1))
+            theta = self.start + self.scale * away
+        return np.clip(np.concatenate([self.start[None], theta]), self.lower, self.upper)
+
+    def frequencies(self, theta: FloatArray) -> FloatArray:
+        """Return no frequencies, shape (..., 0)."""
+        return np.empty((*np.shape(theta)[:-1], 0))
+
+    def log_prob(self, theta: Any) -> Any:
+        """Return the log-density at theta (ndim,) or (n, ndim); −inf where it is not finite."""
+        solved(len(np.atleast_2d(theta)))
+        value = np.asarray(self.density.log_prob(theta), dtype=float)
+        return np.where(np.isfinite(value), value, -np.inf)
+
+    def log_prob_and_grad(self, theta: Any) -> tuple[Any, Any]:
+        """Return the log-density and its gradient, its own or by central differences."""
+        if self._has_gradient:
+            solved(len(np.atleast_2d(theta)), with_gradients=True)
+            value, gradient = self.density.log_prob_and_grad(theta)
+        else:
+            u = (np.atleast_2d(theta) - self.offset) / self.scale
+            differences = CentralDifference(ScaledDensity(self), np.ones(self.ndim), _STEP)
+            slope = differences.slope(u, with_log_prob=True)
+            value, gradient = slope.log_prob, slope.gradient / self.scale
+            if np.ndim(theta) == 1:
+                value, gradient = value[0], gradient[0]
+        return np.where(np.isfinite(value), value, -np.inf), gradient
+
+    def search_in_words(self, found: Sequence[Maximum]) -> str:
+        """Say where the search began and what it found."""
+        n = len(found)
+        climbed = sum(m.starts for m in found)
+        return f"{climbed} starts {self.region} led to {n} {'maximum' if n == 1 else 'maxima'}"
+
+    def doubts(self, best: Maxima, found: Sequence[Maximum], starts: int) -> tuple[str, ...]:
+        """Say why the search does not exclude other maxima, a sentence each; nothing if it does.
+
+        Where starts fell into the basins of all maxima twice or more, hardly any start would fall into another
+        (Good 1953, Biometrika 40, 237-264). Where one start alone reached a maximum, others may well be missed.
+
+        Parameters
+        ----------
+        best : Maxima
+            Those whose mass was computed.
+        found : sequence of Maximum
+            All of them.
+        starts : int
+            Starts that were to climb.
+        """
+        said, climbed = self.search_in_words(found), sum(m.starts for m in found)
+        once = sum(m.starts == 1 for m in best if m.share > NEGLIGIBLE)
+        doubts = []
+        if not self.is_bounded:
+            doubts.append(f"{said}, but without bounds or a prior nothing says where others can be")
+        if climbed < starts:
+            doubts.append(f"{said}; {starts - climbed} more had no finite log-density or were left out")
+        if once:
+            doubts.append(f"{said}, {once} of them from one start alone, so that there may be more")
+        if len(found) > 1 and not best.are_weighed:
+            doubts.append(f"{said}, but not how much of the probability each holds")
+        return tuple(doubts)
