@@ -106,8 +106,8 @@ def sample(
     init : {"maxima", "prior", "start"} or array_like, shape (chains, ndim) or (chains, walkers, ndim)
         Where the chains start. ``"maxima"``: around the maxima of the posterior, in proportion to their
         probability (`fmu.analysis.maxima.starts`); chains on a log-density that is no `UpdatingProblem` start
-        from its prior, if it has one and not several maxima. ``"prior"``: at draws from the prior. ``"start"``: at ``problem.start``.
-        An array: there (SI units).
+        from its prior, if it has one and not several maxima. ``"prior"``: at draws from the prior. ``"start"``:
+        at ``problem.start``. An array: there (SI units).
     jumps : bool, optional
         Whether every other step of ``"mh"``, ``"slice"`` or ``"hmc"`` is an independent candidate from a mixture
         that warm-up fits to the posterior, so that chains cross between separated maxima
@@ -381,7 +381,7 @@ def _takes_exact_gradients(trace: xr.DataTree, problem: Any, settings: Sampler) 
     Differences consist of solves that are counted, and a user's function returns value and gradient in one call.
     """
     is_function = getattr(getattr(problem, "model", None), "black_box", None) is not None
-    differences = getattr(settings, "gradient", "exact") != "exact"
+    differences = getattr(getattr(settings, "local", settings), "gradient", "exact") != "exact"
     return bool(trace.attrs["n_gradients"]) and not is_function and not differences
 
 

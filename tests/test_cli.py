@@ -298,7 +298,7 @@ def test_a_comparison_of_runs_without_maxima_says_what_it_cannot_know(converged,
     save_trace(trace, "hmc.nc")
     result = CliRunner().invoke(cli.main, ["compare", "."])
     lines = result.stdout.splitlines()
-    at = lines.index("hmc  converged")
+    at = lines.index("hmc  converged locally")
     assert lines[at + 1].startswith("     - judged by its own draws only, as no maxima are")
 
 

@@ -54,15 +54,17 @@ def test_posterior_of_a_linear_model(problem, name, settings, draws):
 
 @pytest.mark.parametrize("name", SAMPLERS)
 def test_cost_in_the_trace_is_what_the_model_was_asked(problem, name):
-    trace = fmu.sample(problem, name, draws=30, warmup=20, seed=3, init="prior")
+    maxima = fmu.find_map(problem)
+    searched = len(problem.model.given.asked)
+    trace = fmu.sample(problem, name, draws=30, warmup=20, seed=3, init="prior", maxima=maxima)
     walkers = trace.attrs["walkers"]
     assert trace["posterior"].sizes == {"chain": 4, "draw": 30 * walkers}
     assert trace["warmup_posterior"].sizes == {"chain": 4, "draw": 20 * walkers}
     path = trace["posterior"].to_dataset().to_array().to_numpy().reshape(2, 4, 30, walkers)
     distinct = 4 * walkers + np.any(path[:, :, 1:] != path[:, :, :-1], axis=0).sum()
     sampling = trace.attrs["n_solves"] + trace.attrs["warmup_n_solves"]
-    beside = 3  # before and after updating, and the derivatives before it
-    for_timing = len(problem.model.given.asked) - sampling - distinct - beside
+    beside = 5  # before and after updating and at the maximum; derivatives before it and at the maximum
+    for_timing = len(problem.model.given.asked) - searched - sampling - distinct - beside
     gradients = trace.attrs["n_gradients"]  # the mixture takes a few, or none in so short a run
     assert (gradients > 0) == (name == "hmc") or name == "mixture"
     assert for_timing in ([2 * 4 * pairs for pairs in range(5, 51)] if gradients else [0])
@@ -153,8 +155,14 @@ def test_a_plain_density_can_be_sampled_on():
 
     start = np.random.default_rng(0).standard_normal((4, 2))
     trace = fmu.sample(Plain(), "hmc", draws=50, warmup=200, init=start, until_ess=500)
-    assert fmu.diagnose(trace).converged
-    assert "maxima" not in trace.children
+    found = fmu.diagnose(trace)
+    assert found.state == "converged locally"
+    (remark,) = found.remarks
+    assert remark.startswith("64 starts around its start led to 1 maximum, but without bounds or a prior")
+    Plain.lower, Plain.upper = np.full(2, -9.0), np.full(2, 9.0)
+    bounded = fmu.diagnose(fmu.sample(Plain(), "hmc", draws=50, warmup=200, init=start, until_ess=500))
+    assert bounded.state == "converged"
+    assert bounded.remarks == ("64 starts within the bounds led to 1 maximum",)
 
 
 def test_a_plain_density_starts_from_its_prior():
@@ -188,7 +196,7 @@ def test_chains_start_at_the_maxima_which_the_trace_keeps(problem):
     assert other.attrs["configuration_hash"] != given.attrs["configuration_hash"]
     from_prior = fmu.sample(problem, "mh", draws=7, warmup=3, init="prior")
     assert from_prior.attrs["init"] == "prior"
-    assert "maxima" not in from_prior.children
+    assert from_prior["maxima"].identical(given["maxima"])  # whatever the chains start at
 
 
 def test_maxima_are_kept_with_a_checkpoint(problem, tmp_path, monkeypatch):
@@ -322,6 +330,7 @@ def test_a_function_is_not_called_again_for_its_draws():
     posed = UpdatingProblem(
         fmu.BlackBoxModel(frequencies, 2), ModalData([101.0, 99.5, 102.0]), parameters, beta=1.0
     )
+    fmu.find_map(posed)
     called.clear()
     before = solves()
     attrs = fmu.sample(posed, draws=50, warmup=20, seed=1, init="prior").attrs

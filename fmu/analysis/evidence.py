@@ -82,7 +82,7 @@ class Evidence:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Why it is not reliable, a sentence each: places left out, chains that disagree, weights of heavy tail."""
+        """Why it is not reliable, a sentence each: places left out, chains that disagree, heavy tails."""
         if self.method in OF_MIXTURE:
             if self.pareto_k <= GOOD_K:
                 return self.doubts
@@ -107,8 +107,9 @@ class Evidence:
     def __str__(self) -> str:
         within, between = (significant(error, 2) for error in (self.within, self.between))
         rows = "chains" if self.method in OF_MIXTURE else "rungs"
+        of_what = " of the visited places alone" if self.doubts else ""
         line = (
-            f"log-evidence {with_sd(self.log_evidence, self.error)}{' of the visited places alone' * bool(self.doubts)} "
+            f"log-evidence {with_sd(self.log_evidence, self.error)}{of_what} "
             f"({self.method}, {len(self.table)} {rows}; standard error within chains {within}, between {between})"
         )
         return "\n".join([line, *(f"  - {warning}" for warning in self.warnings)])

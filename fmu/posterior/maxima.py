@@ -88,12 +88,12 @@ def maxima_from(
     Without errors of modes, no further start climbs once `most_solves` are spent.
     """
     if not problem.likelihood.of_modes:
-        before, ends = solves(), list[Maximum]()
+        before, tops = solves(), list[Maximum]()
         for u in points:
             if solves() - before >= most_solves:
                 break
-            ends.append(_climb(scaled, u))
-        return _merged(problem, [end for end in ends if np.isfinite(end.log_prob)])
+            tops.append(_climb(scaled, u))
+        return _merged(problem, [top for top in tops if np.isfinite(top.log_prob)])
     quadratic = GaussNewton(problem)
     highest, starts = leaders(ascend(quadratic, points, scaled.lower, scaled.upper, tolerance=_ROUGH))
     if not len(highest):

@@ -45,7 +45,7 @@ def test_row_by_hand(make_trace, good):
     assert list(table.columns) == COLUMNS
     assert list(table.index) == ["mine"]
     row, parts = table.loc["mine"], summary(trace)
-    assert row["verdict"] == "converged"
+    assert row["verdict"] == "converged locally"
     assert row["rhat_max"] == max(parts["rhat"])
     assert row["ess_bulk_min"] == parts.loc["x1", "ess_bulk"]
     assert row["ess_tail_min"] == min(parts["ess_tail"])
@@ -71,7 +71,7 @@ def test_per_solve_a_gradient_counts_as_what_it_costs(make_trace, good):
 def test_verdict_names_the_first_reason(make_trace, good):
     traces = {"a": make_trace(good), "b": make_trace(good[:1])}
     table = compare(traces)
-    assert table.loc["a", "verdict"] == "converged"
+    assert table.loc["a", "verdict"] == "converged locally"
     assert table.loc["b", "verdict"] == f"not converged: {convergence_failures(traces['b'])[0]}"
 
 

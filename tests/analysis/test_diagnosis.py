@@ -11,6 +11,7 @@ import pytest
 import fmu
 from fmu.analysis.convergence import effective
 from fmu.analysis.convergence.diagnosis import (
+    GROUP,
     Diagnosis,
     choose_run,
     diagnose,
@@ -37,7 +38,8 @@ def covariance_around(maximum, section):
 def in_b(section, section_maxima, around):
     """HMC around maximum B with a metric made for it: four chains that agree."""
     hmc = fmu.HamiltonianMonteCarlo(0.6, 3, inverse_mass=covariance_around(section_maxima[1], section))
-    return fmu.sample(section, hmc, draws=400, warmup=10, init=around(1, 4), seed=3)
+    trace = fmu.sample(section, hmc, draws=400, warmup=10, init=around(1, 4), jumps=False, seed=3)
+    return trace.filter(lambda node: node.name != GROUP)  # as from a sampler that searched nothing
 
 
 @pytest.fixture
@@ -107,7 +109,7 @@ def test_a_random_walk_in_the_lowest_of_three_modes_is_found_out(section, sectio
 )
 def test_dispersed_starts_do_not_converge(section, section_maxima, sampler, warmup, draws):
     """Whether some chains find A or none does, A or what stands in its place is named."""
-    trace = fmu.sample(section, sampler, draws=draws, warmup=warmup, seed=1, init="prior")
+    trace = fmu.sample(section, sampler, draws=draws, warmup=warmup, seed=1, init="prior", jumps=False)
     found = judge(trace, [section_maxima])
     assert not found.converged
     assert found.reasons[0].startswith("maximum ")
@@ -183,11 +185,13 @@ def test_walkers_taken_for_chains_raise_a_false_alarm_on_a_good_run():
     assert np.max(rhat_over_walkers(trace)) > 1.01
     found = diagnose(trace)
     assert found.converged
+    assert found.state == "converged locally"  # nothing bounds where to search
     assert found.reasons == ()
 
 
 def test_what_another_run_found_counts_without_a_problem(in_b, section, around):
-    in_a = fmu.sample(section, "mh", draws=300, warmup=200, init=around(0, 4), seed=1)
+    in_a = fmu.sample(section, "mh", draws=300, warmup=200, init=around(0, 4), jumps=False, seed=1)
+    in_a = in_a.filter(lambda node: node.name != GROUP)
     found = diagnose(in_b, others={"mh": in_a})
     assert not found.converged
     assert found.reasons[0].startswith("run mh visited Ix1 = 3")
@@ -224,7 +228,7 @@ def test_the_search_with_the_greater_mass_counts(in_b, section_maxima):
 
 def test_good_run_has_converged(good, problem):
     found = diagnose(good, problem)
-    assert found == Diagnosis(True, (), (), searched=True, fit=found.fit)
+    assert found == Diagnosis(True, (), (), doubts_of_search=(), fit=found.fit)
     assert found.verdict == "converged"
     assert str(found) == "converged\nthe model: not contradicted"
 
@@ -234,6 +238,8 @@ def test_a_verdict_without_maxima_says_so(good, problem):
     found = diagnose(good)
     assert found.converged
     assert not found.searched
+    assert found.verdict == found.state == "converged locally"
+    assert diagnose(good, problem).state == "converged"
     assert "judged by its own draws only, as no maxima are known" in str(found)
     assert "judged by its own draws only" in found._repr_html_()
     assert "no maxima" not in str(diagnose(good, problem))
@@ -272,7 +278,7 @@ def test_text_and_html():
     assert "<strong>not converged</strong>" in html
     assert "<li>R-hat 2 of &lt;a&gt;</li><li>second</li>" in html
     assert "<strong>notes on the model and the data</strong></p><ul><li>mode 1 &amp; more</li>" in html
-    good = Diagnosis(True, (), (), searched=True)
+    good = Diagnosis(True, (), (), doubts_of_search=())
     assert str(good) == "converged"
     assert good._repr_html_() == "<p><strong>converged</strong></p>"
     with pytest.raises(dataclasses.FrozenInstanceError):
@@ -287,7 +293,7 @@ def test_failed_checks_and_notes_are_two_lists():
     ]
     fit = ModelFit(tuple(checks), 3, 2)
     (failed,) = fit.against
-    found = Diagnosis(True, (), (failed, "E1 lies at its upper bound"), searched=True, fit=fit)
+    found = Diagnosis(True, (), (failed, "E1 lies at its upper bound"), doubts_of_search=(), fit=fit)
     lines = str(found).splitlines()
     assert lines == [
         "converged", "the model: contradicted by 1 of 2 checks", f"  - {failed}",

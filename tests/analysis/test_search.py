@@ -274,7 +274,7 @@ def test_same_seed_gives_the_same_maxima():
 
 
 def test_bad_arguments(plain):
-    with pytest.raises(ValueError, match=r"problem: must be an UpdatingProblem \(got namespace"):
+    with pytest.raises(ValueError, match=r"problem: must be a LogDensity \(got namespace"):
         find_map(plain)
     with pytest.raises(ValueError, match="starts: must be a whole number of at least 1"):
         find_map(squares(), starts=0)

@@ -302,7 +302,7 @@ def test_columns_of_cosine_above_095_are_separated_where_they_differ(hmc):
 def test_a_good_verdict_says_what_it_covers(plain_traces):
     (run,) = runs_of({"hmc": plain_traces["hmc"]}).values()
     assert convergence(run).reasons == (SOUND, UNSEARCHED)
-    searched = replace(run, diagnosis=replace(run.diagnosis, searched=True))
+    searched = replace(run, diagnosis=replace(run.diagnosis, doubts_of_search=()))
     assert convergence(searched).reasons == (SOUND, COVERED)
 
 

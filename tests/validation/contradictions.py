@@ -172,7 +172,7 @@ def convergence_against_numbers(said: Said) -> Iterator[str]:
     rhat, below, ess, needed = numbers(trust.said.replace("R-hat", ""))[:4]
     if trust.is_good and not (rhat < below and ess >= needed):
         yield f"converged, with {trust.said}"
-    if sure.said and ("Provisional" in sure.said) == bool(trust.is_good):
+    if sure.said and ("Provisional" in sure.said) != (trust.is_good is False):
         yield f"{trust.answer}, and the certainty says: {sure.said}"
 
 

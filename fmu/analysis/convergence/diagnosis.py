@@ -188,6 +188,10 @@ def diagnose(
     named = dict(others) if isinstance(others, Mapping) else {str(k): other for k, other in enumerate(others, 1)}
     for name, other in named.items():
         check_trace(other, f"others.{name}")
+        if parameter_names(other) != parameter_names(trace):
+            raise ValueError(
+                f"others.{name}: must have the parameters {parameter_names(trace)} (got {parameter_names(other)})"
+            )
     known = [maxima_of(other) for other in (trace, *named.values())]
     if problem is not None:
         from fmu.analysis.maxima.search import find_map

@@ -110,9 +110,7 @@ def compared(trace: xr.DataTree, maxima: Maxima) -> Comparison:
     trace : xarray.DataTree
     maxima : Maxima
     """
-    if (
-        maxima.search and not maxima.are_weighed
-    ):  # of a plain log-density: nothing says that they should be visited
+    if maxima.search and not maxima.are_weighed:  # a plain log-density's, which may hold no mass, as a funnel's
         return Comparison([], [])
     walkers = walkers_of(trace)
     draws = parameter_draws(trace)

@@ -54,11 +54,11 @@ class PlainDensity:
         self.lower, self.upper = scaled.theta_lower, scaled.theta_upper
         self.names, self.units = names_of(density), units_of(density)
         self.data = SimpleNamespace(labels=(), frequencies_hz=np.empty(0))
-        self._has_gradient = hasattr(density, "log_prob_and_grad")
-        self.solves_per_gradient = 1 if self._has_gradient else 2 * self.ndim + 1
         boxed = np.isfinite(self.lower) & np.isfinite(self.upper)
         middle = np.clip(self.offset + 0.5 * self.scale * boxed, self.lower, self.upper)
         self.start: FloatArray = np.asarray(getattr(density, "start", middle), dtype=float)
+        self._has_gradient = self._gives_gradients()
+        self.solves_per_gradient = 1 if self._has_gradient else 2 * self.ndim + 1
         has_prior = hasattr(density, "sample_prior")
         self.is_bounded = has_prior or bool(boxed.all())
         self.region = (
@@ -87,22 +87,32 @@ class PlainDensity:
     def log_prob(self, theta: Any) -> Any:
         """Return the log-density at theta (ndim,) or (n, ndim); −inf where it is not finite."""
         solved(len(np.atleast_2d(theta)))
-        value = np.asarray(self.density.log_prob(theta), dtype=float)
-        return np.where(np.isfinite(value), value, -np.inf)
+        value = np.asarray(self.density.log_prob(np.atleast_2d(theta)), dtype=float)
+        return np.where(np.isfinite(value), value, -np.inf)[() if np.ndim(theta) > 1 else 0]
 
     def log_prob_and_grad(self, theta: Any) -> tuple[Any, Any]:
         """Return the log-density and its gradient, its own or by central differences."""
+        points = np.atleast_2d(theta)
         if self._has_gradient:
-            solved(len(np.atleast_2d(theta)), with_gradients=True)
-            value, gradient = self.density.log_prob_and_grad(theta)
+            solved(len(points), with_gradients=True)
+            value, gradient = self.density.log_prob_and_grad(points)
         else:
-            u = (np.atleast_2d(theta) - self.offset) / self.scale
-            differences = CentralDifference(ScaledDensity(self), np.ones(self.ndim), _STEP)
-            slope = differences.slope(u, with_log_prob=True)
+            scaled = ScaledDensity(self)
+            differences = CentralDifference(scaled, np.ones(self.ndim), _STEP)
+            slope = differences.slope(scaled.to_scaled(points), with_log_prob=True)
             value, gradient = slope.log_prob, slope.gradient / self.scale
-            if np.ndim(theta) == 1:
-                value, gradient = value[0], gradient[0]
-        return np.where(np.isfinite(value), value, -np.inf), gradient
+        one = () if np.ndim(theta) > 1 else 0
+        return np.where(np.isfinite(value), value, -np.inf)[one], np.asarray(gradient)[one]
+
+    def _gives_gradients(self) -> bool:
+        """Say whether the density has a gradient that is implemented."""
+        if not hasattr(self.density, "log_prob_and_grad"):
+            return False
+        try:
+            self.density.log_prob_and_grad(self.start[None])
+        except NotImplementedError:
+            return False
+        return True
 
     def search_in_words(self, found: Sequence[Maximum]) -> str:
         """Say where the search began and what it found."""

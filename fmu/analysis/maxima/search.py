@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -23,6 +23,7 @@ from fmu.types import FloatArray, LogDensity
 if TYPE_CHECKING:
     from fmu.posterior.maxima import Maximum
     from fmu.posterior.problem import UpdatingProblem
+    from fmu.posterior.protocol import Problem
 
 
 STARTS = 256
@@ -104,19 +105,15 @@ def find_map(
         If `starts` is not positive, `problem` is no log-density or has a population, or a plain log-density is
         finite at none of the starts.
     """
-    if missing := [name for name in ("ndim", "lower", "upper", "log_prob") if not hasattr(problem, name)]:
-        kind = type(problem).__name__
-        raise ValueError(
-            f"problem: must be an UpdatingProblem or a log-density (got a {kind} without {missing[0]})"
-        )
     if not is_searchable(problem):
         raise ValueError("problem: must have no population: its maximum is far from its mass; sample it instead")
     if not is_updating(problem):
         return _searched_plainly(PlainDensity(problem), starts, seed)
-    starts = default_starts(problem) if starts is None else starts
+    posed = cast("UpdatingProblem", problem)
+    starts = default_starts(posed) if starts is None else starts
     known = _KNOWN.setdefault(problem, {}) if isinstance(problem, Hashable) else {}
     if (starts, seed) not in known:
-        known[starts, seed] = _searched(problem, starts, seed)
+        known[starts, seed] = _searched(posed, starts, seed)
     return known[starts, seed]
 
 
@@ -137,7 +134,7 @@ def _searched_plainly(density: PlainDensity, starts: int | None, seed: int) -> M
     scaled = ScaledDensity(density)
     points = scaled.to_scaled(density.starting_points(starts, seed))
     with phase("search", len(points)):
-        found = maxima_from(density, scaled, points, MOST_EVALUATIONS)
+        found = maxima_from(cast("Problem", density), scaled, points, MOST_EVALUATIONS)
     if not found:
         raise ValueError(
             f"problem: the log-density must be finite somewhere; it is so at none of {starts} points "

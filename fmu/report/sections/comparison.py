@@ -141,7 +141,7 @@ def costs(found: Compared, pages: Mapping[str, str]) -> PageSection:
         cost, of = {column: float(found.costs[column][name]) for column in found.costs}, run.costs
         rows.append((
             Link(f"{run.title}{_is_baseline(run)}", pages[name]),
-            "converged" if run.diagnosis.converged else "not converged",
+            run.diagnosis.state,
             about_solves(cost["criterion_solves"]), over_baseline(cost["criterion_over_baseline"]),
             significant(cost["solves_per_ess"]), over_baseline(cost["per_ess_over_baseline"]),
             about_solves(cost["total_solves"]), fixed(float(of["rhat_max"]), 4),

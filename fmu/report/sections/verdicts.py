@@ -158,6 +158,9 @@ def convergence(run: ReportedRun) -> Verdict:
         f"draws ({given(needed)} needed)."
     )
     said += "".join(f" {sentence}" for sentence in exact_in_words(run.trace.attrs)[:1])
+    if run.diagnosis.converged and not run.diagnosis.searched:
+        why = "What the chains alone cannot tell"
+        return Verdict(question, "Converged locally", None, why, (SOUND, *run.diagnosis.remarks), said)
     if run.diagnosis.converged:
         beside = run.diagnosis.remarks or (COVERED,)
         why = "Why the run counts as converged"
