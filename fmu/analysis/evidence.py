@@ -203,13 +203,12 @@ def _of_mixture(trace: xr.DataTree, method: str) -> Evidence:
 
 def _places_left_out(trace: xr.DataTree) -> tuple[str, ...]:
     """Return why candidates may leave out a part of the posterior, judged by the maxima kept in the trace."""
-    from fmu.analysis.convergence.diagnosis import maxima_of
+    from fmu.analysis.convergence.diagnosis import doubts_of_search, maxima_of
     from fmu.analysis.maxima.missed import compared
 
     known = maxima_of(trace)
-    if known is None:
-        return ("no maxima were searched for: whatever the chains did not visit is left out",)
-    return (*compared(trace, known).reasons[:1], *known.doubts)
+    missed = [] if known is None else compared(trace, known).reasons
+    return (*missed[:1], *doubts_of_search(trace, known))
 
 
 def _errors(within: float, alone: Sequence[float]) -> tuple[float, float]:

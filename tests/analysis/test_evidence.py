@@ -133,7 +133,7 @@ def test_evidence_and_its_error(make_trace, method):
     assert found.log_evidence == pytest.approx(3.0, abs=4 * found.error)
     assert 0.002 < found.error < 0.02
     (only_visited,) = found.warnings
-    assert only_visited == "no maxima were searched for: whatever the chains did not visit is left out"
+    assert only_visited.startswith("judged by its own draws only, as no maxima are known")
     assert " of the visited places alone (" in str(found).splitlines()[0]
     if method == "importance":
         known = candidates[np.isfinite(candidates)]

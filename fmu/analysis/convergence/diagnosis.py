@@ -37,7 +37,7 @@ from fmu.analysis.maxima.results import NEGLIGIBLE, Maxima
 from fmu.analysis.pairing_changes import jump_warnings
 from fmu.analysis.prediction import bound_warnings, search_warnings, shape_warnings
 from fmu.analysis.repeatability import repeatability_warnings
-from fmu.analysis.trace.reading import check_trace, has, parameter_names, walkers_of, with_group
+from fmu.analysis.trace.reading import array_of, check_trace, has, parameter_names, walkers_of, with_group
 from fmu.arguments import check_arguments
 
 if TYPE_CHECKING:
@@ -52,6 +52,10 @@ NOTES = "notes on the model and the data"
 UNSEARCHED = (
     "judged by its own draws only, as no maxima are known: chains that agree cannot reveal a maximum that "
     "none of them visited; fmu.diagnose(trace, problem) searches for maxima"
+)
+_SPARSE = (
+    "but the points searched are too far apart to meet a mode as narrow as these draws: give narrower bounds or a "
+    "prior, or search more, maxima=fmu.find_map(density, starts=1000)"
 )
 GROUP = "maxima"
 """Group of a trace that keeps the maxima known when it was made."""
@@ -234,7 +238,7 @@ def judge(
         not reasons,
         tuple(reasons),
         tuple(warnings),
-        doubts_of_search=_doubts_of_search(trace, best),
+        doubts_of_search=doubts_of_search(trace, best),
         search="" if best is None else best.search,
         stopped=stopped,
         fit=fit,
@@ -242,11 +246,26 @@ def judge(
     )
 
 
-def _doubts_of_search(trace: xr.DataTree, best: Maxima | None) -> tuple[str, ...]:
-    """Return why maxima that no chain visited are not excluded."""
+def doubts_of_search(trace: xr.DataTree, best: Maxima | None) -> tuple[str, ...]:
+    """Return why maxima that no chain visited are not excluded, a sentence each.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    best : Maxima or None
+        The result of the search, None if there was none.
+    """
     if best is None:
         return (UNSEARCHED,)
-    return best.doubts + tuple(search_warnings(trace, best[0].log_prob) if best.search else ())
+    if not best.search:
+        return ()
+    doubts = best.doubts or ((f"{best.search}, {_SPARSE}",) if _is_above(trace, best.level) else ())
+    return doubts + tuple(search_warnings(trace, best[0].log_prob))
+
+
+def _is_above(trace: xr.DataTree, level: float) -> bool:
+    """Say whether all but a tenth of the draws have a higher log-density than `level`."""
+    return float(np.quantile(array_of(trace, "sample_stats", "lp"), 0.1)) > level
 
 
 def _reasons(

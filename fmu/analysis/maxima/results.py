@@ -145,6 +145,9 @@ class Maxima:
         Where the search of a plain density began and what it found, in words; empty for an updating problem.
     doubts : tuple of str
         Why the search does not exclude other maxima, a sentence each; empty if it does as far as a search can.
+    level : float
+        The third-highest log-density at points scattered over the region where a plain density was searched. Where
+        draws lie above it, the points are too sparse to meet another mode as narrow as theirs.
     """
 
     maxima: tuple[PosteriorMaximum, ...]
@@ -160,6 +163,7 @@ class Maxima:
     n_gradients: int = 0
     search: str = ""
     doubts: tuple[str, ...] = ()
+    level: float = np.inf
 
     def __iter__(self) -> Iterator[PosteriorMaximum]:
         return iter(self.maxima)
@@ -320,8 +324,11 @@ class Maxima:
                 "mode": list(self.labels),
                 "unit": ("parameter", list(self.units)),
             },
-            attrs={"search": self.search, "doubts": json.dumps(self.doubts)} if self.search else {},
+            attrs=self._of_search() if self.search else {},
         )
+
+    def _of_search(self) -> dict[str, Any]:
+        return {"search": self.search, "doubts": json.dumps(self.doubts), "level": self.level}
 
     @classmethod
     def from_dataset(cls, dataset: xr.Dataset) -> Maxima:
@@ -335,7 +342,8 @@ class Maxima:
         others: dict[str, Any] = {name: dataset[name].to_numpy() for name in vectors}
         others |= {name: int(dataset[name]) for name in _COUNTS if name in dataset}
         if "search" in dataset.attrs:
-            others |= {"search": dataset.attrs["search"], "doubts": tuple(json.loads(dataset.attrs["doubts"]))}
+            others |= {"search": dataset.attrs["search"], "level": float(dataset.attrs["level"])}
+            others["doubts"] = tuple(json.loads(dataset.attrs["doubts"]))
         return cls(tuple(PosteriorMaximum(**row) for row in rows), names, units, labels, **others)
 
 

@@ -34,6 +34,8 @@ STARTS_BY_FULL = 64
 """A start costs about a hundred solves of a model that is not reduced."""
 STARTS_OF_PLAIN, MOST_EVALUATIONS = 64, 20_000
 """For a plain log-density with gradients; and evaluations after which no further start climbs."""
+SCATTERED = 16
+"""Points for each start at which a plain log-density is evaluated, to see how densely they lie."""
 _MOST_PLACES = 8
 """Places of a plain log-density whose curvature and mass are computed."""
 _WEIGHING = 1
@@ -132,7 +134,9 @@ def _searched_plainly(density: PlainDensity, starts: int | None, seed: int) -> M
     starts = default_starts(density) if starts is None else starts
     solved, differentiated = solves(), gradients()
     scaled = ScaledDensity(density)
-    points = scaled.to_scaled(density.starting_points(starts, seed))
+    theta = density.starting_points(SCATTERED * starts, seed)
+    level = float(np.sort(density.log_prob(theta))[-min(3, len(theta))])
+    points = scaled.to_scaled(theta[:starts])
     with phase("search", len(points)):
         found = maxima_from(cast("Problem", density), scaled, points, MOST_EVALUATIONS)
     if not found:
@@ -141,7 +145,8 @@ def _searched_plainly(density: PlainDensity, starts: int | None, seed: int) -> M
             f"{density.region}"
         )
     best = _weighed(density, found[:_MOST_PLACES], seed, solved, differentiated)
-    return replace(best, search=density.search_in_words(found), doubts=density.doubts(best, found, starts))
+    said, doubts = density.search_in_words(found), density.doubts(best, found, starts)
+    return replace(best, search=said, doubts=doubts, level=level)
 
 
 def _weighed(problem: Any, found: Sequence[Maximum], seed: int, solved: int, differentiated: int) -> Maxima:
