@@ -339,6 +339,11 @@ def _checked(
 
     for name in names_of(problem):
         require_name(name)
+    if getattr(settings, "gradient", "") == "exact" and not hasattr(problem, "log_prob_and_grad"):
+        raise ValueError(
+            f"sampler: {settings.name} needs a density with log_prob_and_grad; without it take 'mixture', or "
+            "fmu.HamiltonianMonteCarlo(gradient='central-difference')"
+        )
     if isinstance(init, str) and init not in INITS:
         raise ValueError(f"init: must be one of {', '.join(INITS)} or an array (got {init!r})")
     if not isinstance(init, str):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,31 @@ from fmu.types import FloatArray, LogDensity
 
 if TYPE_CHECKING:
     from fmu.posterior.maxima import Maximum
+
+
+def _numbers(method: str, got: Any, shape: tuple[int, ...]) -> FloatArray:
+    """Return what a density gave as an array of reals of this shape; ValueError if it is something else."""
+    array = np.asarray(got)
+    if array.shape != shape or array.dtype.kind not in "fiu":
+        raise ValueError(
+            f"problem: {method} must take theta of shape {(shape[0], 'ndim')} and return real numbers of shape "
+            f"{shape}, one row a point (got {array.dtype} of shape {array.shape})"
+        )
+    return array.astype(float)
+
+
+@contextmanager
+def _noted(theta: FloatArray) -> Iterator[None]:
+    """Tell where a density raised; the error stays as it is."""
+    try:
+        yield
+    except NotImplementedError:
+        raise
+    except Exception as error:
+        where = f"theta = {theta[0].tolist()}" if len(theta) == 1 else f"one of {len(theta)} theta"
+        error.add_note(f"The log-density raised this at {where}. Let it return -inf where it cannot be computed.")
+        raise
+
 
 _STEP = 1e-5
 """Of the differences that replace a missing gradient, in scaled coordinates."""
@@ -86,8 +112,10 @@ class PlainDensity:
 
     def log_prob(self, theta: Any) -> Any:
         """Return the log-density at theta (ndim,) or (n, ndim); −inf where it is not finite."""
-        solved(len(np.atleast_2d(theta)))
-        value = np.asarray(self.density.log_prob(np.atleast_2d(theta)), dtype=float)
+        points = np.atleast_2d(theta)
+        solved(len(points))
+        with _noted(points):
+            value = _numbers("log_prob", self.density.log_prob(points), (len(points),))
         return np.where(np.isfinite(value), value, -np.inf)[() if np.ndim(theta) > 1 else 0]
 
     def log_prob_and_grad(self, theta: Any) -> tuple[Any, Any]:
@@ -95,21 +123,25 @@ class PlainDensity:
         points = np.atleast_2d(theta)
         if self._has_gradient:
             solved(len(points), with_gradients=True)
-            value, gradient = self.density.log_prob_and_grad(points)
+            with _noted(points):
+                found = self.density.log_prob_and_grad(points)
+            value = _numbers("log_prob_and_grad", found[0], (len(points),))
+            gradient = _numbers("log_prob_and_grad", found[1], points.shape)
         else:
             scaled = ScaledDensity(self)
             differences = CentralDifference(scaled, np.ones(self.ndim), _STEP)
             slope = differences.slope(scaled.to_scaled(points), with_log_prob=True)
             value, gradient = slope.log_prob, slope.gradient / self.scale
         one = () if np.ndim(theta) > 1 else 0
-        return np.where(np.isfinite(value), value, -np.inf)[one], np.asarray(gradient)[one]
+        return np.where(np.isfinite(value), value, -np.inf)[one], gradient[one]
 
     def _gives_gradients(self) -> bool:
         """Say whether the density has a gradient that is implemented."""
         if not hasattr(self.density, "log_prob_and_grad"):
             return False
         try:
-            self.density.log_prob_and_grad(self.start[None])
+            with _noted(self.start):
+                self.density.log_prob_and_grad(self.start[None])
         except NotImplementedError:
             return False
         return True
@@ -120,7 +152,7 @@ class PlainDensity:
         climbed = sum(m.starts for m in found)
         return f"{climbed} starts {self.region} led to {n} {'maximum' if n == 1 else 'maxima'}"
 
-    def doubts(self, best: Maxima, found: Sequence[Maximum], starts: int) -> tuple[str, ...]:
+    def doubts(self, best: Maxima, found: Sequence[Maximum], is_spent: bool) -> tuple[str, ...]:
         """Say why the search does not exclude other maxima, a sentence each; nothing if it does.
 
         Where starts fell into the basins of all maxima twice or more, hardly any start would fall into another
@@ -132,16 +164,16 @@ class PlainDensity:
             Those whose mass was computed.
         found : sequence of Maximum
             All of them.
-        starts : int
-            Starts that were to climb.
+        is_spent : bool
+            Whether the search ended because its evaluations were spent.
         """
-        said, climbed = self.search_in_words(found), sum(m.starts for m in found)
+        said = self.search_in_words(found)
         once = sum(m.starts == 1 for m in best if m.share > NEGLIGIBLE)
         doubts = []
         if not self.is_bounded:
             doubts.append(f"{said}, but without bounds or a prior nothing says where others can be")
-        if climbed < starts:
-            doubts.append(f"{said}; {starts - climbed} more had no finite log-density or were left out")
+        if is_spent:
+            doubts.append(f"{said} before the evaluations of the search were spent")
         if once:
             doubts.append(f"{said}, {once} of them from one start alone, so that there may be more")
         if len(found) > 1 and not best.are_weighed:

@@ -33,7 +33,7 @@ STARTS_WITHOUT_DERIVATIVES = 16
 STARTS_BY_FULL = 64
 """A start costs about a hundred solves of a model that is not reduced."""
 STARTS_OF_PLAIN, MOST_EVALUATIONS = 64, 20_000
-"""For a plain log-density with gradients; and evaluations after which no further start climbs."""
+"""For a plain log-density with gradients; and evaluations after which no further start climbs by default."""
 SCATTERED = 16
 """Points for each start at which a plain log-density is evaluated, to see how densely they lie."""
 _MOST_PLACES = 8
@@ -131,21 +131,24 @@ def _searched_plainly(density: PlainDensity, starts: int | None, seed: int) -> M
     """Search a plain log-density, and say what that cannot exclude."""
     from fmu.posterior.maxima import maxima_from
 
+    most = MOST_EVALUATIONS if starts is None else np.inf
     starts = default_starts(density) if starts is None else starts
     solved, differentiated = solves(), gradients()
     scaled = ScaledDensity(density)
     theta = density.starting_points(SCATTERED * starts, seed)
     level = float(np.sort(density.log_prob(theta))[-min(3, len(theta))])
     points = scaled.to_scaled(theta[:starts])
+    begun = solves()
     with phase("search", len(points)):
-        found = maxima_from(cast("Problem", density), scaled, points, MOST_EVALUATIONS)
+        found = maxima_from(cast("Problem", density), scaled, points, most)
+    is_spent = solves() - begun >= most
     if not found:
         raise ValueError(
             f"problem: the log-density must be finite somewhere; it is so at none of {starts} points "
             f"{density.region}"
         )
     best = _weighed(density, found[:_MOST_PLACES], seed, solved, differentiated)
-    said, doubts = density.search_in_words(found), density.doubts(best, found, starts)
+    said, doubts = density.search_in_words(found), density.doubts(best, found, is_spent)
     return replace(best, search=said, doubts=doubts, level=level)
 
 
@@ -194,6 +197,7 @@ def _weighed(problem: Any, found: Sequence[Maximum], seed: int, solved: int, dif
 def quadratic_at(problem: UpdatingProblem, scaled: ScaledDensity, maximum: Maximum) -> tuple[Quadratic, str]:
     """Return the log-probability around a maximum to second order, scaled, and the source of its curvature."""
     gradient = np.asarray(problem.log_prob_and_grad(maximum.theta)[1]) * problem.scale
+    gradient = np.where(np.isfinite(gradient), gradient, 0.0)  # at an edge
     hessian, source = hessian_at(problem, maximum.theta)
     return Quadratic(scaled.to_scaled(maximum.theta), maximum.log_prob, gradient, hessian), source
 
@@ -279,5 +283,7 @@ def _differences(problem: UpdatingProblem, theta: FloatArray, step: FloatArray) 
         upper = np.where(vanish_above, 0.5 * (upper + theta), upper)
     ahead, behind = np.minimum(theta + h, upper), np.maximum(theta - h, lower)
     slopes = [problem.log_prob_and_grad(points)[1] * problem.scale for points in (ahead, behind)]
-    hessian = (slopes[1] - slopes[0]) / (np.diag(ahead - behind) / problem.scale)[:, None]
+    with np.errstate(invalid="ignore"):  # no gradient beyond an edge: taken as no curvature
+        hessian = (slopes[1] - slopes[0]) / (np.diag(ahead - behind) / problem.scale)[:, None]
+    hessian = np.where(np.isfinite(hessian), hessian, 0.0)
     return 0.5 * (hessian + hessian.T)

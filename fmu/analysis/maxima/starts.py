@@ -58,7 +58,7 @@ def starts(
     if maxima is not None:
         return starts_at_maxima(density, maxima, chains, walkers, seed), {"maxima": maxima.hash}
     if not getattr(density, "is_hierarchical", False):
-        if hasattr(density, "sample_prior"):
+        if hasattr(density, "sample_prior") and _is_finite_in_prior(density, seed):
             return "prior", "prior"
         theta = _scattered(density, chains * walkers, seed)
         return theta if walkers == 1 else theta.reshape(chains, walkers, -1), {"maxima": "scattered"}
@@ -67,10 +67,16 @@ def starts(
     return theta if walkers == 1 else theta.reshape(chains, walkers, -1), {"maxima": "typical point"}
 
 
-def _scattered(density: LogDensity, n: int, seed: int) -> FloatArray:
-    """Return `n` points (n, ndim) of a plain log-density without a prior at which it is finite.
+def _is_finite_in_prior(density: LogDensity, seed: int) -> bool:
+    """Say whether a plain log-density is finite at all of some draws from its prior."""
+    plain = PlainDensity(density)
+    return bool(np.all(np.isfinite(plain.log_prob(plain.starting_points(_SCATTERED, seed)))))
 
-    Of many within its bounds, or around its start. Where too few are finite they are repeated.
+
+def _scattered(density: LogDensity, n: int, seed: int) -> FloatArray:
+    """Return `n` points (n, ndim) at which a plain log-density is finite: from its prior, its bounds, or wide.
+
+    They are chosen of many. Where too few are finite they are repeated.
     """
     plain = PlainDensity(density)
     theta = plain.starting_points(_SCATTERED * n, seed)

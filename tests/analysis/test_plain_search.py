@@ -1,0 +1,181 @@
+"""The search of plain log-densities: what it finds, what it does not exclude, and densities that are wrong."""
+
+import numpy as np
+import pytest
+
+import fmu
+from fmu.analysis.convergence.diagnosis import maxima_of
+from fmu.analysis.maxima.search import find_map
+from tests.densities import Shell, ThreeWidths
+from tests.plain_densities import AtWall, FourModes, Gumbels, Pair
+
+
+class Plain:
+    """A log-density of two coordinates in a box, given as a function, with draws from the box."""
+
+    ndim, lower, upper = 2, np.full(2, -3.0), np.full(2, 3.0)
+
+    def __init__(self, function):
+        self.log_prob = function
+
+    def sample_prior(self, rng, n):
+        return rng.uniform(-3.0, 3.0, (n, 2))
+
+
+class OnTheLine(Plain):
+    """The same without a prior and without bounds."""
+
+    lower, upper = np.full(2, -np.inf), np.full(2, np.inf)
+    sample_prior = property()
+
+
+def bowl(theta):
+    return -0.5 * np.sum(np.asarray(theta) ** 2, axis=-1)
+
+
+def test_all_modes_of_a_bounded_density_are_found_and_weighed():
+    density = FourModes()
+    found = find_map(density, starts=256)
+    assert found.doubts == ()
+    assert found.search == "256 starts from the prior led to 4 maxima"
+    np.testing.assert_allclose(sorted(m.share for m in found), sorted(density.weights), atol=0.03)
+    assert found.log_evidence == pytest.approx(0.0, abs=0.1)
+    assert found.n_solves > found.n_gradients > 64
+    assert not found.labels
+
+
+def test_differences_stand_for_a_missing_gradient():
+    with_gradient = Gumbels()
+    without = Plain(with_gradient.log_prob)
+    without.lower, without.upper = with_gradient.lower, with_gradient.upper
+    without.sample_prior = with_gradient.sample_prior
+    found, exact = find_map(without), find_map(with_gradient)
+    np.testing.assert_allclose(found[0].theta, exact[0].theta, atol=1e-4)
+    assert found.search == "16 starts from the prior led to 1 maximum"
+    assert found.n_gradients == 0
+
+
+def test_a_maximum_at_a_wall_is_one():
+    (found,) = find_map(AtWall())
+    assert found.at_bound.tolist() == [-1, -1, -1]
+    np.testing.assert_allclose(found.sd, 1.0 / AtWall.rates, rtol=0.2)
+
+
+def test_chains_start_in_several_modes_and_jump_between_them():
+    """From its prior alone no chain of HMC would change sides."""
+    density = Pair()
+    trace = fmu.sample(density, "hmc", draws=600, warmup=400, seed=2)
+    assert np.mean(trace["posterior"]["x0"] < 0) == pytest.approx(0.7, abs=0.05)
+    assert fmu.diagnose(trace).state == "converged"
+    stayed = fmu.sample(density, "hmc", draws=300, warmup=300, seed=2, init=np.full((4, 2), -2.0), jumps=False)
+    assert fmu.diagnose(stayed).verdict.startswith("not converged: maximum 2 at x0 = 2")
+    assert maxima_of(stayed).search.startswith("64 starts")
+
+
+@pytest.mark.parametrize("sampler", ["mixture", "mh"])
+def test_modes_that_no_search_finds_leave_a_run_converged_locally(sampler):
+    """Two of the three modes attract 1e-5 and 1e-8 of the box: what was not found is not excluded."""
+    trace = fmu.sample(ThreeWidths(), sampler, seed=3, until_ess=400, max_solves=40_000)
+    found = fmu.diagnose(trace)
+    assert found.state == "converged locally"
+    assert "too far apart to meet a mode as narrow as these draws" in found.remarks[0]
+    if sampler == "mixture":
+        evidence = fmu.evidence(trace)
+        assert abs(evidence.log_evidence) > 50 * evidence.error  # of one mode of three, which it says
+        assert " of the visited places alone " in str(evidence).splitlines()[0]
+
+
+def test_more_starts_and_a_tighter_box_lift_the_doubt():
+    """The word depends on how densely the points lie, and on nothing that is set by hand."""
+    wide = Plain(bowl)
+    wide.lower, wide.upper = np.full(2, -60.0), np.full(2, 60.0)
+    wide.sample_prior = lambda rng, n: rng.uniform(-60.0, 60.0, (n, 2))
+    states = [
+        fmu.diagnose(fmu.sample(density, "mh", until_ess=400, seed=1, maxima=maxima)).state
+        for density, maxima in ((wide, None), (wide, find_map(wide, starts=1024)), (Plain(bowl), None))
+    ]
+    assert states == ["converged locally", "converged", "converged"]
+
+
+def test_a_hollow_density_has_no_weighed_maxima_and_starts_in_its_prior():
+    trace = fmu.sample(Shell(), "mh", draws=5, warmup=0)
+    assert trace.attrs["init"] == "prior"
+    assert "but not how much of the probability each holds" in " ".join(maxima_of(trace).doubts)
+
+
+def test_a_density_without_prior_or_bounds_needs_no_start():
+    trace = fmu.sample(OnTheLine(bowl), "mh", until_ess=400, seed=1)
+    found = fmu.diagnose(trace)
+    assert found.state == "converged locally"
+    assert "without bounds or a prior nothing says where others can be" in found.remarks[0]
+
+
+def test_chains_start_where_the_density_is_finite():
+    def half(theta):
+        return np.where(theta[..., 0] > 0, np.nan, bowl(theta))
+
+    trace = fmu.sample(Plain(half), "mh", until_ess=400, seed=1)
+    assert fmu.diagnose(trace).state == "converged"
+    assert float(trace["posterior"]["x0"].max()) <= 0
+
+
+def raising(_):
+    raise RuntimeError("the mesh is inverted")
+
+
+@pytest.mark.parametrize(
+    ("function", "sentence"),
+    [
+        (
+            lambda t: np.full(len(t), -np.inf),
+            "must be finite somewhere; it is so at none of 16 points from the prior",
+        ),
+        (
+            lambda t: np.full(len(t), np.nan),
+            "must be finite somewhere; it is so at none of 16 points from the prior",
+        ),
+        (
+            lambda t: np.full(len(t), np.inf),
+            "must be finite somewhere; it is so at none of 16 points from the prior",
+        ),
+        (lambda _: 0.0, r"log_prob must take theta of shape \(\d+, 'ndim'\) and return real numbers of shape"),
+        (lambda _: np.zeros(3), r"one row a point \(got float64 of shape \(3,\)\)"),
+        (lambda t: np.zeros(len(t), dtype=complex), r"one row a point \(got complex128 of shape"),
+        (lambda t: ["a"] * len(t), r"return real numbers of shape \(\d+,\), one row a point \(got <U1 of shape"),
+    ],
+    ids=["-inf", "nan", "inf", "number", "three", "complex", "text"],
+)
+@pytest.mark.parametrize("sampler", ["mixture", "emcee"])
+def test_a_density_that_is_wrong_is_refused_in_a_sentence(function, sentence, sampler):
+    with pytest.raises(ValueError, match=f"^problem: .*{sentence}"):
+        fmu.sample(Plain(function), sampler, draws=10, warmup=10)
+
+
+def test_an_error_of_the_density_stays_and_says_where():
+    with pytest.raises(RuntimeError, match="the mesh is inverted") as caught:
+        fmu.sample(Plain(raising), "mh", draws=10, warmup=10)
+    (note,) = caught.value.__notes__
+    assert (
+        note == "The log-density raised this at one of 256 theta. Let it return -inf where it cannot be computed."
+    )
+
+
+def test_hmc_needs_a_gradient():
+    with pytest.raises(ValueError, match="sampler: hmc needs a density with log_prob_and_grad; without it take"):
+        fmu.sample(Plain(bowl), "hmc", draws=10, warmup=10)
+    differences = fmu.HamiltonianMonteCarlo(gradient="central-difference")
+    assert fmu.diagnose(fmu.sample(Plain(bowl), differences, until_ess=400)).state == "converged"
+
+
+@pytest.mark.parametrize("steps", [np.floor, np.zeros_like], ids=["discontinuous", "flat"])
+def test_a_density_in_steps_is_sampled(steps):
+    def log_prob(theta):
+        return steps(np.asarray(theta)).sum(axis=-1)
+
+    trace = fmu.sample(Plain(log_prob), "mixture", until_ess=400, seed=1)
+    assert fmu.diagnose(trace).converged
+    weight = np.exp(steps(np.arange(-3.0, 3.0)))
+    mean = weight @ np.arange(-2.5, 3.0) / weight.sum()
+    for name in ("x0", "x1"):
+        row = fmu.summary(trace).loc[name]
+        assert abs(row["mean"] - mean) < 5 * row["mcse_mean"]

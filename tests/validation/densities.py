@@ -1,0 +1,171 @@
+"""Verdicts on runs on plain log-densities with exact moments: python -m tests.validation.densities OUT_DIRECTORY.
+
+Writes ``densities.md``. Each run draws until the verdict is good or its evaluations are spent. Exit code 1 if a
+run is called converged, without "locally", whose means, standard deviations or evidence are off by more than five
+standard errors; or if fewer than 90 % of the runs on densities with one maximum and light tails are called
+converged without it. Parts run side by side: ``--part 1/2 --to FILE`` writes rows, ``--from FILE …`` the page.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import warnings
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import fmu
+from fmu.analysis.convergence.effective import mcse_mean, mcse_sd
+from fmu.analysis.evidence import has_candidates
+from fmu.analysis.trace.reading import parameter_draws, walkers_of
+from fmu.numbers import MISSING, share, significant, whole
+from fmu.tables import markdown_table
+from tests import densities, plain_densities
+
+SEEDS = {"mixture": 10, "hmc": 8, "mh": 8, "slice": 6, "emcee": 4}
+"""Runs of each sampler on each density."""
+MOST_SOLVES, UNTIL_ESS, FAR, ENOUGH = 50_000, 400, 5.0, 0.9
+"""Evaluations at the end of a run, effective draws, standard errors that count as wrong, share that is enough."""
+CONVERGED, LOCALLY, NOT = "converged", "converged locally", "not converged"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One run: its verdict, its evaluations, and its largest error in standard errors."""
+
+    density: str
+    sampler: str
+    seed: int
+    state: str
+    solves: int
+    z: float
+    z_evidence: float
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether it is called converged, without "locally", and is wrong."""
+        return self.state == CONVERGED and max(self.z, np.nan_to_num(self.z_evidence)) > FAR
+
+
+def ran(density: Any, sampler: str, seed: int) -> Row:
+    """Sample a density, and compare the draws with its exact moments."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        trace = fmu.sample(density, sampler, seed=seed, until_ess=UNTIL_ESS, max_solves=MOST_SOLVES)
+    draws, walkers = parameter_draws(trace), walkers_of(trace)
+    z, z_evidence = 0.0, np.nan
+    for k in range(density.ndim):
+        x = draws[:, :, k]
+        z = max(z, abs(x.mean() - density.mean[k]) / mcse_mean(x, walkers))
+        z = max(z, abs(x.std() - density.sd[k]) / mcse_sd(x, walkers))
+    if has_candidates(trace):
+        found = fmu.evidence(trace)
+        if not found.warnings:  # otherwise it says itself that its error is not reliable
+            z_evidence = abs(found.log_evidence - density.log_evidence) / found.error
+    solves = sum(int(trace.attrs[name]) for name in ("n_solves", "warmup_n_solves"))
+    state = fmu.diagnose(trace).state
+    return Row(density.name, sampler, seed, state, solves, float(z), float(z_evidence))
+
+
+def cases() -> Iterator[tuple[Any, str, int]]:
+    """Yield every density, sampler and seed, so that interleaved parts take equally long."""
+    for seed in range(1, max(SEEDS.values()) + 1):
+        for make in (*densities.ALL, *plain_densities.ALL):
+            for sampler, seeds in SEEDS.items():
+                if seed <= seeds:
+                    yield make(), sampler, seed
+
+
+def page(rows: list[Row]) -> str:
+    """Return the page on all runs."""
+    made = {d.name: d for d in (make() for make in (*densities.ALL, *plain_densities.ALL))}
+    wrong = [row for row in rows if row.is_wrong]
+    called = [row for row in rows if row.state == CONVERGED]
+    of = usual(rows, made)
+    lines = [
+        "# Verdicts on plain log-densities",
+        f"{len(rows)} runs on {len(made)} densities with exact moments (tests/densities.py, "
+        f"tests/plain_densities.py), each until R-hat < 1.01 and an ESS of {UNTIL_ESS}, or "
+        f"{whole(MOST_SOLVES)} evaluations. Nothing was tuned for a density. By `python -m "
+        "tests.validation.densities results`.",
+        f"**{len(called)} runs are called converged, without “locally”; {len(wrong)} of them have a mean, a "
+        f"standard deviation or an evidence that is off by more than {significant(FAR)} standard errors.** Of "
+        f"{sum(row.state == LOCALLY for row in rows)} runs that are called converged locally "
+        f"{sum(row.state == LOCALLY and row.z > FAR for row in rows)} are off: that is what the word is for.",
+        f"Of the {len(of)} runs on densities with one maximum and light tails that the points searched are dense "
+        f"enough for (all but {', '.join(BENT)}), {share(share_converged(of))} are called converged without it.",
+        "“Locally”: the search found a maximum from one start alone, or none of its points fell where the draws "
+        "are, so that another mode as narrow as theirs would not have been found either. three-widths shows "
+        "why: its modes of width 0.02 and 0.1 attract 1e-8 and 1e-5 of the box, so that no search finds them.",
+        "Numbers: runs converged / converged locally / not converged within the evaluations; then the median "
+        "evaluations, search left out; then the largest error of those called converged, in standard errors.",
+    ]
+    table = []
+    for name, density in made.items():
+        cells = [name, str(density.ndim), "one" if density.has_one_maximum else "several"]
+        for sampler in SEEDS:
+            mine = [row for row in rows if (row.density, row.sampler) == (name, sampler)]
+            cells.append(_cell(mine))
+        table.append(tuple(cells))
+    header = ("density", "coordinates", "maxima", *SEEDS)
+    return "\n\n".join([*lines, markdown_table(header, table, words=(0, 2, 3, 4, 5, 6, 7))]) + "\n"
+
+
+def _cell(rows: list[Row]) -> str:
+    if not rows:
+        return MISSING
+    states = [row.state for row in rows]
+    counts = " / ".join(str(states.count(state)) for state in (CONVERGED, LOCALLY, NOT))
+    good = [row.z for row in rows if row.state in (CONVERGED, LOCALLY)]
+    z = significant(max(good), 2) if good else MISSING
+    return f"{counts}; {whole(float(np.median([row.solves for row in rows])))}; {z}"
+
+
+BENT = ("banana", "helix", "shell")
+"""They have one maximum and light tails, but are so thin in their boxes that points do not meet them."""
+
+
+def usual(rows: list[Row], made: dict[str, Any]) -> list[Row]:
+    """Return the runs on densities with one maximum and light tails, but bent or hollow ones."""
+    return [
+        row for row in rows
+        if made[row.density].has_one_maximum and made[row.density].has_light_tails and row.density not in BENT
+    ]  # fmt: skip
+
+
+def share_converged(rows: list[Row]) -> float:
+    """Return the share of the runs called converged, without "locally"."""
+    return float(np.mean([row.state == CONVERGED for row in rows])) if rows else np.nan
+
+
+def main(argv: Iterable[str]) -> int:
+    """Run the study, or a part of it, and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--part", default="1/1")
+    parser.add_argument("--to", type=Path)
+    parser.add_argument("--from", type=Path, nargs="*", dest="kept", default=[])
+    asked = parser.parse_args(list(argv))
+    rows = [Row(**row) for path in asked.kept for row in json.loads(path.read_text())]
+    if not rows:
+        part, parts = map(int, asked.part.split("/"))
+        todo = list(cases())[part - 1 :: parts]
+        for n, (density, sampler, seed) in enumerate(todo, 1):
+            rows.append(ran(density, sampler, seed))
+            print(f"{n} of {len(todo)}: {rows[-1]}", flush=True)
+            if asked.to is not None:
+                asked.to.write_text(json.dumps([asdict(row) for row in rows]))
+    if asked.to is not None:
+        return 0
+    (asked.out / "densities.md").write_text(page(rows))
+    made = {d.name: d for d in (make() for make in (*densities.ALL, *plain_densities.ALL))}
+    return int(any(row.is_wrong for row in rows) or not share_converged(usual(rows, made)) >= ENOUGH)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
