@@ -142,6 +142,7 @@ validate: export OPENBLAS_NUM_THREADS = 1
 validate: $(READY_BENCH) $(READY_FAST)  ## Calibrate samplers, verdicts, intervals and evidences, and update GARTEUR, into results/ (validation.md and others)
 	.venv/bin/python -m tests.validation results
 	.venv/bin/python -m tests.validation.verdicts results
+	.venv/bin/python -m tests.validation.densities results
 	.venv/bin/python -m tests.validation.coverage results
 	.venv/bin/python -m tests.validation.evidence results
 	.venv/bin/python -m tests.validation.seeds results
