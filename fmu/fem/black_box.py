@@ -54,6 +54,11 @@ _MOST_LATEST = 10_000
 _LONGEST = 500
 
 
+def solves_of_a_surrogate(n_parameters: int) -> int:
+    """Return how many solves a surrogate takes at most by default, and so the search of a slow function."""
+    return 100 + 50 * n_parameters
+
+
 class Answer(NamedTuple):
     """What the function returned at one theta: (m,) in Hz, and (n_sensors, m), (m, ndim) or None."""
 

@@ -43,7 +43,11 @@ class Maximum:
 
 
 def local_maxima(
-    problem: Problem, starts: int = STARTS, seed: int = 1, near: FloatArray | None = None
+    problem: Problem,
+    starts: int = STARTS,
+    seed: int = 1,
+    near: FloatArray | None = None,
+    most_solves: float = np.inf,
 ) -> tuple[Maximum, ...]:
     """Return the distinct local maxima of the log-probability within the bounds, the highest first.
 
@@ -64,6 +68,8 @@ def local_maxima(
     seed : int
     near : ndarray, shape (n, ndim), optional
         Further points to start from, SI units.
+    most_solves : float
+        With a limit the starts climb one after the other, and none begins once it is reached.
 
     Raises
     ------
@@ -77,25 +83,28 @@ def local_maxima(
     if near is not None:
         points = np.concatenate([points, np.clip(scaled.to_scaled(near), scaled.lower, scaled.upper)])
     with phase("search", len(points)):
-        return maxima_from(problem, scaled, points)
+        return maxima_from(problem, scaled, points, most_solves)
 
 
 def maxima_from(
     problem: Problem, scaled: ScaledDensity, points: FloatArray, most_solves: float = np.inf
 ) -> tuple[Maximum, ...]:
-    """Return the maxima reached from scaled points (n, ndim), the highest first.
-
-    Without errors of modes, no further start climbs once `most_solves` are spent.
-    """
+    """Return the maxima reached from scaled points (n, ndim), the highest first; see `local_maxima`."""
+    before = solves()
     if not problem.likelihood.of_modes:
-        before, tops = solves(), list[Maximum]()
+        tops = list[Maximum]()
         for u in points:
             if solves() - before >= most_solves:
                 break
             tops.append(_climb(scaled, u))
         return _merged(problem, [top for top in tops if np.isfinite(top.log_prob)])
     quadratic = GaussNewton(problem)
-    highest, starts = leaders(ascend(quadratic, points, scaled.lower, scaled.upper, tolerance=_ROUGH))
+    reached = list[tuple[FloatArray, IntArray]]()
+    for together in [points] if np.isinf(most_solves) else points[:, None]:
+        if solves() - before < most_solves:
+            ends = ascend(quadratic, together, scaled.lower, scaled.upper, tolerance=_ROUGH)
+            reached.append(leaders(ends))
+    highest, starts = (np.concatenate(parts) for parts in zip(*reached, strict=True))
     if not len(highest):
         raise ValueError(_nowhere(problem, len(points)))
     ends = ascend(quadratic, highest, scaled.lower, scaled.upper, tolerance=_TOLERANCE)

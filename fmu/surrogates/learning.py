@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmu.arguments import Seed, check_arguments
+from fmu.fem.black_box import solves_of_a_surrogate
 from fmu.fem.surrogate.coordinates import Coordinates
 from fmu.fem.surrogate.feasibility import EDGE, failed_region
 from fmu.fem.surrogate.surrogate_model import Design, SurrogateModel, oriented, solved
@@ -312,7 +313,7 @@ def expected_solves(problem: UpdatingProblem) -> int:
 
 def most_solves(problem: UpdatingProblem) -> int:
     """Return how many solves a surrogate takes at most, unless told otherwise."""
-    return 100 + 50 * problem.n_structural
+    return solves_of_a_surrogate(problem.n_structural)
 
 
 def _check(problem: UpdatingProblem, tolerance: float, batch: int, checks: int, max_solves: int) -> None:

@@ -258,7 +258,7 @@ def doubts_of_search(trace: xr.DataTree, best: Maxima | None) -> tuple[str, ...]
     if best is None:
         return (UNSEARCHED,)
     if not best.search:
-        return ()
+        return best.doubts
     doubts = best.doubts or ((f"{best.search}, {_SPARSE}",) if _is_above(trace, best.level) else ())
     return doubts + tuple(search_warnings(trace, best[0].log_prob))
 

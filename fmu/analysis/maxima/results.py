@@ -324,7 +324,7 @@ class Maxima:
                 "mode": list(self.labels),
                 "unit": ("parameter", list(self.units)),
             },
-            attrs=self._of_search() if self.search else {},
+            attrs=self._of_search() if self.search or self.doubts else {},
         )
 
     def _of_search(self) -> dict[str, Any]:

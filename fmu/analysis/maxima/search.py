@@ -11,10 +11,11 @@ import numpy as np
 from annotated_types import Interval
 
 from fmu.analysis.maxima.kinds import basin, held, kind_of, slope
-from fmu.analysis.maxima.mode_weights import DRAWS, ModeWeight, mode_weights
+from fmu.analysis.maxima.mode_weights import DRAWS, TEMPERATURES, ModeWeight, mode_weights
 from fmu.analysis.maxima.plain import PlainDensity
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 from fmu.arguments import Seed, check_arguments
+from fmu.fem.black_box import SLOW_S, solves_of_a_surrogate
 from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import gradients, phase, solves
 from fmu.samplers.mixture.quadratic import Quadratic
@@ -38,8 +39,8 @@ SCATTERED = 16
 """Points for each start at which a plain log-density is evaluated, to see how densely they lie."""
 _MOST_PLACES = 8
 """Places of a plain log-density whose curvature and mass are computed."""
-_WEIGHING = 1
-_KNOWN: WeakKeyDictionary[Any, dict[tuple[int, int], Maxima]] = WeakKeyDictionary()
+_WEIGHING, _OF_SEARCH, _FEWEST_DRAWS = 1, 0.5, 8
+_KNOWN: WeakKeyDictionary[Any, dict[tuple[int, int, float], Maxima]] = WeakKeyDictionary()
 
 
 def default_starts(problem: UpdatingProblem | PlainDensity) -> int:
@@ -80,6 +81,9 @@ def find_map(
     posterior has other maxima, and how much probability they hold. The result is cached with the problem: a second
     search with the same number of starts and the same seed costs nothing.
 
+    Of a function without derivatives that takes 0.05 s or longer the search takes about as many solves as a
+    surrogate, unless `starts` is given; `Maxima.doubts` say after how many starts it ended.
+
     Of any other log-density the starts are drawn from its prior (``sample_prior``), or within its bounds. One with
     neither is searched around its start, which excludes nothing: `Maxima.doubts` say so, and so does the verdict
     on a run. A maximum that attracts fewer than one start in `starts` may be missed.
@@ -112,19 +116,38 @@ def find_map(
     if not is_updating(problem):
         return _searched_plainly(PlainDensity(problem), starts, seed)
     posed = cast("UpdatingProblem", problem)
+    most = _most_solves(posed) if starts is None else np.inf
     starts = default_starts(posed) if starts is None else starts
     known = _KNOWN.setdefault(problem, {}) if isinstance(problem, Hashable) else {}
-    if (starts, seed) not in known:
-        known[starts, seed] = _searched(posed, starts, seed)
-    return known[starts, seed]
+    if (starts, seed, most) not in known:
+        known[starts, seed, most] = _searched(posed, starts, seed, most)
+    return known[starts, seed, most]
 
 
-def _searched(problem: UpdatingProblem, starts: int, seed: int) -> Maxima:
-    """Search an updating problem."""
+def _searched(problem: UpdatingProblem, starts: int, seed: int, most: float) -> Maxima:
+    """Search an updating problem, with `most` solves or hardly more."""
     from fmu.posterior.maxima import local_maxima
 
     solved, differentiated = solves(), gradients()
-    return _weighed(problem, local_maxima(problem, starts, seed), seed, solved, differentiated)
+    found = local_maxima(problem, starts, seed, most_solves=_OF_SEARCH * most)
+    best = _weighed(problem, found, seed, solved, differentiated, most)
+    climbed = sum(m.starts for m in found)
+    if climbed == starts or np.isinf(most):
+        return best
+    doubt = (
+        f"a solve takes long, so that the search ended after {climbed} of {starts} starts: let fmu.surrogate "
+        f"stand for the model, or search further, maxima=fmu.find_map(problem, starts={starts})"
+    )
+    return replace(best, doubts=(doubt,))
+
+
+def _most_solves(problem: UpdatingProblem) -> float:
+    """Return how many solves a search may take by default: of a slow function those of a surrogate, else any."""
+    function = problem.model.black_box
+    if function is None or problem.solves_per_gradient == 1:
+        return np.inf
+    slow = function.seconds_at(problem.start[: problem.n_structural]) >= SLOW_S
+    return solves_of_a_surrogate(problem.n_structural) if slow else np.inf
 
 
 def _searched_plainly(density: PlainDensity, starts: int | None, seed: int) -> Maxima:
@@ -152,18 +175,26 @@ def _searched_plainly(density: PlainDensity, starts: int | None, seed: int) -> M
     return replace(best, search=said, doubts=doubts, level=level)
 
 
-def _weighed(problem: Any, found: Sequence[Maximum], seed: int, solved: int, differentiated: int) -> Maxima:
-    """Return the maxima with curvature and mass; `solved` and `differentiated` were counted before the search."""
+def _weighed(
+    problem: Any, found: Sequence[Maximum], seed: int, solved: int, differentiated: int, most: float = np.inf
+) -> Maxima:
+    """Return the maxima with curvature and mass; `solved` and `differentiated` were counted before the search.
+
+    With a limit, the curvature is by Gauss and Newton, and the mass by as many draws as are left.
+    """
     theta = np.array([maximum.theta for maximum in found])
     scaled = ScaledDensity(problem)
     with phase("curvature", len(found)) as under_way:
         curved = []
         for m in found:
-            curved.append(quadratic_at(problem, scaled, m))
+            curved.append(quadratic_at(problem, scaled, m, is_rough=np.isfinite(most)))
             under_way.advance()
     models, curvatures = zip(*curved, strict=True)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_WEIGHING,)))
     draws = DRAWS // 4 if isinstance(problem, PlainDensity) or _solves_in_full(problem) else DRAWS
+    if np.isfinite(most):
+        left = int(most - solves() + solved) // (len(TEMPERATURES) * len(models))
+        draws = max(_FEWEST_DRAWS, min(left, draws))
     kinds = [kind_of(problem, scaled, model) for model in models]
     basins = [basin(model, kind, held(scaled, model)) for model, kind in zip(models, kinds, strict=True)]
     are_divided = any(basin is not model for basin, model in zip(basins, models, strict=True))
@@ -194,11 +225,13 @@ def _weighed(problem: Any, found: Sequence[Maximum], seed: int, solved: int, dif
     )
 
 
-def quadratic_at(problem: UpdatingProblem, scaled: ScaledDensity, maximum: Maximum) -> tuple[Quadratic, str]:
+def quadratic_at(
+    problem: UpdatingProblem, scaled: ScaledDensity, maximum: Maximum, *, is_rough: bool = False
+) -> tuple[Quadratic, str]:
     """Return the log-probability around a maximum to second order, scaled, and the source of its curvature."""
     gradient = np.asarray(problem.log_prob_and_grad(maximum.theta)[1]) * problem.scale
     gradient = np.where(np.isfinite(gradient), gradient, 0.0)  # at an edge
-    hessian, source = hessian_at(problem, maximum.theta)
+    hessian, source = hessian_at(problem, maximum.theta, is_rough=is_rough)
     return Quadratic(scaled.to_scaled(maximum.theta), maximum.log_prob, gradient, hessian), source
 
 
@@ -237,7 +270,7 @@ _OF_THE_WIDTH = 0.05
 _SMOOTH = 0.3
 
 
-def hessian_at(problem: UpdatingProblem, theta: FloatArray) -> tuple[FloatArray, str]:
+def hessian_at(problem: UpdatingProblem, theta: FloatArray, *, is_rough: bool = False) -> tuple[FloatArray, str]:
     """Return −∇² log P at a maximum, in the coordinates (θ − offset)/scale, and its source.
 
     Differences of the exact gradient, with a step of a twentieth of the width that a first attempt finds,
@@ -250,6 +283,8 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray) -> tuple[FloatArray,
     ----------
     problem : UpdatingProblem
     theta : ndarray, shape (ndim,)
+    is_rough : bool
+        Whether the Gauss–Newton matrix is enough, where there is one: it takes one gradient.
 
     Returns
     -------
@@ -258,6 +293,11 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray) -> tuple[FloatArray,
     """
     from fmu.posterior.maxima import GaussNewton
 
+    def of_residuals() -> FloatArray:
+        return GaussNewton(problem)(ScaledDensity(problem).to_scaled(theta)[None])[2][0]
+
+    if is_rough and problem.likelihood.of_modes:
+        return of_residuals(), GAUSS_NEWTON
     rough = np.diag(_differences(problem, theta, np.full(problem.ndim, _FIRST_STEP)))
     step = np.clip(_OF_THE_WIDTH / np.sqrt(np.maximum(rough, 1.0)), 1e-6, 1e-2)
     hessian = _differences(problem, theta, step)
@@ -267,7 +307,7 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray) -> tuple[FloatArray,
         free = (theta > problem.lower) & (theta < problem.upper)
         is_smooth = np.all(np.abs(np.diag(hessian) - other) <= _SMOOTH * np.maximum(size, 1.0))
         if not is_smooth or np.any(np.linalg.eigvalsh(hessian[np.ix_(free, free)]) <= 0):
-            return GaussNewton(problem)(ScaledDensity(problem).to_scaled(theta)[None])[2][0], GAUSS_NEWTON
+            return of_residuals(), GAUSS_NEWTON
     values, vectors = np.linalg.eigh(hessian)
     return (vectors * np.maximum(values, 0.0)) @ vectors.T, DIFFERENCES
 
