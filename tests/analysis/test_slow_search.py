@@ -49,5 +49,7 @@ def test_its_verdict_says_locally_and_why(slow):
     found = fmu.diagnose(trace)
     assert found.state == "converged locally"
     assert found.remarks[0].startswith("a solve takes long, so that the search ended after ")
-    searched = fmu.sample(problem, "mh", init="start", until_ess=400, seed=1, maxima=fmu.find_map(problem, starts=16))
+    searched = fmu.sample(
+        problem, "mh", init="start", until_ess=400, seed=1, maxima=fmu.find_map(problem, starts=16)
+    )
     assert fmu.diagnose(searched).state == "converged"

@@ -301,9 +301,14 @@ def test_columns_of_cosine_above_095_are_separated_where_they_differ(hmc):
 
 def test_a_good_verdict_says_what_it_covers(plain_traces):
     (run,) = runs_of({"hmc": plain_traces["hmc"]}).values()
-    assert convergence(run).reasons == (SOUND, UNSEARCHED)
-    searched = replace(run, diagnosis=replace(run.diagnosis, doubts_of_search=()))
-    assert convergence(searched).reasons == (SOUND, COVERED)
+    assert convergence(run).reasons == (SOUND, "64 starts from the prior led to 1 maximum")
+    of_model = replace(run, diagnosis=replace(run.diagnosis, search=""))
+    assert convergence(of_model).reasons == (SOUND, COVERED)
+    (unknown,) = runs_of({"hmc": plain_traces["hmc"].filter(lambda node: node.name != "maxima")}).values()
+    said = convergence(unknown)
+    assert (said.answer, said.is_good) == ("Converged locally", None)
+    assert said.reasons == (SOUND, UNSEARCHED)
+    assert updating.maxima(unknown).reason.startswith("the trace has none")
 
 
 def test_the_first_screen_has_the_numbers_of_the_tables(hmc):

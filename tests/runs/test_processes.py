@@ -152,12 +152,12 @@ def test_a_file_that_is_too_large(tmp_path, whole, started):
 
 @pytest.fixture
 def small_disk(tmp_path):
-    """A file system of 48 kB, and what gives it other options."""
+    """A file system of 96 kB, and what gives it other options."""
 
     def mount(*options):
         return subprocess.run(["mount", *options, os.fspath(tmp_path)], capture_output=True).returncode
 
-    if os.geteuid() != 0 or mount("-t", "tmpfs", "-o", "size=48k", "tmpfs"):
+    if os.geteuid() != 0 or mount("-t", "tmpfs", "-o", "size=96k", "tmpfs"):
         pytest.skip("may not mount file systems")
     yield tmp_path, mount
     subprocess.run(["umount", os.fspath(tmp_path)], check=True)

@@ -13,7 +13,7 @@ from scipy.special import gammaln
 
 import fmu
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
-from fmu.analysis.maxima.search import is_searchable
+from fmu.analysis.maxima.search import is_updating
 from fmu.analysis.trace.conversion import names_of
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.types import FloatArray
@@ -306,8 +306,8 @@ class Known:
 
     @property
     def is_searched(self) -> bool:
-        """Whether it is an updating problem, whose maxima fmu searches for; a plain log-density is not."""
-        return is_searchable(self.density)
+        """Whether it is an updating problem, whose search is complete; that of a plain log-density may not be."""
+        return is_updating(self.density)
 
     @cached_property
     def truth(self) -> Moments:

@@ -23,7 +23,7 @@ from scipy.stats import t as student
 from threadpoolctl import threadpool_limits
 
 import fmu
-from fmu.analysis.convergence.diagnosis import UNSEARCHED
+from fmu.analysis.convergence.diagnosis import LOCALLY
 from fmu.analysis.convergence.effective import mcse_mean
 from fmu.analysis.evidence import OF_MIXTURE, has_candidates
 from fmu.analysis.maxima.missed import nearest_maxima
@@ -92,7 +92,7 @@ class Outcome:
     converged, searched : bool
         The verdict, and whether maxima were known to it.
     told : bool
-        Whether the verdict says that it was judged by its own draws only.
+        Whether the verdict says "converged locally".
     reason : str
         Why it has not converged, the first.
     draws : int
@@ -195,7 +195,7 @@ def outcome(job: Job) -> Outcome:
         *job.key,
         converged=found.converged,
         searched=found.searched,
-        told=UNSEARCHED in found.remarks,
+        told=found.state == LOCALLY,
         reason=found.reasons[0] if found.reasons else "",
         draws=int(trace.attrs["draws"]),
         of_means=tuple(means),

@@ -266,12 +266,11 @@ with it, against the quadrature or the formula; only where it gives no warning.
 ## Maxima that no draw can tell of
 
 Where a posterior has maxima that chains do not cross between, draws that never were at one of them look as good
-as draws from all of them. fmu searches for the maxima of every updating problem, and holds the draws against
-them. A plain log-density it does not search: a run on one may be called converged and be wrong, and the verdict
-says of every such run that it was "judged by its own draws only". {alone} runs below are on plain densities with
-separated maxima: {alone_converged} are called converged, {alone_wrong} of them are wrong, and {alone_told} of
-these {alone_wrong} say so. They are not counted above. The page turns red if one of them does not say what it
-was judged by.
+as draws from all of them. fmu searches for the maxima of every density, and compares the draws with them. Where
+the search of a plain log-density does not exclude others, a run on it is called "converged locally". {alone} runs
+below are such runs on plain densities with separated maxima: {alone_converged} are called converged, {alone_wrong}
+of them are wrong, and {alone_told} of these {alone_wrong} say "locally". They are not counted above. The page
+turns red if one of them does not say so.
 {alone_candidates_wrong} of the wrong ones are of samplers with candidates of a mixture. In
 {alone_candidates_seen} of these a chain had been at every maximum, in warm-up or after it: a mixture must not lose
 what a chain has found, and one such run turns the page red.

@@ -37,6 +37,7 @@ from fmu.analysis.maxima.results import NEGLIGIBLE, Maxima
 from fmu.analysis.pairing_changes import jump_warnings
 from fmu.analysis.prediction import bound_warnings, search_warnings, shape_warnings
 from fmu.analysis.repeatability import repeatability_warnings
+from fmu.analysis.trace.conversion import names_of
 from fmu.analysis.trace.reading import array_of, check_trace, has, parameter_names, walkers_of, with_group
 from fmu.arguments import check_arguments
 
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from fmu.posterior.problem import UpdatingProblem
+    from fmu.types import LogDensity
 
 
 CONVERGED, LOCALLY, NOT_CONVERGED = "converged", "converged locally", "not converged"
@@ -157,7 +159,7 @@ class Diagnosis:
 @check_arguments
 def diagnose(
     trace: xr.DataTree,
-    problem: UpdatingProblem | None = None,
+    problem: LogDensity | None = None,
     others: Mapping[str, xr.DataTree] | Iterable[xr.DataTree] = (),
 ) -> Diagnosis:
     """Judge whether a run has converged, and if not, why; and whether the model fits the data.
@@ -170,8 +172,9 @@ def diagnose(
     Parameters
     ----------
     trace : xarray.DataTree
-    problem : UpdatingProblem, optional
-        The problem that was sampled; its maxima are searched for. Maxima kept in the traces are always used.
+    problem : LogDensity, optional
+        The problem or density that was sampled; its maxima are searched for. Maxima kept in the traces are always
+        used.
     others : mapping of str to xarray.DataTree, or iterable of xarray.DataTree, optional
         Other runs on the same posterior.
 
@@ -185,10 +188,8 @@ def diagnose(
         If `trace` or one of `others` is not a trace, or the problem or one of `others` has other parameters.
     """
     check_trace(trace)
-    if problem is not None and tuple(problem.names) != parameter_names(trace):
-        raise ValueError(
-            f"problem: must have the parameters {parameter_names(trace)} (got {tuple(problem.names)})"
-        )
+    if problem is not None and names_of(problem) != parameter_names(trace):
+        raise ValueError(f"problem: must have the parameters {parameter_names(trace)} (got {names_of(problem)})")
     named = dict(others) if isinstance(others, Mapping) else {str(k): other for k, other in enumerate(others, 1)}
     for name, other in named.items():
         check_trace(other, f"others.{name}")
