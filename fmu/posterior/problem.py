@@ -195,9 +195,7 @@ class UpdatingProblem:
         structure = problem.model.as_structure()
         if tolerance is not None and structure is not None:
             problem.tolerance = tolerance
-            reduce_model(problem, structure, tolerance, engine)
-            if structure.reduced is None:  # it would not have been faster
-                problem.tolerance = None
+            problem.tolerance = reduce_model(problem, structure, tolerance, engine)
             problem._failed = FailureRecord()  # failures of training are not those of the user's evaluations
         require_digits(problem)  # after training, as the reduced model adds rounding of its own
         return problem

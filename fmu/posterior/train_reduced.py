@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.special import chdtri
 
 from fmu.engines.base import Engine
 from fmu.fem.modes.modal import ModalSolution, is_rigid
@@ -39,6 +40,9 @@ _TUNED = 0.7
 # parameters fresh points lie further out.
 _SPARE, _TIMES = 2.0, (3.0, 30.0)
 _CHECKED, _CHECK_SEED = 32, 10_000
+# Points of the prior, and of the posterior, whose modes are a basis for wide bounds; the share of a Gaussian
+# posterior that may lie further out than the latter.
+_SNAPSHOTS, _BEYOND = 60, 1e-3
 _TRIED = 7  # steps along the way to a point
 # A box leaves out at most this share of the posterior, as draws at maxima this little below the highest tell.
 _OUTSIDE, _RELEVANT, _DRAWN = 0.02, 10.0, 512
@@ -96,8 +100,8 @@ class Tolerance:
 
 def reduce_model(
     problem: Problem, structure: PairedStructure, tolerance: Tolerance, engine: Engine | None = None
-) -> None:
-    """Train the reduced model of `structure`, or read it from the cache.
+) -> Tolerance | None:
+    """Train the reduced model of `structure`, or read it from the cache; return the tolerance that it is to keep.
 
     At every point tested, frequencies meet their tolerance over the whole box, and the log-probability meets its
     own wherever it is within `PLAUSIBLE` of its maximum. Points at a jump, where modes swap and the two models may
@@ -105,8 +109,10 @@ def reduce_model(
     of the full model is left, or where a larger basis would not pay (`fmu.fem.reduced.training.affordable`). After
     a run, the certificate tells whether the tolerances were met (`fmu.analysis.certificate`). Where the box is so
     wide that a basis for it would not pay, frequencies keep 1e-3 in it, and their tolerance where the
-    log-probability is within `PLAUSIBLE` of its maximum, if that basis pays. An engine solves the full model at
-    several points at once. What is compared with the full model counts against a budget
+    log-probability is within `PLAUSIBLE` of its maximum, if that basis pays. If it does not pay either, a basis of
+    modes at draws of prior and posterior is taken, where errors of the log-probability stay below
+    `LOOSEST_LOG_PROB`; if they do not, the full model answers and None is returned. An engine solves the full
+    model at several points at once. What is compared with the full model counts against a budget
     (`fmu.fem.reduced.training.BUDGET`).
 
     Raises
@@ -125,8 +131,7 @@ def reduce_model(
     state = load_basis(key)
     if state is not None:
         structure.restore(state)
-        _warn_if_missed(problem, structure, tolerance, state)
-        return
+        return _kept(problem, structure, tolerance, state)
     bounded_rounding(problem)  # before the time for training is spent
     n = structure.n_parameters
     lower, upper = training_box(problem.parameters[:n])
@@ -189,14 +194,62 @@ def reduce_model(
     except SingularAnchorError as singular:
         raise ValueError(_singular(problem, singular)) from singular
     if structure.reduced is None:
+        if likelihood.of_modes:
+            state = _trained_at_draws(problem, structure, trained, tolerance.frequency) or state
         store_basis(key, state)
-        return
+        return _kept(problem, structure, tolerance, state)
     error = 0.0 if structure.confirmed else _paired_error(structure, trained[0], trained[1], tolerance.frequency)
     reached = np.array([error, differences[-1] if differences else 0.0])
     if not (reached[0] <= tolerance.frequency and reached[1] <= tolerance.log_prob):
         state["reached"] = reached
     store_basis(key, state)
+    return _kept(problem, structure, tolerance, state)
+
+
+def _kept(
+    problem: Problem, structure: PairedStructure, tolerance: Tolerance, state: dict[str, FloatArray]
+) -> Tolerance | None:
+    """Return the tolerance that a reduced model keeps, None without one; warn where it is not what was asked."""
+    if structure.reduced is None:
+        return None
     _warn_if_missed(problem, structure, tolerance, state)
+    return Tolerance(*state["loosened"].tolist()) if "loosened" in state else tolerance
+
+
+def _trained_at_draws(
+    problem: Problem, structure: PairedStructure, trained: FloatArray, frequency: float
+) -> dict[str, FloatArray] | None:
+    """Have a reduced model answer that is trained where prior and posterior have their mass; return its state.
+
+    None if the log-probability is off by more than `LOOSEST_LOG_PROB` at fresh points of the posterior: the full
+    model then answers again. `trained` (2, n_parameters) is the box, `frequency` the error that was asked for.
+    """
+    n, rng, likelihood = structure.n_parameters, np.random.default_rng(0), problem.likelihood
+    depth = 0.5 * float(chdtri(problem.ndim, _BEYOND))  # of all but that share of a Gaussian posterior
+
+    def within(points: FloatArray) -> FloatArray:
+        return np.clip(points[:, :n], *trained)
+
+    prior = within(problem.prior.draw(rng, 2 * _SNAPSHOTS))
+    structure.train_at(prior[: _SNAPSHOTS // 2], *trained)  # for a first look at the posterior
+    points = rng.permutation(plausible_points(problem, _SNAPSHOTS + _CHECKED, rng, depth))
+    state = structure.train_at(np.concatenate([prior[:_SNAPSHOTS], within(points[:_SNAPSHOTS])]), *trained)
+    points = points[_SNAPSHOTS:][:_CHECKED]
+    exact = np.concatenate(by_parts("training", likelihood.full_terms, points, _AT_ONCE))
+    difference = np.sum(likelihood.terms(points) - exact, axis=1)
+    wrong = ~(np.abs(difference) <= _TUNED * LOOSEST_LOG_PROB)
+    if not structure.is_soft:
+        wrong[wrong] = ~on_a_jump(structure, points[wrong, :n], LOOSEST_FREQUENCY)
+    off = _error_at(structure, points[:, :n], frequency)
+    if wrong.any() or not 2.0 * off <= LOOSEST_FREQUENCY:
+        structure.restore({"full": np.array(float(sum(structure.reduced_sizes)))})
+        return None
+    kept = max(float(10.0 ** np.ceil(np.log10(2.0 * off))), frequency)
+    elsewhere = _error_at(structure, prior[_SNAPSHOTS:][:_CHECKED], frequency)
+    if elsewhere > kept:
+        state["elsewhere"] = np.array(float(f"{2.0 * elsewhere:.0e}"))
+        structure.elsewhere = float(state["elsewhere"])
+    return state | {"loosened": np.array([kept, LOOSEST_LOG_PROB])}
 
 
 def training_box(parameters: Sequence[Parameter]) -> tuple[FloatArray, FloatArray]:
@@ -243,6 +296,11 @@ def _paired_error(structure: PairedStructure, lower: FloatArray, upper: FloatArr
     theta = box_points(lower, upper, _CHECKED, _CHECK_SEED)
     if structure.solver != LAPACK:  # where solves are dear, some of the points inside, on faces and at corners
         theta = theta[:: max(len(theta) // _CHECKED, 1)]
+    return _error_at(structure, theta, tolerance)
+
+
+def _error_at(structure: PairedStructure, theta: FloatArray, tolerance: float) -> float:
+    """Return the largest relative error of the measured modes' frequencies at theta (n, p) but for jumps."""
     full = structure.full_modes(theta)
     exact, reduced = full.eigenvalues, structure.modes(theta).eigenvalues
     elastic = ~is_rigid(exact)
@@ -272,11 +330,12 @@ def _warn_if_missed(
         )
     sizes = " + ".join(map(str, structure.reduced_sizes))
     if "reached" not in state:
-        if "elsewhere" in state:
-            box = typed(float(state["elsewhere"]))
+        if "elsewhere" in state or "loosened" in state:
+            keeps = f"keeps {typed(float(state['loosened'][0]))}" if "loosened" in state else "keeps it"
+            away = f", and {typed(float(state['elsewhere']))} elsewhere" if "elsewhere" in state else ""
             _warn(
                 f"within the bounds a basis for frequencies to {typed(tolerance.frequency)} would not pay; this "
-                f"one of {sizes} vectors keeps it where the posterior has its mass, and {box} elsewhere; "
+                f"one of {sizes} vectors {keeps} where the posterior has its mass{away}; "
                 "after a run see its certificate, or choose narrower bounds or priors"
             )
         return
@@ -343,8 +402,8 @@ def on_a_jump(
     return np.asarray(others.any(axis=1) & same.all(axis=1))
 
 
-def plausible_points(problem: Problem, n: int, rng: np.random.Generator) -> FloatArray:
-    """Return points inside the bounds at which the log-probability is within `PLAUSIBLE` of its maximum.
+def plausible_points(problem: Problem, n: int, rng: np.random.Generator, depth: float = PLAUSIBLE) -> FloatArray:
+    """Return points inside the bounds at which the log-probability is within `depth` of its maximum.
 
     From every plausible local maximum they lie along random directions of the Laplace approximation, where the
     log-probability has decreased by a random amount, or at the bounds.
@@ -361,7 +420,7 @@ def plausible_points(problem: Problem, n: int, rng: np.random.Generator) -> Floa
     maxima = local_maxima(problem, starts=8)
     points = []
     for maximum in maxima:
-        allowed = maximum.log_prob - (maxima[0].log_prob - PLAUSIBLE)
+        allowed = maximum.log_prob - (maxima[0].log_prob - depth)
         if allowed < 0:
             continue
         direction, curvature = _laplace_directions(problem, maximum.theta, n, rng)

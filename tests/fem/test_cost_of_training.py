@@ -1,18 +1,21 @@
 """Training costs a budget at most, and the faster model answers: decided by counted work, not by a clock."""
 
+import warnings
+
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 import fmu
 from fmu.analysis.check import model_in_words
-from fmu.analysis.maxima.search import STARTS, STARTS_BY_FULL, default_starts
+from fmu.analysis.maxima.search import STARTS, STARTS_IF_SLOW, default_starts
 from fmu.fem.modes.full_block import full_model
 from fmu.fem.modes.solver import LAPACK
 from fmu.fem.reduced import training
 from fmu.fem.reduced.cost import Cost
 from fmu.posterior import train_reduced
 from fmu.posterior.errors.likelihood import ModalLikelihood
+from fmu.posterior.train_reduced import ReductionWarning
 from tests.models import free_bar, truss_deck
 from tests.models.random_models import random_model
 from tests.work import counted
@@ -23,8 +26,19 @@ FRAME = Cost(n_dof=1000, n_entries=55_000, n_terms=18, massless=True)
 @pytest.fixture(scope="module")
 def deck(tmp_path_factory):
     """Return the footbridge of 17 groups, loaded, and the work that it took."""
-    planted = truss_deck.write(tmp_path_factory.mktemp("deck"), top='pairing = "index"')
-    with counted() as work:
+    planted = truss_deck.write(tmp_path_factory.mktemp("deck"))
+    with counted() as work, pytest.warns(ReductionWarning, match="where the posterior has its mass, and"):
+        problem = fmu.load(planted.path)
+    return planted, problem, work
+
+
+@pytest.fixture(scope="module")
+def in_full(tmp_path_factory):
+    """Return the footbridge where no basis is accurate enough, and its file; the work of loading it."""
+    planted = truss_deck.write(tmp_path_factory.mktemp("full"))
+    with pytest.MonkeyPatch.context() as patch, counted() as work:
+        patch.setattr(train_reduced, "LOOSEST_LOG_PROB", 1e-9)
+        patch.setenv("FMU_CACHE_DIR", str(planted.path.parent))
         problem = fmu.load(planted.path)
     return planted, problem, work
 
@@ -34,29 +48,54 @@ def test_a_model_of_many_terms_in_wide_bounds_is_loaded_within_the_budget(deck):
     cost = problem.model.full.blocks[0]
     assert cost.size == 941
     assert cost.n_modes == 467  # the others have no mass
-    assert work.factorisations <= 100
+    assert work.factorisations <= training.BUDGET  # those of eigenproblems too
     assert work.solves <= 40 * training.BUDGET
 
 
-def test_the_full_model_answers_where_a_reduced_one_saves_little(deck):
+def test_where_a_basis_for_the_box_would_not_pay_one_is_trained_where_the_posterior_is(deck):
     _, problem, _ = deck
+    (size,) = problem.model.reduced_sizes
+    assert size <= 200
+    assert problem.tolerance.log_prob == train_reduced.LOOSEST_LOG_PROB
+    assert problem.model.elsewhere > problem.tolerance.frequency
+    assert not problem.model.why_full
+    assert default_starts(problem) == STARTS_IF_SLOW < STARTS  # more than a millisecond a solve
+    points = train_reduced.plausible_points(problem, 30, np.random.default_rng(7), 15.0)
+    full = problem.likelihood.full_terms(points)
+    assert np.all(np.abs(np.sum(problem.likelihood.terms(points) - full, axis=1)) < problem.tolerance.log_prob)
+    reduced, exact = problem.frequencies(points), problem.model.full_frequencies(points)
+    assert np.all(np.abs(reduced / exact - 1.0) < problem.tolerance.frequency)
+
+
+def test_the_full_model_answers_where_no_basis_is_accurate(in_full):
+    _, problem, work = in_full
     assert problem.model.reduced_sizes == ()
     assert problem.tolerance is None
-    assert default_starts(problem) == STARTS_BY_FULL < STARTS
+    assert default_starts(problem) == STARTS_IF_SLOW < STARTS
     said = " ".join(model_in_words(problem))
     assert "The full model answers: a reduced one of" in said
+    assert work.factorisations <= training.BUDGET  # those of eigenproblems too
 
 
-def test_the_decision_is_kept(deck):
-    planted, problem, _ = deck
-    with counted() as work:
+@pytest.mark.parametrize("how", ["deck", "in_full"])
+def test_the_decision_is_kept(how, request, monkeypatch):
+    planted, problem, _ = request.getfixturevalue(how)
+    if how == "in_full":
+        monkeypatch.setenv("FMU_CACHE_DIR", str(planted.path.parent))
+    with counted() as work, warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", ReductionWarning)
         again = fmu.load(planted.path)
+    assert len(said) == (how == "deck")
     assert work.factorisations <= 20
+    assert work.eigenproblems <= 5
     assert again.model.why_full == problem.model.why_full
+    assert again.tolerance == problem.tolerance
+    assert again.model.elsewhere == problem.model.elsewhere
+    assert_array_equal(again.frequencies(problem.start[None]), problem.frequencies(problem.start[None]))
 
 
-def test_its_frequencies_are_those_of_a_dense_solver(deck):
-    planted, problem, _ = deck
+def test_its_frequencies_are_those_of_a_dense_solver(in_full):
+    planted, problem, _ = in_full
     rng = np.random.default_rng(3)
     theta = np.stack([rng.uniform(-0.9, 2.0, 17), rng.uniform(-0.2, 0.2, 17)])
     exact = [planted.frequencies_hz(dict(zip(problem.names, x, strict=True))) for x in theta]

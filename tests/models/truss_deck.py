@@ -18,7 +18,7 @@ CHORD, BRACE = Section(6e-3, 1e-5, 1e-5, 2e-6), Section(2e-3, 2e-6, 2e-6, 1e-6)
 CROSS = Section(3e-3, 6e-6, 6e-6, 2e-6)
 MODES, SD = 8, 5e-3
 TRUTH = {f"change {g}": c for g, c in enumerate([0.1, -0.15, 0.0, 0.1, -0.1, 0.05, 0.12, -0.2, *[0.0] * 9], 1)}
-PRIOR = 'prior = { distribution = "normal", mean = 0.0, sd = 0.1 }'
+PRIOR = 'prior = { distribution = "normal", mean = 0.0, sd = 0.3 }'
 
 
 def deck():
@@ -62,7 +62,7 @@ def matrices():
     return of_group, sp.diags_array(heavy * np.where(floor, 350.0, 120.0)).tocsr(), model.dofs
 
 
-def write(folder, prior=PRIOR, top=""):
+def write(folder, prior=PRIOR, top='pairing = "index"'):
     """Write the problem, whose lowest modes are measured, and return it."""
     of_group, M, dofs = matrices()
     nominal = sum(of_group)

@@ -31,8 +31,9 @@ STARTS = 256
 """A start costs about a millisecond, and nothing can warn of a maximum that was not found."""
 STARTS_WITHOUT_DERIVATIVES = 16
 """A start costs some hundred calls of the user's function, which may be a finite-element program."""
-STARTS_BY_FULL = 64
-"""A start costs about a hundred solves of a model that is not reduced."""
+STARTS_IF_SLOW = 64
+"""A start costs about a hundred solves, of a large model that is not reduced or to `_MANY` unknowns at least."""
+_MANY = 128
 STARTS_OF_PLAIN, MOST_EVALUATIONS = 64, 20_000
 """For a plain log-density with gradients; and evaluations after which no further start climbs by default."""
 SCATTERED = 16
@@ -46,19 +47,20 @@ _KNOWN: WeakKeyDictionary[Any, dict[tuple[int, int, float], Maxima]] = WeakKeyDi
 def default_starts(problem: UpdatingProblem | PlainDensity) -> int:
     """Return the default number of optimiser starts.
 
-    Fewer if gradients are finite differences, or if a large model is not reduced, so that a solve takes long.
+    Fewer if gradients are finite differences, or if a large model is not reduced, or to many unknowns, so that a
+    solve takes milliseconds.
     """
     if problem.solves_per_gradient > 1:
         return STARTS_WITHOUT_DERIVATIVES
     if isinstance(problem, PlainDensity):
         return STARTS_OF_PLAIN
-    return STARTS_BY_FULL if _solves_in_full(problem) else STARTS
+    return STARTS_IF_SLOW if _is_slow(problem) else STARTS
 
 
-def _solves_in_full(problem: UpdatingProblem) -> bool:
-    """Say whether a large model is not reduced."""
+def _is_slow(problem: UpdatingProblem) -> bool:
+    """Say whether a large model is not reduced, or to many unknowns."""
     structure = problem.model.as_structure()
-    return structure is not None and bool(structure.why_full)
+    return structure is not None and (bool(structure.why_full) or max(structure.reduced_sizes, default=0) >= _MANY)
 
 
 def is_updating(problem: Any) -> bool:
@@ -93,8 +95,8 @@ def find_map(
     problem : LogDensity
     starts : int, optional
         Optimiser starts, see `fmu.posterior.maxima.local_maxima`. Fewer starts are faster but may miss a
-        maximum. 256 by default, 16 if there are no derivatives, 64 if a large model is not reduced, and of a plain
-        log-density.
+        maximum. 256 by default, 16 if there are no derivatives, 64 if a large model is not reduced, or to 128
+        unknowns and more, and of a plain log-density.
     seed : int
         Seed of the starts and of the importance sampling.
 
@@ -191,7 +193,7 @@ def _weighed(
             under_way.advance()
     models, curvatures = zip(*curved, strict=True)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_WEIGHING,)))
-    draws = DRAWS // 4 if isinstance(problem, PlainDensity) or _solves_in_full(problem) else DRAWS
+    draws = DRAWS // 4 if isinstance(problem, PlainDensity) or _is_slow(problem) else DRAWS
     if np.isfinite(most):
         left = int(most - solves() + solved) // (len(TEMPERATURES) * len(models))
         draws = max(_FEWEST_DRAWS, min(left, draws))

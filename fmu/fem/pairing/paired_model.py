@@ -505,6 +505,16 @@ class PairedStructure(ModalModel):
             return self._answer_by_full(sum(of.size for of in training.reduced.values()))
         return training.state()
 
+    def train_at(self, theta: FloatArray, lower: FloatArray, upper: FloatArray) -> dict[str, FloatArray]:
+        """Have a reduced model answer in a box that was trained at points theta (n, n_parameters) of it alone.
+
+        Its errors elsewhere are for the caller to examine. Returns what `restore` needs.
+        """
+        training = Training(self.full, self.rule, lower, upper, LOOSE)
+        with single_thread():
+            self._install(training.at(theta))
+        return training.state()
+
     def restore(self, state: dict[str, FloatArray]) -> None:
         """Install a reduced model that `train` returned earlier, for the same structure and pairing."""
         if "full" in state:
@@ -695,7 +705,7 @@ class PairedStructure(ModalModel):
         return {"full": np.array(float(size))}
 
     def _answer_by(self, reduced: BlockModel) -> None:
-        self.reduced = reduced
+        self.reduced, self.why_full = reduced, ""
         largest = max(self.reduced_sizes, default=1)
         self._at_once = max(1, _MOST_NUMBERS // (largest * max(largest, self.n_modes * self.n_parameters)))
         self._solve_reduced = self.pairing.bind(reduced)

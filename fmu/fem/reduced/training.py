@@ -28,6 +28,7 @@ from fmu.fem.reduced.confirming import confirmed_model
 from fmu.fem.reduced.cost import Cost
 from fmu.fem.reduced.learning import SHARE, Learner, apart
 from fmu.fem.reduced.residuals import FrequencyBound, bounded
+from fmu.fem.reduced.snapshots import snapshot_basis
 from fmu.fem.reduced.space import Space
 from fmu.progress.phases import phase, solved
 from fmu.types import BoolArray, FloatArray
@@ -218,6 +219,22 @@ class Training:
                 yield self._trained()
                 return
         self.confirmed = False
+
+    def at(self, theta: FloatArray) -> Trained:
+        """Take modes that are solved for in full at theta (n, n_parameters) as the basis of the large blocks.
+
+        Of as many vectors as pay. How accurate it is away from these points is not examined.
+        """
+        centre = 0.5 * (self.lower + self.upper)
+        for b, count in self.rule.counts(self.full).items():
+            block = self._block(b)
+            anchors = Anchors(block, self.lower, self.upper)
+            cost = Cost.of(block, anchors.factor(0))
+            if cost is not None:
+                self.costs[b], self.n_trained[b] = cost, count
+                V = snapshot_basis(block, anchors, theta, count, self._affordable(b), self.tolerance)
+                self.reduced[b] = ReducedBlock(block, mass_orthonormal(block, V, centre), count)
+        return self._trained()
 
     def state(self) -> dict[str, FloatArray]:
         """Return the outcome as arrays; `elsewhere` is the tolerance outside the region, if there is one.
