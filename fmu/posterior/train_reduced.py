@@ -244,11 +244,9 @@ def _trained_at_draws(
     if wrong.any() or not 2.0 * off <= LOOSEST_FREQUENCY:
         structure.restore({"full": np.array(float(sum(structure.reduced_sizes)))})
         return None
-    kept = max(float(10.0 ** np.ceil(np.log10(2.0 * off))), frequency)
-    elsewhere = _error_at(structure, prior[_SNAPSHOTS:][:_CHECKED], frequency)
-    if elsewhere > kept:
-        state["elsewhere"] = np.array(float(f"{2.0 * elsewhere:.0e}"))
-        structure.elsewhere = float(state["elsewhere"])
+    errors = np.maximum([off, _error_at(structure, prior[_SNAPSHOTS:][:_CHECKED], frequency)], frequency)
+    kept, elsewhere = 10.0 ** np.ceil(np.log10(2.0 * np.maximum.accumulate(errors)))
+    state["elsewhere"], structure.elsewhere = np.array(elsewhere), float(elsewhere)
     return state | {"loosened": np.array([kept, LOOSEST_LOG_PROB])}
 
 
@@ -330,12 +328,12 @@ def _warn_if_missed(
         )
     sizes = " + ".join(map(str, structure.reduced_sizes))
     if "reached" not in state:
-        if "elsewhere" in state or "loosened" in state:
+        if "elsewhere" in state:
             keeps = f"keeps {typed(float(state['loosened'][0]))}" if "loosened" in state else "keeps it"
-            away = f", and {typed(float(state['elsewhere']))} elsewhere" if "elsewhere" in state else ""
+            box = typed(float(state["elsewhere"]))
             _warn(
                 f"within the bounds a basis for frequencies to {typed(tolerance.frequency)} would not pay; this "
-                f"one of {sizes} vectors {keeps} where the posterior has its mass{away}; "
+                f"one of {sizes} vectors {keeps} where the posterior has its mass, and {box} elsewhere; "
                 "after a run see its certificate, or choose narrower bounds or priors"
             )
         return
