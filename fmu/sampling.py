@@ -126,7 +126,8 @@ def sample(
     max_draws : int, optional
         The most steps kept, whatever the verdict. Default: 32 times `draws`, or no limit if there is `max_solves`.
     max_solves : int, optional
-        No more is drawn than about so many solves allow, warm-up included; the first `draws` are always made.
+        No more is drawn than about so many solves allow, warm-up included; the first `draws` are always made,
+        and the verdict says what took more.
     maxima : Maxima, optional
         The result of `fmu.find_map`. It is stored in the trace, and every verdict on the trace uses it. By default
         the maxima are searched for, wherever the chains start, but not in a hierarchical posterior.
@@ -284,6 +285,7 @@ def sample(
             trace = with_maxima(trace, maxima)
         if limit:
             trace.attrs["limit"] = limit
+            trace.attrs["beyond_limit"] = limits.exceeded(result)
         trace.attrs["complete"] = 1
         if of_model is not None and of_model.model.is_uncertain:
             trace.attrs.update(of_model.model.record)  # no verdict before the certificate
@@ -445,3 +447,10 @@ class Limits(NamedTuple):
             allowed.append((steps if steps > result.draws // 100 else 0, f"{whole(self.solves)} solves"))
         steps, limit = min(allowed)
         return steps, "" if steps else limit
+
+    def exceeded(self, result: RunResult) -> str:
+        """Return what took more solves than the limit, in words; nothing if they are not 1 % more."""
+        warmed, drawn = (int(part.stats["n_solves"].sum()) for part in (result.warmup, result.posterior))
+        if self.solves is None or warmed + drawn <= 1.01 * self.solves:
+            return ""
+        return f": the warm-up took {whole(warmed)} and {whole(result.draws)} draws {whole(drawn)}"

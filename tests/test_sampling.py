@@ -362,3 +362,16 @@ def test_a_function_gives_value_and_gradient_in_one_call(problem):
     trace = fmu.sample(by_function, "hmc", draws=4, warmup=4, init="prior")
     assert trace.attrs["n_gradients"] > 0
     assert "gradient_cost" not in trace.attrs
+
+
+def test_a_limit_of_solves_holds_once_the_first_draws_are_made(problem):
+    """The verdict says what they took beyond it; further draws keep it, but for a block of candidates."""
+    trace = fmu.sample(problem, "mh", draws=50, warmup=100, until_ess=400, max_solves=300, seed=3, init="prior")
+    used = [int(trace[name]["n_solves"].sum()) for name in ("warmup_sample_stats", "sample_stats")]
+    assert trace["posterior"].sizes["draw"] == 50
+    said = f"its limit of 300 solves: the warm-up took {used[0]} and 50 draws {used[1]}"
+    assert said in str(fmu.diagnose(trace))
+    trace = fmu.sample(problem, "mixture", draws=50, warmup=100, until_ess=10_000, max_solves=3000, seed=3)
+    total = sum(int(trace[name]["n_solves"].sum()) for name in ("warmup_sample_stats", "sample_stats"))
+    assert 0.9 * 3000 < total <= 3000 + 100
+    assert "its limit of 3 000 solves\n" in str(fmu.diagnose(trace))

@@ -8,6 +8,7 @@ from fmu.analysis.convergence.diagnosis import draws_missing
 from fmu.analysis.convergence.diagnostics import (
     autocorrelation_times_run,
     convergence_failures,
+    is_beyond_draws,
     rhat_over_walkers,
     summary,
     walkers_stay_apart,
@@ -292,7 +293,8 @@ def test_divergences(make_trace, good):
     two, three = (np.arange(500) < n for n in (0, 3))
     assert convergence_failures(make_trace(good, diverging=two)) == []
     assert convergence_failures(make_trace(good, diverging=three)) == [
-        "12 of 2000 trajectories diverged; use a shorter step: fmu.HamiltonianMonteCarlo(target_accept=0.95)"
+        "12 of 2000 trajectories diverged, and more draws do not help; use a shorter step: "
+        "fmu.HamiltonianMonteCarlo(target_accept=0.95)"
     ]
     one = np.zeros((4, 500), dtype=bool)
     one[0, :2] = True
@@ -310,3 +312,46 @@ def test_energies_that_are_not_explored(make_trace, good, ar1):
     fresh[2] = 1.0
     (failure,) = convergence_failures(make_trace(good, energy=fresh))
     assert failure == "chain 2: E-BFMI is nan; at least 0.3 is needed"
+
+
+def test_the_remedy_for_divergences_is_for_the_sampler_that_ran(make_trace, good):
+    """Candidates of a mixture are no trajectories, and Hamiltonian steps may be short already."""
+    diverging = np.arange(500) % 100 == 0
+    candidate = np.where(diverging | (np.arange(500) % 10 == 0), np.nan, 0.0)
+    trace = make_trace(good, diverging=diverging, candidate_log_weight=candidate, sampler="mixture")
+    trace.attrs["settings"] = '{"weights": [1.0], "components": null}'
+    (said,) = convergence_failures(trace)
+    assert said == (
+        "20 of 200 trajectories diverged, and more draws do not help; if one parameter sets the width of others, "
+        "sample their ratios to that width instead of them"
+    )
+    short = make_trace(good, diverging=diverging, sampler="hmc")
+    short.attrs["settings"] = '{"target_accept": 0.95}'
+    assert convergence_failures(short) == [said.replace("of 200", "of 2000")]
+
+
+def test_draws_do_not_cure_divergences(make_trace, good):
+    """Whatever else is missing, a run with them is not continued; with a few, which may be chance, it is."""
+    for n, continued in ((0, True), (1, True), (12, False)):
+        trace = make_trace(good[:, :50], diverging=np.arange(200).reshape(4, 50) < n)
+        assert (draws_missing(trace, 400, None) > 0) == continued
+
+
+def test_weights_of_a_curved_mixture_may_have_no_heavy_tail(make_trace, good):
+    """R-hat does not show the places that its candidates hardly reach."""
+    rng = np.random.default_rng(3)
+    for kind, log_w, converged in (
+        ("CurvedMixture", rng.standard_normal((4, 500)), True),
+        ("CurvedMixture", rng.standard_exponential((4, 500)), False),
+        ("Quadratic", rng.standard_exponential((4, 500)), True),
+    ):
+        trace = make_trace(good, candidate_log_weight=log_w, sampler="mixture")
+        components = {"type": kind}
+        components = components if kind == "CurvedMixture" else [components]
+        trace.attrs["settings"] = json.dumps({"weights": [1.0], "components": components})
+        said = convergence_failures(trace)
+        assert (said == []) == converged
+        assert is_beyond_draws(trace) != converged
+        if not converged:
+            assert said[0].startswith("Pareto k ")
+            assert "more draws do not help; lengthen the warm-up: --warmup 1000; or if one parameter" in said[0]

@@ -10,6 +10,7 @@ from scipy import stats
 
 import fmu
 from fmu.analysis.convergence.effective import mcse_mean
+from fmu.analysis.convergence.remedies import RATIOS
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers import MixtureSampler, Run
 from fmu.samplers.kernel import Target
@@ -186,3 +187,29 @@ def test_a_curved_mixture_is_kept_in_the_settings_and_the_state_of_the_tuner():
     assert isinstance(tuner.mixture, CurvedMixture)
     np.testing.assert_array_equal(again.mixture.log_density(u), tuner.mixture.log_density(u))
     assert (again.finished().jumps, again.finished().local_steps) == (learnt["jumps"], learnt["local_steps"])
+
+
+class Ratios(Funnel):
+    """Neal's funnel by its remedy: x = exp(v/2) z, sampled as v and z."""
+
+    name = "ratios"
+
+    def __init__(self):
+        super().__init__()
+        self.lower, self.upper = np.array([-18.0, *7 * [-8.0]]), np.array([18.0, *7 * [8.0]])
+
+    def value_and_slope(self, x):
+        width = np.array([self.s, *7 * [1.0]])
+        return -0.5 * np.sum((x / width) ** 2, axis=1), -x / width**2
+
+
+def test_the_remedy_for_a_funnel_works_when_it_is_followed():
+    """It is told by a run that could not, and the run by ratios has the moments of the funnel."""
+    said = fmu.diagnose(fmu.sample(Funnel(), draws=250, warmup=400, until_ess=400, max_solves=20_000))
+    assert not said.converged
+    assert any(RATIOS in reason for reason in said.reasons)
+    trace = fmu.sample(Ratios(), draws=250, until_ess=400, max_solves=50_000)
+    assert fmu.diagnose(trace).converged
+    v, z = (trace["posterior"][name].to_numpy() for name in ("x0", "x1"))
+    for one, mean in ((v, 0.0), (v**2, 9.0), (np.sign(z) * np.log1p(np.abs(np.exp(v / 2) * z)), 0.0)):
+        assert abs(one.mean() - mean) < 5 * mcse_mean(one)

@@ -62,6 +62,15 @@ def candidates_of(trace: xr.DataTree) -> Candidates | None:
     return Candidates(drawn, math.ceil(TIMES / max(share, NEGLIGIBLE)), share)
 
 
+def has_curved_mixture(trace: xr.DataTree) -> bool:
+    """Say whether the candidates of a run came from a curved mixture, of one group of chains at least."""
+    if not has(trace, "sample_stats", CANDIDATE):
+        return False
+    components = (json.loads(trace.attrs["learnt"]) or json.loads(trace.attrs["settings"])).get("components")
+    of_groups = components if isinstance(components, list) else [components]
+    return any(isinstance(one, dict) and one.get("type") == "CurvedMixture" for one in of_groups)
+
+
 def growth_for_candidates(trace: xr.DataTree) -> float:
     """Return the factor by which the draws must grow until candidates suffice; at most 1 if they do."""
     found = candidates_of(trace)

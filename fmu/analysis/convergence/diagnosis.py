@@ -16,6 +16,7 @@ from fmu.analysis.convergence.diagnostics import (
     autocorrelation_times_run,
     convergence_failures,
     few_ensembles,
+    is_beyond_draws,
     summary,
 )
 from fmu.analysis.convergence.remedies import (
@@ -234,7 +235,7 @@ def judge(
     steps = int(trace.attrs["draws"]) if not trace.attrs.get("complete", 1) else 0
     stopped = f"the run was stopped after {steps} draws and can be resumed" if steps else ""
     if "limit" in trace.attrs:
-        stopped = f"the run ended at its limit of {trace.attrs['limit']}"
+        stopped = f"the run ended at its limit of {trace.attrs['limit']}{trace.attrs.get('beyond_limit', '')}"
     return Diagnosis(
         not reasons,
         tuple(reasons),
@@ -335,7 +336,7 @@ def is_enough(found: Diagnosis, table: pd.DataFrame, until_ess: float) -> bool:
 
 
 def draws_missing(trace: xr.DataTree, until_ess: float, maxima: Maxima | None) -> int:
-    """Return how many steps to draw before a run is judged again; 0 if it needs no more.
+    """Return how many steps to draw before a run is judged again; 0 if it needs no more, or if none would help.
 
     Parameters
     ----------
@@ -345,6 +346,8 @@ def draws_missing(trace: xr.DataTree, until_ess: float, maxima: Maxima | None) -
     maxima : Maxima, optional
     """
     draws = int(trace.attrs["draws"])
+    if is_beyond_draws(trace):
+        return 0
     if walkers_of(trace) > 1:  # their length, which takes least time, is what they lack longest
         growth = MIN_AUTOCORRELATION_TIMES / float(np.min(autocorrelation_times_run(trace)))
         if growth > 1:

@@ -8,16 +8,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fmu.analysis.convergence import effective
-from fmu.analysis.convergence.candidates import candidates_of
+from fmu.analysis.convergence.candidates import candidates_of, has_curved_mixture
 from fmu.analysis.convergence.effective import energy_fraction, longest_stands
+from fmu.analysis.convergence.pareto import GOOD_K, pareto_k
 from fmu.analysis.convergence.remedies import ESS_LIMIT as ESS_LIMIT
 from fmu.analysis.convergence.remedies import (
     MCSE_LIMIT,
     MIN_AUTOCORRELATION_TIMES,
+    RATIOS,
     RELIABLE_TIMES,
     WALKER_RHAT_LIMIT,
     Places,
     for_chains_apart,
+    for_divergences,
     for_too_few_draws,
     required_ess,
 )
@@ -34,6 +37,7 @@ from fmu.analysis.trace.reading import (
 )
 from fmu.arguments import check_arguments
 from fmu.numbers import apart, given, share, significant, whole
+from fmu.samplers.mixture.kernel import CANDIDATE
 from fmu.tables import data_frame
 from fmu.types import FloatArray
 
@@ -167,7 +171,8 @@ def convergence_failures(
     below 1.01; bulk and tail ESS of every parameter at least 400 and at least 100 per chain (Vehtari et al. 2021);
     standard errors of the means below a tenth of the posterior sd. At most one Hamiltonian trajectory in a
     thousand diverges, and E-BFMI of every chain is at least 0.3. A mixture had enough candidates for each of its
-    components (`fmu.analysis.convergence.candidates`). For an ensemble sampler, whose ensembles are
+    components (`fmu.analysis.convergence.candidates`), and the weights of those of a curved one have no heavy
+    tail. For an ensemble sampler, whose ensembles are
     the chains: at least four ensembles; a run of at least 50 autocorrelation times; and R-hat over walkers below
     1.05. In so long a run it is above only if walkers stay in separate places (`rhat_over_walkers`); of a shorter
     one it is reported only then. A quantity that is NaN fails its test. Ensembles of plain emcee
@@ -225,9 +230,9 @@ def convergence_failures(
             unmixed = _above(rhat_over_walkers(trace), WALKER_RHAT_LIMIT, names, why)
             are_apart |= bool(unmixed)
             short = unmixed + short
-    if short and not standing and places != "missed":
+    if short and not standing and places != "missed" and not is_beyond_draws(trace):
         short[0] += for_too_few_draws(trace, table, required, lengths, are_apart, places)
-    return failures + short + _trajectories(trace)
+    return failures + short + _heavy_weights(trace) + _trajectories(trace)
 
 
 def few_ensembles(trace: xr.DataTree) -> str:
@@ -272,15 +277,51 @@ def _trajectories(trace: xr.DataTree) -> list[str]:
     if has(trace, "sample_stats", "diverging"):
         diverging = array_of(trace, "sample_stats", "diverging")
         if not np.mean(diverging) <= DIVERGING_LIMIT:
-            failures.append(
-                f"{int(diverging.sum())} of {diverging.size} trajectories diverged; use a shorter step: "
-                "fmu.HamiltonianMonteCarlo(target_accept=0.95)"
-            )
+            n = diverging.size
+            if has(trace, "sample_stats", CANDIDATE):
+                n = int(
+                    np.sum(np.isnan(array_of(trace, "sample_stats", CANDIDATE)))
+                )  # the others are no trajectories
+            useless = ", and more draws do not help" if _diverges_for_good(trace) else ""
+            said = f"{int(diverging.sum())} of {n} trajectories diverged{useless}"
+            failures.append(said + for_divergences(trace))
     if has(trace, "sample_stats", "energy"):
         fraction = energy_fraction(array_of(trace, "sample_stats", "energy"))
         chains = [f"chain {k}" for k in range(len(fraction))]
         failures += _below(fraction, ENERGY_LIMIT, chains, "E-BFMI is {}; at least {} is needed")
     return failures
+
+
+def _diverges_for_good(trace: xr.DataTree) -> bool:
+    """Say whether the share of diverging trajectories is certainly too large, by two standard errors."""
+    if not has(trace, "sample_stats", "diverging"):
+        return False
+    diverging = array_of(trace, "sample_stats", "diverging")
+    n = float(diverging.sum())
+    return n - 2.0 * np.sqrt(n) > DIVERGING_LIMIT * diverging.size
+
+
+def _heavy_weights(trace: xr.DataTree) -> list[str]:
+    """Return a sentence on the candidates' weights of a curved mixture if their tail is heavy.
+
+    Its bends may go on wrongly beyond the draws that it was fitted to. Chains then hardly reach these places, and
+    R-hat does not show it.
+    """
+    if not has_curved_mixture(trace):
+        return []
+    log_w = array_of(trace, "sample_stats", CANDIDATE)
+    k = pareto_k(log_w[np.isfinite(log_w)])
+    if k <= GOOD_K:
+        return []
+    return [
+        f"Pareto k {significant(k, 2)} of the candidates' weights is above {given(GOOD_K)}: the mixture does not "
+        f"fit the density well enough, and more draws do not help{for_chains_apart(trace)}; or {RATIOS}"
+    ]
+
+
+def is_beyond_draws(trace: xr.DataTree) -> bool:
+    """Say whether a run has a fault that no number of draws mends: divergences, or weights with a heavy tail."""
+    return _diverges_for_good(trace) or bool(_heavy_weights(trace))
 
 
 def _above(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, sentence: str) -> list[str]:

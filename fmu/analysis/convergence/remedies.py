@@ -110,6 +110,10 @@ def draws_to_come(draws: int, growth: float, is_reliable: bool = True, excess: f
 APART = 1.2
 """With an R-hat above this the chains are in different places; more draws may never bring them together."""
 SHORTEST_WARMUP = 1000
+RATIOS = "if one parameter sets the width of others, sample their ratios to that width instead of them"
+"""The remedy for a funnel, on which steps of one length are too long in the neck and too short outside it."""
+SHORT_STEPS = 0.95
+"""Acceptance rate of Hamiltonian steps that are short."""
 
 
 def for_chains_apart(trace: xr.DataTree) -> str:
@@ -124,6 +128,14 @@ def for_chains_apart(trace: xr.DataTree) -> str:
         return '; start the chains at the posterior maxima: init="maxima" (--init maxima)'
     warmup = max(SHORTEST_WARMUP, 2 * int(trace.attrs["warmup"]))
     return f"; lengthen the warm-up: --warmup {warmup}"
+
+
+def for_divergences(trace: xr.DataTree) -> str:
+    """Return the remedy for trajectories that diverge, of the sampler that ran."""
+    accepted = json.loads(trace.attrs["settings"]).get("target_accept") or 0.0
+    if trace.attrs["sampler"] == "mixture" or accepted >= SHORT_STEPS:
+        return f"; {RATIOS}"
+    return f"; use a shorter step: fmu.HamiltonianMonteCarlo(target_accept={typed(SHORT_STEPS)})"
 
 
 def for_missed_maximum(trace: xr.DataTree) -> str:
