@@ -1,4 +1,4 @@
-"""A plain log-density as the search for maxima sees it: where it begins, gradients, and what it cannot exclude."""
+"""Adapt a plain log-density to the search for maxima: starts, gradients, and doubts about the result."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def _numbers(method: str, got: Any, shape: tuple[int, ...]) -> FloatArray:
-    """Return what a density gave as an array of reals of this shape; ValueError if it is something else."""
+    """Return the answer of a density as an array of floats; ValueError unless it is real and of this shape."""
     array = np.asarray(got)
     if array.shape != shape or array.dtype.kind not in "fiu":
         raise ValueError(
@@ -32,7 +32,7 @@ def _numbers(method: str, got: Any, shape: tuple[int, ...]) -> FloatArray:
 
 
 @contextmanager
-def _noted(theta: FloatArray) -> Iterator[None]:
+def _tell_where(theta: FloatArray) -> Iterator[None]:
     """Tell where a density raised; the error stays as it is."""
     try:
         yield
@@ -114,7 +114,7 @@ class PlainDensity:
         """Return the log-density at theta (ndim,) or (n, ndim); −inf where it is not finite."""
         points = np.atleast_2d(theta)
         solved(len(points))
-        with _noted(points):
+        with _tell_where(points):
             value = _numbers("log_prob", self.density.log_prob(points), (len(points),))
         return np.where(np.isfinite(value), value, -np.inf)[() if np.ndim(theta) > 1 else 0]
 
@@ -123,7 +123,7 @@ class PlainDensity:
         points = np.atleast_2d(theta)
         if self._has_gradient:
             solved(len(points), with_gradients=True)
-            with _noted(points):
+            with _tell_where(points):
                 found = self.density.log_prob_and_grad(points)
             value = _numbers("log_prob_and_grad", found[0], (len(points),))
             gradient = _numbers("log_prob_and_grad", found[1], points.shape)
@@ -140,14 +140,14 @@ class PlainDensity:
         if not hasattr(self.density, "log_prob_and_grad"):
             return False
         try:
-            with _noted(self.start):
+            with _tell_where(self.start):
                 self.density.log_prob_and_grad(self.start[None])
         except NotImplementedError:
             return False
         return True
 
     def search_in_words(self, found: Sequence[Maximum]) -> str:
-        """Say where the search began and what it found."""
+        """Return a sentence with the number of starts, their region, and the number of maxima."""
         n = len(found)
         climbed = sum(m.starts for m in found)
         return f"{climbed} starts {self.region} led to {n} {'maximum' if n == 1 else 'maxima'}"

@@ -60,7 +60,7 @@ def starts(
     if not getattr(density, "is_hierarchical", False):
         if hasattr(density, "sample_prior") and _is_finite_in_prior(density, seed):
             return "prior", "prior"
-        theta = _scattered(density, chains * walkers, seed)
+        theta = _scatter_starts(density, chains * walkers, seed)
         return theta if walkers == 1 else theta.reshape(chains, walkers, -1), {"maxima": "scattered"}
     scaled, rng = ScaledDensity(density), generator(seed, START_STREAM)
     theta = scaled.to_theta(_around(middle(density), scaled, rng, chains * walkers))
@@ -73,7 +73,7 @@ def _is_finite_in_prior(density: LogDensity, seed: int) -> bool:
     return bool(np.all(np.isfinite(plain.log_prob(plain.starting_points(_SCATTERED, seed)))))
 
 
-def _scattered(density: LogDensity, n: int, seed: int) -> FloatArray:
+def _scatter_starts(density: LogDensity, n: int, seed: int) -> FloatArray:
     """Return `n` points (n, ndim) at which a plain log-density is finite: from its prior, its bounds, or wide.
 
     They are chosen of many. Where too few are finite they are repeated.
