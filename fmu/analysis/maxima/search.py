@@ -69,7 +69,7 @@ def is_updating(problem: Any) -> bool:
 
 
 def is_searchable(problem: Any) -> bool:
-    """Say whether the maxima of the density are where its mass is: not those of a population."""
+    """Say whether `find_map` may search the density: it has no population, whose maximum is far from its mass."""
     return not getattr(problem, "is_hierarchical", False)
 
 
@@ -116,23 +116,23 @@ def find_map(
     if not is_searchable(problem):
         raise ValueError("problem: must have no population: its maximum is far from its mass; sample it instead")
     if not is_updating(problem):
-        return _searched_plainly(PlainDensity(problem), starts, seed)
+        return _search_plain(PlainDensity(problem), starts, seed)
     posed = cast("UpdatingProblem", problem)
     most = _most_solves(posed) if starts is None else np.inf
     starts = default_starts(posed) if starts is None else starts
     known = _KNOWN.setdefault(problem, {}) if isinstance(problem, Hashable) else {}
     if (starts, seed, most) not in known:
-        known[starts, seed, most] = _searched(posed, starts, seed, most)
+        known[starts, seed, most] = _search(posed, starts, seed, most)
     return known[starts, seed, most]
 
 
-def _searched(problem: UpdatingProblem, starts: int, seed: int, most: float) -> Maxima:
+def _search(problem: UpdatingProblem, starts: int, seed: int, most: float) -> Maxima:
     """Search an updating problem, with `most` solves or hardly more."""
     from fmu.posterior.maxima import local_maxima
 
     solved, differentiated = solves(), gradients()
     found = local_maxima(problem, starts, seed, most_solves=_OF_SEARCH * most)
-    best = _weighed(problem, found, seed, solved, differentiated, most)
+    best = _weigh(problem, found, seed, solved, differentiated, most)
     climbed = sum(m.starts for m in found)
     if climbed == starts or np.isinf(most):
         return best
@@ -144,7 +144,7 @@ def _searched(problem: UpdatingProblem, starts: int, seed: int, most: float) -> 
 
 
 def _most_solves(problem: UpdatingProblem) -> float:
-    """Return how many solves a search may take by default: of a slow function those of a surrogate, else any."""
+    """Return the default limit of solves: for a slow function those of its surrogate, otherwise none."""
     function = problem.model.black_box
     if function is None or problem.solves_per_gradient == 1:
         return np.inf
@@ -152,7 +152,7 @@ def _most_solves(problem: UpdatingProblem) -> float:
     return solves_of_a_surrogate(problem.n_structural) if slow else np.inf
 
 
-def _searched_plainly(density: PlainDensity, starts: int | None, seed: int) -> Maxima:
+def _search_plain(density: PlainDensity, starts: int | None, seed: int) -> Maxima:
     """Search a plain log-density, and say what that cannot exclude."""
     from fmu.posterior.maxima import maxima_from
 
@@ -172,12 +172,12 @@ def _searched_plainly(density: PlainDensity, starts: int | None, seed: int) -> M
             f"problem: the log-density must be finite somewhere; it is so at none of {starts} points "
             f"{density.region}"
         )
-    best = _weighed(density, found[:_MOST_PLACES], seed, solved, differentiated)
+    best = _weigh(density, found[:_MOST_PLACES], seed, solved, differentiated)
     said, doubts = density.search_in_words(found), density.doubts(best, found, is_spent)
     return replace(best, search=said, doubts=doubts, level=level)
 
 
-def _weighed(
+def _weigh(
     problem: Any, found: Sequence[Maximum], seed: int, solved: int, differentiated: int, most: float = np.inf
 ) -> Maxima:
     """Return the maxima with curvature and mass; `solved` and `differentiated` were counted before the search.
