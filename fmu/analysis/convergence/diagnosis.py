@@ -56,6 +56,10 @@ UNSEARCHED = (
     "judged by its own draws only, as no maxima are known: chains that agree cannot reveal a maximum that "
     "none of them visited; fmu.diagnose(trace, problem) searches for maxima"
 )
+POPULATION = (
+    "judged by its own draws only: the maximum of a population is far from its mass and was not searched for, and "
+    "chains that agree cannot reveal a part that none of them visited"
+)
 _SPARSE = (
     "but the points searched are too far apart to meet a mode as narrow as these draws: give narrower bounds or a "
     "prior, or search more, maxima=fmu.find_map(density, starts=1000)"
@@ -258,7 +262,7 @@ def doubts_of_search(trace: xr.DataTree, best: Maxima | None) -> tuple[str, ...]
         The result of the search, None if there was none.
     """
     if best is None:
-        return (UNSEARCHED,)
+        return (POPULATION if trace.attrs["init"] == "maxima" else UNSEARCHED,)
     if not best.search:
         return best.doubts
     doubts = best.doubts or ((f"{best.search}, {_SPARSE}",) if _is_above(trace, best.level) else ())

@@ -8,6 +8,7 @@ import scipy.stats
 from numpy.testing import assert_allclose
 
 import fmu
+from fmu.analysis.convergence.diagnosis import POPULATION
 from fmu.posterior.joint.population import (
     truncated_normal_log_pdf,
     truncated_normal_scores,
@@ -121,6 +122,7 @@ MEANS, SPREADS = (0.9475, 0.9725, 0.9975), (0.061, 0.081, 0.121)
 def test_posterior_of_mean_and_spread_by_quadrature(by_quadrature, centring):
     problem = springs(centring=centring)
     trace = fmu.sample(problem, draws=250, warmup=250, seed=2)
+    assert fmu.diagnose(trace).doubts_of_search == (POPULATION,)  # and no advice to search
     ess = fmu.summary(trace)["ess_bulk"].min()
     draws = np.stack([trace["posterior"][name].values.ravel() for name in problem.names], axis=1)
     for column, thresholds, exact in ((0, MEANS, by_quadrature[0]), (1, SPREADS, by_quadrature[1])):
