@@ -201,6 +201,8 @@ def test_chains_that_stand_still_have_not_converged(make_trace):
         "x0: bulk ESS",
         "x0: tail ESS",
         "x0: MCSE over sd",
+        "x0: MCSE of the 5 % quantile over sd",
+        "x0: MCSE of the 95 % quantile over sd",
     ]
 
 
@@ -287,6 +289,22 @@ def test_standard_error_is_held_against_the_sd(make_trace, good):
     ]
     table.loc["x1", "mcse_mean"] = np.nan
     assert convergence_failures(trace, table) == ["x1: MCSE over sd is nan; it must be below 0.1"]
+
+
+@pytest.mark.parametrize(("column", "end"), [("mcse_eti90_lb", "5"), ("mcse_eti90_ub", "95")])
+def test_standard_error_of_an_end_is_held_against_the_sd(make_trace, good, column, end):
+    trace = make_trace(good)
+    table = summary(trace)
+    assert convergence_failures(trace, table) == []
+    table.loc["x1", column] = 0.132 * table.loc["x1", "sd"]
+    assert convergence_failures(trace, table) == [
+        f"x1: MCSE of the {end} % quantile over sd is 0.132; it must be below 0.12; about 790 draws are needed: "
+        "leave out --draws, or --draws 790 (Python: until_ess=400 or draws=790)"
+    ]
+    table.loc["x1", column] = np.nan
+    assert convergence_failures(trace, table) == [
+        f"x1: MCSE of the {end} % quantile over sd is nan; it must be below 0.12"
+    ]
 
 
 def test_divergences(make_trace, good):

@@ -19,11 +19,12 @@ from fmu.analysis.convergence.remedies import (
 )
 
 
-def table(ess, rhat=1.002, mcse=0.01, tail=None):
+def table(ess, rhat=1.002, mcse=0.01, tail=None, ends=(0.02, 0.02)):
     """Two parameters, the first of which is known twice as well."""
     tail = ess if tail is None else tail
     columns = {"ess_bulk": [2 * ess, ess], "ess_tail": [2 * tail, tail], "rhat": [1.0, rhat]}
-    return pd.DataFrame(columns | {"mcse_mean": [mcse, mcse], "sd": [1.0, 1.0]}, index=["a", "b"])
+    errors = {"mcse_eti90_lb": [0.02, ends[0]], "mcse_eti90_ub": [0.02, ends[1]]}
+    return pd.DataFrame(columns | errors | {"mcse_mean": [mcse, mcse], "sd": [1.0, 1.0]}, index=["a", "b"])
 
 
 def test_required_is_400_and_100_a_chain():
@@ -34,6 +35,9 @@ def test_the_scarcest_of_all_criteria_counts():
     assert growth_needed(table(800), 400) == 0.5
     assert growth_needed(table(800, tail=200), 400) == 2.0
     assert growth_needed(table(800, mcse=0.2), 400) == pytest.approx(4.0)
+    assert growth_needed(table(800, ends=(0.18, 0.13)), 400) == pytest.approx(2.25)
+    assert growth_needed(table(800, ends=(0.06, 0.24)), 400) == pytest.approx(4.0)
+    assert np.isnan(growth_needed(table(800, ends=(np.nan, 0.1)), 400))
     assert growth_needed(table(800), 400, np.array([25.0, 10.0])) == 5.0
     assert np.isnan(growth_needed(table(np.nan), 400))
 

@@ -67,7 +67,7 @@ def first_stage():
     function = Storeys()
     off = fmu.surrogate(posed(lambda theta: Storeys()(theta) + [0.2, -0.2] * SD))
     surrogate = of_another(off, function)
-    return function, surrogate, fmu.sample(surrogate, draws=1100, warmup=200, init="start")
+    return function, surrogate, fmu.sample(surrogate, draws=2000, warmup=200, init="start")
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,8 @@ from fmu.analysis.convergence.pareto import GOOD_K, pareto_k
 from fmu.analysis.convergence.remedies import ESS_LIMIT as ESS_LIMIT
 from fmu.analysis.convergence.remedies import (
     MCSE_LIMIT,
+    MCSE_LIMIT_OF_ENDS,
+    MCSE_OF_ENDS,
     MIN_AUTOCORRELATION_TIMES,
     RATIOS,
     RELIABLE_TIMES,
@@ -169,7 +171,8 @@ def convergence_failures(
 
     The rule: at least two chains; no chain that does not move for a fifth of its draws; R-hat of every parameter
     below 1.01; bulk and tail ESS of every parameter at least 400 and at least 100 per chain (Vehtari et al. 2021);
-    standard errors of the means below a tenth of the posterior sd. At most one Hamiltonian trajectory in a
+    standard errors of the means below a tenth of the posterior sd, and of the ends of the 90 % intervals below
+    0.12 of it. At most one Hamiltonian trajectory in a
     thousand diverges, and E-BFMI of every chain is at least 0.3. A mixture had enough candidates for each of its
     components (`fmu.analysis.convergence.candidates`), and the weights of those of a curved one have no heavy
     tail. For an ensemble sampler, whose ensembles are
@@ -215,6 +218,10 @@ def convergence_failures(
         short += _below(table[column].to_numpy(), required, names, label + " is {}; at least {} are needed")
     mcse = (table["mcse_mean"] / table["sd"]).to_numpy()
     short += _above(mcse, MCSE_LIMIT, names, "MCSE over sd is {}; it must be below {}")
+    for column, end in zip(MCSE_OF_ENDS, ("5", "95"), strict=True):
+        of_end = (table[column] / table["sd"]).to_numpy()
+        why = f"MCSE of the {end} % quantile over sd is {{}}; it must be below {{}}"
+        short += _above(of_end, MCSE_LIMIT_OF_ENDS, names, why)
     short += _seldom_proposed(trace)
     lengths, are_apart = None, False
     if is_ensemble:

@@ -23,7 +23,8 @@ ESS_PER_CHAIN = 100
 ESS_LIMIT = 400
 MIN_AUTOCORRELATION_TIMES = 50
 WALKER_RHAT_LIMIT = 1.05
-MCSE_LIMIT = 0.1
+MCSE_LIMIT, MCSE_LIMIT_OF_ENDS = 0.1, 0.12
+"""Of the means and of the ends of the 90 % intervals, in posterior sd."""
 MCSE_OF_ENDS = ("mcse_eti90_lb", "mcse_eti90_ub")
 """Columns of the Monte-Carlo standard errors of the ends of the 90 % intervals."""
 
@@ -63,7 +64,8 @@ def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | No
     float
         At most 1 if they suffice; NaN if one of them is undefined.
     """
-    errors = (table["mcse_mean"] / table["sd"]).to_numpy() / MCSE_LIMIT
+    limits = {"mcse_mean": MCSE_LIMIT, **dict.fromkeys(MCSE_OF_ENDS, MCSE_LIMIT_OF_ENDS)}
+    errors = [(table[column] / table["sd"]).to_numpy() / limit for column, limit in limits.items()]
     factors = [required / fewest(table), float(np.max(errors)) ** 2]
     if lengths is not None:
         factors.append(MIN_AUTOCORRELATION_TIMES / float(np.min(lengths)))
