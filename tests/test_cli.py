@@ -261,7 +261,7 @@ def test_sampling_on_until_there_is_enough(converged):
     assert any(re.match(r"Next: fmu export \S+ writes the updated values and model\.", line) for line in
                result.stdout.splitlines())  # fmt: skip
     trace = fmu.load_trace(out / "hmc.nc")
-    assert 50 < trace["posterior"].sizes["draw"] <= 1600
+    assert 50 < trace["posterior"].sizes["draw"] <= 3000  # E4 and E5 lie at their bounds: a far end is known least
     assert trace["warmup_posterior"].sizes["draw"] == 200
     assert "limit" not in trace.attrs
     assert pd.read_csv(out / "summary-hmc.csv")[["ess_bulk", "ess_tail"]].min().min() >= 450
