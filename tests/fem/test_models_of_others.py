@@ -49,8 +49,12 @@ def test_a_part_that_nothing_holds_is_refused_with_its_nodes(tmp_path):
     assert work.eigenproblems == 0
 
 
+# a basis for the bounds of the footbridge would not pay, and fmu says so
+REDUCED_AT_DRAWS = pytest.mark.filterwarnings("ignore:reduction. within the bounds a basis")
+
+
 @pytest.mark.validate
-@pytest.mark.parametrize("kind", [free_bar, tower, folded_shell, truss_deck])
+@pytest.mark.parametrize("kind", [free_bar, tower, folded_shell, pytest.param(truss_deck, marks=REDUCED_AT_DRAWS)])
 def test_runs_reach_a_verdict_and_find_the_truth(kind, tmp_path):
     prior = {"prior": free_bar.PRIOR} if kind is free_bar else {}
     planted = kind.write(tmp_path, **prior)
