@@ -26,7 +26,7 @@ _CLOSE = 0.5
 _SAME = 1e-3
 _VALLEY = 0.1
 _ON_THE_WAY = np.linspace(0.0, 1.0, 33)[1:-1, None]
-_MOST_POLISHED = 8
+_MOST_POLISHED, _FIRST = 8, 16
 Quadratic = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
 """Maps (n, ndim) to V = −log P, shape (n,), its gradient (n, ndim) and Gauss–Newton Hessian (n, ndim, ndim)."""
 
@@ -69,7 +69,8 @@ def local_maxima(
     near : ndarray, shape (n, ndim), optional
         Further points to start from, SI units.
     most_solves : float
-        With a limit the starts climb one after the other, and none begins once it is reached.
+        With a limit the starts climb one after the other, and none begins once it is reached; nor, where there are
+        no errors of modes, after sixteen that led to more than eight maxima, as those of a hollow density.
 
     Raises
     ------
@@ -97,7 +98,9 @@ def maxima_from(
             if solves() - before >= most_solves:
                 break
             tops.append(_climb(scaled, u))
-        return _merged(problem, [top for top in tops if np.isfinite(top.log_prob)])
+            if len(tops) == _FIRST and np.isfinite(most_solves) and len(_distinct(problem, tops)) > _MOST_POLISHED:
+                break
+        return _distinct(problem, tops)
     quadratic = GaussNewton(problem)
     reached = list[tuple[FloatArray, IntArray]]()
     for together in [points] if np.isinf(most_solves) else points[:, None]:
@@ -183,6 +186,11 @@ def _merged(problem: Problem, maxima: Iterable[Maximum]) -> tuple[Maximum, ...]:
         else:
             distinct.append(maximum)
     return tuple(distinct)
+
+
+def _distinct(problem: Problem, tops: Iterable[Maximum]) -> tuple[Maximum, ...]:
+    """Return the distinct maxima of those with a finite log-probability, the highest first."""
+    return _merged(problem, [top for top in tops if np.isfinite(top.log_prob)])
 
 
 def _climb(scaled: ScaledDensity, start: FloatArray, starts: int = 1) -> Maximum:

@@ -101,6 +101,8 @@ def test_a_hollow_density_has_no_weighed_maxima_and_starts_in_its_prior():
     trace = fmu.sample(Shell(), "mh", draws=5, warmup=0)
     assert trace.attrs["init"] == "prior"
     assert "but not how much of the probability each holds" in " ".join(maxima_of(trace).doubts)
+    assert maxima_of(trace).search.startswith("16 starts from the prior led to ")  # further ones tell no more
+    assert maxima_of(trace).n_solves < 20_000
 
 
 def test_a_density_without_prior_or_bounds_needs_no_start():
