@@ -146,6 +146,7 @@ validate: $(READY_BENCH) $(READY_FAST)  ## Calibrate samplers, verdicts, interva
 	.venv/bin/python -m tests.validation.coverage results
 	.venv/bin/python -m tests.validation.evidence results
 	.venv/bin/python -m tests.validation.seeds results
+	.venv/bin/python -m tests.validation.replicates results
 	.venv/bin/python -m tests.validation.starts results
 	.venv/bin/python -m tests.validation.left_out results
 	.venv/bin/python -m tests.validation.fit results
