@@ -33,7 +33,7 @@ def test_the_papers_second_experiment_by_number_converges_from_the_prior(section
     """No sampler with local steps alone reaches its highest maximum from everywhere."""
     problem, maxima = section
     assert len(maxima) > 1
-    trace = fmu.sample(problem, name, draws=300, warmup=300, maxima=maxima, init="prior", seed=2)
+    trace = fmu.sample(problem, name, draws=600, warmup=300, maxima=maxima, init="prior", seed=2)
     assert fmu.diagnose(trace, problem).converged
     assert trace.attrs["sampler"] == name
     assert np.all(trace["sample_stats"]["lp"] > maxima[0].log_prob - 40)

@@ -34,7 +34,7 @@ from fmu.analysis.fit.model_fit import ModelFit, model_fit
 from fmu.analysis.held_out.modes import left_out_warnings
 from fmu.analysis.information import information_warnings
 from fmu.analysis.maxima.missed import Comparison, compared, missed_places
-from fmu.analysis.maxima.results import NEGLIGIBLE, Maxima
+from fmu.analysis.maxima.results import NEGLIGIBLE, TYPICAL_POINT, Maxima
 from fmu.analysis.pairing_changes import jump_warnings
 from fmu.analysis.prediction import bound_warnings, search_warnings, shape_warnings
 from fmu.analysis.repeatability import repeatability_warnings
@@ -262,7 +262,8 @@ def doubts_of_search(trace: xr.DataTree, best: Maxima | None) -> tuple[str, ...]
         The result of the search, None if there was none.
     """
     if best is None:
-        return (POPULATION if trace.attrs["init"] == "maxima" else UNSEARCHED,)
+        started = json.loads(trace.attrs["configuration"])["run"].get("init")
+        return (POPULATION if started == TYPICAL_POINT else UNSEARCHED,)
     if not best.search:
         return best.doubts
     doubts = best.doubts or ((f"{best.search}, {_SPARSE}",) if _is_above(trace, best.level) else ())

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
+TYPICAL_POINT = {"maxima": "typical point"}
+"""Where the chains on a hierarchical posterior start, as its configuration says."""
 MOST_SHOWN = 6
 """Maxima shown side by side."""
 _PROBABLE = ("log-probability", "share of probability", "starts")

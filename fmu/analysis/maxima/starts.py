@@ -9,7 +9,7 @@ from scipy.special import gammaincinv
 
 from fmu.analysis.maxima.missed import NEARBY, OUT_OF_PROPORTION
 from fmu.analysis.maxima.plain import PlainDensity
-from fmu.analysis.maxima.results import NEGLIGIBLE
+from fmu.analysis.maxima.results import NEGLIGIBLE, TYPICAL_POINT
 from fmu.analysis.maxima.search import find_map, is_searchable
 from fmu.analysis.trace.conversion import START_STREAM, generator
 from fmu.posterior.scaled import ScaledDensity
@@ -64,7 +64,7 @@ def starts(
         return theta if walkers == 1 else theta.reshape(chains, walkers, -1), {"maxima": "scattered"}
     scaled, rng = ScaledDensity(density), generator(seed, START_STREAM)
     theta = scaled.to_theta(_around(middle(density), scaled, rng, chains * walkers))
-    return theta if walkers == 1 else theta.reshape(chains, walkers, -1), {"maxima": "typical point"}
+    return theta if walkers == 1 else theta.reshape(chains, walkers, -1), TYPICAL_POINT
 
 
 def _is_finite_in_prior(density: LogDensity, seed: int) -> bool:
