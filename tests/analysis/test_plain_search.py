@@ -7,7 +7,7 @@ import fmu
 from fmu.analysis.convergence.diagnosis import maxima_of
 from fmu.analysis.maxima.search import find_map
 from tests.densities import Shell, ThreeWidths
-from tests.plain_densities import AtWall, FourModes, Gumbels, Pair
+from tests.plain_densities import AtWall, FourModes, Gammas, Gumbels, Pair
 
 
 class Plain:
@@ -53,6 +53,11 @@ def test_differences_stand_for_a_missing_gradient():
     np.testing.assert_allclose(found[0].theta, exact[0].theta, atol=1e-4)
     assert found.search == "16 starts from the prior led to 1 maximum"
     assert found.n_gradients == 0
+
+
+def test_a_step_over_a_wall_does_not_end_the_ascent():
+    (found,) = find_map(Gammas())
+    np.testing.assert_allclose(found.theta, Gammas.shapes - 1.0, atol=1e-4)
 
 
 def test_a_maximum_at_a_wall_is_one():

@@ -53,7 +53,7 @@ _DECADES = (-1.0, 2.0)
 class PlainDensity:
     """A log-density with the attributes of an updating problem that the search needs; it has no modes.
 
-    What is not finite counts as −inf: the search goes around it. Evaluations are counted as solves.
+    The search goes around places where it is not finite. Evaluations are counted as solves.
 
     Parameters
     ----------
@@ -86,6 +86,7 @@ class PlainDensity:
         self._has_gradient = self._gives_gradients()
         self.solves_per_gradient = 1 if self._has_gradient else 2 * self.ndim + 1
         has_prior = hasattr(density, "sample_prior")
+        self._depth = 0.0
         self.is_bounded = has_prior or bool(boxed.all())
         self.region = (
             "from the prior" if has_prior else "within the bounds" if self.is_bounded else "around its start"
@@ -119,7 +120,7 @@ class PlainDensity:
         return np.where(np.isfinite(value), value, -np.inf)[() if np.ndim(theta) > 1 else 0]
 
     def log_prob_and_grad(self, theta: Any) -> tuple[Any, Any]:
-        """Return the log-density and its gradient, its own or by central differences."""
+        """Return the log-density and its gradient, its own or by differences; low and flat where not finite."""
         points = np.atleast_2d(theta)
         if self._has_gradient:
             solved(len(points), with_gradients=True)
@@ -133,7 +134,11 @@ class PlainDensity:
             slope = differences.slope(scaled.to_scaled(points), with_log_prob=True)
             value, gradient = slope.log_prob, slope.gradient / self.scale
         one = () if np.ndim(theta) > 1 else 0
-        return np.where(np.isfinite(value), value, -np.inf)[one], gradient[one]
+        known = np.isfinite(value) & np.isfinite(gradient).all(axis=1)
+        self._depth = max(self._depth, float(np.max(np.abs(value[known]), initial=0.0)))
+        # hardly below all that was seen: a step to −inf would shorten the next to nothing
+        value, gradient = np.where(known, value, -2.0 * self._depth - 1.0), np.where(known[:, None], gradient, 0.0)
+        return value[one], gradient[one]
 
     def _gives_gradients(self) -> bool:
         """Say whether the density has a gradient that is implemented."""
