@@ -88,6 +88,6 @@ and the words of its page are held against each other and against the log-probab
 {ends}
 
 `tests/validation/test_contradictions.py` puts each fault that pages once had into a page: the checker turns.
-The rules are in [contradictions.py](../tests/validation/contradictions.py), the problems in
-[contradictions_cases.py](../tests/validation/contradictions_cases.py).
+The rules are in `tests/validation/contradictions.py`, the problems in
+`tests/validation/contradictions_cases.py`.
 """
