@@ -93,12 +93,15 @@ def page(rows: list[Row]) -> str:
         f"tests/plain_densities.py), each until R-hat < 1.01 and an ESS of {UNTIL_ESS}, or "
         f"{whole(MOST_SOLVES)} evaluations. Nothing was tuned for a density. By `python -m "
         "tests.validation.densities results`.",
-        f"**{len(called)} runs are called converged, without “locally”; {len(wrong)} of them have a mean, a "
-        f"standard deviation or an evidence that is off by more than {significant(FAR)} standard errors.** Of "
+        f"**{len(called)} runs are called converged, without “locally”. Off by more than {significant(FAR)} "
+        f"standard errors in a mean, a standard deviation or an evidence: {len(wrong)}"
+        f"{''.join(f' ({row.density}, {row.sampler}, seed {row.seed})' for row in wrong)}.** Of "
         f"{sum(row.state == LOCALLY for row in rows)} runs that are called converged locally "
         f"{sum(row.state == LOCALLY and row.z > FAR for row in rows)} are off: that is what the word is for.",
         f"Of the {len(of)} runs on densities with one maximum and light tails that the points searched are dense "
-        f"enough for (all but {', '.join(BENT)}), {share(share_converged(of))} are called converged without it.",
+        f"enough for (all but {', '.join(BENT)}), {share(share_converged(of))} are called converged without it: "
+        + ", ".join(f"{name} {share(share_converged([r for r in of if r.sampler == name]))}" for name in SEEDS)
+        + f". {share(ENOUGH)} are wanted. The others did not converge within their evaluations.",
         "“Locally”: the search found a maximum from one start alone, or none of its points fell where the draws "
         "are, so that another mode as narrow as theirs would not have been found either. three-widths shows "
         "why: its modes of width 0.02 and 0.1 attract 1e-8 and 1e-5 of the box, so that no search finds them.",
