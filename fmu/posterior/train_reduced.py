@@ -231,9 +231,13 @@ def _trained_at_draws(
         return np.clip(points[:, :n], *trained)
 
     prior = within(problem.prior.draw(rng, 2 * _SNAPSHOTS))
-    structure.train_at(prior[: _SNAPSHOTS // 2], *trained)  # for a first look at the posterior
-    points = rng.permutation(plausible_points(problem, _SNAPSHOTS + _CHECKED, rng, depth))
-    state = structure.train_at(np.concatenate([prior[:_SNAPSHOTS], within(points[:_SNAPSHOTS])]), *trained)
+    try:
+        structure.train_at(prior[: _SNAPSHOTS // 2], *trained)  # for a first look at the posterior
+        points = rng.permutation(plausible_points(problem, _SNAPSHOTS + _CHECKED, rng, depth))
+        state = structure.train_at(np.concatenate([prior[:_SNAPSHOTS], within(points[:_SNAPSHOTS])]), *trained)
+    except SingularAnchorError:  # at the draws a mechanism loses its stiffness
+        structure.restore({"full": np.array(float(sum(structure.reduced_sizes)))})
+        return None
     points = points[_SNAPSHOTS:][:_CHECKED]
     exact = np.concatenate(by_parts("training", likelihood.full_terms, points, _AT_ONCE))
     difference = np.sum(likelihood.terms(points) - exact, axis=1)

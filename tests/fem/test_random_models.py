@@ -21,6 +21,12 @@ SMALL = random_model(102, 700)
 START = np.ones(len(SMALL.parameters))
 
 
+def test_modes_at_draws_that_span_too_little_leave_the_full_model():
+    """Those of a mechanism are so alike that no basis can be made of them: no model may be refused for that."""
+    found = examined(15)
+    assert (found.refused, found.faults) == (None, [])
+
+
 @pytest.mark.parametrize("seed", [102, 103, 107, 108, 110, 111, 112])
 def test_some_small_models(seed, monkeypatch):
     monkeypatch.setenv("FMU_CACHE_DIR", "")
