@@ -296,8 +296,8 @@ def _singular(problem: Problem, error: SingularAnchorError) -> str:
 def _paired_error(structure: PairedStructure, lower: FloatArray, upper: FloatArray, tolerance: float) -> float:
     """Return the largest relative error of the measured modes' frequencies at fresh points of the box."""
     theta = box_points(lower, upper, _CHECKED, _CHECK_SEED)
-    if structure.solver != LAPACK:  # where solves are dear, some of the points inside, on faces and at corners
-        theta = theta[:: max(len(theta) // _CHECKED, 1)]
+    if structure.solver != LAPACK:  # where solves are dear, so many of the points inside, on faces and at corners
+        theta = theta[:: -(-len(theta) // _CHECKED)]
     return _error_at(structure, theta, tolerance)
 
 
