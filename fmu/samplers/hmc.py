@@ -159,7 +159,7 @@ class HamiltonianTuner:
 
     def finished(self) -> HamiltonianMonteCarlo:
         """Return the settings learnt."""
-        step_size = float(np.exp(np.mean(self.averaging.averaged)))
+        step_size = float(self._capped(np.mean(self.averaging.averaged)))
         inverse_mass = self.sampler.inverse_mass
         if inverse_mass is None and self.learner.covariance is not None:
             inverse_mass = self.learner.covariance
@@ -185,16 +185,24 @@ class HamiltonianTuner:
         self.kernel = replace(self.kernel, metric=Metric.of(covariance, self.learner.ndim))
 
     def _take_step_size(self) -> None:
-        step_size = np.exp(self.averaging.log_value)
+        step_size = self._capped(self.averaging.log_value)
         self.kernel = replace(self.kernel, step_size=step_size, n_steps=self._n_steps(step_size))
 
     def _restarted(self, log_step_size: Any) -> DualAveraging:
         return DualAveraging(np.asarray(log_step_size, dtype=float), self.sampler.target_accept)
 
+    @property
+    def _has_metric(self) -> bool:
+        """Whether a metric gives the length of a trajectory a meaning."""
+        return self.learner.covariance is not None or self.sampler.inverse_mass is not None
+
+    def _capped(self, log_step_size: Any) -> FloatArray:
+        """Return the step size, at most the length aimed at: on a flat density every step is accepted."""
+        step_size: FloatArray = np.exp(log_step_size)
+        return np.minimum(step_size, self.sampler.length) if self._has_metric else step_size
+
     def _n_steps(self, step_size: Any) -> int:
-        """Return the steps of a trajectory of the length aimed at, once the metric gives that length a meaning."""
-        if self.sampler.n_steps is not None or (
-            self.learner.covariance is None and self.sampler.inverse_mass is None
-        ):
+        """Return the steps of a trajectory of the length aimed at."""
+        if self.sampler.n_steps is not None or not self._has_metric:
             return self.kernel.n_steps
         return int(np.clip(np.round(self.sampler.length / float(np.max(step_size))), 1, _MOST_STEPS))

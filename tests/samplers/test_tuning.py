@@ -31,6 +31,18 @@ class Canyon(Target):
         return -0.5 * np.sum((self.mean - x) * pull, axis=1), pull
 
 
+class Flat(Target):
+    """Flat in a box."""
+
+    name = "flat"
+
+    def __init__(self):
+        super().__init__(3, lower=np.zeros(3), upper=np.array([1.0, 5.0, 0.1]))
+
+    def value_and_slope(self, x):
+        return np.zeros(len(x)), np.zeros_like(x)
+
+
 def warmed(target, sampler, warmup=600, draws=200, chains=4, init="prior", seed=7):
     return run(target, sampler, draws=draws, warmup=warmup, chains=chains, seed=seed, init=init)
 
@@ -206,3 +218,12 @@ def test_a_trapped_chain_does_not_spoil_what_the_others_learn(name):
     np.testing.assert_allclose(scale, 1.0, rtol=0.35)
     if name == "hmc":
         assert result.learnt["step_size"] > 0.5
+
+
+def test_steps_on_a_flat_density_are_no_longer_than_a_trajectory():
+    """All are accepted, so that no acceptance rate bounds them, and walls reflected the longest to death."""
+    sampler = HamiltonianMonteCarlo()
+    stats = warmed(Flat(), sampler).posterior.stats
+    assert np.all(stats["accepted"])
+    assert stats["step_size"].max() <= (1.0 + sampler.jitter) * sampler.length
+    assert stats["n_bounces"].max() <= 20
