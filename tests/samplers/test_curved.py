@@ -17,7 +17,7 @@ from fmu.samplers.kernel import Target
 from fmu.samplers.mixture.bent import fitted_gaussians
 from fmu.samplers.mixture.curve import fitted_curve, infinite_margins
 from fmu.samplers.mixture.curved import CurvedMixture, fitted_curved
-from fmu.samplers.mixture.rounds import Rounds, learnt_in_rounds
+from fmu.samplers.mixture.warmup.rounds import Rounds, learnt_in_rounds
 from tests.densities import Banana, Beta, Funnel, Ridges, Shell
 
 EXACT_GRADIENT = 2

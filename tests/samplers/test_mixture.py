@@ -15,7 +15,8 @@ from fmu.samplers.kernel import Target as Counted
 from fmu.samplers.mixture.kernel import BLOCK, CANDIDATE, LOG_WEIGHT, MixtureKernel
 from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fitted_mixture, refitted_mixture
 from fmu.samplers.mixture.quadratic import Quadratic, climbed, fitted
-from fmu.samplers.mixture.tuner import MixtureTuner, first_warp, groups_of_chains
+from fmu.samplers.mixture.warmup.local_draws import first_warp, groups_of_chains
+from fmu.samplers.mixture.warmup.tuner import MixtureTuner
 from tests.samplers.targets import Banana, CorrelatedGaussian, SkewedGumbel, Target, TwoModes
 
 LOWER, UPPER = np.array([0.0, -1.0]), np.array([1.0, 2.0])

@@ -17,7 +17,8 @@ from fmu.samplers.mixture.curved import CurvedMixture
 from fmu.samplers.mixture.kernel import MixtureKernel
 from fmu.samplers.mixture.proposal import WIDE, Mixture
 from fmu.samplers.mixture.quadratic import Quadratic
-from fmu.samplers.mixture.tuner import MixtureTuner, first_warp
+from fmu.samplers.mixture.warmup.local_draws import first_warp
+from fmu.samplers.mixture.warmup.tuner import MixtureTuner
 from fmu.samplers.settings import positive_scale, vector, whole_number
 from fmu.samplers.slice import Slice
 from fmu.types import FloatArray, LogDensity

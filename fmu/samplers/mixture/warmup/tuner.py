@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
@@ -16,37 +15,19 @@ from fmu.samplers.metropolis import MetropolisHastings
 from fmu.samplers.mixture.curve import infinite_margins
 from fmu.samplers.mixture.curved import CurvedMixture
 from fmu.samplers.mixture.kernel import MixtureKernel
-from fmu.samplers.mixture.proposal import (
-    GOOD,
-    LESS_WIDE,
-    MOST,
-    WIDE,
-    Mixture,
-    Points,
-    Warp,
-    fitted_mixture,
-    refitted_mixture,
-)
-from fmu.samplers.mixture.quadratic import Quadratic, climbed, fitted, n_coefficients
-from fmu.samplers.mixture.rounds import learnt_in_rounds
+from fmu.samplers.mixture.proposal import GOOD, LESS_WIDE, WIDE, Mixture, Points, refitted_mixture
+from fmu.samplers.mixture.quadratic import n_coefficients
+from fmu.samplers.mixture.warmup.local_draws import Evaluated, fit_to_draws
+from fmu.samplers.mixture.warmup.rounds import learnt_in_rounds
+from fmu.samplers.mixture.warmup.unknown_maxima import Seen, add_maxima, find_unknown_maxima
 from fmu.samplers.slice import Slice
-from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
+from fmu.types import FloatArray, IntArray, LogDensity
 
 _LOCAL_PART = 0.5
 """Part of the warm-up that local steps take where no component is known."""
 _FITS = (0.05, 0.1, 0.2, 0.4, 0.7, 1.0)
 """Parts of the rest of the warm-up after which the mixture is fitted again."""
 _SAMPLE = 1000  # draws of a mixture that give its covariance
-_FAR = 10.0  # points with a log-density further below the median, plus one per coordinate, are on the way
-_APART = 3.0
-_LEAST_MOVE = 1e-8  # in scaled units
-_UNKNOWN, _VALLEY = 1.0, 3.0
-"""A point where log w exceeds its median by the first is where the mixture has too little. It is near a maximum
-that the mixture does not know if the log-density between it and its component drops by the second: more than what
-local steps cross by themselves."""
-_LOWEST = -5.0  # of the logarithm of a new component's share
-_CHECKED = 5  # points per fit
-_BETWEEN = np.arange(6) / 6.0  # from the component to the point
 _JUDGED = 3
 """Fits after which a mixture has had its chance: from this one on, rarely accepted candidates give way."""
 _RARE, _OFTEN = 0.1, 0.3
@@ -227,23 +208,7 @@ class MixtureTuner:
 
     def _fit_to_draws(self) -> None:
         """Take the first mixture, fitted to the local steps' draws."""
-        self._begin_with(self._fitted_to(self.visited))
-
-    def _fitted_to(self, draws: Evaluated) -> Mixture:
-        """Return a mixture fitted to the later half of the local steps' draws, each group of chains by itself."""
-        u, log_prob, slope = (one.reshape(-1, self.chains, *one.shape[1:]) for one in draws)
-        u, log_prob, slope = (one[len(one) // 2 :] for one in (u, log_prob, slope))
-        near = log_prob >= np.median(log_prob, axis=0) - _FAR - self.density.ndim
-        moved = np.array([_has_moved(u[near[:, k], k]) for k in range(self.chains)])
-        near &= moved | ~moved.any()
-        group = np.broadcast_to(groups_of_chains(u) if moved.any() else 0, near.shape)[near]
-        slopes = None if np.isnan(slope).any() else slope[near]
-        points = Points(u[near], log_prob[near], np.ones(int(near.sum())), slopes)
-        warp = first_warp(self.density)
-        x, value, of_x = points.under(warp)
-        members = [(group == k).astype(float) for k in np.unique(group)]
-        each = [fitted(x, value, member, of_x) for member in members]
-        return fitted_mixture(points, Mixture(each, np.sum(members, axis=1), warp))
+        self._begin_with(fit_to_draws(self.visited, self.chains, self.density))
 
     def _fit(self, state: State) -> IntArray | None:
         """Fit the mixture to all candidates so far, weighted over all mixtures so far (Cornuet et al. 2012).
@@ -263,19 +228,19 @@ class MixtureTuner:
         seen_u = np.concatenate([u, state.position, self.visited.position])
         seen_log_prob = np.concatenate([log_prob, state.log_prob, self.visited.log_prob])
         seen = Seen(seen_u, seen_log_prob, self._log_density_so_far(seen_u), n, self.chains)
-        new, spent = self._unknown_maxima(self.mixture, seen)
-        old = _with_found(self.mixture, new).responsibilities(u)[: len(self.mixture.quadratics)].sum(axis=0) > 0.5
+        new, spent = find_unknown_maxima(self.mixture, seen, self.target)
+        old = add_maxima(self.mixture, new).responsibilities(u)[: len(self.mixture.quadratics)].sum(axis=0) > 0.5
         mixture = self.mixture
         if np.count_nonzero(old) > n_coefficients(self.density.ndim):
             with suppress(np.linalg.LinAlgError):  # go on with the mixture that there is
                 mixture = refitted_mixture(Points.weighted(u[old], log_prob[old], seen.log_q[:n][old]), mixture)
-        mixture = _with_found(mixture, new)
+        mixture = add_maxima(mixture, new)
         if len(self.walked.log_prob) > _ENOUGH_JUMPS * self.chains:
             with suppress(np.linalg.LinAlgError):
-                mixture = self._better_of(self._fitted_to(self.walked), mixture)
+                mixture = self._better_of(fit_to_draws(self.walked, self.chains, self.density), mixture)
         if mixture is not self.mixture:
-            lost, more = self._unknown_maxima(mixture, seen)
-            mixture = _with_found(mixture, lost)
+            lost, more = find_unknown_maxima(mixture, seen, self.target)
+            mixture = add_maxima(mixture, lost)
             spent += more
         if self.done == self.steps:
             mixture = self._at_last(mixture, Points.weighted(u, log_prob, seen.log_q[:n]))
@@ -378,45 +343,6 @@ class MixtureTuner:
         less = mixture.with_wide(LESS_WIDE)
         return less if points.effective_share(less.log_density(points.position)) >= GOOD else mixture
 
-    def _unknown_maxima(self, mixture: Mixture, seen: Seen) -> tuple[list[Found], IntArray]:
-        """Return the maxima that a mixture does not know, and evaluations of each chain.
-
-        They are climbed to from where chains are, candidates, or where chains were before the first fit, if log w
-        is above its median there, and a valley lies between the point and the component that accounts for it. A
-        chain at a low maximum without a component would hardly leave it. The others must be as high as the draws,
-        and log w above its median for the candidates of all mixtures so far, too: a maximum that those showed to
-        be slight is not climbed to again.
-        """
-        u, log_prob, log_q, n, _ = seen
-        is_chain = seen.is_chain
-        log_w, of_all = log_prob - mixture.log_density(u), log_prob - log_q
-        usual = float(np.median(log_w[:n]))
-        is_low = log_prob < np.median(log_prob[is_chain]) - _FAR - self.density.ndim
-        known = ~is_chain & (is_low | (of_all <= np.median(of_all[:n]) + _UNKNOWN))
-        found = list[Found]()
-        spent = np.zeros(self.chains, dtype=np.int64)
-        for check in range(_CHECKED):
-            unknown = ~known & (log_w > usual + _UNKNOWN)
-            if not unknown.any() or len(mixture.quadratics) >= MOST:
-                break
-            first = unknown & is_chain if np.any(unknown & is_chain) else unknown
-            at = int(np.argmax(np.where(first, log_w, -np.inf)))
-            owner = mixture.quadratics[int(np.argmax(mixture.responsibilities(u[at : at + 1])[:, 0]))]
-            begin, end = owner.position, mixture.warp.to_x(u[at])
-            evaluate = _Counted(self.target)
-            between = evaluate(mixture.warp.to_u(begin + _BETWEEN[:, None] * (end - begin)))
-            known[at] = True
-            if np.min(between) < min(between[0], log_prob[at]) - _VALLEY:
-                away = mixture.warp.stretch(u[at])
-                summit = climbed(evaluate, u[at], owner.hessian / np.outer(away, away))
-                if summit.log_prob - mixture.log_density(summit.position[None])[0] > usual + _UNKNOWN:
-                    log_mass = summit.log_prob - 0.5 * np.linalg.slogdet(summit.hessian / (2.0 * np.pi))[1]
-                    found.append(Found(summit, float(np.exp(np.clip(log_mass - usual, _LOWEST, 0.0)))))
-                    mixture = _with_found(mixture, found[-1:])
-                    log_w = log_prob - mixture.log_density(u)
-            spent[check % self.chains] += evaluate.n_solves
-        return found, spent
-
     def _log_density_so_far(self, u: FloatArray) -> FloatArray:
         """Return the logarithm of the density of all candidates so far at points u (n, ndim), up to a constant."""
         of_stages = [
@@ -435,7 +361,7 @@ class MixtureTuner:
         local = self.sampler.local_of(self.density)
         if isinstance(self.mixture, CurvedMixture) and self.sampler.local is None:
             local = Slice()  # the gradients of such a density say little of what is a standard deviation away
-        self.local_settings = shaped(local, covariance)
+        self.local_settings = _shape_steps(local, covariance)
         self.local = self.local_settings.tuner(self.density, self.chains, remaining)
 
     def _take_kernel(self) -> None:
@@ -451,102 +377,7 @@ def _sum(one: IntArray | None, other: IntArray | None) -> IntArray | None:
     return one + other
 
 
-def groups_of_chains(u: FloatArray) -> IntArray:
-    """Return the group of each chain of u (steps, chains, ndim): apart where chains are at separated maxima.
-
-    Two chains are together if their means are within `_APART` standard deviations along the line between them.
-    """
-    mean = u.mean(axis=0)
-    group = np.arange(len(mean))
-    for i in range(1, len(mean)):
-        for j in range(i):
-            line = mean[i] - mean[j]
-            spread = np.sum([((u[:, k] - mean[k]) @ line).var() for k in (i, j)])
-            if line @ line <= _APART * np.sqrt(spread):
-                group[i] = group[j]
-                break
-    return group
-
-
-def _has_moved(u: FloatArray) -> bool:
-    """Say whether draws (n, ndim) have been at enough points to have a covariance."""
-    return len(np.unique(u, axis=0)) > u.shape[1] and bool(np.all(np.ptp(u, axis=0) > _LEAST_MOVE))
-
-
-class Evaluated(NamedTuple):
-    """Points (n, ndim) at which the density was evaluated, its logarithm there (n,), and gradients or NaN."""
-
-    position: FloatArray
-    log_prob: FloatArray
-    gradient: FloatArray
-
-    @classmethod
-    def none(cls, ndim: int) -> Evaluated:
-        """Return no points."""
-        return cls(np.empty((0, ndim)), np.empty(0), np.empty((0, ndim)))
-
-    def with_more(self, position: FloatArray, log_prob: FloatArray, slope: FloatArray | None = None) -> Evaluated:
-        """Return these points and others."""
-        more = position, log_prob, np.full_like(position, np.nan) if slope is None else slope
-        return Evaluated(*(np.concatenate(both) for both in zip(self, more, strict=True)))
-
-
-class Seen(NamedTuple):
-    """Points at which a fit looks: candidates, where the chains are, and where they were before the first fit.
-
-    Attributes
-    ----------
-    position : ndarray, shape (n, ndim)
-    log_prob : ndarray, shape (n,)
-    log_q : ndarray, shape (n,)
-        Logarithm of the density of all candidates so far, up to a constant.
-    candidates, chains : int
-    """
-
-    position: FloatArray
-    log_prob: FloatArray
-    log_q: FloatArray
-    candidates: int
-    chains: int
-
-    @property
-    def is_chain(self) -> BoolArray:
-        """Which points are those of the chains, shape (n,)."""
-        k = np.arange(len(self.position)) - self.candidates
-        return np.asarray((k >= 0) & (k < self.chains))
-
-
-class _Counted:
-    """A target's log-density, with the solves counted."""
-
-    def __init__(self, target: Target) -> None:
-        self.target, self.n_solves = target, 0
-
-    def __call__(self, u: FloatArray) -> FloatArray:
-        """Return the log-density at points u (n, ndim), -inf outside the box."""
-        found = self.target.evaluate(u)
-        self.n_solves += int(found.n_solves.sum())
-        return found.log_prob
-
-
-class Found(NamedTuple):
-    """A maximum: the log-density around it, not warped, and its mass over that of the mixture."""
-
-    quadratic: Quadratic
-    mass: float
-
-
-def _with_found(mixture: Mixture, found: Sequence[Found]) -> Mixture:
-    """Return the mixture with a component at each maximum; later fits correct its weight and shape."""
-    if not found:
-        return mixture
-    new = [mixture.warp.quadratic(one.quadratic) for one in found]
-    return Mixture(
-        [*mixture.quadratics, *new], np.append(mixture.weights, [one.mass for one in found]), mixture.warp
-    )
-
-
-def shaped(
+def _shape_steps(
     local: HamiltonianMonteCarlo | MetropolisHastings | Slice, covariance: FloatArray
 ) -> HamiltonianMonteCarlo | MetropolisHastings | Slice:
     """Return local settings that fit a covariance, where they do not give a shape of their own."""
@@ -556,9 +387,3 @@ def shaped(
         return local
     variances, axes = np.linalg.eigh(covariance)
     return replace(local, axes=axes, width=local.spread * np.sqrt(np.maximum(variances, 1e-24)))
-
-
-def first_warp(density: LogDensity) -> Warp:
-    """Return the warp before anything is learnt: coordinates with a lower bound alone are bent."""
-    bent = np.isfinite(density.lower) & ~np.isfinite(density.upper)
-    return Warp(density.lower, density.upper, bent)

@@ -1,0 +1,117 @@
+"""Maxima that a mixture does not know: where it has too little, and a valley lies before what it has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from fmu.samplers.kernel import Target
+from fmu.samplers.mixture.proposal import MOST, Mixture
+from fmu.samplers.mixture.quadratic import Quadratic, climbed
+from fmu.samplers.mixture.warmup.local_draws import FAR
+from fmu.types import BoolArray, FloatArray, IntArray
+
+_UNKNOWN, _VALLEY = 1.0, 3.0
+"""A point where log w exceeds its median by the first is where the mixture has too little. It is near a maximum
+that the mixture does not know if the log-density between it and its component drops by the second: more than what
+local steps cross by themselves."""
+_LOWEST = -5.0  # of the logarithm of a new component's share
+_CHECKED = 5  # points per fit
+_BETWEEN = np.arange(6) / 6.0  # from the component to the point
+
+
+class Seen(NamedTuple):
+    """Points at which a fit looks: candidates, where the chains are, and where they were before the first fit.
+
+    Attributes
+    ----------
+    position : ndarray, shape (n, ndim)
+    log_prob : ndarray, shape (n,)
+    log_q : ndarray, shape (n,)
+        Logarithm of the density of all candidates so far, up to a constant.
+    candidates, chains : int
+    """
+
+    position: FloatArray
+    log_prob: FloatArray
+    log_q: FloatArray
+    candidates: int
+    chains: int
+
+    @property
+    def is_chain(self) -> BoolArray:
+        """Which points are those of the chains, shape (n,)."""
+        k = np.arange(len(self.position)) - self.candidates
+        return np.asarray((k >= 0) & (k < self.chains))
+
+
+class NewMaximum(NamedTuple):
+    """A maximum: the log-density around it, not warped, and its mass over that of the mixture."""
+
+    quadratic: Quadratic
+    mass: float
+
+
+def find_unknown_maxima(mixture: Mixture, seen: Seen, target: Target) -> tuple[list[NewMaximum], IntArray]:
+    """Return the maxima that a mixture does not know, and the evaluations of each chain that this took.
+
+    They are climbed to from where chains are, candidates, or where chains were before the first fit, if log w is
+    above its median there, and a valley lies between the point and the component that accounts for it. A chain at
+    a low maximum without a component would hardly leave it. The others must be as high as the draws, and log w
+    above its median for the candidates of all mixtures so far, too: a maximum that those showed to be slight is
+    not climbed to again.
+    """
+    u, log_prob, log_q, n, _ = seen
+    is_chain = seen.is_chain
+    log_w, of_all = log_prob - mixture.log_density(u), log_prob - log_q
+    usual = float(np.median(log_w[:n]))
+    is_low = log_prob < np.median(log_prob[is_chain]) - FAR - u.shape[1]
+    known = ~is_chain & (is_low | (of_all <= np.median(of_all[:n]) + _UNKNOWN))
+    found = list[NewMaximum]()
+    spent = np.zeros(seen.chains, dtype=np.int64)
+    for check in range(_CHECKED):
+        unknown = ~known & (log_w > usual + _UNKNOWN)
+        if not unknown.any() or len(mixture.quadratics) >= MOST:
+            break
+        first = unknown & is_chain if np.any(unknown & is_chain) else unknown
+        at = int(np.argmax(np.where(first, log_w, -np.inf)))
+        owner = mixture.quadratics[int(np.argmax(mixture.responsibilities(u[at : at + 1])[:, 0]))]
+        begin, end = owner.position, mixture.warp.to_x(u[at])
+        evaluate = _Counted(target)
+        between = evaluate(mixture.warp.to_u(begin + _BETWEEN[:, None] * (end - begin)))
+        known[at] = True
+        if np.min(between) < min(between[0], log_prob[at]) - _VALLEY:
+            away = mixture.warp.stretch(u[at])
+            summit = climbed(evaluate, u[at], owner.hessian / np.outer(away, away))
+            if summit.log_prob - mixture.log_density(summit.position[None])[0] > usual + _UNKNOWN:
+                log_mass = summit.log_prob - 0.5 * np.linalg.slogdet(summit.hessian / (2.0 * np.pi))[1]
+                found.append(NewMaximum(summit, float(np.exp(np.clip(log_mass - usual, _LOWEST, 0.0)))))
+                mixture = add_maxima(mixture, found[-1:])
+                log_w = log_prob - mixture.log_density(u)
+        spent[check % seen.chains] += evaluate.n_solves
+    return found, spent
+
+
+def add_maxima(mixture: Mixture, maxima: Sequence[NewMaximum]) -> Mixture:
+    """Return the mixture with a component at each maximum; later fits correct its weight and shape."""
+    if not maxima:
+        return mixture
+    new = [mixture.warp.quadratic(one.quadratic) for one in maxima]
+    return Mixture(
+        [*mixture.quadratics, *new], np.append(mixture.weights, [one.mass for one in maxima]), mixture.warp
+    )
+
+
+class _Counted:
+    """A target's log-density, with the solves counted."""
+
+    def __init__(self, target: Target) -> None:
+        self.target, self.n_solves = target, 0
+
+    def __call__(self, u: FloatArray) -> FloatArray:
+        """Return the log-density at points u (n, ndim), -inf outside the box."""
+        found = self.target.evaluate(u)
+        self.n_solves += int(found.n_solves.sum())
+        return found.log_prob
