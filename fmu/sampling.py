@@ -285,7 +285,7 @@ def sample(
             trace = with_maxima(trace, maxima)
         if limit:
             trace.attrs["limit"] = limit
-            trace.attrs["beyond_limit"] = limits.exceeded(result)
+            trace.attrs["beyond_limit"] = limits.describe_excess(result)
         trace.attrs["complete"] = 1
         if of_model is not None and of_model.model.is_uncertain:
             trace.attrs.update(of_model.model.record)  # no verdict before the certificate
@@ -448,8 +448,8 @@ class Limits(NamedTuple):
         steps, limit = min(allowed)
         return steps, "" if steps else limit
 
-    def exceeded(self, result: RunResult) -> str:
-        """Return what took more solves than the limit, in words; nothing if they are not 1 % more."""
+    def describe_excess(self, result: RunResult) -> str:
+        """Say how a run took more than 1 % more solves than its limit; an empty string if it did not."""
         warmed, drawn = (int(part.stats["n_solves"].sum()) for part in (result.warmup, result.posterior))
         if self.solves is None or warmed + drawn <= 1.01 * self.solves:
             return ""

@@ -12,7 +12,7 @@ from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.reduced import basis as reduced_basis
 from fmu.fem.reduced import residuals, space, training
 from fmu.fem.reduced.basis import ReducedBlock
-from fmu.fem.reduced.learning import Learner, _fewest, balanced
+from fmu.fem.reduced.learning import Learner, _fewest, balance_directions
 from fmu.fem.reduced.training import Training, affordable, box_points, mass_orthonormal, most_trial_vectors
 
 PARTS, ELEMENTS = 10, 40
@@ -160,7 +160,7 @@ def test_weights_make_fewer_vectors_enough_for_the_worst_column():
     rng = np.random.default_rng(3)
     Z = 0.6 ** np.arange(20)[:, None] * rng.standard_normal((20, 600))
     Z[:, 0] = 0.03 * np.eye(20)[17]  # a column that no other one is like
-    Q, left = balanced(Z, 1e-5, 1, 20)
+    Q, left = balance_directions(Z, 1e-5, 1, 20)
     assert_allclose(Q.T @ Q, np.eye(Q.shape[1]), atol=1e-12)
     assert_allclose(left[7], np.sum(Z**2, axis=0) - np.sum((Q[:, :8].T @ Z) ** 2, axis=0), atol=1e-12)
     plain = np.linalg.eigh(Z @ Z.T)[1][:, ::-1]

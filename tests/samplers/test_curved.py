@@ -14,10 +14,10 @@ from fmu.analysis.convergence.remedies import RATIOS
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers import MixtureSampler, Run
 from fmu.samplers.kernel import Target
-from fmu.samplers.mixture.bent import fitted_gaussians
-from fmu.samplers.mixture.curve import fitted_curve, infinite_margins
-from fmu.samplers.mixture.curved import CurvedMixture, fitted_curved
-from fmu.samplers.mixture.warmup.rounds import Rounds, learnt_in_rounds
+from fmu.samplers.mixture.bent import fit_gaussians
+from fmu.samplers.mixture.curve import fit_curve, fit_infinite_margins
+from fmu.samplers.mixture.curved import CurvedMixture, fit_curved
+from fmu.samplers.mixture.warmup.rounds import Rounds, learn_in_rounds
 from tests.densities import Banana, Beta, Funnel, Ridges, Shell
 
 EXACT_GRADIENT = 2
@@ -45,7 +45,7 @@ class Mixed:
 def test_curves_are_inverted_and_have_the_right_slope():
     mixed = Mixed()
     u = mixed.draw(3000)
-    curve = fitted_curve(u, np.ones(3000), mixed.lower, mixed.upper)
+    curve = fit_curve(u, np.ones(3000), mixed.lower, mixed.upper)
     assert np.isfinite(curve.a).tolist() == [True, False]
     assert curve.location[1].any()
     assert curve.scale[1].any()
@@ -63,7 +63,7 @@ def test_curves_are_inverted_and_have_the_right_slope():
 )
 def test_a_triangular_map_makes_a_banana_and_a_funnel_gaussian(density, bent):
     scaled, u = exact_draws(density, 3000)
-    curve = fitted_curve(u, np.ones(3000), scaled.lower, scaled.upper)
+    curve = fit_curve(u, np.ones(3000), scaled.lower, scaled.upper)
     assert np.flatnonzero(curve.location.any(axis=1) | curve.scale.any(axis=1)).tolist() == bent
     x, _ = curve.to_x(exact_draws(density, 3000, seed=2)[1])
     for one in x.T:
@@ -85,7 +85,7 @@ def test_a_triangular_map_makes_a_banana_and_a_funnel_gaussian(density, bent):
 )
 def test_a_density_is_infinite_at_a_wall_where_its_shape_is_below_one(draw, is_infinite):
     u = draw(np.random.default_rng(3))[:, None]
-    shapes = infinite_margins(u, np.ones(len(u)), np.zeros(1), np.ones(1))
+    shapes = fit_infinite_margins(u, np.ones(len(u)), np.zeros(1), np.ones(1))
     assert np.isfinite(shapes).all() == is_infinite
 
 
@@ -96,7 +96,7 @@ def test_a_density_is_infinite_at_a_wall_where_its_shape_is_below_one(draw, is_i
 )
 def test_candidates_of_a_mixture_fitted_to_exact_draws_are_accepted(density, accepted):
     scaled, u = exact_draws(density, 8000)
-    q = fitted_curved(u, np.ones(len(u)), scaled.lower, scaled.upper)
+    q = fit_curved(u, np.ones(len(u)), scaled.lower, scaled.upper)
     rng = np.random.default_rng(4)
     candidates, draws = q.draw(rng, 4000), exact_draws(density, 4000, seed=5)[1]
     of_candidates = Target(scaled).evaluate(candidates).log_prob - q.log_density(candidates)
@@ -109,14 +109,14 @@ def test_candidates_of_a_mixture_fitted_to_exact_draws_are_accepted(density, acc
 
 def test_a_sphere_is_covered_by_bent_gaussians():
     _, u = exact_draws(Shell(), 4000)
-    parts, _ = fitted_gaussians(u, np.ones(len(u)))
+    parts, _ = fit_gaussians(u, np.ones(len(u)))
     assert 8 <= len(parts.weights) <= 32
     assert np.all(parts.sds[:, 0] < 0.5)  # what a bend leaves of the thickness of a flat sheet
 
 
 def test_arrays_keep_a_curved_mixture_bit_for_bit():
     scaled, u = exact_draws(Banana(), 1000)
-    q = fitted_curved(u, np.ones(len(u)), scaled.lower, scaled.upper)
+    q = fit_curved(u, np.ones(len(u)), scaled.lower, scaled.upper)
     again = CurvedMixture.of_arrays(q.arrays())
     np.testing.assert_array_equal(again.log_density(u), q.log_density(u))
     drawn = (one.draw(np.random.default_rng(1), 50) for one in (q, again))
@@ -130,7 +130,7 @@ def test_a_mixture_that_misses_what_another_knows_is_inefficient():
     of_one = density.draw(4000, np.random.default_rng(1))[:, 2] > 0
     rounds = Rounds(Target(scaled))
     for points in (u[of_one], u):
-        mixture = fitted_curved(points, np.ones(len(points)), scaled.lower, scaled.upper)
+        mixture = fit_curved(points, np.ones(len(points)), scaled.lower, scaled.upper)
         rounds.draw(mixture, np.random.default_rng(2), 2000)
     assert rounds.efficiency(0) < 0.02
     assert rounds.efficiency(1) > 0.3
@@ -140,7 +140,7 @@ def test_rounds_learn_a_banana_from_points_on_a_part_of_it():
     density = Banana()
     scaled, u = exact_draws(density, 400)
     part = u[np.abs(u[:, 0] - u[:, 0].mean()) < 0.5 * u[:, 0].std()]
-    mixture, efficiency, n_solves = learnt_in_rounds(Target(scaled), part, np.random.default_rng(1), 20_000)
+    mixture, efficiency, n_solves = learn_in_rounds(Target(scaled), part, np.random.default_rng(1), 20_000)
     assert efficiency > 0.6
     assert n_solves <= 20_000
     draws = exact_draws(density, 4000, seed=5)[1]
@@ -150,7 +150,7 @@ def test_rounds_learn_a_banana_from_points_on_a_part_of_it():
 
 def test_rounds_that_find_nothing_in_the_box_end():
     scaled, u = exact_draws(Shell(), 200)
-    _, efficiency, n_solves = learnt_in_rounds(Target(scaled), u + 50.0, np.random.default_rng(1), 20_000)
+    _, efficiency, n_solves = learn_in_rounds(Target(scaled), u + 50.0, np.random.default_rng(1), 20_000)
     assert efficiency < 0.02
     assert n_solves <= 2000
 

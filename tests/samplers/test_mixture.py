@@ -13,8 +13,8 @@ from fmu.samplers import MixtureSampler, Run, Slice
 from fmu.samplers.kernel import State
 from fmu.samplers.kernel import Target as Counted
 from fmu.samplers.mixture.kernel import BLOCK, CANDIDATE, LOG_WEIGHT, MixtureKernel
-from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fitted_mixture, refitted_mixture
-from fmu.samplers.mixture.quadratic import Quadratic, climbed, fitted
+from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fit_mixture, refit_mixture
+from fmu.samplers.mixture.quadratic import Quadratic, climb, fit_quadratic
 from fmu.samplers.mixture.warmup.local_draws import first_warp, groups_of_chains
 from fmu.samplers.mixture.warmup.tuner import MixtureTuner
 from tests.samplers.targets import Banana, CorrelatedGaussian, SkewedGumbel, Target, TwoModes
@@ -102,7 +102,7 @@ def test_a_quadratic_keeps_its_value_and_slope_under_a_warp():
 
 def test_a_fit_finds_a_quadratic():
     u = np.random.default_rng(4).uniform(LOWER, UPPER, (60, 2))
-    found = fitted(u, STEEP(u), np.exp(0.1 * STEEP(u)))
+    found = fit_quadratic(u, STEEP(u), np.exp(0.1 * STEEP(u)))
     np.testing.assert_allclose(found(u), STEEP(u), atol=2e-4 * np.ptp(STEEP(u)))
 
 
@@ -113,7 +113,7 @@ def test_gradients_determine_a_quadratic_from_fewer_points_than_coefficients():
     u = exact.position + 0.3 * rng.standard_normal((12, ndim))
     slope = exact.gradient - (u - exact.position) @ exact.hessian
     elsewhere = exact.position + rng.standard_normal((50, ndim))
-    found, alone = (fitted(u, exact(u), np.ones(12), of)(elsewhere) for of in (slope, None))
+    found, alone = (fit_quadratic(u, exact(u), np.ones(12), of)(elsewhere) for of in (slope, None))
     size = np.ptp(exact(elsewhere))
     np.testing.assert_allclose(found, exact(elsewhere), atol=1e-3 * size)
     assert np.max(np.abs(alone - exact(elsewhere))) > 0.1 * size
@@ -144,7 +144,7 @@ def test_a_few_points_with_all_the_weight_are_fitted_all_the_same():
     assert points.weight.sum() ** 2 / np.sum(points.weight**2) > 3 * ndim
     warp = Warp(-box, box, np.zeros(ndim, dtype=bool))
     wide = Quadratic(np.zeros(ndim), 0.0, np.zeros(ndim), np.eye(ndim))
-    found = fitted_mixture(points, Mixture([wide], [1.0], warp))
+    found = fit_mixture(points, Mixture([wide], [1.0], warp))
     assert np.linalg.det(np.cov(found.draw(rng, 4000).T)) < 1e-3
 
 
@@ -160,7 +160,7 @@ def test_arrays_keep_components_with_a_covariance_beside_one_without():
     """A maximum that a chain has found joins without one, and the run may be stopped before the next fit."""
     u = np.random.default_rng(8).uniform(LOWER, UPPER, (60, 2))
     warp = Warp(LOWER, UPPER, np.array([True, False]))
-    q = Mixture([fitted(warp.to_x(u), STEEP(u), np.ones(60)), warp.quadratic(FLAT)], [0.7, 0.3], warp)
+    q = Mixture([fit_quadratic(warp.to_x(u), STEEP(u), np.ones(60)), warp.quadratic(FLAT)], [0.7, 0.3], warp)
     again = Mixture.of_arrays(q.arrays(), LOWER, UPPER)
     np.testing.assert_array_equal(again.log_density(u), q.log_density(u))
     assert again.quadratics[1].covariance is None
@@ -188,8 +188,8 @@ def test_a_banana_is_split_and_a_gaussian_is_not():
         u = np.column_stack([x[:, 0], 0.3 * x[:, 1] + bend * x[:, 0] ** 2])
         log_p = -0.5 * np.sum(x**2, axis=1)
         points = Points(u, log_p, np.ones(len(u)))
-        one = Mixture([fitted(u, log_p, points.weight)], [1.0], warp)
-        found = fitted_mixture(points, one)
+        one = Mixture([fit_quadratic(u, log_p, points.weight)], [1.0], warp)
+        found = fit_mixture(points, one)
         before, after = (points.effective_share(q.log_density(u)) for q in (one, found))
         shares[name] = len(found.quadratics), before, after
     assert shares["gaussian"][0] == 1
@@ -206,7 +206,7 @@ def test_a_maximum_of_a_few_percent_keeps_its_component_when_its_points_are_too_
     u = np.concatenate([centre[k] + rng.standard_normal((n, 2)) for k, n in enumerate((400, 8))])
     log_p = np.logaddexp(*(one(u) for one in both))
     start = Mixture(both, [0.95, 0.05], Warp(-wide, wide, np.zeros(2, dtype=bool)))
-    found = fitted_mixture(Points(u, log_p, np.ones(len(u))), start)
+    found = fit_mixture(Points(u, log_p, np.ones(len(u))), start)
     assert len(found.quadratics) == 2
     assert found.quadratics[1] is both[1]
     assert found.weights[1] == pytest.approx(8 / 408, rel=0.01)
@@ -380,7 +380,7 @@ def test_a_maximum_that_a_fit_loses_is_found_again():
     u = tuner.density.to_scaled(target.centres[[0] * 200] + np.random.default_rng(5).standard_normal((200, 2)))
     tuner.drawn = tuner.drawn.with_more(u, tuner.density.log_prob(u))
     tuner.counts[-1] = 200
-    before = refitted_mixture(Points.weighted(*tuner.drawn[:2], tuner.mixture.log_density(u)), tuner.mixture)
+    before = refit_mixture(Points.weighted(*tuner.drawn[:2], tuner.mixture.log_density(u)), tuner.mixture)
     assert len(before.quadratics) == 1
     tuner._fit(at(tuner, target.centres))
     assert len(tuner.mixture.quadratics) == 2
@@ -396,7 +396,7 @@ def test_a_climb_ends_at_the_maximum_with_the_curvature_there():
             z[:, 0] > -5.0, -np.exp(-z[:, 0]) - z[:, 0] - 0.5 * z[:, 1] ** 2 - 0.5 * z[:, 2] ** 2, -np.inf
         )
 
-    top = climbed(log_prob, np.array([2.0, -8.0, 3.0]), np.eye(3))
+    top = climb(log_prob, np.array([2.0, -8.0, 3.0]), np.eye(3))
     assert np.all(np.abs(top.position - [1.0, 2.0, 3.0]) < 0.1 * scale)
     assert np.allclose(top.hessian, np.diag(scale**-2.0), rtol=0.2, atol=1e-12)
     assert top.log_prob == log_prob(top.position[None])[0]
@@ -409,7 +409,7 @@ def test_components_with_hardly_more_points_than_coordinates_stay_as_they_were()
     centres = rng.uniform(0.3, 0.7, (5, ndim))
     start = Mixture([Quadratic(c, 0.0, np.zeros(ndim), 2e3 * np.eye(ndim)) for c in centres], np.ones(5), warp)
     u = start.draw(rng, 40)
-    fit = fitted_mixture(Points.weighted(u, start.log_density(u), start.log_density(u)), start)
+    fit = fit_mixture(Points.weighted(u, start.log_density(u), start.log_density(u)), start)
     assert [q.position.tolist() for q in fit.quadratics] == [q.position.tolist() for q in start.quadratics]
 
 
@@ -424,9 +424,9 @@ def test_a_fit_to_few_points_is_kept_only_if_it_suits_others():
         log_p = -0.5 * np.sum(u**2, axis=1) - 0.3 * np.sum(np.abs(u) ** 1.5, axis=1)
         return Points.weighted(u, log_p, start.log_density(u))
 
-    assert refitted_mixture(points(40), start) is start
+    assert refit_mixture(points(40), start) is start
     many, fresh = points(1000), points(1000)
-    better = refitted_mixture(many, start)
+    better = refit_mixture(many, start)
     assert fresh.effective_share(better.log_density(fresh.position)) > 0.85
     assert fresh.effective_share(start.log_density(fresh.position)) < 0.7
 
@@ -579,7 +579,7 @@ def test_a_single_point_determines_no_quadratic():
     weight = np.zeros(40)
     weight[3] = 1.0
     with pytest.raises(np.linalg.LinAlgError):
-        fitted(u, STEEP(u), weight)
+        fit_quadratic(u, STEEP(u), weight)
 
 
 def test_a_component_with_a_single_point_bends_no_coordinate():
@@ -590,7 +590,7 @@ def test_a_component_with_a_single_point_bends_no_coordinate():
     start = Mixture(ones, [0.5, 0.5], warp)
     u = np.concatenate([0.1 * rng.standard_normal((300, ndim)), np.full((1, ndim), 3.0)])
     log_p = np.append(ones[0](u[:-1]), -66.0)
-    found = fitted_mixture(Points.weighted(u, log_p, start.log_density(u)), start)
+    found = fit_mixture(Points.weighted(u, log_p, start.log_density(u)), start)
     assert not found.warp.bent.any()
 
 

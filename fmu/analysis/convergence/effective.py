@@ -94,16 +94,20 @@ def mcse_sd(x: FloatArray, walkers: int = 1) -> float:
 
 
 def mcse_quantile(x: FloatArray, probability: float, walkers: int = 1) -> float:
-    """Return the Monte-Carlo standard error of a quantile: that of the share of draws below it, over its density.
+    """Return the Monte-Carlo standard error of a quantile.
 
-    The error of the share is from the effective sample size of "below or not" (Vehtari et al. 2021, section 4.3),
-    or from overlapping batch means where these give more: a slow part of the correlation that is weak at the
-    quantile ends the sum of autocorrelations early. One over the density is the slope of the quantile as a
-    function of log p/(1 − p), by least squares over p/(1 − p) from 0.45 to 2.2 times its own. The slope scatters
-    as well, by some 20 % where 20 effective draws lie beyond the quantile, and an error divided by it has wider
-    tails than a normal variate: 2/(ESS p (1 − p)) is added to the relative variance.
+    The error of the quantile q_p is the error of the share of draws below q_p, divided by the density at q_p:
 
-    In replicates of known processes errors over it have an sd of 0.9 to 1.1 (``results/replicates.md``).
+    - The error of the share follows from the effective sample size of the indicator x ≤ q_p (Vehtari et al. 2021,
+      section 4.3). Where overlapping batch means give a larger error, they are taken: a slow part of the
+      correlation that is weak at the quantile ends the sum of autocorrelations too early.
+    - One over the density is the slope of q_p as a function of log(p/(1 − p)), divided by p (1 − p). The slope is
+      fitted by least squares to quantiles whose odds p/(1 − p) are 0.45 to 2.2 times those of q_p.
+    - The slope scatters too, by some 20 % where 20 effective draws lie beyond the quantile. The relative variance
+      is therefore larger by 2/(ESS p (1 − p)).
+
+    In replicates of known processes the errors of quantiles, divided by this standard error, have a standard
+    deviation of 0.9 to 1.1 (``results/replicates.md``).
 
     Parameters
     ----------

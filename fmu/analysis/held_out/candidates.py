@@ -14,8 +14,7 @@ from fmu.analysis.maxima.mode_weights import log_shares
 from fmu.analysis.maxima.search import quadratic_at
 from fmu.posterior.maxima import local_maxima
 from fmu.posterior.scaled import ScaledDensity
-from fmu.samplers.mixture.quadratic import Quadratic
-from fmu.samplers.mixture.quadratic import fitted as fitted_quadratic
+from fmu.samplers.mixture.quadratic import Quadratic, fit_quadratic
 from fmu.samplers.mixture.truncated_normal import SequentialNormal
 from fmu.types import FloatArray
 
@@ -56,7 +55,7 @@ def fitted_to_draws(models: Sequence[Quadratic], u: FloatArray, log_p: FloatArra
     for model, share in zip(models, np.exp(log_shares(models, u)), strict=True):
         own, n = weight * share, u.shape[1]
         is_enough = own.sum() ** 2 > (n + 1) * (n + 2) * np.sum(own**2)  # twice the number of coefficients
-        fitted.append(fitted_quadratic(u, log_p, own) if is_enough else model)
+        fitted.append(fit_quadratic(u, log_p, own) if is_enough else model)
     return fitted
 
 

@@ -108,7 +108,7 @@ class ReducedBlock(Block):
         few = self.size >= _PARTIAL and 4 * count <= self.size
         if self.massless:
             M = _assemble(self._M, self._M_map(theta))
-            lam, phi = _row_by_row(partial(_inverted, count=count if few else None), A, M)
+            lam, phi = _row_by_row(partial(_solve_inverse, count=count if few else None), A, M)
             return lam[:, :count], phi[:, :, :count]
         solve: Any = partial(_lowest, count=count) if few else np.linalg.eigh
         if self.constant_mass:
@@ -225,10 +225,21 @@ def _whitened(K: FloatArray, M: FloatArray) -> tuple[FloatArray, FloatArray]:
     return inverse @ K @ np.swapaxes(inverse, 1, 2), inverse
 
 
-def _inverted(K: FloatArray, M: FloatArray, count: int | None) -> tuple[FloatArray, FloatArray]:
-    """Return λ (n, m) and M-normalised shapes (n, r, m), where M may be singular; NaN beyond its rank.
+def _solve_inverse(K: FloatArray, M: FloatArray, count: int | None) -> tuple[FloatArray, FloatArray]:
+    """Solve the inverse problem M φ = ν (K + s M) φ, for a mass matrix M that may be singular.
 
-    The lowest `count` of them, or all of the reduced model if None.
+    Parameters
+    ----------
+    K, M : ndarray, shape (n, r, r)
+    count : int or None
+        Return the lowest so many modes; all r if None.
+
+    Returns
+    -------
+    ndarray, shape (n, m)
+        λ = 1/ν − s, the lowest first; NaN beyond the rank of M.
+    ndarray, shape (n, r, m)
+        The M-normalised shapes.
     """
     # K + s M is definite for a free structure too, and s of the size of λ keeps the digits of both matrices
     shift = np.array([np.trace(k) / np.trace(m) for k, m in zip(K, M, strict=True)])

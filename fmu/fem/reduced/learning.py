@@ -171,8 +171,8 @@ class Learner:
 
         Proper orthogonal decomposition of the modes in the inner product of Ā, in which their errors are those of
         λ; of the decomposition as many vectors as the worst points need. Weights make the largest errors small
-        (`balanced`). Where only a share of the tolerance is allowed, modes have more weight. A mode that nearly
-        coincides with the highest one needed takes its place not far away, and counts as needed there.
+        (`balance_directions`). Where only a share of the tolerance is allowed, modes have more weight. A mode that
+        nearly coincides with the highest one needed takes its place not far away, and counts as needed there.
         """
         space, theta = self.space, self.theta
         lam, y = self.solved()
@@ -186,7 +186,7 @@ class Learner:
         lam, kept = lam[:, :count], kept[:, :count]
         Z = (y / np.sqrt(sigma * share[:, None])[:, None, :])[:, :, :count].transpose(1, 0, 2)
         Z = np.where(kept, Z, 0.0).reshape(space.size, -1)
-        Q, left = balanced(Z, tolerance, max(needed, 1), max(largest, needed))
+        Q, left = balance_directions(Z, tolerance, max(needed, 1), max(largest, needed))
         left = left.reshape(len(left), len(theta), count)
         left, total = np.max(left, axis=2), np.sum(left, axis=2)
         rotated = space.restricted(Q)
@@ -218,7 +218,9 @@ class Learner:
             low, guess, tuned = top, top + 1, np.concatenate([tuned, bad])
 
 
-def balanced(Z: FloatArray, tolerance: float, smallest: int, largest: int) -> tuple[FloatArray, FloatArray]:
+def balance_directions(
+    Z: FloatArray, tolerance: float, smallest: int, largest: int
+) -> tuple[FloatArray, FloatArray]:
     """Return orthonormal directions Q (r, q), the strongest first, and what they leave of the columns of Z.
 
     Proper orthogonal decomposition makes the mean of what is left small. Columns of which much is left have more

@@ -12,7 +12,7 @@ import numpy as np
 
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.reduced.anchors import Anchors
-from fmu.fem.reduced.learning import balanced
+from fmu.fem.reduced.learning import balance_directions
 from fmu.types import FloatArray
 
 # Directions with a smaller share of the energy of the strongest are rounding.
@@ -43,5 +43,5 @@ def snapshot_basis(
     energy, U = np.linalg.eigh(modes.T @ (anchors.first @ modes))
     kept = energy > _ROUNDING * energy[-1]
     root, U = np.sqrt(energy[kept]), U[:, kept]
-    Q, _ = balanced(root[:, None] * U.T, tolerance, size, size)
+    Q, _ = balance_directions(root[:, None] * U.T, tolerance, size, size)
     return np.asarray((modes @ (U / root)) @ Q)

@@ -122,8 +122,8 @@ class JointProblem(UpdatingProblem):
         check_names(parameters)
         self.reference = (self.tests[0].group if self.tests else "") if reference is None else reference
         errors = Errors.of(error)
-        found = mistakes(self.tests, parameters, varies, slopes, self.reference, correlation)
-        found += errors.mistakes(model, [test.name for test in self.tests])
+        found = find_mistakes(self.tests, parameters, varies, slopes, self.reference, correlation)
+        found += errors.find_mistakes(model, [test.name for test in self.tests])
         if any(isinstance(one, (ShapeErrors, MACErrors)) for one in np.ravel(np.array(error, dtype=object))):
             found += mistakes_of_shapes(self.tests)
         if found:
@@ -288,7 +288,7 @@ class JointProblem(UpdatingProblem):
         }
 
 
-def mistakes(
+def find_mistakes(
     tests: Sequence[Test],
     parameters: Sequence[Parameter],
     varies: Mapping[str, str | Population | Damage],

@@ -42,8 +42,8 @@ class Errors(NamedTuple):
             return cls(error, {})
         return cls([one for i, one in enumerate(given) if i not in quantities] or "frequency", quantities)
 
-    def mistakes(self, model: Any, tests: Sequence[str]) -> list[str]:
-        """Return what is wrong between them, the model and the names of the tests, each with its place."""
+    def find_mistakes(self, model: Any, tests: Sequence[str]) -> list[str]:
+        """Return what is wrong between the errors, the model and the names of the tests, each with its place."""
         rule = f"must be the test in which it was measured, one of {names_shown(tests)}"
         found = [
             f"error.{i}.test: {rule} (got {'none' if one.test is None else shown(one.test)})"
@@ -71,7 +71,9 @@ class Errors(NamedTuple):
         for i, one in self.of_quantities.items():
             t = joint.layout.tests.index(str(one.test))
             part = next(part for part in joint.configurations if t in part.tests)
-            parameters = [_ended(joint.layout.structural[j], lower[t, j], upper[t, j]) for j in part.parameters]
+            parameters = [
+                _close_box(joint.layout.structural[j], lower[t, j], upper[t, j]) for j in part.parameters
+            ]
             structure: Any = part.model.structure
             try:
                 term = one.bind_structure(structure, parameters)
@@ -120,8 +122,8 @@ def over(p: Parameter, lower: float, upper: float) -> Parameter:
     return replace(p, lower=lower, upper=upper, prior=Uniform(), start=float(np.clip(p.start, lower, upper)))
 
 
-def _ended(p: Parameter, lower: float, upper: float) -> Parameter:
-    """Return a parameter for the box of the values of a test, which ends it where it has no bound."""
+def _close_box(p: Parameter, lower: float, upper: float) -> Parameter:
+    """Return a parameter for the box of its values in a test, which also bounds it where it had no bound."""
     found = over(p, lower, upper)
     low = found.lower if np.isfinite(found.lower) else float(lower)
     high = found.upper if np.isfinite(found.upper) else float(upper)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from fmu.samplers.mixture.curve import BETTER, HALF_LOG_2PI, features, least_squares, of_coordinates
+from fmu.samplers.mixture.curve import BETTER, HALF_LOG_2PI, features, least_squares, select_features
 from fmu.types import FloatArray
 
 MOST = 32
@@ -47,13 +47,13 @@ class BentGaussians:
     bends: FloatArray
     sds: FloatArray
 
-    def z_of(self, x: FloatArray, k: int) -> FloatArray:
-        """Return z of points x (n, ndim) as those of Gaussian k."""
+    def to_z(self, x: FloatArray, k: int) -> FloatArray:
+        """Return z, (n, ndim), from which Gaussian k would make the points x (n, ndim)."""
         t = np.linalg.solve(self.axes[k], (x - self.means[k]).T).T
         return np.asarray((t - features(t) @ self.bends[k].T if self.bends[k].any() else t) / self.sds[k])
 
-    def x_of(self, z: FloatArray, k: int) -> FloatArray:
-        """Return x of points z (n, ndim) of Gaussian k."""
+    def to_x(self, z: FloatArray, k: int) -> FloatArray:
+        """Return the points x, (n, ndim), that Gaussian k makes of z (n, ndim)."""
         t = z * self.sds[k]
         if self.bends[k].any():
             for i in range(t.shape[1] - 2, -1, -1):
@@ -64,7 +64,7 @@ class BentGaussians:
         """Return log-densities with the weights, (factors, k, n), of Gaussians `wider` by each of the factors."""
         ndim, found = x.shape[1], np.empty((len(wider), len(self.weights), len(x)))
         for k, weight in enumerate(self.weights):
-            square = np.sum(self.z_of(x, k) ** 2, axis=1)
+            square = np.sum(self.to_z(x, k) ** 2, axis=1)
             log_volume = np.linalg.slogdet(self.axes[k])[1] + np.sum(np.log(self.sds[k])) + ndim * HALF_LOG_2PI
             found[:, k] = np.log(weight) - log_volume - ndim * np.log(wider)[:, None]
             found[:, k] -= 0.5 * square / wider[:, None] ** 2
@@ -83,7 +83,7 @@ class BentGaussians:
         return int(np.count_nonzero(self.bends)) + len(self.weights) * (ndim + 1) * (ndim + 2) // 2
 
 
-def fitted_gaussians(x: FloatArray, weight: FloatArray) -> tuple[BentGaussians, float]:
+def fit_gaussians(x: FloatArray, weight: FloatArray) -> tuple[BentGaussians, float]:
     """Return the mixture that fits points x (n, ndim) with weights (n,) best, and its penalised log-likelihood.
 
     One Gaussian, then twice as many each time, every one cut in two across its longest axis, until that no longer
@@ -93,9 +93,9 @@ def fitted_gaussians(x: FloatArray, weight: FloatArray) -> tuple[BentGaussians, 
     size = 1.0 / float(np.sum(weight**2))
     best: BentGaussians | None = None
     best_score, failures = -np.inf, 0
-    parts = _maximised(x, weight[None], size)
+    parts = _fit_parts(x, weight[None], size)
     while parts is not None and failures < _FAILURES:
-        parts, value = _improved(x, weight, size, parts)
+        parts, value = _run_sweeps(x, weight, size, parts)
         score = value - PENALTY * parts.n_coefficients / size
         if best is None or score > best_score + _WORTH:
             best, best_score, failures = parts, score, 0
@@ -104,31 +104,33 @@ def fitted_gaussians(x: FloatArray, weight: FloatArray) -> tuple[BentGaussians, 
         k = 2 * len(parts.weights)
         if k > MOST or size < _PER_GAUSSIAN * ndim * k:
             break
-        side = np.stack([parts.z_of(x, i)[:, -1] for i in range(len(parts.weights))])
+        side = np.stack([parts.to_z(x, i)[:, -1] for i in range(len(parts.weights))])
         side = 1.0 / (1.0 + np.exp(-4.0 * np.clip(side, -50.0, 50.0)))
         r = parts.responsibilities(x)[0] * weight
-        parts = _maximised(x, np.concatenate([r * side, r * (1.0 - side)]), size)
+        parts = _fit_parts(x, np.concatenate([r * side, r * (1.0 - side)]), size)
     if best is None:
         raise np.linalg.LinAlgError("too few points for a Gaussian")
     return best, best_score
 
 
-def _improved(x: FloatArray, weight: FloatArray, size: float, parts: BentGaussians) -> tuple[BentGaussians, float]:
-    """Return the mixture after sweeps of expectation and maximisation, and its mean log-density."""
+def _run_sweeps(
+    x: FloatArray, weight: FloatArray, size: float, parts: BentGaussians
+) -> tuple[BentGaussians, float]:
+    """Return the best mixture of some sweeps of expectation and maximisation, and its mean log-density."""
     best, highest = parts, -np.inf
     for sweep in range(_SWEEPS + 1):
         r, total = parts.responsibilities(x)
         value, before = float(weight @ total), highest
         if value > highest:
             best, highest = parts, value
-        following = None if sweep == _SWEEPS or value < before + _LITTLE else _maximised(x, r * weight, size)
+        following = None if sweep == _SWEEPS or value < before + _LITTLE else _fit_parts(x, r * weight, size)
         if following is None:
             break
         parts = following
     return best, highest
 
 
-def _maximised(x: FloatArray, r: FloatArray, size: float) -> BentGaussians | None:
+def _fit_parts(x: FloatArray, r: FloatArray, size: float) -> BentGaussians | None:
     """Return the likeliest Gaussians of points with shares r (k, n); None if all have too few.
 
     Each is as much wider as it is uncertain: with the mean and covariance of n points, another point is by
@@ -138,7 +140,7 @@ def _maximised(x: FloatArray, r: FloatArray, size: float) -> BentGaussians | Non
     r = r[r.sum(axis=1) * size > ndim + 2]
     if not len(r):
         return None
-    k, n = len(r), len(of_coordinates(np.ones(ndim, dtype=bool)))
+    k, n = len(r), len(select_features(np.ones(ndim, dtype=bool)))
     means, axes = np.empty((k, ndim)), np.empty((k, ndim, ndim))
     bends, sds = np.zeros((k, ndim, n)), np.empty((k, ndim))
     for one in range(k):
@@ -153,7 +155,7 @@ def _maximised(x: FloatArray, r: FloatArray, size: float) -> BentGaussians | Non
         t, w = d[near] @ vectors / length, w[near] / w[near].sum()
         phi = features(t)
         for i in range(ndim - 1):
-            used = of_coordinates(np.arange(ndim) > i)
+            used = select_features(np.arange(ndim) > i)
             if points < _POINTS * used.sum():
                 continue
             c = least_squares(phi[:, used], t[:, i], w)

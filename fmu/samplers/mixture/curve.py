@@ -109,8 +109,18 @@ def features(z: FloatArray) -> FloatArray:
     return np.concatenate([np.ones((len(z), 1)), z, z[:, i] * z[:, j]], axis=1)
 
 
-def of_coordinates(used: BoolArray, *, linear: bool = False) -> BoolArray:
-    """Return which of the `features` depend on no other coordinates than those `used`."""
+def select_features(used: BoolArray, *, linear: bool = False) -> BoolArray:
+    """Return which of the `features` are made of the coordinates `used` alone; without products if `linear`.
+
+    Parameters
+    ----------
+    used : ndarray of bool, shape (ndim,)
+    linear : bool
+
+    Returns
+    -------
+    ndarray of bool, shape (n_features,)
+    """
     i, j = np.triu_indices(len(used))
     return np.concatenate([[True], used, np.zeros(len(i), dtype=bool) if linear else used[i] & used[j]])
 
@@ -122,8 +132,12 @@ def least_squares(phi: FloatArray, y: FloatArray, weight: FloatArray) -> FloatAr
     return np.asarray(np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal) + 1e-12), weighted @ y))
 
 
-def thinned(u: FloatArray, weight: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
-    """Return no more than `most` of the points u (n, ndim), in proportion to their weights, and new weights."""
+def thin_points(u: FloatArray, weight: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
+    """Return at most `most` of the points u (n, ndim), drawn by their weights at equal steps, and new weights.
+
+    A point that is drawn several times is returned once, with a weight in proportion. All points stay where they
+    are no more than `most`.
+    """
     weight = weight / weight.sum()
     if len(u) <= most:
         return u, weight
@@ -132,15 +146,15 @@ def thinned(u: FloatArray, weight: FloatArray, most: int) -> tuple[FloatArray, F
     return u[at], times / most
 
 
-def fitted_curve(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: FloatArray) -> Curve:
+def fit_curve(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: FloatArray) -> Curve:
     """Return the curve that makes points u (n, ndim) with weights (n,) most nearly Gaussian, by their likelihood.
 
     The coordinate that gains most by a bend, given all others, is the last in the order; the next is the one that
     gains most given the rest, and so on, as long as one gains enough.
     """
-    ndim, n = u.shape[1], len(of_coordinates(np.ones(u.shape[1], dtype=bool)))
-    u, weight = thinned(u, weight, int(_PRODUCTS / n**2))
-    a, b = infinite_margins(u, weight, lower, upper)
+    ndim, n = u.shape[1], len(select_features(np.ones(u.shape[1], dtype=bool)))
+    u, weight = thin_points(u, weight, int(_PRODUCTS / n**2))
+    a, b = fit_infinite_margins(u, weight, lower, upper)
     none = np.zeros((ndim, n))
     plain = Curve(lower, upper, a, b, np.zeros(ndim), np.ones(ndim), np.arange(ndim), none, none)
     y, _ = plain.margins(u)
@@ -174,7 +188,7 @@ def _bend(z: FloatArray, k: int, others: BoolArray, weight: FloatArray) -> tuple
     461-465).
     """
     phi, y = features(z), z[:, k]
-    in_m, in_s = of_coordinates(others), of_coordinates(others, linear=True)
+    in_m, in_s = select_features(others), select_features(others, linear=True)
     location, scale = np.zeros(phi.shape[1]), np.zeros(phi.shape[1])
     size = 1.0 / float(np.sum(weight**2))
     if size < _POINTS * (in_m.sum() + in_s.sum()):
@@ -201,7 +215,7 @@ def _bend(z: FloatArray, k: int, others: BoolArray, weight: FloatArray) -> tuple
     return best - before - in_m.sum() / size, location, scale
 
 
-def infinite_margins(
+def fit_infinite_margins(
     u: FloatArray, weight: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the shapes a, b (ndim,) of beta margins where the density is infinite at a wall; elsewhere NaN.
@@ -211,13 +225,13 @@ def infinite_margins(
     shapes = np.full((2, u.shape[1]), np.nan)
     if weight.sum() ** 2 > _ENOUGH * np.sum(weight**2):
         for i in np.flatnonzero(np.isfinite(lower) & np.isfinite(upper)):
-            a, b = _likeliest_beta((u[:, i] - lower[i]) / (upper[i] - lower[i]), weight / weight.sum())
+            a, b = _fit_beta((u[:, i] - lower[i]) / (upper[i] - lower[i]), weight / weight.sum())
             if min(a, b) < _INFINITE:
                 shapes[:, i] = a, b
     return shapes[0], shapes[1]
 
 
-def _likeliest_beta(t: FloatArray, weight: FloatArray) -> tuple[float, float]:
+def _fit_beta(t: FloatArray, weight: FloatArray) -> tuple[float, float]:
     """Return the shapes of the likeliest beta distribution of points t in [0, 1], NaN if they are extreme."""
     t = np.clip(t, _TINY, 1.0 - _EPS)
     mean = float(weight @ t)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.special import gammaln, logsumexp
 
-from fmu.samplers.mixture.bent import PENALTY, BentGaussians, fitted_gaussians
-from fmu.samplers.mixture.curve import Curve, fitted_curve, thinned
+from fmu.samplers.mixture.bent import PENALTY, BentGaussians, fit_gaussians
+from fmu.samplers.mixture.curve import Curve, fit_curve, thin_points
 from fmu.types import FloatArray
 
 _WIDE, _SAFE = 0.1, 0.05
@@ -63,7 +63,7 @@ class CurvedMixture:
         of_copy, is_safe = wider[(rng.random(n) >= shares[0]).astype(int)], rng.random(n) < _SAFE
         x = np.empty_like(z)
         for k in np.unique(part):
-            x[part == k] = self.parts.x_of(of_copy[part == k, None] * z[part == k], int(k))
+            x[part == k] = self.parts.to_x(of_copy[part == k, None] * z[part == k], int(k))
         u = self.curve.to_u(x)
         stretch = np.sqrt(_DF / rng.chisquare(_DF, n))[is_safe, None]
         u[is_safe] = self.curve.from_margins(self.mean + stretch * z[is_safe] @ self.factor.T)
@@ -107,18 +107,18 @@ class CurvedMixture:
         return cls(curve, BentGaussians(**of_parts), np.asarray(arrays["mean"]), np.asarray(arrays["factor"]))
 
 
-def fitted_curved(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: FloatArray) -> CurvedMixture:
+def fit_curved(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: FloatArray) -> CurvedMixture:
     """Return the mixture that fits points u (n, ndim) with weights (n,) best.
 
     LinAlgError if the points span no Gaussian.
     """
     counts = weight > _NEGLIGIBLE * weight.mean()
-    u, weight = thinned(u[counts], weight[counts], _MOST_POINTS)
-    curve = fitted_curve(u, weight, lower, upper)
-    parts, score = _fitted_under(curve, u, weight)
+    u, weight = thin_points(u[counts], weight[counts], _MOST_POINTS)
+    curve = fit_curve(u, weight, lower, upper)
+    parts, score = _fit_under(curve, u, weight)
     if curve.location.any():  # a sphere, say, is better put together of bent Gaussians alone
         straight = replace(curve, location=0.0 * curve.location, scale=0.0 * curve.scale)
-        others, other_score = _fitted_under(straight, u, weight)
+        others, other_score = _fit_under(straight, u, weight)
         if other_score > score:
             curve, parts = straight, others
     y, _ = curve.margins(u)
@@ -128,9 +128,9 @@ def fitted_curved(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: F
     return CurvedMixture(curve, parts, mean, factor)
 
 
-def _fitted_under(curve: Curve, u: FloatArray, weight: FloatArray) -> tuple[BentGaussians, float]:
+def _fit_under(curve: Curve, u: FloatArray, weight: FloatArray) -> tuple[BentGaussians, float]:
     """Return the Gaussians that fit points best in the coordinates of a curve, and their penalised likelihood."""
     x, log_slope = curve.to_x(u)
-    parts, score = fitted_gaussians(x, weight)
+    parts, score = fit_gaussians(x, weight)
     n = np.count_nonzero(curve.location) + np.count_nonzero(curve.scale)
     return parts, score + float(weight @ log_slope - PENALTY * n * np.sum(weight**2))

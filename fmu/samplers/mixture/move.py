@@ -11,7 +11,7 @@ from emcee.state import State
 from numpy.typing import ArrayLike
 
 from fmu.arguments import check_arguments, shown
-from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fitted_mixture
+from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fit_mixture
 from fmu.samplers.mixture.quadratic import of_moments
 from fmu.types import BoolArray, FloatArray
 
@@ -166,7 +166,7 @@ class Proposal:
         warp = Warp((lower - offset) / scale, (upper - offset) / scale, np.zeros(ndim, dtype=bool))
         try:
             start = Mixture([of_moments(points.position, points.weight)], np.ones(1), warp)
-            for mixture in (fitted_mixture(points, start), start):
+            for mixture in (fit_mixture(points, start), start):
                 if np.isfinite(mixture.log_density(points.position)).all():
                     return cls(mixture, offset, scale)
         except np.linalg.LinAlgError:

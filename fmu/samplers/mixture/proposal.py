@@ -12,7 +12,7 @@ from scipy.special import logsumexp
 from fmu.samplers.mixture.quadratic import (
     Quadratic,
     coefficients,
-    fitted,
+    fit_quadratic,
     n_coefficients,
     of_moments,
     standardised,
@@ -248,7 +248,7 @@ class Points:
         return float(np.exp(-logsumexp(w + r) - logsumexp(w - r)))
 
 
-def fitted_mixture(points: Points, start: Mixture) -> Mixture:
+def fit_mixture(points: Points, start: Mixture) -> Mixture:
     """Return the mixture that fits a log-density, from one that is near it.
 
     Coordinates are bent where the log-density is then closer to a quadratic. Each component's quadratic is fitted
@@ -286,7 +286,7 @@ def _effective_size(weight: FloatArray) -> FloatArray:
     return np.asarray(of_largest.sum(axis=-1) ** 2 / np.maximum(np.sum(of_largest**2, axis=-1), 1e-300))
 
 
-def refitted_mixture(points: Points, start: Mixture) -> Mixture:
+def refit_mixture(points: Points, start: Mixture) -> Mixture:
     """Return the mixture that fits a log-density, or `start` where the points are few and say that it is better.
 
     A quadratic through hardly more points than it has coefficients can be far off elsewhere. A fit to half of so
@@ -295,7 +295,7 @@ def refitted_mixture(points: Points, start: Mixture) -> Mixture:
     n = n_coefficients(points.position.shape[1])
     if points.effective_size < _SURE * n and _gain_elsewhere(points, start) <= 0.0:
         return start
-    fit = fitted_mixture(points, start)
+    fit = fit_mixture(points, start)
     return start if np.isnan(fit.log_density(points.position)).any() else fit
 
 
@@ -304,7 +304,7 @@ def _gain_elsewhere(points: Points, start: Mixture) -> float:
     halves = points.every_other(0), points.every_other(1)
     gain = 0.0
     for one, other in (halves, halves[::-1]):
-        for mixture, sign in ((fitted_mixture(one, start), 0.5), (start, -0.5)):
+        for mixture, sign in ((fit_mixture(one, start), 0.5), (start, -0.5)):
             gain += sign * other.effective_share(mixture.log_density(other.position))
     return gain
 
@@ -362,7 +362,7 @@ def _settled(
         quadratics, shares = list[Quadratic](), list[float]()
         for w, is_enough, one in zip(weight, enough, before, strict=True):
             if is_enough:
-                quadratics.append(of_moments(x, w) if by_moments else fitted(x, value, w, slope))
+                quadratics.append(of_moments(x, w) if by_moments else fit_quadratic(x, value, w, slope))
             elif one is not None and w.sum() >= _LEAST * weight.sum():
                 quadratics.append(one)
             else:

@@ -94,7 +94,9 @@ def n_coefficients(ndim: int) -> int:
     return (ndim + 1) * (ndim + 2) // 2
 
 
-def fitted(u: FloatArray, log_prob: FloatArray, weight: FloatArray, slope: FloatArray | None = None) -> Quadratic:
+def fit_quadratic(
+    u: FloatArray, log_prob: FloatArray, weight: FloatArray, slope: FloatArray | None = None
+) -> Quadratic:
     """Return the quadratic that fits log-densities and their gradients best, by weighted least squares.
 
     It is fitted in coordinates in which the weighted points have unit covariance. There, curvatures that the
@@ -118,7 +120,7 @@ def fitted(u: FloatArray, log_prob: FloatArray, weight: FloatArray, slope: Float
     return Quadratic(mean, float(c[0]), gradient, curvature, L @ L.T)
 
 
-def climbed(log_prob: Callable[[FloatArray], FloatArray], start: FloatArray, like: FloatArray) -> Quadratic:
+def climb(log_prob: Callable[[FloatArray], FloatArray], start: FloatArray, like: FloatArray) -> Quadratic:
     """Climb towards a maximum by differences; return the log-density around the highest point.
 
     Newton steps along axes that are scaled by the curvatures found, 8 at most. They need no gradients, and

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fitted_mixture
-from fmu.samplers.mixture.quadratic import fitted
+from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fit_mixture
+from fmu.samplers.mixture.quadratic import fit_quadratic
 from fmu.types import FloatArray, IntArray, LogDensity
 
 FAR = 10.0
@@ -56,8 +56,8 @@ def fit_to_draws(draws: Evaluated, chains: int, density: LogDensity) -> Mixture:
     warp = first_warp(density)
     x, value, of_x = points.under(warp)
     members = [(group == k).astype(float) for k in np.unique(group)]
-    each = [fitted(x, value, member, of_x) for member in members]
-    return fitted_mixture(points, Mixture(each, np.sum(members, axis=1), warp))
+    each = [fit_quadratic(x, value, member, of_x) for member in members]
+    return fit_mixture(points, Mixture(each, np.sum(members, axis=1), warp))
 
 
 def groups_of_chains(u: FloatArray) -> IntArray:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from fmu.samplers.kernel import Target
-from fmu.samplers.mixture.curved import CurvedMixture, fitted_curved
+from fmu.samplers.mixture.curved import CurvedMixture, fit_curved
 from fmu.types import FloatArray
 
 PER_ROUND = 2000
@@ -71,7 +71,7 @@ class Rounds:
         log_w = self.log_prob - log_q
         return np.asarray(np.minimum(log_w, logsumexp(log_w) - 0.5 * np.log(len(log_w))))
 
-    def fitted(self) -> CurvedMixture:
+    def fit_mixture(self) -> CurvedMixture:
         """Return the mixture that fits all candidates; LinAlgError if they span no Gaussian.
 
         Where a few candidates have nearly all the weight, the weights are evened out: what is fitted is wider than
@@ -82,7 +82,7 @@ class Rounds:
         while 2.0 * logsumexp(log_w) - logsumexp(2.0 * log_w) < least:
             log_w = _MILDER * log_w
         weight = np.exp(log_w - log_w.max())
-        return fitted_curved(self.position, weight, self.target.lower, self.target.upper)
+        return fit_curved(self.position, weight, self.target.lower, self.target.upper)
 
     def efficiency(self, k: int) -> float:
         """Return the effective draws per candidate of an independence sampler with mixture k.
@@ -103,7 +103,7 @@ class Rounds:
         return float(1.0 / np.mean(2.0 / rate - 1.0))
 
 
-def learnt_in_rounds(
+def learn_in_rounds(
     target: Target, u: FloatArray, rng: np.random.Generator, most: int
 ) -> tuple[CurvedMixture | None, float, int]:
     """Return a mixture for a density, its efficiency, and the evaluations that it took.
@@ -120,14 +120,14 @@ def learnt_in_rounds(
     rounds = Rounds(target)
     n, good = min(PER_ROUND, most), 0
     with suppress(np.linalg.LinAlgError):  # go on with what there is
-        mixture = fitted_curved(u, np.ones(len(u)), target.lower, target.upper)
+        mixture = fit_curved(u, np.ones(len(u)), target.lower, target.upper)
         while n >= _FEWEST:
             rounds.draw(mixture, rng, n)
             good = good + 1 if rounds.efficiency(len(rounds.counts) - 1) >= ENOUGH else 0
             if good == _TWICE or not len(rounds.position):
                 break
             n = min(PER_ROUND, most - sum(rounds.counts))
-            mixture = rounds.fitted()
+            mixture = rounds.fit_mixture()
     if not rounds.mixtures:
         return None, 0.0, rounds.n_solves
     rates = [rounds.efficiency(k) for k in range(len(rounds.mixtures))]

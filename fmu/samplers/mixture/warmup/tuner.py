@@ -12,13 +12,13 @@ from scipy.special import logsumexp
 from fmu.samplers.hmc import HamiltonianMonteCarlo
 from fmu.samplers.kernel import Info, State, Target, Tree, Tuner
 from fmu.samplers.metropolis import MetropolisHastings
-from fmu.samplers.mixture.curve import infinite_margins
+from fmu.samplers.mixture.curve import fit_infinite_margins
 from fmu.samplers.mixture.curved import CurvedMixture
 from fmu.samplers.mixture.kernel import MixtureKernel
-from fmu.samplers.mixture.proposal import GOOD, LESS_WIDE, WIDE, Mixture, Points, refitted_mixture
+from fmu.samplers.mixture.proposal import GOOD, LESS_WIDE, WIDE, Mixture, Points, refit_mixture
 from fmu.samplers.mixture.quadratic import n_coefficients
 from fmu.samplers.mixture.warmup.local_draws import Evaluated, fit_to_draws
-from fmu.samplers.mixture.warmup.rounds import learnt_in_rounds
+from fmu.samplers.mixture.warmup.rounds import learn_in_rounds
 from fmu.samplers.mixture.warmup.unknown_maxima import Seen, add_maxima, find_unknown_maxima
 from fmu.samplers.slice import Slice
 from fmu.types import FloatArray, IntArray, LogDensity
@@ -233,7 +233,7 @@ class MixtureTuner:
         mixture = self.mixture
         if np.count_nonzero(old) > n_coefficients(self.density.ndim):
             with suppress(np.linalg.LinAlgError):  # go on with the mixture that there is
-                mixture = refitted_mixture(Points.weighted(u[old], log_prob[old], seen.log_q[:n][old]), mixture)
+                mixture = refit_mixture(Points.weighted(u[old], log_prob[old], seen.log_q[:n][old]), mixture)
         mixture = add_maxima(mixture, new)
         if len(self.walked.log_prob) > _ENOUGH_JUMPS * self.chains:
             with suppress(np.linalg.LinAlgError):
@@ -298,7 +298,7 @@ class MixtureTuner:
         if not known.any():
             return False
         points = Points.weighted(u[known], log_prob[known], self._log_density_so_far(u[known]))
-        shapes = infinite_margins(points.position, points.weight, self.density.lower, self.density.upper)
+        shapes = fit_infinite_margins(points.position, points.weight, self.density.lower, self.density.upper)
         return bool(np.isfinite(shapes).any())
 
     def _learn_curved(self, state: State) -> IntArray:
@@ -311,7 +311,7 @@ class MixtureTuner:
         later = draws.position[len(draws.position) // 3 :]
         rng = np.random.default_rng(state.position.view(np.uint64).ravel())  # another one for another seed
         most = _CANDIDATES * self.steps * self.chains
-        mixture, efficiency, n_solves = learnt_in_rounds(self.target, later, rng, most)
+        mixture, efficiency, n_solves = learn_in_rounds(self.target, later, rng, most)
         if mixture is not None and efficiency >= _WORTH:
             self.switched = -1
             self._begin_with(mixture)

@@ -9,7 +9,7 @@ import numpy as np
 
 from fmu.samplers.kernel import Target
 from fmu.samplers.mixture.proposal import MOST, Mixture
-from fmu.samplers.mixture.quadratic import Quadratic, climbed
+from fmu.samplers.mixture.quadratic import Quadratic, climb
 from fmu.samplers.mixture.warmup.local_draws import FAR
 from fmu.types import BoolArray, FloatArray, IntArray
 
@@ -84,7 +84,7 @@ def find_unknown_maxima(mixture: Mixture, seen: Seen, target: Target) -> tuple[l
         known[at] = True
         if np.min(between) < min(between[0], log_prob[at]) - _VALLEY:
             away = mixture.warp.stretch(u[at])
-            summit = climbed(evaluate, u[at], owner.hessian / np.outer(away, away))
+            summit = climb(evaluate, u[at], owner.hessian / np.outer(away, away))
             if summit.log_prob - mixture.log_density(summit.position[None])[0] > usual + _UNKNOWN:
                 log_mass = summit.log_prob - 0.5 * np.linalg.slogdet(summit.hessian / (2.0 * np.pi))[1]
                 found.append(NewMaximum(summit, float(np.exp(np.clip(log_mass - usual, _LOWEST, 0.0)))))
