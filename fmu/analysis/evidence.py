@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from fmu.analysis.convergence import effective
-from fmu.analysis.convergence.pareto import GOOD_K, pareto_k
+from fmu.analysis.convergence.pareto import heavy_tail_in_words, pareto_k
 from fmu.analysis.maxima.results import RELIABLE
 from fmu.analysis.trace.reading import array_of, has, is_pseudo
 from fmu.arguments import check_arguments
@@ -84,13 +84,8 @@ class Evidence:
     def warnings(self) -> tuple[str, ...]:
         """Why it is not reliable, a sentence each: places left out, chains that disagree, heavy tails."""
         if self.method in OF_MIXTURE:
-            if self.pareto_k <= GOOD_K:
-                return self.doubts
-            return (
-                *self.doubts,
-                f"Pareto k {significant(self.pareto_k, 2)} of the candidates' weights is above {given(GOOD_K)}: "
-                f"the mixture does not fit the posterior well enough, and the error is underestimated",
-            )
+            tail = heavy_tail_in_words(self.pareto_k)
+            return (*self.doubts, f"{tail}, and the error is underestimated") if tail else self.doubts
         rhat = self.table["rhat"].to_numpy()[1:]  # the prior is drawn from independently
         if np.all(rhat < RHAT_LIMIT):
             return ()

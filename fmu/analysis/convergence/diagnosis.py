@@ -33,7 +33,7 @@ from fmu.analysis.fit.deviations import deviation_warnings
 from fmu.analysis.fit.model_fit import ModelFit, model_fit
 from fmu.analysis.held_out.modes import left_out_warnings
 from fmu.analysis.information import information_warnings
-from fmu.analysis.maxima.missed import Comparison, compared, missed_places
+from fmu.analysis.maxima.missed import Comparison, check_parameters, compared, missed_places
 from fmu.analysis.maxima.results import NEGLIGIBLE, TYPICAL_POINT, Maxima
 from fmu.analysis.pairing_changes import jump_warnings
 from fmu.analysis.prediction import bound_warnings, search_warnings, shape_warnings
@@ -198,10 +198,7 @@ def diagnose(
     named = dict(others) if isinstance(others, Mapping) else {str(k): other for k, other in enumerate(others, 1)}
     for name, other in named.items():
         check_trace(other, f"others.{name}")
-        if parameter_names(other) != parameter_names(trace):
-            raise ValueError(
-                f"others.{name}: must have the parameters {parameter_names(trace)} (got {parameter_names(other)})"
-            )
+    check_parameters(trace, named)
     known = [maxima_of(other) for other in (trace, *named.values())]
     if problem is not None:
         from fmu.analysis.maxima.search import find_map

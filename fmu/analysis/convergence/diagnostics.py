@@ -10,7 +10,7 @@ import numpy as np
 from fmu.analysis.convergence import effective
 from fmu.analysis.convergence.candidates import candidates_of, has_curved_mixture
 from fmu.analysis.convergence.effective import energy_fraction, longest_stands
-from fmu.analysis.convergence.pareto import GOOD_K, pareto_k
+from fmu.analysis.convergence.pareto import heavy_tail_in_words, pareto_k
 from fmu.analysis.convergence.remedies import ESS_LIMIT as ESS_LIMIT
 from fmu.analysis.convergence.remedies import (
     MCSE_LIMIT,
@@ -317,13 +317,8 @@ def _heavy_weights(trace: xr.DataTree) -> list[str]:
     if not has_curved_mixture(trace):
         return []
     log_w = array_of(trace, "sample_stats", CANDIDATE)
-    k = pareto_k(log_w[np.isfinite(log_w)])
-    if k <= GOOD_K:
-        return []
-    return [
-        f"Pareto k {significant(k, 2)} of the candidates' weights is above {given(GOOD_K)}: the mixture does not "
-        f"fit the density well enough, and more draws do not help{for_chains_apart(trace)}; or {RATIOS}"
-    ]
+    tail = heavy_tail_in_words(pareto_k(log_w[np.isfinite(log_w)]))
+    return [f"{tail}, and more draws do not help{for_chains_apart(trace)}; or {RATIOS}"] if tail else []
 
 
 def is_beyond_draws(trace: xr.DataTree) -> bool:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import logsumexp
 
+from fmu.numbers import given, significant
 from fmu.types import FloatArray, IntArray
 
 GOOD_K = 0.7
@@ -39,6 +40,16 @@ def pareto_k(log_w: FloatArray) -> float:
         return _tail(log_w - np.max(log_w)).shape
     except ValueError:
         return np.inf if np.ptp(log_w) > 0 else -np.inf
+
+
+def heavy_tail_in_words(k: float) -> str:
+    """Say that the weights of a mixture's candidates have a tail of a shape k that is too heavy; else empty."""
+    if k <= GOOD_K:
+        return ""
+    return (
+        f"Pareto k {significant(k, 2)} of the candidates' weights is above {given(GOOD_K)}: the mixture does not "
+        f"fit the density well enough"
+    )
 
 
 def smoothed_weights(log_w: FloatArray, efficiency: float = 1.0) -> tuple[FloatArray, float]:

@@ -244,6 +244,14 @@ _FEWEST_DRAWS = 20
 _FAR = 3.0
 
 
+def check_parameters(trace: xr.DataTree, others: Mapping[str, xr.DataTree]) -> None:
+    """Raise ValueError if another run has other parameters than `trace`."""
+    names = parameter_names(trace)
+    for name, other in others.items():
+        if parameter_names(other) != names:
+            raise ValueError(f"others.{name}: must have the parameters {names} (got {parameter_names(other)})")
+
+
 def missed_places(
     trace: xr.DataTree, others: Mapping[str, xr.DataTree], maxima: Maxima | None = None
 ) -> list[str]:
@@ -272,12 +280,11 @@ def missed_places(
     ValueError
         If another run has other parameters.
     """
+    check_parameters(trace, others)
     found = []
     names = parameter_names(trace)
     here = _Paths(trace)
     for name, other in others.items():
-        if parameter_names(other) != names:
-            raise ValueError(f"others.{name}: must have the parameters {names} (got {parameter_names(other)})")
         place = _missed_place(here, _Paths(other), -np.inf if maxima is None else maxima.log_evidence)
         if place is not None and not (maxima is not None and nearest_maxima(place[0][None], maxima)[0] >= 0):
             theta, log_prob, mass = place

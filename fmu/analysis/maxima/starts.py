@@ -58,31 +58,30 @@ def starts(
     if maxima is not None:
         return starts_at_maxima(density, maxima, chains, walkers, seed), {"maxima": maxima.hash}
     if not getattr(density, "is_hierarchical", False):
-        if hasattr(density, "sample_prior") and _is_finite_in_prior(density, seed):
+        plain = PlainDensity(density)
+        if hasattr(density, "sample_prior") and _is_finite_in_prior(plain, seed):
             return "prior", "prior"
-        theta = _scatter_starts(density, chains * walkers, seed)
+        theta = _scatter_starts(plain, chains * walkers, seed)
         return theta if walkers == 1 else theta.reshape(chains, walkers, -1), {"maxima": "scattered"}
     scaled, rng = ScaledDensity(density), generator(seed, START_STREAM)
     theta = scaled.to_theta(_around(middle(density), scaled, rng, chains * walkers))
     return theta if walkers == 1 else theta.reshape(chains, walkers, -1), TYPICAL_POINT
 
 
-def _is_finite_in_prior(density: LogDensity, seed: int) -> bool:
-    """Say whether a plain log-density is finite at all of some draws from its prior."""
-    plain = PlainDensity(density)
-    return bool(np.all(np.isfinite(plain.log_prob(plain.starting_points(_SCATTERED, seed)))))
+def _is_finite_in_prior(density: PlainDensity, seed: int) -> bool:
+    """Say whether a log-density is finite at all of some draws from its prior."""
+    return bool(np.all(np.isfinite(density.log_prob(density.starting_points(_SCATTERED, seed)))))
 
 
-def _scatter_starts(density: LogDensity, n: int, seed: int) -> FloatArray:
-    """Return `n` points (n, ndim) at which a plain log-density is finite: from its prior, its bounds, or wide.
+def _scatter_starts(density: PlainDensity, n: int, seed: int) -> FloatArray:
+    """Return `n` points (n, ndim) at which a log-density is finite: from its prior, its bounds, or wide.
 
     They are chosen of many. Where too few are finite they are repeated.
     """
-    plain = PlainDensity(density)
-    theta = plain.starting_points(_SCATTERED * n, seed)
-    theta = theta[np.isfinite(plain.log_prob(theta))]
+    theta = density.starting_points(_SCATTERED * n, seed)
+    theta = theta[np.isfinite(density.log_prob(theta))]
     if not len(theta):
-        raise ValueError(f"problem: the log-density must be finite somewhere {plain.region} (got −inf or NaN)")
+        raise ValueError(f"problem: the log-density must be finite somewhere {density.region} (got −inf or NaN)")
     return np.resize(theta, (n, density.ndim))
 
 
