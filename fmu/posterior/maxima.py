@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmu.numbers import names_in_words
+from fmu.posterior.decades import LogScaledDensity
 from fmu.posterior.parameters import box
 from fmu.posterior.protocol import Problem
 from fmu.posterior.scaled import ScaledDensity
@@ -79,7 +80,7 @@ def local_maxima(
     """
     if starts < 1:
         raise ValueError(f"starts: must be at least 1 (got {starts})")
-    scaled = ScaledDensity(problem)
+    scaled = LogScaledDensity(problem)
     points = _starting_points(problem, scaled, starts, seed)
     if near is not None:
         points = np.concatenate([points, np.clip(scaled.to_scaled(near), scaled.lower, scaled.upper)])
@@ -101,7 +102,7 @@ def maxima_from(
             if len(tops) == _FIRST and np.isfinite(most_solves) and len(_distinct(problem, tops)) > _MOST_POLISHED:
                 break
         return _distinct(problem, tops)
-    quadratic = GaussNewton(problem)
+    quadratic = GaussNewton(problem, scaled)
     reached = list[tuple[FloatArray, IntArray]]()
     for together in [points] if np.isinf(most_solves) else points[:, None]:
         if solves() - before < most_solves:
@@ -133,14 +134,18 @@ def _nowhere(problem: Problem, n: int) -> str:
     return f"problem: the log-probability must have a finite gradient at one of {n} starts (got none{why})"
 
 
-def _starting_points(problem: Problem, scaled: ScaledDensity, starts: int, seed: int) -> FloatArray:
+def _starting_points(problem: Problem, scaled: LogScaledDensity, starts: int, seed: int) -> FloatArray:
     """Return scaled points (starts, ndim) within the bounds."""
     from scipy.stats import qmc
 
     lower, upper = box(problem.parameters)
     sobol = qmc.Sobol(problem.ndim, rng=np.random.default_rng(seed))
     unit = sobol.random_base2(int(np.ceil(np.log2(starts))))[: starts - 1]
-    theta = np.concatenate([problem.start[None], lower + (upper - lower) * unit])
+    spread = lower + (upper - lower) * unit
+    if scaled.is_log.any():
+        low, high = scaled.to_scaled(np.array([lower, upper]))
+        spread = np.where(scaled.is_log, scaled.to_theta(low + (high - low) * unit), spread)
+    theta = np.concatenate([problem.start[None], spread])
     return np.clip(scaled.to_scaled(theta), scaled.lower, scaled.upper)
 
 
@@ -241,26 +246,31 @@ class Ascent:
 
 
 class GaussNewton:
-    """V = −log P of a problem, in the coordinates u = (θ − offset)/scale.
+    """V = −log P of a problem, in the coordinates u of a `ScaledDensity`, by default (θ − offset)/scale.
 
     With the residuals r (errors divided by their standard deviations) and their Jacobian J, ∇²V is approximated by
     JᵀJ plus the curvature of the prior; the terms r_i ∇²r_i are neglected (Nocedal & Wright 2006, section 10.3).
     Inferred standard deviations contribute their Fisher information (Fisher scoring).
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, scaled: ScaledDensity | None = None) -> None:
         self.problem = problem
-        self._scaled = ScaledDensity(problem)
+        self._scaled = ScaledDensity(problem) if scaled is None else scaled
 
     def __call__(self, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return V, its gradient and its Gauss–Newton Hessian; V is infinite where the model fails."""
-        p, scale = self.problem, self._scaled.scale
-        theta = self._scaled.to_theta(u)
+        p, scaled = self.problem, self._scaled
+        theta = scaled.to_theta(u)
         log_likelihood, slope, information = p.likelihood.quadratic(theta)
         value = -log_likelihood - np.asarray(p.log_prior(theta))
-        prior_slope, prior_curvature = p.prior.quadratic(theta, scale)
-        gradient = -slope * scale - prior_slope
-        hessian = information * np.outer(scale, scale) + prior_curvature
+        prior_slope, prior_curvature = p.prior.quadratic(theta, scaled.scale)
+        stretch = scaled.stretch(theta)
+        if isinstance(scaled, LogScaledDensity) and scaled.is_log.any():
+            prior_slope = prior_slope / scaled.scale * stretch
+            j = np.flatnonzero(scaled.is_log)
+            prior_curvature[:, j, j] = 1.0  # of −log p = u²/2 + sd u, the logarithm of a log-normal density of θ
+        gradient = -slope * stretch - prior_slope
+        hessian = information * (stretch[..., :, None] * stretch[..., None, :]) + prior_curvature
         failed = ~(np.isfinite(value) & np.all(np.isfinite(gradient), axis=1))
         hessian[failed] = np.eye(p.ndim)
         return np.where(failed, np.inf, value), np.where(failed[:, None], 0.0, gradient), hessian

@@ -56,14 +56,19 @@ class ScaledDensity:
         """Return theta for u in the scaled box, clipped so that rounding cannot move it out of the bounds."""
         return np.clip(self.offset + self.scale * u, self.theta_lower, self.theta_upper)
 
+    def stretch(self, theta: FloatArray) -> FloatArray:
+        """Return ∂θ/∂u of each coordinate, shape (ndim,) or that of theta (n, ndim)."""
+        return self.scale
+
     def log_prob(self, u: Any) -> Any:
         """Return the density's log_prob at u, shape (n, ndim), which must lie in the box."""
         return self.density.log_prob(self.to_theta(u))
 
     def log_prob_and_grad(self, u: Any) -> tuple[Any, Any]:
         """Return log_prob and its gradient with respect to u."""
-        log_prob, gradient = self.density.log_prob_and_grad(self.to_theta(u))
-        return log_prob, gradient * self.scale
+        theta = self.to_theta(u)
+        log_prob, gradient = self.density.log_prob_and_grad(theta)
+        return log_prob, gradient * self.stretch(theta)
 
     def _vector(self, name: str) -> FloatArray:
         vector = np.asarray(getattr(self.density, name), dtype=float)

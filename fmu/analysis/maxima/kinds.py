@@ -14,7 +14,7 @@ import numpy as np
 
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers.mixture.quadratic import Quadratic
-from fmu.types import FloatArray, IntArray
+from fmu.types import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
@@ -27,6 +27,8 @@ _FALL, _WITHIN = 0.05, 1e-5
 """Smallest fall of a jump, nats, and within how many posterior standard deviations."""
 _AHEAD = np.logspace(-8.0, -1.0, 15)
 _HALVINGS = 40
+_LOW, _WIDER = 40.0, 28.0
+"""Nats, and as many for each coordinate as a factor of 1e12 in width makes up for."""
 
 
 def slope(scaled: ScaledDensity, model: Quadratic) -> float:
@@ -94,3 +96,8 @@ def basin(model: Quadratic, kind: str, at_bound: FloatArray | IntArray) -> Quadr
     if kind in (MAXIMUM, KINK):
         return model
     return replace(model, gradient=np.where(at_bound != 0, model.gradient, 0.0))
+
+
+def are_negligible(log_prob: FloatArray, ndim: int) -> BoolArray:
+    """Say which places, of log-probabilities (n,), are so low beside the highest that no width makes up for it."""
+    return np.asarray(log_prob < np.max(log_prob) - _LOW - _WIDER * ndim)

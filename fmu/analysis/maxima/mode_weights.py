@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from scipy.special import logsumexp
 
+from fmu.analysis.maxima.kinds import are_negligible
 from fmu.progress.phases import by_parts
 from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.types import FloatArray
@@ -53,7 +54,7 @@ def mode_weights(
     """Estimate the mass of every maximum.
 
     First the Laplace approximation within the box, ∫ exp(m) du. It is final for maxima with less than e⁻⁴⁰ of
-    the largest mass. The others are found by importance sampling of P itself: `draws` from the Gaussian of each
+    the largest mass; those so low that no width makes up for it have none. The others are found by importance sampling of P itself: `draws` from the Gaussian of each
     maximum and as many from one of twice its width, all weighted by their mixture (Owen & Zhou 2000, JASA 95,
     135-143), and divided among the maxima in proportion to exp(m).
 
@@ -74,6 +75,9 @@ def mode_weights(
     tuple of ModeWeight
     """
     found = [_laplace(m, lower, upper, rng, draws) for m in maxima]
+    # far out, where an ascent ended on a slope, the model may be infinite
+    for i in np.flatnonzero(are_negligible(np.array([m.log_prob for m in maxima]), len(lower))):
+        found[i] = replace(found[i], log_mass=-np.inf, log_reach=-np.inf)
     best = max(mass.log_mass for mass in found)
     chosen = [i for i, mass in enumerate(found) if mass.log_mass > best - _HOPELESS]
     u, log_w = _importance(log_prob, [maxima[i] for i in chosen], lower, upper, rng, draws)

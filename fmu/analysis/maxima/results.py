@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmu.analysis.maxima.kinds import EDGE, JUMP, KINK, MAXIMUM, SLOPE, basin
+from fmu.analysis.maxima.kinds import EDGE, JUMP, KINK, MAXIMUM, SLOPE, are_negligible, basin
 from fmu.analysis.trace.provenance import configuration_hash
 from fmu.numbers import apart, given, hertz, rounded, share, shown, significant, with_unit
 from fmu.samplers.mixture.quadratic import Quadratic
@@ -237,11 +237,16 @@ class Maxima:
         )
 
     def drop(self, theta: FloatArray) -> FloatArray:
-        """Return by how much the quadratic model of each maximum falls to theta (n, ndim), shape (maxima, n)."""
+        """Return by how much the quadratic model of each maximum falls to theta (n, ndim), shape (maxima, n).
+
+        Infinite for those so low that they have no mass: an ascent may have ended on a slope there.
+        """
         models = [
             basin(Quadratic(m.theta, m.log_prob, m.gradient, m.hessian), m.kind, m.at_bound) for m in self.maxima
         ]
-        return np.stack([model.log_prob - model(theta) for model in models])
+        falls = np.stack([model.log_prob - model(theta) for model in models])
+        falls[are_negligible(np.array([m.log_prob for m in self.maxima]), theta.shape[1])] = np.inf
+        return falls
 
     def side_by_side(self, most: int = MOST_SHOWN) -> pd.DataFrame:
         """Return a table of text: a column for each maximum, beside the model before updating and the measurement.

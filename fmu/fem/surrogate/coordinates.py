@@ -8,7 +8,9 @@ import numpy as np
 
 from fmu.types import BoolArray, FloatArray
 
-_WIDTHS = 4  # of the box, below it
+FARTHEST = 9.0
+"""|x| beyond which a parameter has no further effect, four widths of the box away: zero has no logarithm, and far out
+a polynomial has no meaning."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +38,8 @@ class Coordinates:
         return cls(lower, upper, positive & (lower > 0.0))
 
     def to_x(self, theta: FloatArray) -> FloatArray:
-        """Return x, shape (n, n_parameters), at theta of that shape."""
-        low, high = self._g(self.lower), self._g(self.upper)
-        return (2.0 * self._g(theta) - (high + low)) / (high - low)
+        """Return x, shape (n, n_parameters), at theta of that shape; at most `FARTHEST` away from the centre."""
+        return np.clip(self._unlimited(theta), -FARTHEST, FARTHEST)
 
     def to_theta(self, x: FloatArray) -> FloatArray:
         """Return theta at x, both of shape (n, n_parameters); −1 and 1 are the ends of the box exactly."""
@@ -50,17 +51,13 @@ class Coordinates:
     def slope(self, theta: FloatArray) -> FloatArray:
         """Return ∂x/∂θ of each parameter, shape (n, n_parameters)."""
         half = 0.5 * (self._g(self.upper) - self._g(self.lower))
-        by_theta = np.where(self.is_log, np.where(theta > self._least, 1.0, 0.0) / self._positive(theta), 1.0)
-        return by_theta / half
+        goes_on = np.abs(self._unlimited(theta)) < FARTHEST
+        return np.where(goes_on, 1.0, 0.0) / np.where(self.is_log & goes_on, theta, 1.0) / half
 
-    @property
-    def _least(self) -> FloatArray:
-        """Values below which a logarithm does not go on: zero has none."""
-        width = np.where(self.is_log, self.lower, 1.0) / np.where(self.is_log, self.upper, 1.0)
-        return self.lower * width**_WIDTHS
-
-    def _positive(self, theta: FloatArray) -> FloatArray:
-        return np.where(self.is_log, np.maximum(theta, self._least), 1.0)
+    def _unlimited(self, theta: FloatArray) -> FloatArray:
+        low, high = self._g(self.lower), self._g(self.upper)
+        return (2.0 * self._g(theta) - (high + low)) / (high - low)
 
     def _g(self, theta: FloatArray) -> FloatArray:
-        return np.where(self.is_log, np.log(self._positive(theta)), theta)
+        with np.errstate(divide="ignore"):
+            return np.where(self.is_log, np.log(np.where(self.is_log, theta, 1.0)), theta)
