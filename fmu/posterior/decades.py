@@ -1,4 +1,4 @@
-"""Coordinates of an ascent: logarithms where a prior spans decades, as for the stiffness of a joint or a spring."""
+"""Coordinates of an ascent: logarithms where a prior spans decades, as of the stiffness of a joint or a spring."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class LogScaledDensity(ScaledDensity):
     """A log-density in coordinates that climb well: u = (log θ − mean)/sd where a log-normal prior is `WIDE`.
 
     Others are scaled as in `ScaledDensity`. The density is that of θ, so that its maxima are the same; there is no
-    Jacobian. The box ends `FARTHEST` from the median. Where no prior is so wide, all is as in `ScaledDensity`, to the
-    last bit.
+    Jacobian. The box ends `FARTHEST` from the median. Where no prior is so wide, all is as in `ScaledDensity`, to
+    the last bit.
 
     Along θ an ascent that has come far out stays there: a spring that is nearly rigid changes nothing, and the
     slope of the log-density falls with 1/θ. In log θ the prior is a parabola, which leads back.

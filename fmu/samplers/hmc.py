@@ -23,6 +23,8 @@ _LEARNABLE = 50
 """Parameters whose covariance the draws of a warm-up can tell: it takes some ten draws for each."""
 # Of a trajectory: 2 to 8 steps are enough with a good metric; with a poor one the cost must be bounded.
 _MOST_STEPS = 32
+# Longer steps are unstable on any density with curvature, and on a flat one they only meet the walls more often.
+_LONGEST = 10.0
 
 
 @check_arguments
@@ -197,9 +199,9 @@ class HamiltonianTuner:
         return self.learner.covariance is not None or self.sampler.inverse_mass is not None
 
     def _capped(self, log_step_size: Any) -> FloatArray:
-        """Return the step size, at most the length aimed at: on a flat density every step is accepted."""
+        """Return the step size, at most `_LONGEST` trajectories: on a flat density every step is accepted."""
         step_size: FloatArray = np.exp(log_step_size)
-        return np.minimum(step_size, self.sampler.length) if self._has_metric else step_size
+        return np.minimum(step_size, _LONGEST * self.sampler.length) if self._has_metric else step_size
 
     def _n_steps(self, step_size: Any) -> int:
         """Return the steps of a trajectory of the length aimed at."""

@@ -1,4 +1,4 @@
-"""A portal frame with rotational springs at its feet and corners, whose stiffnesses are known to four decades only."""
+"""A portal frame with rotational springs at its feet and corners, whose stiffnesses span four decades."""
 
 import numpy as np
 import scipy.linalg as sl

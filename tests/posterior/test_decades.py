@@ -1,4 +1,4 @@
-"""Springs of a portal whose stiffnesses are known to four decades: logarithms in the search, sampling, a surrogate."""
+"""Springs of a portal whose stiffnesses span four decades: in the search, in sampling, and by a surrogate."""
 
 import numpy as np
 import pytest
@@ -64,7 +64,8 @@ def test_places_far_out_neither_weigh_nor_own_draws():
     assert maxima[0].share == pytest.approx(1.0)
     assert all(np.isfinite(m.share) for m in maxima)
     low = [k for k, m in enumerate(maxima) if m.log_prob < maxima[0].log_prob - 1000.0]
-    assert low and np.all(np.isinf(maxima.drop(maxima[0].theta[None])[low]))
+    assert low
+    assert np.all(np.isinf(maxima.drop(maxima[0].theta[None])[low]))
     trace = fmu.sample(problem, draws=250, warmup=250, maxima=maxima)
     assert not any("elsewhere" in reason for reason in fmu.diagnose(trace).reasons)
 

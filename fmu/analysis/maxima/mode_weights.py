@@ -54,9 +54,10 @@ def mode_weights(
     """Estimate the mass of every maximum.
 
     First the Laplace approximation within the box, ∫ exp(m) du. It is final for maxima with less than e⁻⁴⁰ of
-    the largest mass; those so low that no width makes up for it have none. The others are found by importance sampling of P itself: `draws` from the Gaussian of each
-    maximum and as many from one of twice its width, all weighted by their mixture (Owen & Zhou 2000, JASA 95,
-    135-143), and divided among the maxima in proportion to exp(m).
+    the largest mass; those so low that no width makes up for it have none. The others are found by importance
+    sampling of P itself: `draws` from the Gaussian of each maximum and as many from one of twice its width, all
+    weighted by their mixture (Owen & Zhou 2000, JASA 95, 135-143), and divided among the maxima in proportion to
+    exp(m).
 
     Parameters
     ----------
@@ -76,8 +77,11 @@ def mode_weights(
     """
     found = [_laplace(m, lower, upper, rng, draws) for m in maxima]
     # far out, where an ascent ended on a slope, the model may be infinite
-    for i in np.flatnonzero(are_negligible(np.array([m.log_prob for m in maxima]), len(lower))):
-        found[i] = replace(found[i], log_mass=-np.inf, log_reach=-np.inf)
+    is_low = are_negligible(np.array([m.log_prob for m in maxima]), len(lower))
+    found = [
+        replace(mass, log_mass=-np.inf, log_reach=-np.inf) if low else mass
+        for mass, low in zip(found, is_low, strict=True)
+    ]
     best = max(mass.log_mass for mass in found)
     chosen = [i for i, mass in enumerate(found) if mass.log_mass > best - _HOPELESS]
     u, log_w = _importance(log_prob, [maxima[i] for i in chosen], lower, upper, rng, draws)

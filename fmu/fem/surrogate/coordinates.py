@@ -9,8 +9,8 @@ import numpy as np
 from fmu.types import BoolArray, FloatArray
 
 FARTHEST = 9.0
-"""|x| beyond which a parameter has no further effect, four widths of the box away: zero has no logarithm, and far out
-a polynomial has no meaning."""
+"""|x| beyond which a parameter has no further effect, four widths of the box away: zero has no logarithm, and far
+out a polynomial has no meaning."""
 
 
 @dataclass(frozen=True, eq=False)
