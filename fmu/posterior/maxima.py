@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmu.numbers import names_in_words
-from fmu.posterior.decades import LogScaledDensity
 from fmu.posterior.parameters import box
 from fmu.posterior.protocol import Problem
-from fmu.posterior.scaled import ScaledDensity
+from fmu.posterior.scaled import LogScaledDensity, ScaledDensity
 from fmu.progress.phases import advanced, phase, solves
 from fmu.types import BoolArray, FloatArray, IntArray
 

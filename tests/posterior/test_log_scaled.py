@@ -5,9 +5,8 @@ import pytest
 
 import fmu
 from fmu.fem.surrogate.coordinates import FARTHEST, Coordinates
-from fmu.posterior.decades import LogScaledDensity
 from fmu.posterior.maxima import GaussNewton, local_maxima
-from fmu.posterior.scaled import ScaledDensity
+from fmu.posterior.scaled import LogScaledDensity, ScaledDensity
 from tests.models import portal
 
 
