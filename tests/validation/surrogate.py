@@ -29,7 +29,7 @@ from threadpoolctl import threadpool_limits
 
 import fmu
 from fmu.analysis.maxima.search import find_map
-from fmu.analysis.maxima.starts import components, starts
+from fmu.analysis.maxima.starts import choose_starts, components
 from fmu.analysis.trace.conversion import to_trace
 from fmu.analysis.trace.reading import parameter_draws
 from fmu.samplers.loop.run import run
@@ -374,7 +374,7 @@ def corrected(case: PoorCase) -> dict[str, Any]:
     off: dict[str, list[Any]] = {"first": [], "second": []}
     records = []
     for seed in range(SEEDS):
-        start, _ = starts(surrogate, "maxima", maxima, 4, 1, seed)
+        start = choose_starts(surrogate, "maxima", maxima, 4, 1, seed).position
         drawn = run(surrogate, settings, draws=4000, warmup=200, chains=4, seed=seed, init=start)
         first = to_trace(drawn, surrogate, predictions=False)
         second = fmu.delayed_acceptance(surrogate, first)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.special import gammaincinv
@@ -35,10 +35,27 @@ _SCATTERED = 16
 _MAY_MATTER, _MOST_COMPONENTS = 1e-6, 8
 
 
-def starts(
+class Starts(NamedTuple):
+    """Where chains start.
+
+    Attributes
+    ----------
+    position : str or ndarray, shape (chains, ndim) or (chains, walkers, ndim)
+        For `fmu.samplers.Run`: a word, or positions in SI units.
+    word : {"maxima", "prior", "start", "array"}
+    origin : str, ndarray or dict
+        Their description for the configuration of a run.
+    """
+
+    position: Any
+    word: str
+    origin: Any
+
+
+def choose_starts(
     density: LogDensity, init: Any, maxima: Maxima | None, chains: int, walkers: int, seed: int
-) -> tuple[Any, Any]:
-    """Return the starts of the chains for `fmu.samplers.Run`, and their description for the configuration.
+) -> Starts:
+    """Return where the chains start.
 
     Parameters
     ----------
@@ -52,20 +69,21 @@ def starts(
     """
     if not isinstance(init, str):
         positions = np.asarray(init, dtype=float)
-        return positions, positions
+        return Starts(positions, "array", positions)
     if init != "maxima":
-        return init, init
+        return Starts(init, init, init)
     if maxima is not None:
-        return starts_at_maxima(density, maxima, chains, walkers, seed), {"maxima": maxima.hash}
+        theta, origin = starts_at_maxima(density, maxima, chains, walkers, seed), {"maxima": maxima.hash}
+        return Starts(theta, "maxima", origin)
     if not getattr(density, "is_hierarchical", False):
         plain = PlainDensity(density)
         if hasattr(density, "sample_prior") and _is_finite_in_prior(plain, seed):
-            return "prior", "prior"
-        theta = _scatter_starts(plain, chains * walkers, seed)
-        return theta if walkers == 1 else theta.reshape(chains, walkers, -1), {"maxima": "scattered"}
-    scaled, rng = ScaledDensity(density), generator(seed, START_STREAM)
-    theta = scaled.to_theta(_around(middle(density), scaled, rng, chains * walkers))
-    return theta if walkers == 1 else theta.reshape(chains, walkers, -1), TYPICAL_POINT
+            return Starts("prior", "prior", "prior")
+        theta, origin = _scatter_starts(plain, chains * walkers, seed), {"maxima": "scattered"}
+    else:
+        scaled, rng = ScaledDensity(density), generator(seed, START_STREAM)
+        theta, origin = scaled.to_theta(_around(middle(density), scaled, rng, chains * walkers)), TYPICAL_POINT
+    return Starts(theta if walkers == 1 else theta.reshape(chains, walkers, -1), "maxima", origin)
 
 
 def _is_finite_in_prior(density: PlainDensity, seed: int) -> bool:
@@ -146,8 +164,8 @@ def walkers(problem: Any, n: int, seed: int = 1) -> FloatArray:
     if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < least:
         raise ValueError(f"n: must be a whole number of at least {least}, twice the parameters (got {n!r})")
     maxima = find_map(problem) if is_searchable(problem) else None
-    start, _ = starts(problem, "maxima", maxima, 1, int(n), whole_number("seed", seed, 0))
-    found: FloatArray = start[0]
+    starts = choose_starts(problem, "maxima", maxima, 1, int(n), whole_number("seed", seed, 0))
+    found: FloatArray = starts.position[0]
     return found
 
 

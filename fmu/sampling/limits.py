@@ -1,0 +1,75 @@
+"""How long a run goes on: draws, solves, and the effective draws that are wanted."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from fmu.numbers import whole
+
+if TYPE_CHECKING:
+    from fmu.samplers.loop.record import RunResult
+
+GROWTH_LIMIT = 32
+"""`max_draws` over `draws`, unless given."""
+
+
+class Limits(NamedTuple):
+    """When `fmu.sample` stops.
+
+    Attributes
+    ----------
+    first : int
+        Steps that are always drawn.
+    until_ess : float or None
+        Effective draws with which a run ends, None if it ends with the first steps.
+    draws, solves : int or None
+        The most steps, and solves.
+    """
+
+    first: int
+    until_ess: float | None = None
+    draws: int | None = None
+    solves: int | None = None
+
+    @classmethod
+    def of(cls, draws: int, until_ess: float | None, max_draws: int | None, max_solves: int | None) -> Limits:
+        """Return the limits of a run; ValueError if the numbers contradict each other."""
+        from fmu.samplers.settings import positive_number, whole_number
+
+        draws = whole_number("draws", draws, 1)
+        if until_ess is None:
+            for name, given in (("max_draws", max_draws), ("max_solves", max_solves)):
+                if given is not None:
+                    raise ValueError(f"{name}: needs until_ess, as draws is the number without it (got {given!r})")
+            return cls(draws)
+        positive_number("until_ess", until_ess)
+        if max_solves is not None:
+            max_solves = whole_number("max_solves", max_solves, 1)
+        if max_draws is not None:
+            max_draws = whole_number("max_draws", max_draws, draws)
+        elif max_solves is None:
+            max_draws = GROWTH_LIMIT * draws
+        return cls(draws, until_ess, max_draws, max_solves)
+
+    def allow(self, result: RunResult) -> tuple[int, str]:
+        """Return how many further steps a run may take; if none, which limit it has reached, else nothing.
+
+        A step is taken to need as many solves as those so far. Less than one in a hundred more is not worth it.
+        """
+        allowed = []
+        if self.draws is not None:
+            allowed.append((self.draws - result.draws, f"{whole(self.draws)} draws per chain"))
+        if self.solves is not None:
+            drawn = int(result.posterior.stats["n_solves"].sum())
+            left = self.solves - drawn - int(result.warmup.stats["n_solves"].sum())
+            steps = max(left, 0) * result.draws // max(drawn, 1)
+            allowed.append((steps if steps > result.draws // 100 else 0, f"{whole(self.solves)} solves"))
+        steps, limit = min(allowed)
+        return steps, "" if steps else limit
+
+    def describe_excess(self, result: RunResult) -> str:
+        """Say how a run took more than 1 % more solves than its limit; an empty string if it did not."""
+        warmed, drawn = (int(part.stats["n_solves"].sum()) for part in (result.warmup, result.posterior))
+        if self.solves is None or warmed + drawn <= 1.01 * self.solves:
+            return ""
+        return f": the warm-up took {whole(warmed)} and {whole(result.draws)} draws {whole(drawn)}"

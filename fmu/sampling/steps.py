@@ -1,0 +1,255 @@
+"""The steps of `fmu.sample`: where the chains start, the draws, their trace, and what the model says at them."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from fmu.analysis.maxima.results import Maxima
+    from fmu.analysis.maxima.starts import Starts
+    from fmu.engines.base import Engine
+    from fmu.progress import Report
+    from fmu.runs import Checkpoint
+    from fmu.runs.store import Store
+    from fmu.samplers.kernel import Sampler
+    from fmu.samplers.loop.record import RunResult
+    from fmu.sampling.limits import Limits
+
+
+class StoppedRun(KeyboardInterrupt):
+    """A run was stopped on request, and can be resumed from its checkpoint.
+
+    Attributes
+    ----------
+    trace : xarray.DataTree or None
+        The draws so far, None if the run was in warm-up.
+    where : str
+        Where it was stopped, in words.
+    """
+
+    def __init__(self, where: str, trace: xr.DataTree | None) -> None:
+        super().__init__(f"the run was stopped {where}")
+        self.trace, self.where = trace, where
+
+
+class Task(NamedTuple):
+    """What is to be sampled.
+
+    Attributes
+    ----------
+    problem : LogDensity
+    numbers : dict
+        Warm-up, chains, groups and seed, which determine a run.
+    limits : Limits
+    saved : Checkpoint or None
+    max_failure_rate : float
+    full_solves : int
+        Points that the full model has answered before, where there is a reduced one.
+    """
+
+    problem: Any
+    numbers: dict[str, int]
+    limits: Limits
+    saved: Checkpoint | None
+    max_failure_rate: float
+    full_solves: int
+
+    @classmethod
+    def of(
+        cls, problem: Any, numbers: dict[str, int], limits: Limits, checkpoint: Any, max_failure_rate: float
+    ) -> Task:
+        """Return the task; failures of the problem before it are forgotten."""
+        from fmu.analysis.maxima.search import is_updating
+        from fmu.analysis.trace.failure_ledger import failure_rate_exceeded
+        from fmu.runs import Checkpoint
+
+        failure_rate_exceeded(0, 0, max_failure_rate)  # which says if it is no rate
+        getattr(problem, "take_failures", list)()
+        saved = checkpoint if checkpoint is None or isinstance(checkpoint, Checkpoint) else Checkpoint(checkpoint)
+        full_solves = problem.model.full_solves if is_updating(problem) else 0
+        return cls(problem, numbers, limits, saved, max_failure_rate, full_solves)
+
+
+class Beginning(NamedTuple):
+    """Where the chains start, and with which settings; `is_new` says that a search has just found the maxima."""
+
+    settings: Sampler
+    starts: Starts
+    maxima: Maxima | None
+    is_new: bool
+
+
+def begin(task: Task, settings: Sampler, init: Any, jumps: bool | None, maxima: Maxima | None) -> Beginning:
+    """Search for the maxima, unless they are known, and choose where the chains start."""
+    from fmu.analysis.maxima.results import NEGLIGIBLE
+    from fmu.analysis.maxima.search import find_map, is_searchable, is_updating
+    from fmu.analysis.maxima.starts import choose_starts, components, worth_starting_from
+    from fmu.runs.maxima import kept_maxima
+    from fmu.samplers.mixture.mixture import can_jump, with_jumps
+
+    problem, is_new = task.problem, False
+    if maxima is None and is_searchable(problem):
+        maxima = None if task.saved is None else kept_maxima(task.saved.directory, problem)
+        is_new = maxima is None
+        maxima = maxima or find_map(problem)
+    begin_at = maxima if is_updating(problem) else maxima and worth_starting_from(problem, maxima)
+    chains, seed = task.numbers["chains"], task.numbers["seed"]
+    starts = choose_starts(problem, init, begin_at, chains, settings.walkers, seed)
+    if begin_at is not None:  # chains that start elsewhere may be caught at any of them
+        caught_at = [m for m in begin_at if m.starting_share > NEGLIGIBLE or starts.word != "maxima"]
+        if jumps is None and len(caught_at) > 1 and can_jump(settings):
+            settings = with_jumps(settings)
+    if begin_at is not None or getattr(problem, "is_hierarchical", False):
+        settings = settings.starting_from(*components(problem, begin_at))
+    return Beginning(settings, starts, maxima, is_new)
+
+
+def draw(
+    task: Task, beginning: Beginning, report: Report | None, workers: int | str | Engine
+) -> tuple[RunResult, str]:
+    """Draw until the limits or the verdict end it, saved in the checkpoint meanwhile; also return which limit did.
+
+    Raises
+    ------
+    StoppedRun
+        If it was stopped, with the trace so far.
+    KeyboardInterrupt
+        If that was asked for with the last draw.
+    """
+    from fmu.analysis.convergence.diagnosis import draws_missing, with_maxima
+    from fmu.analysis.convergence.effective import live_diagnostics
+    from fmu.analysis.trace.failure_ledger import failure_rate_exceeded
+    from fmu.interruption import interruptible
+    from fmu.runs.maxima import keep_maxima
+    from fmu.samplers.loop.run import Interrupted, Run
+
+    problem, settings, maxima, limits = task.problem, beginning.settings, beginning.maxima, task.limits
+    with ExitStack() as stack:  # closed before what follows the draws
+        store = stop = None
+        if task.saved is not None:
+            store = stack.enter_context(_store(task, beginning, task.saved))
+            if beginning.is_new and maxima is not None:
+                keep_maxima(store.directory, maxima, problem)
+            stop = stack.enter_context(interruptible())
+        try:
+            run = Run(
+                problem,
+                settings,
+                **task.numbers,
+                init=beginning.starts.position,
+                progress=report,
+                engine=_engine(workers, stack),
+                checkpointer=store,
+                stop=stop,
+                too_many_failed=lambda failed, solves, why: failure_rate_exceeded(
+                    failed, solves, task.max_failure_rate, failures=why
+                ),
+                live=live_diagnostics,
+            )
+            result, limit = run.extend(task.limits.first), ""
+            while limits.until_ess is not None and not limit:
+                so_far = _as_trace(task, beginning, result, predictions=False)
+                missing = draws_missing(so_far, limits.until_ess, maxima)
+                if not missing:
+                    break
+                allowed, limit = limits.allow(result)
+                if allowed:
+                    result = run.extend(min(missing, allowed))
+            run.report_end()
+        except Interrupted as stopped:
+            stack.close()
+            if stopped.result is None:
+                raise StoppedRun("in warm-up", None) from None
+            drawn = _as_trace(task, beginning, stopped.result, predictions=False)
+            drawn.attrs["complete"] = 0
+            where = f"after {stopped.result.draws} of {task.limits.first} draws"
+            raise StoppedRun(where, drawn if maxima is None else with_maxima(drawn, maxima)) from None
+        if stop is not None and stop():  # the last draw is saved
+            raise KeyboardInterrupt
+    return result, limit
+
+
+def convert(task: Task, beginning: Beginning, result: RunResult, limit: str) -> xr.DataTree:
+    """Return the trace of all draws, with what their verdict needs."""
+    from fmu.analysis.convergence.diagnosis import with_maxima
+    from fmu.analysis.estimate import gradient_cost
+    from fmu.analysis.maxima.search import is_updating
+
+    problem = task.problem
+    trace = _as_trace(task, beginning, result)
+    if _takes_exact_gradients(trace, problem, beginning.settings):
+        last = result.posterior.position[: result.chains // result.groups, -1]
+        trace.attrs["gradient_cost"] = gradient_cost(problem, last)
+    if beginning.maxima is not None:
+        trace = with_maxima(trace, beginning.maxima)
+    if limit:
+        trace.attrs["limit"] = limit
+        trace.attrs["beyond_limit"] = task.limits.describe_excess(result)
+    trace.attrs["complete"] = 1
+    if is_updating(problem) and problem.model.is_uncertain:
+        trace.attrs.update(problem.model.record)  # no verdict before the certificate
+    return trace
+
+
+def examine(task: Task, beginning: Beginning, trace: xr.DataTree) -> xr.DataTree:
+    """Return a trace with what the model says at the draws, and without single modes."""
+    from fmu.analysis.certificate import certify
+    from fmu.analysis.held_out.modes import with_left_out
+    from fmu.analysis.identifiability import with_identifiability
+    from fmu.analysis.maxima.search import is_updating
+    from fmu.analysis.pairing_changes import with_pairing
+    from fmu.analysis.trace.modal_states import with_modes
+
+    problem, maxima = task.problem, beginning.maxima
+    if not is_updating(problem):
+        return trace
+    trace.attrs.update(certify(trace, problem, full_solves=task.full_solves))
+    trace = with_pairing(with_modes(trace, problem, maxima), problem)
+    if problem.is_hierarchical or not problem.likelihood.of_modes:
+        return trace
+    return with_left_out(with_identifiability(trace, problem, maxima), problem)
+
+
+def _as_trace(task: Task, beginning: Beginning, result: RunResult, *, predictions: bool = True) -> xr.DataTree:
+    from fmu.analysis.trace.conversion import to_trace
+
+    starts = beginning.starts
+    return to_trace(replace(result, init=starts.word), task.problem, starts.origin, predictions=predictions)
+
+
+def _store(task: Task, beginning: Beginning, saved: Checkpoint) -> Store:
+    """Return the checkpoint of a run, open."""
+    from fmu.analysis.trace.conversion import names_of, units_of
+    from fmu.analysis.trace.provenance import described
+    from fmu.runs.identity import Identity
+    from fmu.runs.store import Store
+    from fmu.samplers.settings import describe
+
+    problem, settings = task.problem, beginning.settings
+    run = {**task.numbers, "walkers": settings.walkers, "init": beginning.starts.origin}
+    configuration = described(problem, settings.name, describe(settings), run)
+    return Store(saved, Identity.of(configuration), names_of(problem), units_of(problem))
+
+
+def _engine(workers: int | str | Engine, stack: ExitStack) -> Engine:
+    """Return the engine that does the work; one that is created here is closed with the stack."""
+    from fmu.engines import engine
+    from fmu.engines.base import Engine
+
+    if isinstance(workers, Engine):
+        return workers
+    return stack.enter_context(engine(cluster=workers) if isinstance(workers, str) else engine(workers))
+
+
+def _takes_exact_gradients(trace: xr.DataTree, problem: Any, settings: Sampler) -> bool:
+    """Return whether gradients were taken that cost more than the solves counted for them.
+
+    Differences consist of solves that are counted, and a user's function returns value and gradient in one call.
+    """
+    is_function = getattr(getattr(problem, "model", None), "black_box", None) is not None
+    differences = getattr(getattr(settings, "local", settings), "gradient", "exact") != "exact"
+    return bool(trace.attrs["n_gradients"]) and not is_function and not differences
