@@ -23,6 +23,9 @@ _LEARNABLE = 50
 """Parameters whose covariance the draws of a warm-up can tell: it takes some ten draws for each."""
 # Of a trajectory: 2 to 8 steps are enough with a good metric; with a poor one the cost must be bounded.
 _MOST_STEPS = 32
+SHORT_STEPS = 0.95
+"""Acceptance rate of steps that are short, for densities on which others diverge."""
+_TRIALS = 20
 # Longer steps are unstable on any density with curvature, and on a flat one they only meet the walls more often.
 _LONGEST = 10.0
 
@@ -47,7 +50,8 @@ class HamiltonianMonteCarlo(Sampler):
     inverse_mass : None, vector (ndim,) or matrix (ndim, ndim)
         M⁻¹; the identity if neither given nor learnt.
     target_accept : float
-        Acceptance rate that the step size is adapted to.
+        Acceptance rate that the step size is adapted to; at least `SHORT_STEPS` where trajectories still diverge
+        at the end of warm-up.
     length : float
         Trajectory length that adaptation aims at, in standard deviations of the target. With 2 the effective
         sample size per gradient is within a quarter of the best, both on curved posteriors and on those that lean
@@ -157,6 +161,10 @@ class HamiltonianTuner:
             # the new metric makes the target's standard deviations 1, so that a step size of order one fits
             self._take_metric()
             self.averaging = self._restarted(np.log(0.5))
+        elif self._has_settled and self.averaging.target < SHORT_STEPS and info.extra["diverging"].any():
+            # the step size may be right on average and too long somewhere
+            settled = self.averaging.averaged
+            self.averaging = DualAveraging(settled, SHORT_STEPS, centre=settled)
         self._take_step_size()
 
     def finished(self) -> HamiltonianMonteCarlo:
@@ -166,7 +174,11 @@ class HamiltonianTuner:
         if inverse_mass is None and self.learner.covariance is not None:
             inverse_mass = self.learner.covariance
         return replace(
-            self.sampler, step_size=step_size, n_steps=self._n_steps(step_size), inverse_mass=inverse_mass
+            self.sampler,
+            step_size=step_size,
+            n_steps=self._n_steps(step_size),
+            inverse_mass=inverse_mass,
+            target_accept=self.averaging.target,
         )
 
     def state(self) -> Tree:
@@ -192,6 +204,12 @@ class HamiltonianTuner:
 
     def _restarted(self, log_step_size: Any) -> DualAveraging:
         return DualAveraging(np.asarray(log_step_size, dtype=float), self.sampler.target_accept)
+
+    @property
+    def _has_settled(self) -> bool:
+        """Whether the last metric is learnt, and the first step sizes under it, which are too long, are over."""
+        windows = self.learner.schedule.windows
+        return bool(windows) and self.learner.step > windows[-1][1] and self.averaging.count >= _TRIALS
 
     @property
     def _has_metric(self) -> bool:

@@ -344,8 +344,9 @@ def test_the_remedy_for_divergences_is_for_the_sampler_that_ran(make_trace, good
         "sample their ratios to that width instead of them"
     )
     short = make_trace(good, diverging=diverging, sampler="hmc")
-    short.attrs["settings"] = '{"target_accept": 0.95}'
-    assert convergence_failures(short) == [said.replace("of 200", "of 2000")]
+    short.attrs["learnt"] = '{"target_accept": [0.8, 0.95]}'
+    other = "take the default sampler, the mixture; if one parameter"
+    assert convergence_failures(short) == [said.replace("of 200", "of 2000").replace("if one parameter", other)]
 
 
 def test_draws_do_not_cure_divergences(make_trace, good):

@@ -5,7 +5,9 @@ import pytest
 
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers import HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Run, Slice, named, run
+from fmu.samplers.hmc import SHORT_STEPS
 from fmu.samplers.settings import describe
+from tests import plain_densities
 from tests.samplers.moments import assert_right
 from tests.samplers.targets import Banana, CorrelatedGaussian, SkewedGumbel, Target, TruncatedGaussian
 
@@ -227,3 +229,14 @@ def test_steps_on_a_flat_density_have_an_end():
     assert np.all(stats["accepted"])
     assert stats["step_size"].max() <= 10.0 * (1.0 + sampler.jitter) * sampler.length
     assert stats["n_bounces"].max() <= 100
+
+
+def test_steps_are_short_where_longer_ones_diverge():
+    """At the usual acceptance rate one trajectory in three hundred diverged, so that no run converged."""
+    density = plain_densities.BentLittle()
+    for seed in (1, 2):
+        result = warmed(density, HamiltonianMonteCarlo(), warmup=1000, draws=500, seed=seed)
+        assert result.learnt["target_accept"] == SHORT_STEPS
+        assert np.mean(result.posterior.stats["diverging"]) <= 1e-3
+    usual = warmed(CorrelatedGaussian(), HamiltonianMonteCarlo(), draws=10).learnt
+    assert usual["target_accept"] == HamiltonianMonteCarlo.target_accept

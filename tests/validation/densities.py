@@ -29,7 +29,7 @@ from tests import densities, plain_densities
 
 SEEDS = {"mixture": 9, "hmc": 7, "mh": 7, "slice": 6, "emcee": 4}
 """Runs of each sampler on each density."""
-MOST_SOLVES, UNTIL_ESS, FAR, ENOUGH = 30_000, 400, 5.0, 0.9
+MOST_SOLVES, UNTIL_ESS, FAR, ENOUGH = 50_000, 400, 5.0, 0.9
 """Evaluations at the end of a run, effective draws, standard errors that count as wrong, share that is enough."""
 CONVERGED, LOCALLY, NOT = "converged", "converged locally", "not converged"
 

@@ -11,6 +11,7 @@ import numpy as np
 from fmu.analysis.convergence.candidates import growth_for_candidates
 from fmu.analysis.trace.reading import has, is_imported
 from fmu.numbers import typed
+from fmu.samplers.hmc import SHORT_STEPS
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -114,8 +115,6 @@ APART = 1.2
 SHORTEST_WARMUP = 1000
 RATIOS = "if one parameter sets the width of others, sample their ratios to that width instead of them"
 """The remedy for a funnel, on which steps of one length are too long in the neck and too short outside it."""
-SHORT_STEPS = 0.95
-"""Acceptance rate of Hamiltonian steps that are short."""
 
 
 def for_chains_apart(trace: xr.DataTree) -> str:
@@ -134,9 +133,11 @@ def for_chains_apart(trace: xr.DataTree) -> str:
 
 def for_divergences(trace: xr.DataTree) -> str:
     """Return the remedy for trajectories that diverge, of the sampler that ran."""
-    accepted = json.loads(trace.attrs["settings"]).get("target_accept") or 0.0
-    if trace.attrs["sampler"] == "mixture" or accepted >= SHORT_STEPS:
+    if trace.attrs["sampler"] == "mixture":
         return f"; {RATIOS}"
+    settings = json.loads(trace.attrs["settings"]) | json.loads(trace.attrs.get("learnt", "{}"))
+    if np.max(settings.get("target_accept") or 0.0) >= SHORT_STEPS:  # of several groups
+        return f"; take the default sampler, the mixture; {RATIOS}"
     return f"; use a shorter step: fmu.HamiltonianMonteCarlo(target_accept={typed(SHORT_STEPS)})"
 
 
