@@ -131,7 +131,7 @@ def reduce_model(
     state = load_basis(key)
     if state is not None:
         structure.restore(state)
-        return _kept(problem, structure, tolerance, state)
+        return _find_tolerance(problem, structure, tolerance, state)
     bounded_rounding(problem)  # before the time for training is spent
     n = structure.n_parameters
     lower, upper = training_box(problem.parameters[:n])
@@ -195,18 +195,18 @@ def reduce_model(
         raise ValueError(_singular(problem, singular)) from singular
     if structure.reduced is None:
         if likelihood.of_modes:
-            state = _trained_at_draws(problem, structure, trained, tolerance.frequency) or state
+            state = _train_at_draws(problem, structure, trained, tolerance.frequency) or state
         store_basis(key, state)
-        return _kept(problem, structure, tolerance, state)
+        return _find_tolerance(problem, structure, tolerance, state)
     error = 0.0 if structure.confirmed else _paired_error(structure, trained[0], trained[1], tolerance.frequency)
     reached = np.array([error, differences[-1] if differences else 0.0])
     if not (reached[0] <= tolerance.frequency and reached[1] <= tolerance.log_prob):
         state["reached"] = reached
     store_basis(key, state)
-    return _kept(problem, structure, tolerance, state)
+    return _find_tolerance(problem, structure, tolerance, state)
 
 
-def _kept(
+def _find_tolerance(
     problem: Problem, structure: PairedStructure, tolerance: Tolerance, state: dict[str, FloatArray]
 ) -> Tolerance | None:
     """Return the tolerance that a reduced model keeps, None without one; warn where it is not what was asked."""
@@ -216,7 +216,7 @@ def _kept(
     return Tolerance(*state["loosened"].tolist()) if "loosened" in state else tolerance
 
 
-def _trained_at_draws(
+def _train_at_draws(
     problem: Problem, structure: PairedStructure, trained: FloatArray, frequency: float
 ) -> dict[str, FloatArray] | None:
     """Have a reduced model answer that is trained where prior and posterior have their mass; return its state.
