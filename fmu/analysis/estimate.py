@@ -59,7 +59,7 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
         Processes that share the work.
     """
     per_gradient = problem.solves_per_gradient
-    is_function = problem.model.black_box is not None
+    is_function = bool(problem.model.functions)
     one_s = seconds_of_a_solve(problem)
     is_slow = is_function or one_s > _SLOW_S
     found = []
@@ -139,11 +139,9 @@ def gradient_cost(density: LogDensity, theta: FloatArray) -> float:
 
 
 def seconds_of_a_solve(problem: UpdatingProblem) -> float:
-    """Return the time of one solve; for a function, of one call."""
-    function = problem.model.black_box
-    if function is not None:
-        return function.seconds_at(problem.start[: problem.n_structural])
-    return _timed(lambda: problem.log_prob(problem.start))
+    """Return the time of one solve; for a function, of one call, or of as many as there are different tests."""
+    of_calls = problem.model.seconds_at(problem.start[: problem.n_structural])
+    return _timed(lambda: problem.log_prob(problem.start)) if of_calls is None else of_calls
 
 
 def _timed(work: Callable[[], object]) -> float:

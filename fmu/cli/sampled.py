@@ -271,9 +271,8 @@ def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Ite
     """
     from fmu.engines.base import InProcess
 
-    function = problem.model.black_box
-    if engine.workers > 1 and groups is None and function is not None:
-        with function.spread_over(engine):
+    if engine.workers > 1 and groups is None and problem.model.functions:
+        with problem.model.spread_over(engine):
             yield InProcess()
     else:
         yield engine

@@ -250,6 +250,6 @@ def _takes_exact_gradients(trace: xr.DataTree, problem: Any, settings: Sampler) 
 
     Differences consist of solves that are counted, and a user's function returns value and gradient in one call.
     """
-    is_function = getattr(getattr(problem, "model", None), "black_box", None) is not None
+    is_function = bool(getattr(getattr(problem, "model", None), "functions", ()))
     differences = getattr(getattr(settings, "local", settings), "gradient", "exact") != "exact"
     return bool(trace.attrs["n_gradients"]) and not is_function and not differences

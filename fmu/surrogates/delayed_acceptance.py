@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -97,10 +96,9 @@ def delayed_acceptance(
     if max_solves is not None:
         allowed = min(available, whole_number("max_solves", max_solves, chains) // chains)
     n = proposals(until_ess, chains) // chains
-    black_box, workers = stage.truth.model.black_box, 1 if engine is None else engine.workers
-    spread = nullcontext() if engine is None or black_box is None else black_box.spread_over(engine)
+    workers = 1 if engine is None else engine.workers
     began, limit = time.perf_counter(), ""
-    with spread:
+    with stage.truth.model.spread_over(engine):
         with phase("delayed acceptance", chains * min(n, allowed)) as under_way:
             while True:
                 stage.solve(min(n, allowed), workers, under_way)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -95,9 +94,7 @@ def surrogate(
     max_solves = most_solves(problem) if max_solves is None else max_solves
     _check(problem, tolerance, batch, checks, max_solves)
     learner = _Learner(problem, seed, max_solves)
-    black_box = problem.model.black_box
-    spread = nullcontext() if engine is None or black_box is None else black_box.spread_over(engine)
-    with spread, phase("surrogate", expected_solves(problem)) as under_way:
+    with problem.model.spread_over(engine), phase("surrogate", expected_solves(problem)) as under_way:
         learner.begin(under_way)
         limits = _learnt(learner, tolerance, batch, checks, under_way)
     learner.model.record = learner.record(limits, tolerance)

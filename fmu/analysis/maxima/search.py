@@ -145,11 +145,11 @@ def _search(problem: UpdatingProblem, starts: int, seed: int, most: float) -> Ma
 
 def _most_solves(problem: UpdatingProblem) -> float:
     """Return the default limit of solves: for a slow function those of its surrogate, otherwise none."""
-    function = problem.model.black_box
-    if function is None or problem.solves_per_gradient == 1:
+    if problem.solves_per_gradient == 1:
         return np.inf
-    slow = function.seconds_at(problem.start[: problem.n_structural]) >= SLOW_S
-    return solves_of_a_surrogate(problem.n_structural) if slow else np.inf
+    seconds = problem.model.seconds_at(problem.start[: problem.n_structural])
+    is_slow = seconds is not None and seconds >= SLOW_S
+    return solves_of_a_surrogate(problem.n_structural) if is_slow else np.inf
 
 
 def _search_plain(density: PlainDensity, starts: int | None, seed: int) -> Maxima:

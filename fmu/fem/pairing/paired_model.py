@@ -6,7 +6,7 @@ import copy
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, Protocol, Self
@@ -127,6 +127,23 @@ class ModalModel:
     def reasons(self) -> Sequence[Failure]:
         """The first points at which a user's function failed, and why."""
         return ()
+
+    @property
+    def functions(self) -> tuple[BlackBoxModel, ...]:
+        """Return the users' functions that answer; none of a model of another kind."""
+        return () if self.black_box is None else (self.black_box,)
+
+    @contextmanager
+    def spread_over(self, engine: Engine | None) -> Iterator[None]:
+        """Within a with block, call users' functions in the workers of an engine, if there are any."""
+        with ExitStack() as stack:
+            for function in () if engine is None else self.functions:
+                stack.enter_context(function.spread_over(engine))  # type: ignore[arg-type]
+            yield
+
+    def seconds_at(self, theta: FloatArray) -> float | None:
+        """Return the seconds that a user's function takes at a theta (n_parameters,), None without one."""
+        return None if self.black_box is None else self.black_box.seconds_at(theta)
 
     def as_structure(self) -> PairedStructure | None:
         """Return the model with what only a structure given by its matrices can do, None if it is not one."""

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 
-from fmu.fem.black_box import Failure
+from fmu.fem.black_box import BlackBoxModel, Failure
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.paired_model import ModalModel, PairedStructure
 from fmu.fem.pairing.prediction import ModalPrediction
@@ -26,29 +26,33 @@ class Configuration:
         Paired with every mode that one of these tests has measured.
     tests : ndarray of int, shape (n_here,)
         Which tests.
+    distinct : ndarray of int, shape (n_distinct,)
+        Those of them that are solved: the others always have the parameters of one of these.
     parameters : ndarray of int, shape (p,)
         Which parameters of the structure the model takes; the others are known.
     columns : ndarray of int, shape (m,)
         Their modes among those of all tests.
-    test, mode : ndarray of int, shape (m,)
-        Of each: the row in `tests`, and the mode of `model`.
+    test, row, mode : ndarray of int, shape (m,)
+        Of each: the row in `tests`, the row in `distinct`, and the mode of `model`.
     """
 
     model: ModalModel
     tests: IntArray
+    distinct: IntArray
     parameters: IntArray
     columns: IntArray
     test: IntArray
+    row: IntArray
     mode: IntArray
 
     def points(self, values: FloatArray) -> FloatArray:
-        """Return the model's parameters, (n · n_here, p), from those of all tests, (n, n_tests, n_structural)."""
-        own = values[:, self.tests[:, None], self.parameters]
+        """Return the model's parameters, (n · n_distinct, p), from all of them, (n, n_tests, n_structural)."""
+        own = values[:, self.distinct[:, None], self.parameters]
         return own.reshape(-1, len(self.parameters))
 
     def picked(self, found: FloatArray) -> FloatArray:
-        """Return the measured modes, shape (n, m, …), from all modes in every test, (n · n_here, modes, …)."""
-        return found.reshape(-1, len(self.tests), *found.shape[1:])[:, self.test, self.mode]
+        """Return the measured modes, shape (n, m, …), from all modes at `points`, (n · n_distinct, modes, …)."""
+        return found.reshape(-1, len(self.distinct), *found.shape[1:])[:, self.row, self.mode]
 
 
 class JointModel(ModalModel):
@@ -108,6 +112,26 @@ class JointModel(ModalModel):
         """The first points at which a user's function failed, and why."""
         return tuple(reason for part in self.configurations for reason in part.model.reasons)
 
+    @property
+    def functions(self) -> tuple[BlackBoxModel, ...]:
+        """Return the users' functions that answer, each once."""
+        return tuple(dict.fromkeys(function for part in self.configurations for function in part.model.functions))
+
+    def seconds_at(self, theta: FloatArray) -> float | None:
+        """Return the seconds that users' functions take at a theta (n_parameters,), None without any."""
+        values, found = self.layout.values(theta[None]), []
+        for part in self.configurations:
+            points = part.points(values)
+            found.append((part.model.seconds_at(points[0]), len(points)))
+        return sum(one * n for one, n in found if one is not None) if self.functions else None
+
+    def coarser(self, share: float) -> Self:
+        """Return the model with a coarser one of each configuration; itself if there is none."""
+        parts = [replace(part, model=part.model.coarser(share)) for part in self.configurations]
+        if all(part.model is known.model for part, known in zip(parts, self.configurations, strict=True)):
+            return self
+        return type(self)(self.layout, parts, self.n_modes)
+
     def structures(self) -> tuple[PairedStructure, ...]:
         """Return that of each configuration."""
         return tuple(structure for part in self.configurations for structure in part.model.structures())
@@ -130,7 +154,7 @@ class JointModel(ModalModel):
             else:
                 failed = ~np.isfinite(part.model.frequencies(points)).all(axis=1)
             for row in np.flatnonzero(failed):
-                yield self.layout.tests[part.tests[row]], part.model, points[row]
+                yield self.layout.tests[part.distinct[row]], part.model, points[row]
 
     def of_modes(self, theta: FloatArray, of: Callable[[Any, FloatArray], FloatArray]) -> FloatArray:
         """Return what `of` makes of each configuration's model and parameters, for every measured mode."""

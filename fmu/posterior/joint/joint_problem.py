@@ -143,6 +143,22 @@ class JointProblem(UpdatingProblem):
         if self.is_hierarchical:
             self._take(centred(self))
 
+    @classmethod
+    def reduced(cls, *args: Any, **options: Any) -> JointProblem:
+        """Return ``JointProblem(…)``, which has a certified reduced model unless `reduction` is False.
+
+        Parameters
+        ----------
+        *args, **options
+            Those of `JointProblem`.
+
+        Raises
+        ------
+        ValueError
+            As `JointProblem` does.
+        """
+        return cls(*args, **options)
+
     def _posterior_and_gradient(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the log-probability and its gradient, put together from the derivatives in every test."""
         likelihood: Any = copy(self.likelihood)
@@ -438,13 +454,17 @@ def _configurations(
         data, modes = _together([tests[t] for t in here])
         alone = UpdatingProblem.reduced(changed, data, parameters, **options)
         tolerance = alone.tolerance
+        distinct, rows = layout.distinct(here, kept)
+        of_modes = [tests[t].data.n_modes for t in here]
         found.append(
             Configuration(
                 model=alone.model,
                 tests=np.array(here),
+                distinct=distinct,
                 parameters=np.array(kept),
                 columns=np.concatenate([np.arange(first_mode[t], first_mode[t + 1]) for t in here]),
-                test=np.repeat(np.arange(len(here)), [tests[t].data.n_modes for t in here]),
+                test=np.repeat(np.arange(len(here)), of_modes),
+                row=np.repeat(rows, of_modes),
                 mode=np.concatenate(modes),
             )
         )

@@ -53,6 +53,10 @@ class Taken:
         """Return the values in every test, shape (n, n_tests), and their derivatives."""
         return theta[:, self.columns], [Slope(self.columns, np.ones((len(theta), len(self.columns))))]
 
+    def identity(self, test: int) -> Any:
+        """Return an object that is equal in two tests if the value always is."""
+        return int(self.columns[test])
+
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return limits of the values in every test, for limits of theta (n_parameters,)."""
         return lower[self.columns], upper[self.columns]
@@ -93,6 +97,10 @@ class Drawn:
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
         """Return the values in every test, shape (n, n_tests), and their derivatives."""
         return self._known("evaluated", theta, self._computed)[0]
+
+    def identity(self, test: int) -> Any:
+        """Return an object that is equal in two tests if the value always is."""
+        return int(self.columns[test])
 
     def log_prior(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
         """Return the log-density of the scores over that of standard normal ones, (n, n_tests), and derivatives.
@@ -223,6 +231,10 @@ class Lost:
         by_loss = np.where(self.is_lost, -base, 0.0)
         return base * (1.0 - loss), [Slope(columns, 1.0 - loss), Slope(self.losses, by_loss)]
 
+    def identity(self, test: int) -> Any:
+        """Return an object that is equal in two tests if the value always is."""
+        return int(self.losses[test])
+
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return limits of the values in every test, for limits of theta (n_parameters,)."""
         ends = np.array([lower[self.column], upper[self.column]])
@@ -265,6 +277,10 @@ class Trend:
             columns = np.full(self.covariates.shape[1], column)
             found.append(Slope(columns, value * self.covariates[k] * others))
         return value * product, found
+
+    def identity(self, test: int) -> Any:
+        """Return an object that is equal in two tests if the value always is."""
+        return self.base.identity(test), *self.covariates[:, test].tolist()
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return limits of the values in every test, for limits of theta (n_parameters,)."""
@@ -434,6 +450,26 @@ class Layout:
         Without meaning where a parameter is known in a test.
         """
         return np.stack([value_of(theta)[0] for value_of in self.values_of], axis=2)
+
+    def distinct(self, tests: Sequence[int], parameters: Sequence[int]) -> tuple[IntArray, IntArray]:
+        """Return the first of the tests that always have the same values of these parameters of the structure.
+
+        Parameters
+        ----------
+        tests, parameters : sequence of int
+            No parameter is known in one of the tests.
+
+        Returns
+        -------
+        first : ndarray of int, shape (n_distinct,)
+            Tests with different values.
+        row : ndarray of int, shape (len(tests),)
+            The row of `first` with the values of each test.
+        """
+        numbers: dict[Any, int] = {}
+        identities = (tuple(self.values_of[j].identity(t) for j in parameters) for t in tests)
+        row = np.array([numbers.setdefault(one, len(numbers)) for one in identities])
+        return np.array(tests)[np.unique(row, return_index=True)[1]], row
 
     def of_next_test(
         self, theta: FloatArray, rng: np.random.Generator, like: int, covariates: Mapping[str, float]
