@@ -11,7 +11,7 @@ import fmu
 
 HOUSE = Path(fmu.__file__).parent
 FLOORS = (
-    {"types", "numbers", "interruption", "durable_files"},
+    {"types", "numbers", "interruption", "durable_files", "differences"},
     {"arguments"},
     {"tables", "formats", "progress"},
     {"engines"},

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fmu.differences import both_sides
 from fmu.numbers import significant
 from fmu.posterior.scaled import ScaledDensity
 from fmu.types import FloatArray
@@ -117,11 +118,10 @@ def check_gradient(problem: UpdatingProblem, seed: int = 1) -> GradientCheck:
     n, ndim = u.shape
     tried = []
     for h in _STEPS:
-        shift = h * np.eye(ndim)
-        ends = np.concatenate([(u[:, None] + shift).reshape(-1, ndim), (u[:, None] - shift).reshape(-1, ndim)])
-        above, below = np.asarray(density.log_prob(ends)).reshape(2, n, ndim)
+        ends, distance = both_sides(u, np.full(ndim, h), density.lower, density.upper)
+        above, below = np.asarray(density.log_prob(ends.reshape(-1, ndim))).reshape(2, n, ndim)
         with np.errstate(invalid="ignore"):  # −inf on both sides, where the model has failed
-            tried.append((above - below) / (2.0 * h))
+            tried.append((above - below) / distance)
     error = np.max(np.abs(np.array(tried) - exact), axis=2)
     nearest = np.argmin(np.where(np.isfinite(error), error, np.inf), axis=0)
     difference = np.array(tried)[nearest, np.arange(n)]

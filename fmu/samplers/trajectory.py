@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fmu.differences import both_sides
 from fmu.samplers.kernel import Info, State, Target
 from fmu.samplers.settings import cholesky_factor, fits
 from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
@@ -124,16 +125,12 @@ class CentralDifference(Target):
     def slope(self, position: FloatArray, *, with_log_prob: bool, chain: Any = slice(None)) -> Slope:
         """Evaluate all perturbed points in one batch; the density is the same for all chains."""
         n, ndim = position.shape
-        shift = np.diag(self.h * self.delta)
-        centre = position[:, None, :]
-        above = np.minimum(centre + shift, self.upper)
-        below = np.maximum(centre - shift, self.lower)
-        points = [above.reshape(-1, ndim), below.reshape(-1, ndim)]
+        ends, distance = both_sides(position, self.h * self.delta, self.lower, self.upper)
+        points = [ends.reshape(-1, ndim)]
         if with_log_prob:
             points.append(position)
         found = self.evaluate(np.concatenate(points))
         values = found.log_prob[: 2 * n * ndim].reshape(2, n, ndim)
-        distance = np.diagonal(above - below, axis1=1, axis2=2)
         with np.errstate(invalid="ignore"):  # −inf on both sides, where the density has failed: not finite
             gradient = (values[0] - values[1]) / distance
         finite = np.all(np.isfinite(gradient), axis=1)

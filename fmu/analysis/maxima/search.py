@@ -15,6 +15,7 @@ from fmu.analysis.maxima.mode_weights import DRAWS, TEMPERATURES, ModeWeight, mo
 from fmu.analysis.maxima.plain import PlainDensity
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 from fmu.arguments import Seed, check_arguments
+from fmu.differences import both_sides
 from fmu.fem.black_box import SLOW_S, solves_of_a_surrogate
 from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import gradients, phase, solves
@@ -316,16 +317,15 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray, *, is_rough: bool = 
 
 def _differences(problem: UpdatingProblem, theta: FloatArray, step: FloatArray) -> FloatArray:
     """Return the symmetric part of the gradient's differences over ± `step` (ndim,), in scaled coordinates."""
-    h = np.diag(step * problem.scale)
     lower, upper = problem.lower, problem.upper
     if problem.parameters:  # at a bound where the prior vanishes there is no gradient: go only halfway
         vanishing = [(p.lowest > p.lower, p.highest < p.upper) for p in problem.parameters]
         vanish_below, vanish_above = np.array(vanishing).T
         lower = np.where(vanish_below, 0.5 * (lower + theta), lower)
         upper = np.where(vanish_above, 0.5 * (upper + theta), upper)
-    ahead, behind = np.minimum(theta + h, upper), np.maximum(theta - h, lower)
-    slopes = [problem.log_prob_and_grad(points)[1] * problem.scale for points in (ahead, behind)]
+    ends, distance = both_sides(theta[None], step * problem.scale, lower, upper)
+    slopes = [problem.log_prob_and_grad(points[0])[1] * problem.scale for points in ends]
     with np.errstate(invalid="ignore"):  # no gradient beyond an edge: taken as no curvature
-        hessian = (slopes[1] - slopes[0]) / (np.diag(ahead - behind) / problem.scale)[:, None]
+        hessian = (slopes[1] - slopes[0]) / (distance[0] / problem.scale)[:, None]
     hessian = np.where(np.isfinite(hessian), hessian, 0.0)
     return 0.5 * (hessian + hessian.T)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from fmu.differences import both_sides
 from fmu.fem.black_box import Answer, AnswerError, BlackBoxModel, Failure
 from fmu.fem.modes.modal import mac
 from fmu.fem.pairing.paired_model import PAIRINGS, ModalModel
@@ -228,14 +229,7 @@ class PairedBlackBox(ModalModel):
     ) -> FloatArray:
         """Return slopes (n, k, n_parameters) of the values `here` (n, k), by those at points near row `of`."""
         n, ndim = theta.shape
-        shift = np.diag(self.black_box.step * self.scale)
-        centre = theta[:, None, :]
-        points = np.stack(
-            [
-                np.minimum(centre + shift, np.maximum(self.upper, centre)),
-                np.maximum(centre - shift, np.minimum(self.lower, centre)),
-            ]
-        )
+        points, _ = both_sides(theta, self.black_box.step * self.scale, self.lower, self.upper)
         of = np.broadcast_to(np.arange(n)[:, None], (2, n, ndim)).ravel()
         values = nearby(points.reshape(-1, ndim), of).reshape(2, n, ndim, -1)
         failed = np.isnan(values).any(axis=3)
