@@ -11,8 +11,8 @@ import fmu
 
 HOUSE = Path(fmu.__file__).parent
 FLOORS = (
-    {"types", "numbers", "interruption", "durable_files", "differences"},
-    {"arguments"},
+    {"types", "numbers", "interruption", "durable_files"},
+    {"arguments", "differences"},
     {"tables", "formats", "progress"},
     {"engines"},
     {"fem"},
