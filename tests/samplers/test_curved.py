@@ -18,7 +18,7 @@ from fmu.samplers.mixture.bent import fit_gaussians
 from fmu.samplers.mixture.curve import fit_curve, fit_infinite_margins
 from fmu.samplers.mixture.curved import CurvedMixture, fit_curved
 from fmu.samplers.mixture.warmup.rounds import Rounds, learn_in_rounds
-from tests.densities import Banana, Beta, Funnel, Ridges, Shell
+from tests.densities import Banana, Beta, Funnel, Ridges, Shell, StudentT
 
 EXACT_GRADIENT = 2
 """Evaluations that an exact gradient counts for."""
@@ -170,6 +170,19 @@ def test_bent_hollow_and_infinite_densities_converge_within_50_000_evaluations(d
     for one in np.moveaxis(square, 2, 0):
         error = mcse_mean(one)
         assert abs(one.mean() - 1.0) < 5 * error
+
+
+def test_weights_of_candidates_are_bounded_under_heavy_tails():
+    """Gaussians leave weights P/q without a bound there, e^178 and more: evidences are too low."""
+    density = StudentT()
+    scaled = ScaledDensity(density)
+    begun = Run(density, MixtureSampler(), warmup=500, chains=4, seed=2, init=density.draw(4, np.random.default_rng(7)))
+    begun.extend(1)
+    tuner = MixtureSampler().tuner(scaled, 4, 500)
+    tuner.restore(begun._groups[0].state.tuner)
+    draws = scaled.to_scaled(density.draw(20_000, np.random.default_rng(5)))
+    log_w = scaled.log_prob(draws) - tuner.mixture.log_density(draws)
+    assert log_w.max() - np.median(log_w) < 20.0
 
 
 def test_a_curved_mixture_is_kept_in_the_settings_and_the_state_of_the_tuner():

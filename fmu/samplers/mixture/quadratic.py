@@ -89,6 +89,12 @@ def _temperature(ndim: int) -> float:
     return float(np.exp(min(5.0 / ndim, _MOST_WIDENED)))
 
 
+def kurtosis(x: FloatArray, weight: FloatArray) -> float:
+    """Return the kurtosis of points x (n, ndim) with weights (n,), over that of a Gaussian (Mardia 1970)."""
+    n, z = x.shape[1], standardised(x, weight)[0]
+    return float(weight @ np.sum(z**2, axis=1) ** 2 / weight.sum() / (n * (n + 2)))
+
+
 def n_coefficients(ndim: int) -> int:
     """Return how many numbers a quadratic in `ndim` coordinates has."""
     return (ndim + 1) * (ndim + 2) // 2

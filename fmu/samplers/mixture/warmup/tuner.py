@@ -16,9 +16,9 @@ from fmu.samplers.mixture.curve import fit_infinite_margins
 from fmu.samplers.mixture.curved import CurvedMixture
 from fmu.samplers.mixture.kernel import MixtureKernel
 from fmu.samplers.mixture.proposal import GOOD, LESS_WIDE, WIDE, Mixture, Points, refit_mixture
-from fmu.samplers.mixture.quadratic import n_coefficients
-from fmu.samplers.mixture.warmup.local_draws import Evaluated, fit_to_draws
-from fmu.samplers.mixture.warmup.rounds import learn_in_rounds
+from fmu.samplers.mixture.quadratic import kurtosis, n_coefficients
+from fmu.samplers.mixture.warmup.local_draws import Evaluated, fit_to_draws, groups_of_chains
+from fmu.samplers.mixture.warmup.rounds import ENOUGH, learn_in_rounds
 from fmu.samplers.mixture.warmup.unknown_maxima import Seen, add_maxima, find_unknown_maxima
 from fmu.samplers.slice import Slice
 from fmu.types import FloatArray, IntArray, LogDensity
@@ -45,6 +45,9 @@ _WORTH = 0.02
 """Effective draws per candidate of a curved mixture below which local steps give more."""
 _CURVED_CYCLE = 1, 79
 """Local steps, then candidates, of a curved mixture."""
+_HEAVY, _FITS_BADLY = 1.35, 0.8
+"""Kurtosis, over that of a Gaussian, above which tails are heavy, and effective share below which Gaussians do not
+follow them."""
 
 
 class MixtureTuner:
@@ -58,7 +61,8 @@ class MixtureTuner:
     Where candidates are still rarely accepted in some chain after the first fits, the steps go to local ones,
     which learn a metric of their own from their draws. Further fits are to these draws. Candidates come back when
     they are accepted often. Once the draws show the density roughly, a `CurvedMixture` is learnt from rounds of
-    candidates; it stays if its candidates are accepted. It is also learnt where the density is infinite at a wall.
+    candidates; it stays if its candidates are accepted. It is also learnt where the density is infinite at a
+    wall or has heavy tails.
 
     Parameters
     ----------
@@ -263,14 +267,15 @@ class MixtureTuner:
     def _choose_steps(self, state: State) -> IntArray | None:
         """Let local steps prevail where some chain rarely accepts a candidate, until all accept them often.
 
-        Where most chains rarely do, learn a curved mixture, if their draws are there already. Return the
-        evaluations that this took.
+        Where most chains rarely do, or the tails are heavy, learn a curved mixture, if their draws are there
+        already. Return the evaluations that this took.
         """
         if self.jumped < _ENOUGH_JUMPS or self.sampler.local_steps >= self.sampler.jumps_with(WIDE):
             return None
         rates = self.accepted / self.jumped
-        self.is_bent = bool(np.median(rates) < _RARE) or self._is_infinite()
-        if self.switched < 0 and self.is_bent and self._can_learn:
+        points = self._weighted_candidates()
+        self.is_bent = bool(np.median(rates) < _RARE) or self._is_infinite(points)
+        if self.switched < 0 and (self.is_bent or self._has_heavy_tails(points)) and self._can_learn:
             return self._learn_curved(state)
         if self.switched < 0 and (rates.min() < _RARE or self.is_bent):
             self._switch()
@@ -289,17 +294,32 @@ class MixtureTuner:
         draws = self.walked if self.switched >= 0 else self.visited
         return not self.has_tried and len(draws.log_prob) >= _LEAST_WALK * self.chains
 
-    def _is_infinite(self) -> bool:
-        """Say whether the density is infinite at a wall, by the candidates so far; no Gaussian is."""
-        if isinstance(self.mixture, CurvedMixture):
-            return False
+    def _weighted_candidates(self) -> Points | None:
+        """Return the candidates so far with their weights; None if there are none, or the mixture is curved."""
         u, log_prob, _ = self.drawn
         known = np.isfinite(log_prob)
-        if not known.any():
+        if isinstance(self.mixture, CurvedMixture) or not known.any():
+            return None
+        return Points.weighted(u[known], log_prob[known], self._log_density_so_far(u[known]))
+
+    def _is_infinite(self, points: Points | None) -> bool:
+        """Say whether the density is infinite at a wall, by the candidates so far; no Gaussian is."""
+        if points is None:
             return False
-        points = Points.weighted(u[known], log_prob[known], self._log_density_so_far(u[known]))
         shapes = fit_infinite_margins(points.position, points.weight, self.density.lower, self.density.upper)
         return bool(np.isfinite(shapes).any())
+
+    def _has_heavy_tails(self, points: Points | None) -> bool:
+        """Say whether a density around one maximum falls off more slowly than Gaussians, which fit it badly.
+
+        The weights P/q of Gaussian candidates then have no bound, and an evidence from them has a wrong error.
+        """
+        if points is None or not isinstance(self.mixture, Mixture) or not len(self.visited.log_prob):
+            return False
+        if groups_of_chains(self.visited.position.reshape(-1, self.chains, self.density.ndim)).any():
+            return False
+        share = points.effective_share(self.mixture.log_density(points.position))
+        return not share >= _FITS_BADLY and kurtosis(points.under(self.mixture.warp)[0], points.weight) > _HEAVY
 
     def _learn_curved(self, state: State) -> IntArray:
         """Learn a curved mixture from where local steps were; return the evaluations that this took.
@@ -312,10 +332,10 @@ class MixtureTuner:
         rng = np.random.default_rng(state.position.view(np.uint64).ravel())  # another one for another seed
         most = _CANDIDATES * self.steps * self.chains
         mixture, efficiency, n_solves = learn_in_rounds(self.target, later, rng, most)
-        if mixture is not None and efficiency >= _WORTH:
+        if mixture is not None and efficiency >= (_WORTH if self.is_bent else ENOUGH):
             self.switched = -1
             self._begin_with(mixture)
-        elif self.switched < 0:
+        elif self.switched < 0 and self.is_bent:
             self._switch()
         spent = np.full(self.chains, n_solves // self.chains)
         spent[: n_solves % self.chains] += 1
