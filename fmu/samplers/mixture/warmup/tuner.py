@@ -45,7 +45,7 @@ _WORTH = 0.02
 """Effective draws per candidate of a curved mixture below which local steps give more."""
 _CURVED_CYCLE = 1, 79
 """Local steps, then candidates, of a curved mixture."""
-_HEAVY, _FITS_BADLY = 1.35, 0.8
+_HEAVY, _FITS_BADLY = 1.6, 0.8
 """Kurtosis, over that of a Gaussian, above which tails are heavy, and effective share below which Gaussians do not
 follow them."""
 
