@@ -176,7 +176,8 @@ def test_weights_of_candidates_are_bounded_under_heavy_tails():
     """Gaussians leave weights P/q without a bound there, e^178 and more: evidences are too low."""
     density = StudentT()
     scaled = ScaledDensity(density)
-    begun = Run(density, MixtureSampler(), warmup=500, chains=4, seed=0, init=density.draw(4, np.random.default_rng(7)))
+    start = density.draw(4, np.random.default_rng(7))
+    begun = Run(density, MixtureSampler(), warmup=500, chains=4, seed=0, init=start)
     begun.extend(1)
     tuner = MixtureSampler().tuner(scaled, 4, 500)
     tuner.restore(begun._groups[0].state.tuner)
