@@ -24,6 +24,9 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("notebo
 ELSEWHERE = "head:8786"
 """Address of a cluster: lines that name it are read, not run; nor is the page of ``--web``, which goes on."""
 
+SYSTEM = ("python3", ".", "pip")
+"""Programs that install fmu: their lines are read, not run."""
+
 
 def blocks(page, language):
     """The code blocks of a page in one language."""
@@ -39,6 +42,14 @@ def lines(page):
             yield command, target
 
 
+def write_files(page, folder):
+    """Write the files that a reader has: beam.toml, and those of the page, whose first line is ``# NAME: …``."""
+    (folder / "beam.toml").write_text(template("frame"), encoding="utf-8")
+    for block in blocks(page, "toml"):
+        if name := re.match(r"# (\w+\.toml):", block):
+            (folder / name[1]).write_text(block, encoding="utf-8")
+
+
 def with_blocks(language):
     return [page for page in PAGES if blocks(page, language)]
 
@@ -50,7 +61,7 @@ def names(pages):
 def test_every_block_is_of_a_kind_that_is_tested():
     kinds = {kind for page in PAGES for kind in re.findall(r"^```(\S+)\n", page.read_text("utf-8"), re.MULTILINE)}
     assert {kind for kind in kinds if kind[0] != "{"} <= {"python", "sh", "text", "toml"}
-    assert {"README.md", "own-structure.md", "own-error-model.md", "own-sampler.md"} < set(
+    assert {"README.md", "first-steps.md", "own-structure.md", "own-error-model.md", "own-sampler.md"} < set(
         names(with_blocks("python"))
     )
 
@@ -69,6 +80,7 @@ IN_ONE_PROCESS = [p for p in with_blocks("python") if p.name not in ("CONTRIBUTI
 # Several seconds each: they are the examples that users repeat, with draws enough to show something.
 @pytest.mark.parametrize("page", IN_ONE_PROCESS, ids=lambda page: page.name)
 def test_python_examples_run(page, tmp_path, monkeypatch):
+    write_files(page, tmp_path)
     monkeypatch.chdir(tmp_path)
     program = tmp_path / "example.py"
     program.write_text("\n".join(blocks(page, "python")), encoding="utf-8")
@@ -110,34 +122,47 @@ def test_the_cluster_of_contributing_md_is_asked_for_as_it_says(tmp_path, monkey
     assert {"queue", "cores", "walltime", "maximum_jobs"} <= set(told)
 
 
-def prepared(folder):
-    """A folder with the files that the lines refer to."""
-    for name in ("runs/long", "runs/beam-shape", "runs/four"):
+def make_runs(folder):
+    """Make the folders of the runs that the lines refer to."""
+    for name in ("runs/long", "runs/beam-shape", "runs/four", "runs/damage-shape"):
         (folder / name).mkdir(parents=True)
-    (folder / "beam.toml").write_text(template("frame"), encoding="utf-8")
 
 
 @pytest.mark.parametrize("page", with_blocks("sh"), ids=lambda page: page.name)
 def test_shell_examples_are_understood(page, tmp_path, monkeypatch):
-    prepared(tmp_path)
+    write_files(page, tmp_path)
+    make_runs(tmp_path)
     monkeypatch.chdir(tmp_path)
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     for (program, name, *arguments), _ in lines(page):
-        if program == "make":
+        if program in SYSTEM:
+            assert program != "pip" or [name, *arguments] == ["install", "."]
+        elif program == "make":
             assert re.search(rf"^{name}:", makefile, re.MULTILINE)
+        elif name == "--version":
+            assert not arguments
         else:
             assert program == "fmu"
             with main.commands[name].make_context(name, list(arguments)) as context:
                 assert isinstance(context, click.Context)
 
 
+def test_extras_that_pages_name_exist():
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    named = set(",".join(re.findall(r"pip install '\.\[([\w,]+)\]'", text)).split(","))
+    page = (ROOT / "notebooks/guide/installing.md").read_text(encoding="utf-8")
+    named |= set(re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE))
+    assert {"fast", "ansys", "opensees", "notebooks"} < named <= set(extras)
+
+
 @pytest.mark.validate
 @pytest.mark.parametrize("page", with_blocks("sh"), ids=lambda page: page.name)
 def test_shell_examples_run(page, tmp_path):
-    (tmp_path / "beam.toml").write_text(template("frame"), encoding="utf-8")
+    write_files(page, tmp_path)
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
     for (program, *arguments), target in lines(page):
-        if program == "make" or any(ELSEWHERE in word or word == "--web" for word in arguments):
+        if program in ("make", *SYSTEM) or any(ELSEWHERE in word or word == "--web" for word in arguments):
             continue
         with open(tmp_path / (target or "out.txt"), "w", encoding="utf-8") as file:
             subprocess.run(

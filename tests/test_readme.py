@@ -1,4 +1,4 @@
-"""The numbers in README.md are those of the reports under results/, to the digits that it gives."""
+"""The numbers in README.md and the guide are those of the reports under results/, to the digits that they give."""
 
 import json
 import re
@@ -27,23 +27,26 @@ def readme():
     return (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def rows_under(readme, *header):
+def read_guide(name):
+    return (ROOT / "notebooks" / "guide" / f"{name}.md").read_text(encoding="utf-8")
+
+
+def rows_under(page, *header):
     """The cells of the table with this header."""
-    table = readme.split("| " + " | ".join(header) + " |")[1].split("\n\n")[0]
+    table = page.split("| " + " | ".join(header) + " |")[1].split("\n\n")[0]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()[2:]]
 
 
-def test_ratios_to_nuts_are_those_of_the_benchmarks(readme):
+def test_ratios_to_nuts_are_those_of_the_benchmarks():
     page = (RESULTS / "benchmarks.md").read_text(encoding="utf-8")
-    said = re.search(r"README\.md says so: \*\*(.*?)\.\*\*", page)[1]
+    said = re.search(r"The guide says so: \*\*(.*?)\.\*\*", page)[1]
     assert said.count("×") == 6
-    assert plain(said).lower() in plain(readme).lower(), f"README.md, Speed and size, must say: {said}"
+    assert plain(said).lower() in plain(read_guide("choosing-a-sampler")).lower(), f"the guide must say: {said}"
 
 
-def test_speed_and_size_are_those_of_the_study_of_scale(readme):
-    rows = rows_under(
-        readme, "DOF", "parameters", "`reduction`", "basis", "training", "log_prob with gradient", "full solve"
-    )
+def test_speed_and_size_are_those_of_the_study_of_scale():
+    header = ("DOF", "parameters", "`reduction`", "basis", "training", "log_prob with gradient", "full solve")
+    rows = rows_under(read_guide("slow-models"), *header)
     assert len(rows) == 4
     for dof, parameters, tolerance, *cells in rows:
         name = f"{number(dof):g}-{parameters}-{float(tolerance.split('`')[1]):g}-64*.json"
@@ -54,10 +57,10 @@ def test_speed_and_size_are_those_of_the_study_of_scale(readme):
             assert cell == "–" or number(cell) == pytest.approx(value, rel=0.01)
 
 
-def test_posterior_means_are_those_of_the_paper_repeated(readme):
+def test_posterior_means_are_those_of_the_paper_repeated():
     header = ("Young's modulus, 10¹¹ N/m²", "E1", "E2", "E3", "E4", "E5")
     page = (RESULTS / "README.md").read_text(encoding="utf-8")
-    published, *ours = rows_under(readme, *header)
+    published, *ours = rows_under(read_guide("gallery"), *header)
     assert f"| Hamiltonian Monte Carlo, published | {' | '.join(published[1:])} |" in page
     found = re.findall(r"\| \*\*Hamiltonian Monte Carlo, long run \(converged\)\*\* \|(.*)\|", page)
     for (
@@ -87,8 +90,8 @@ def test_costs_of_samplers_are_those_of_the_page_beside_them(readme):
     columns = ["criterion_solves", "criterion_over_baseline", "solves_per_ess", "per_ess_over_baseline"]
     for (_, *cells), expected in zip(rows, table[columns].to_numpy(), strict=True):
         assert [number(cell) for cell in cells] == pytest.approx(list(expected), rel=0.005, abs=0.005)
-    text = plain(readme)
-    assert f"includes the search ({whole(round(table['search_solves'].iloc[0], -2))})" in text
+    text = plain(read_guide("choosing-a-sampler"))
+    assert f"include the search ({whole(round(table['search_solves'].iloc[0], -2))})" in text
     assert f"as the {table.loc['hmc', 'gradient_cost']:.1f} solves that it takes" in text
     assert f"was met after {whole(round(table.loc['emcee', 'total_solves'], -3))}" in text
     assert (RESULTS / "compare" / "compare.png").is_file()
@@ -97,9 +100,10 @@ def test_costs_of_samplers_are_those_of_the_page_beside_them(readme):
         assert whole(float(f"{solves:.3g}")) in page
 
 
-def test_what_it_says_of_workers_and_kills(readme):
+def test_workers_and_kills_are_those_of_their_pages():
+    page = plain(read_guide("cluster"))
     table = (RESULTS / "workers.md").read_text(encoding="utf-8").split("| run |")[1]
     faster = [line.split("|")[4].strip() for line in table.splitlines()[2:4]]
-    assert f"Two workers were {' and '.join(faster)} times as fast as one" in plain(readme)
+    assert f"Two workers were {' and '.join(faster)} times as fast as one" in page
     kills = re.search(r"\*\*(\d+) kills; all \d+ runs came", (RESULTS / "kills.md").read_text(encoding="utf-8"))[1]
-    assert f"Runs were killed {kills} times and no draw changed" in plain(readme)
+    assert f"Runs were killed {kills} times and no draw changed" in page

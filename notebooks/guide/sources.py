@@ -40,10 +40,18 @@ INDEX = """
 ```{toctree}
 :caption: Guide
 :hidden:
+notebooks/guide/installing
+notebooks/guide/first-steps
 notebooks/guide/own-structure
+notebooks/guide/measurement
+notebooks/guide/several-tests
+notebooks/guide/damage
+notebooks/guide/slow-models
+notebooks/guide/choosing-a-sampler
+notebooks/guide/reading-a-report
+notebooks/guide/cluster
 notebooks/guide/own-error-model
 notebooks/guide/own-sampler
-notebooks/guide/cluster
 notebooks/guide/theory
 notebooks/guide/glossary
 ```

@@ -175,7 +175,7 @@ def over_nuts(rows: list[Row], figure: Callable[[Row, bool], float], warmup_in: 
 
 
 def against_nuts(rows: list[Row], near: dict[str, float]) -> str:
-    """Return the ratios of HMC to NUTS on every posterior; README.md quotes this table."""
+    """Return the ratios of HMC to NUTS on every posterior; the guide quotes this table."""
     lines = []
     for case, share in near.items():
         of_case = [row for row in rows if row.case == case]
@@ -186,11 +186,11 @@ def against_nuts(rows: list[Row], near: dict[str, float]) -> str:
         lines.append([case, f"{100 * share:.0f} %", *cells])
     head = ["posterior", "near a bound", "per gradient", "per second"]
     text = AGAINST_NUTS.format(count=len({row.label for row in every_nuts(rows)}))
-    return f"{text}\n{markdown_table(head, lines)}\nREADME.md says so: {quoted(rows, near)}\n"
+    return f"{text}\n{markdown_table(head, lines)}\nThe guide says so: {quoted(rows, near)}\n"
 
 
 def quoted(rows: list[Row], near: dict[str, float]) -> str:
-    """Return what README.md says of it, in bold: which ratio holds for which posterior."""
+    """Return what the guide says of it, in bold: which ratio holds for which posterior."""
     parts: dict[bool, list[str]] = {True: [], False: []}
     for case, share in near.items():
         of_case = [row for row in rows if row.case == case]
