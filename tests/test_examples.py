@@ -148,12 +148,12 @@ def test_shell_examples_are_understood(page, tmp_path, monkeypatch):
 
 
 def test_extras_that_pages_name_exist():
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     named = set(",".join(re.findall(r"pip install '\.\[([\w,]+)\]'", text)).split(","))
     page = (ROOT / "notebooks/guide/installing.md").read_text(encoding="utf-8")
     named |= set(re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE))
-    assert {"fast", "ansys", "opensees", "notebooks"} < named <= set(extras)
+    assert {"fast", "ansys", "opensees", "notebooks"} < named <= set(project["optional-dependencies"])
 
 
 @pytest.mark.validate
