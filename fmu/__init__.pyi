@@ -36,7 +36,7 @@ from .fem.modes.separable import SeparableModel as SeparableModel
 from .fem.modes.separable import Term as Term
 from .fem.pairing.matching import match_points as match_points
 from .fem.programs.command import CommandModel as CommandModel
-from .fem.programs.command import FoundFrequencies as FoundFrequencies
+from .fem.programs.found_frequencies import FoundFrequencies as FoundFrequencies
 from .fem.programs.opensees import OpenSeesModel as OpenSeesModel
 from .fem.programs.opensees import from_opensees as from_opensees
 from .fem.programs.store import SolveStore as SolveStore

@@ -40,7 +40,7 @@ def wants_surrogate(problem: UpdatingProblem, asked: bool | None) -> bool:
         If one is asked for that is not possible.
     """
     from fmu.analysis.estimate import seconds_of_a_solve
-    from fmu.fem.black_box import SLOW_S
+    from fmu.fem.programs.solves import SLOW_S
     from fmu.surrogates.learning import can_learn
 
     if asked is False:

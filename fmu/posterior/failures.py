@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from fmu.fem.black_box import Failure as Failure
+from fmu.fem.programs.solves import Failure as Failure
 from fmu.types import FloatArray
 
 MOST_KEPT = 10_000

@@ -5,7 +5,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import fmu
-from fmu.fem.black_box import MOST_REASONS, BlackBoxModel
+from fmu.fem.black_box import BlackBoxModel
+from fmu.fem.programs.solves import MOST_REASONS
 
 M = np.diag([2.0, 1.0])
 K_PARTS = np.array([[[1.0, 0.0], [0.0, 0.0]], [[1.0, -1.0], [-1.0, 1.0]]])

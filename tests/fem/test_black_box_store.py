@@ -124,8 +124,8 @@ def test_a_file_that_changes_after_it_was_imported_is_not_what_answers(tmp_path)
 def test_a_fast_function_leaves_nothing(tmp_path, name):
     model = written(tmp_path, 0.0, name)
     model.answers(np.array([[1.0, 3.0], [2.0, 3.0]]))
-    model.answers(np.array([[1.0, 3.0]]))
-    assert n_calls(tmp_path) == 3
+    model.answers(np.array([[1.0, 3.0]]))  # remembered
+    assert n_calls(tmp_path) == 2
     assert not list(model.solves)
 
 
@@ -175,8 +175,7 @@ def test_the_time_of_a_solve_is_that_of_a_second_call_and_measured_once(tmp_path
     model.at(THETA[0])
     assert model.seconds_at(THETA[0]) == model.seconds_at(THETA[0]) >= 0.06
     assert n_calls(tmp_path) == 2
-    model.loading_s = 0.05  # the first call was longer than that
-    model.at(THETA[2])
+    model.at(THETA[2])  # modules are loaded by now
     assert model.seconds_at(THETA[2]) >= 0.06
     assert n_calls(tmp_path) == 3
 
@@ -194,10 +193,12 @@ def test_a_changed_data_file_is_noticed_at_the_start(tmp_path, factor, turn, sai
     folder = written(tmp_path).solves.folder
     model_in(tmp_path).at(THETA[0])
     holding(tmp_path, factor, turn)
-    with pytest.raises(
-        ValueError, match=rf"must give what is stored; at the start \[1\.0, 3\.0\].*{said}"
-    ) as told:
-        model_in(tmp_path).at(THETA[0])
+    model = model_in(tmp_path)
+    for _ in range(2):
+        with pytest.raises(
+            ValueError, match=rf"must give what is stored; at the start \[1\.0, 3\.0\].*{said}"
+        ) as told:
+            model.at(THETA[0])
     assert f"if a file that it reads was changed, restore it, or delete {folder}" in str(told.value)
 
 

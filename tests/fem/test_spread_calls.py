@@ -65,15 +65,16 @@ def test_calls_are_made_in_workers_while_the_block_lasts(engine):
     theta = np.linspace(0.0, 1.0, 20)[:, None]
     with model.spread_over(engine):
         pids = {float(answer.frequencies[0]) for answer in model.answers(theta)}
-        assert {answer.frequencies[0] for answer in model.answers(theta[:1])} == {HERE}
+        assert {answer.frequencies[0] for answer in model.answers(theta[:1] + 2.0)} == {HERE}
+        assert {answer.frequencies[0] for answer in model.answers(theta)} == pids  # remembered
     assert HERE not in pids
-    assert {answer.frequencies[0] for answer in model.answers(theta)} == {HERE}
+    assert {answer.frequencies[0] for answer in model.answers(theta + 3.0)} == {HERE}
 
 
 def test_a_batched_function_has_all_theta_in_one_call(engine):
     model = fmu.BlackBoxModel(lambda theta: np.full((len(theta), 1), len(theta)), 1, batched=True)
     with model.spread_over(engine):
-        assert [answer.frequencies.tolist() for answer in model.answers(np.zeros((3, 1)))] == [[3.0]] * 3
+        assert [answer.frequencies.tolist() for answer in model.answers(np.arange(3.0)[:, None])] == [[3.0]] * 3
 
 
 def test_a_theta_that_kills_its_process_has_failed(engine):

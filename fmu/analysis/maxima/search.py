@@ -16,7 +16,8 @@ from fmu.analysis.maxima.plain import PlainDensity
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 from fmu.arguments import Seed, check_arguments
 from fmu.differences import both_sides
-from fmu.fem.black_box import SLOW_S, solves_of_a_surrogate
+from fmu.fem.black_box import solves_of_a_surrogate
+from fmu.fem.programs.solves import SLOW_S
 from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import gradients, phase, solves
 from fmu.samplers.mixture.quadratic import Quadratic

@@ -11,7 +11,8 @@ from pydantic import Field
 from fmu.config.mistakes import BrokenError, Mistake
 from fmu.config.parameters import ParameterTable, without_targets
 from fmu.config.tables import Built, FileName, Of, Positive, TomlTable
-from fmu.fem.programs.command import STEP, CommandError, CommandModel, FoundFrequencies
+from fmu.fem.programs.command import STEP, CommandError, CommandModel
+from fmu.fem.programs.found_frequencies import FoundFrequencies
 from fmu.formats.modes import READERS
 
 if TYPE_CHECKING:

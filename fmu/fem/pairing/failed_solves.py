@@ -32,7 +32,7 @@ def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
         Where it has just failed.
     """
     if model.black_box is not None:
-        return model.black_box.reason_at(theta)
+        return model.reason_at(theta)
     if model.is_uncertain:
         first = f" ({model.reasons[0].reason})" if model.reasons else ""
         where = f"near points at which the model could not be solved{first}"

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 
 from fmu.differences import both_sides
-from fmu.fem.black_box import Answer, AnswerError, BlackBoxModel, Failure
+from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.modal import mac
 from fmu.fem.pairing.paired_model import PAIRINGS, ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.pairing.rules import assign
+from fmu.fem.programs.answers import Answer, AnswerError
+from fmu.fem.programs.solves import Failure
+from fmu.fem.programs.store import Solve
 from fmu.types import FloatArray, IntArray
-
-# What is remembered of a slow function, and what an entry takes beside its numbers, in bytes.
-_MOST_BYTES, _OVERHEAD = 2**28, 300
 
 
 class PairedBlackBox(ModalModel):
@@ -64,7 +64,6 @@ class PairedBlackBox(ModalModel):
         self.n_parameters, self.n_modes = black_box.n_parameters, len(numbers)
         self.numbers = numbers
         self.lower, self.upper, self.scale = lower, upper, scale
-        self._memory = Memory()
         self.reference = shapes if pairing == "shape" and answer.shapes is not None else None
         self.by_shape = self.reference is not None
         both = answer.shapes is not None and shapes is not None
@@ -90,7 +89,6 @@ class PairedBlackBox(ModalModel):
             answer = black_box.at(start)
             paired = cls(black_box, answer, pairing=pairing, **measured)
             paired._columns(answer)
-            paired._take(start, answer, paired._empty(1)[0])  # it is not called there again
         except AnswerError as error:
             raise ValueError(f"{black_box.place}: {error} at the start {start.tolist()}") from error
         except ValueError as error:
@@ -157,51 +155,37 @@ class PairedBlackBox(ModalModel):
         """Return the data that identify the model, in plain Python types."""
         return {**self.black_box.configuration(), "pairing": "shape" if self.by_shape else "index"}
 
-    def _paired(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return paired frequencies, the function's own gradients and shapes; NaN where it failed or has none.
-
-        The function is not called again where it has answered before, and once where points are the same, as
-        those of several tests may be.
-        """
-        n, m, p, s = len(theta), self.n_modes, self.n_parameters, self._n_sensors or 0
-        rows = self._empty(n)
-        missing: dict[bytes, list[int]] = {}
-        for i, point in enumerate(theta):
-            known = self._memory.row(point)
-            if known is None:
-                missing.setdefault(point.tobytes(), []).append(i)
-            else:
-                rows[i] = known
-        if missing:
-            first = [same[0] for same in missing.values()]
-            for i, answer in zip(first, self.black_box.answers(theta[first]), strict=True):
-                if answer is not None:
-                    self._take(theta[i], answer, rows[i])
-            for same in missing.values():
-                rows[same[1:]] = rows[same[0]]
-        f, df, phi = np.split(rows, [m, m * (1 + p)], axis=1)
-        return f, df.reshape(n, m, p), phi.reshape(n, s, m)
-
-    def _empty(self, n: int) -> FloatArray:
-        """Return rows of frequencies, gradients and shapes that are not known."""
-        return np.full((n, self.n_modes * (1 + self.n_parameters + (self._n_sensors or 0))), np.nan)
-
-    def _take(self, theta: FloatArray, answer: Answer, row: FloatArray) -> None:
-        """Write an answer at one theta into a row and into the memory; nothing if a mode is missing."""
+    def reason_at(self, theta: FloatArray) -> str | None:
+        """Return why there are no frequencies at theta (n_parameters,): it failed, or a mode is missing."""
+        solve = self.black_box.solved.recall(theta)
+        if solve is None or solve.reason:
+            return None if solve is None else solve.reason
         try:
-            columns = self._columns(answer)
+            self._columns(solve)
         except AnswerError as error:
-            self.black_box.fail(theta, str(error))
-            return
-        m, p, s = self.n_modes, self.n_parameters, self._n_sensors or 0
-        row[:m] = answer.frequencies[columns]
-        if answer.gradient is not None:
-            row[m : m * (1 + p)] = answer.gradient[columns].ravel()
-        if answer.shapes is not None and len(answer.shapes) == s:
-            row[m * (1 + p) :] = answer.shapes[:, columns].ravel()
-        self._memory.keep(theta, row.copy())
+            return str(error)
+        return None
 
-    def _columns(self, answer: Answer) -> IntArray:
+    def _paired(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return paired frequencies, the function's own gradients and shapes; NaN where it failed or has none."""
+        n, m, p, s = len(theta), self.n_modes, self.n_parameters, self._n_sensors or 0
+        f, df, phi = np.full((n, m), np.nan), np.full((n, m, p), np.nan), np.full((n, s, m), np.nan)
+        for i, solve in enumerate(self.black_box.solved.of(theta)):
+            if solve.reason:
+                continue
+            try:
+                columns = self._columns(solve)
+            except AnswerError as error:
+                self.black_box.solved.note(solve.theta, str(error))
+                continue
+            f[i] = solve.frequencies[columns]
+            if solve.gradient is not None:
+                df[i] = solve.gradient[columns]
+            if solve.shapes is not None and len(solve.shapes) == s:
+                phi[i] = solve.shapes[:, columns]
+        return f, df, phi
+
+    def _columns(self, answer: Answer | Solve) -> IntArray:
         """Return the column of the mode that answers to each measured one; AnswerError if one is missing."""
         given = len(answer.frequencies)
         if self.reference is None:
@@ -238,34 +222,3 @@ class PairedBlackBox(ModalModel):
         with np.errstate(invalid="ignore", divide="ignore"):  # it failed on both sides: there is no gradient
             slopes = (values[0] - values[1]) / (at[0] - at[1])[..., None]
         return np.asarray(np.swapaxes(slopes, 1, 2))
-
-
-class Memory:
-    """What a slow function gave at the latest theta; a copy in another process starts empty.
-
-    Parameters
-    ----------
-    most_bytes : int
-        Beyond this size the oldest entries are dropped.
-    """
-
-    def __init__(self, most_bytes: int = _MOST_BYTES) -> None:
-        self.most_bytes = most_bytes
-        self._rows: dict[bytes, FloatArray] = {}
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Memory, (self.most_bytes,)
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def row(self, theta: FloatArray) -> FloatArray | None:
-        """Return the stored answer at a theta (n_parameters,); None if there is none."""
-        return self._rows.get(theta.tobytes())
-
-    def keep(self, theta: FloatArray, row: FloatArray) -> None:
-        """Remember a row."""
-        key = theta.tobytes()
-        if len(self._rows) * (row.nbytes + len(key) + _OVERHEAD) >= self.most_bytes:
-            del self._rows[next(iter(self._rows))]
-        self._rows[key] = row

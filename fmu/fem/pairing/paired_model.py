@@ -14,7 +14,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from fmu.engines.base import Engine
-from fmu.fem.black_box import BlackBoxModel, Failure
+from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
 from fmu.fem.modes.full_block import full_model
 from fmu.fem.modes.modal import BlockModel, ModalSolution, frequency_gradient, frequency_hz, single_thread
@@ -31,6 +31,7 @@ from fmu.fem.pairing.rules import (
     count_rigid,
     reference_modes,
 )
+from fmu.fem.programs.solves import Failure
 from fmu.fem.reduced.confirming import confirmed_model
 from fmu.fem.reduced.residuals import FrequencyBound
 from fmu.fem.reduced.training import LOOSE, Trained, Training
@@ -144,6 +145,10 @@ class ModalModel:
     def seconds_at(self, theta: FloatArray) -> float | None:
         """Return the seconds that a user's function takes at a theta (n_parameters,), None without one."""
         return None if self.black_box is None else self.black_box.seconds_at(theta)
+
+    def reason_at(self, theta: FloatArray) -> str | None:
+        """Return why a user's function gave no frequencies at theta (n_parameters,); None if not known."""
+        return None
 
     def as_structure(self) -> PairedStructure | None:
         """Return the model with what only a structure given by its matrices can do, None if it is not one."""

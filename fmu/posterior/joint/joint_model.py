@@ -8,10 +8,11 @@ from typing import Any, Self
 
 import numpy as np
 
-from fmu.fem.black_box import BlackBoxModel, Failure
+from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.paired_model import ModalModel, PairedStructure
 from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.fem.programs.solves import Failure
 from fmu.posterior.joint.layout import Layout
 from fmu.types import FloatArray, IntArray
 

@@ -197,7 +197,7 @@ def test_a_damaged_file_of_the_store_is_solved_again(tmp_path, runs):
     for damaged in (b"", whole[:-10], b"x" * len(whole), whole.replace(b"0.7", b"0.8")):
         path.write_bytes(damaged)
         assert list(model.solves) == []
-        assert_allclose(model.solve(THETA).frequencies, exact(THETA), rtol=1e-13)
+        assert_allclose(command_model(tmp_path).solve(THETA).frequencies, exact(THETA), rtol=1e-13)
     assert len(runs()) == 5
     assert json.loads(path.read_bytes().split(b"\n", 2)[2])["theta"] == THETA.tolist()
 

@@ -1,0 +1,97 @@
+"""What a user's function returned, in the form that `fmu.fem.black_box` describes, as arrays."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fmu.formats.shown import shown
+from fmu.types import FloatArray
+
+MOST_NUMBERS = 2**24
+"""Largest array that the function may return."""
+_PARTS = ("frequencies", "shapes", "gradient")
+
+
+class Answer(NamedTuple):
+    """What the function returned at one theta: (m,) in Hz, and (n_sensors, m), (m, ndim) or None."""
+
+    frequencies: FloatArray
+    shapes: FloatArray | None = None
+    gradient: FloatArray | None = None
+
+
+class AnswerError(ValueError):
+    """The function returned something of the wrong kind or shape."""
+
+
+def read_answers(given: Any, n_parameters: int, n_points: int | None = None) -> list[Answer]:
+    """Return the result of a function as a list of answers, one per point.
+
+    Parameters
+    ----------
+    given : array_like, mapping or tuple
+        See `fmu.fem.black_box`.
+    n_parameters : int
+    n_points : int, optional
+        Points of a batched function. If not given, there is one point and no leading axis.
+
+    Raises
+    ------
+    AnswerError
+        If it has the wrong kind or shape.
+    """
+    if inspect.iscoroutine(given):
+        given.close()  # otherwise Python warns that it was never awaited
+        raise AnswerError("must return numbers (got a coroutine: the function must not be async)")
+    lead = () if n_points is None else (n_points,)
+    parts = _parts(given)
+    frequencies = _real("frequencies", parts[0])
+    if frequencies.ndim != len(lead) + 1 or frequencies.shape[:-1] != lead or frequencies.shape[-1] == 0:
+        expected = ", ".join([*map(str, lead), "n"]) + ("" if lead else ",")
+        raise AnswerError(f"frequencies: must have shape ({expected}) (got {frequencies.shape})")
+    m = frequencies.shape[-1]
+    shapes = None if parts[1] is None else _real("shapes", parts[1])
+    if shapes is not None and (
+        shapes.ndim != len(lead) + 2 or (*shapes.shape[:-2], shapes.shape[-1]) != (*lead, m)
+    ):
+        expected = ", ".join([*map(str, lead), "n_sensors", str(m)])
+        raise AnswerError(f"shapes: must have shape ({expected}) (got {shapes.shape})")
+    gradient = None if parts[2] is None else _real("gradient", parts[2])
+    if gradient is not None and gradient.shape != (*lead, m, n_parameters):
+        raise AnswerError(f"gradient: must have shape {(*lead, m, n_parameters)} (got {gradient.shape})")
+    if n_points is None:
+        return [Answer(frequencies, shapes, gradient)]
+    none = [None] * n_points
+    rows = (frequencies, none if shapes is None else shapes, none if gradient is None else gradient)
+    return [Answer(*row) for row in zip(*rows, strict=True)]
+
+
+def _parts(given: Any) -> list[Any]:
+    """Return frequencies, shapes and gradient, None for what is missing."""
+    if isinstance(given, Mapping):
+        unknown = [key for key in given if key not in _PARTS]
+        if unknown or "frequencies" not in given:
+            raise AnswerError(
+                f"must return frequencies, and may return shapes and gradient (got {shown(list(given))})"
+            )
+        return [given.get(part) for part in _PARTS]
+    if isinstance(given, tuple) and any(np.ndim(part) > 0 for part in given):
+        if len(given) > len(_PARTS):
+            raise AnswerError(f"must return at most frequencies, shapes and gradient (got {len(given)} arrays)")
+        return [*given, *[None] * (len(_PARTS) - len(given))]
+    return [given, None, None]
+
+
+def _real(name: str, given: ArrayLike) -> FloatArray:
+    array = np.asarray(given)
+    if array.dtype.kind not in "fiu":
+        what = "nothing" if given is None else f"{type(given).__name__} of {array.dtype}"
+        raise AnswerError(f"{name}: must be real numbers (got {what})")
+    if array.size > MOST_NUMBERS:
+        raise AnswerError(f"{name}: must be at most {MOST_NUMBERS} numbers (got {array.size})")
+    return array.astype(float)

@@ -1,0 +1,97 @@
+"""Frequencies in a text file that a program has written, found by a regular expression."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fmu.arguments import check_arguments
+from fmu.formats.files import too_large, why_no_file
+from fmu.formats.shown import shown
+from fmu.numbers import significant
+from fmu.types import FloatArray
+
+LARGEST_RESULT = 2**29
+WORD = re.compile(r"\{(\w+)\}")
+"""A placeholder of the user's, as ``{job}``."""
+
+
+@check_arguments
+@dataclass(frozen=True)
+class FoundFrequencies:
+    r"""Frequencies in a text file, as numbers that a regular expression finds.
+
+    Attributes
+    ----------
+    file : str
+        In the folder of the run; ``{job}`` and ``{deck}`` stand for the deck's name, without and with its suffix.
+        ``output.txt`` has what the program prints.
+    pattern : str
+        Regular expression with one group, the frequency in Hz; ``^`` and ``$`` match at every line.
+
+    Raises
+    ------
+    ValueError
+        If the pattern is no regular expression with one group, or the file has other placeholders.
+    """
+
+    file: str
+    pattern: str
+
+    def __post_init__(self) -> None:
+        try:
+            groups = re.compile(self.pattern, re.MULTILINE).groups
+        except (re.error, OverflowError, RecursionError) as error:
+            raise ValueError(
+                f"pattern: must be a regular expression ({error}; got {shown(self.pattern)})"
+            ) from None
+        if groups != 1:
+            raise ValueError(f"pattern: must have one group, as (…), for the frequency (got {groups} groups)")
+        for word in WORD.findall(self.file):
+            if word not in ("job", "deck"):
+                raise ValueError(f"file: may have {{job}} and {{deck}} in braces (got {{{word}}})")
+
+    def read(self, path: Path, seconds: float = 60.0) -> FloatArray:
+        """Return the frequencies in a file; ValueError if there are none, or none are found within `seconds`."""
+        wrong = why_no_file(path) or too_large(path, LARGEST_RESULT)
+        if wrong:
+            raise ValueError(wrong)
+        words = self._find(path, seconds)
+        if not words:
+            raise ValueError(f"{path.name} has nothing that the pattern {shown(self.pattern)} matches")
+        return np.array([_number(word, path.name) for word in words])
+
+    def _find(self, path: Path, seconds: float) -> list[str | None]:
+        """Return the matches of the pattern, from a process that can be killed: some patterns never end."""
+        command = [sys.executable, "-I", "-S", "-c", _MATCHING, str(path), self.pattern]
+        try:
+            done = subprocess.run(command, capture_output=True, timeout=seconds, check=True)
+        except subprocess.TimeoutExpired:
+            rule = f"must be matched within {significant(seconds)} s"
+            raise ValueError(
+                f"pattern: {rule} in {path.name} (got {shown(self.pattern)}, which took longer)"
+            ) from None
+        except subprocess.CalledProcessError as error:
+            raise ValueError(f"pattern: cannot be matched in {path.name} (exit code {error.returncode})") from None
+        found: list[str | None] = json.loads(done.stdout)
+        return found
+
+
+_MATCHING = (
+    "import json, re, sys\n"
+    "text = open(sys.argv[1], 'rb').read().decode('utf-8', 'replace')\n"
+    "print(json.dumps([match[1] for match in re.finditer(sys.argv[2], text, re.MULTILINE)]))"
+)
+
+
+def _number(word: str | None, name: str) -> float:
+    try:
+        return float((word or "").upper().replace("D", "E"))
+    except ValueError:
+        raise ValueError(f"{name}: the pattern must match numbers (got {shown(word)})") from None

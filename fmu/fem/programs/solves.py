@@ -1,0 +1,339 @@
+"""The solves of a callable: one record of theta, answer or reason, and seconds, in memory and perhaps on disk.
+
+A Python function, a program that is run and OpenSees are three callables. `Solves` calls each of them once per
+theta, and it alone knows of batches, retries, workers and files.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fmu.engines.base import MAX_DEATHS, Engine, LostTaskError
+from fmu.fem.programs.answers import Answer, AnswerError, read_answers
+from fmu.fem.programs.store import Solve, SolveStore
+from fmu.formats.shown import in_words, one_line
+from fmu.progress.phases import solved
+from fmu.types import FloatArray
+
+SLOW_S = 0.05
+"""Seconds of a solve from which on answers are stored, and ``fmu run`` takes a surrogate."""
+MOST_REASONS = 20
+MOST_BYTES = 2**28
+# The longest reason that is remembered, and what a solve takes beside its numbers, in bytes.
+_LONGEST, _OVERHEAD = 500, 500
+_NOTHING = Answer(np.zeros(0))
+
+
+class Failure(NamedTuple):
+    """A theta, shape (ndim,), at which the function failed, and why."""
+
+    theta: FloatArray
+    reason: str
+
+
+class Solves:
+    """The solves of one callable, each made once: remembered, read from a store, or made by calling it.
+
+    A copy in another process, or a pickled one, remembers nothing.
+
+    Parameters
+    ----------
+    call : callable
+        ``call(theta)`` returns what `fmu.fem.black_box` describes, or raises.
+    n_parameters : int
+    batched : bool
+        Whether it takes theta (n_points, n_parameters).
+    store : SolveStore, optional
+        Where solves are kept that took `least_s` or longer per point. Of two processes that ask for the same
+        points, one calls. Batches that share only some points may solve these twice; a lock for each point would
+        need as many open files.
+    least_s : float
+    retries : int
+        How often a call that fails is repeated.
+    loading_s : float
+        A first call that takes less may have loaded modules for most of it: the next one is timed.
+    lasting : type
+        Errors that a repeated call is not expected to mend: only these are stored.
+    is_outdated : callable, optional
+        ``is_outdated(solve)`` says whether a stored solve is to be made again.
+    most_bytes : int
+        Most memory that solves take; beyond it the oldest are forgotten.
+
+    Attributes
+    ----------
+    reasons : list of Failure
+        The first twenty points that failed.
+    """
+
+    def __init__(
+        self,
+        call: Callable[[FloatArray], Any],
+        n_parameters: int,
+        *,
+        batched: bool = False,
+        store: SolveStore | None = None,
+        least_s: float = SLOW_S,
+        retries: int = 0,
+        loading_s: float = 1.0,
+        lasting: type[Exception] = Exception,
+        is_outdated: Callable[[Solve], bool] | None = None,
+        most_bytes: int = MOST_BYTES,
+    ) -> None:
+        self.call, self.n_parameters, self.batched, self.store = call, n_parameters, batched, store
+        self.least_s, self.retries, self.loading_s = least_s, retries, loading_s
+        self.lasting, self.is_outdated, self.most_bytes = lasting, is_outdated, most_bytes
+        self.reasons: list[Failure] = []
+        self._known: dict[bytes, Solve] = {}
+        self._bytes = 0
+        self._first: bytes | None = None
+        self._engine: Engine | None = None
+        self._keeps = store is not None  # until the callable turns out to be faster than a store
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"reasons": [], "_known": {}, "_bytes": 0, "_first": None, "_engine": None}
+
+    def of(self, theta: FloatArray) -> list[Solve]:
+        """Return the solves at points theta (n, n_parameters); where points are equal, the same one."""
+        keys = [point.tobytes() for point in theta]
+        found = {key: self._known[key] for key in keys if key in self._known}
+        missing = {key: i for i, key in enumerate(keys) if key not in found}
+        if missing:
+            for key, solve in zip(missing, self._make_all(theta[list(missing.values())]), strict=True):
+                found[key] = self._remember(solve)
+                if solve.reason:
+                    self.note(solve.theta, solve.reason)
+        return [found[key] for key in keys]
+
+    def recall(self, theta: FloatArray) -> Solve | None:
+        """Return the remembered solve at a theta (n_parameters,) without a call; None if there is none."""
+        return self._known.get(theta.tobytes())
+
+    def at_start(self, theta: FloatArray) -> Solve:
+        """Return the solve at theta (n_parameters,), where a problem starts: it tells whether others are true.
+
+        The callable is called there once in a process, even if a solve is stored. The stored one is returned, so
+        that a resumed run draws the same; a stored failure is forgotten. Without a store it is called there for
+        every problem, and solves are forgotten if it answers otherwise than before.
+
+        Raises
+        ------
+        ValueError
+            If it fails there, or no longer gives what is stored (`fmu.fem.programs.store.MOST_SCATTER`).
+
+        Warns
+        -----
+        StoreWarning
+            If it gives what is stored, but not to all digits.
+        """
+        known, store = self.recall(theta), self.store if self._keeps else None
+        stored = None if store is None or known is not None else store.find(theta)
+        if store is not None and stored is not None and stored.reason:
+            store.forget_failure(theta)
+            stored = None
+        if known is not None and store is not None:
+            solve = known
+        elif known is None and stored is None:
+            solve = self.make(theta)
+        else:
+            solve = self.repeat(theta)
+        if known is not None and not _is_same(known, solve):
+            self._known, self._bytes = {}, 0
+        if solve.reason:
+            self._remember(solve)
+            raise ValueError(f"must work at the start {theta.tolist()} ({solve.reason})")
+        if store is not None and stored is not None:
+            store.check(stored, solve.frequencies, solve.shapes)
+            solve = stored._replace(seconds=solve.seconds)
+        return self._remember(solve)
+
+    def seconds_at(self, theta: FloatArray) -> float:
+        """Return the seconds that a call at theta (n_parameters,) takes, even if it fails; measured once."""
+        solve = self.recall(theta) or self.of(theta[None])[0]
+        if theta.tobytes() == self._first and solve.seconds < self.loading_s:
+            self._first = b""
+            solve = self._remember(solve._replace(seconds=self.repeat(theta).seconds))
+        return solve.seconds
+
+    def note(self, theta: FloatArray, reason: str) -> None:
+        """Keep a failure among the first ones, if it is not there."""
+        failure = Failure(theta.copy(), _shorten(reason))
+        is_new = all(reason != failure.reason or not np.array_equal(at, theta) for at, reason in self.reasons)
+        if len(self.reasons) < MOST_REASONS and is_new:
+            self.reasons.append(failure)
+
+    @contextmanager
+    def spread_over(self, engine: Engine) -> Iterator[None]:
+        """Within a with block, call at several theta side by side, in the workers of an engine.
+
+        Solves are the same as in the calling process, in the same order. A theta that crashes its process three
+        times has failed for that reason. A batched callable gets all theta in one call and is not spread.
+        """
+        before, self._engine = self._engine, engine
+        try:
+            yield
+        finally:
+            self._engine = before
+
+    def make(self, theta: FloatArray) -> Solve:
+        """Return the solve at one theta (n_parameters,), from the store or by a call; nothing is remembered."""
+        return self._look_up_or_call(theta[None])[0]
+
+    def repeat(self, theta: FloatArray) -> Solve:
+        """Return a solve by a call at theta (n_parameters,), whatever is known; nothing is kept."""
+        with self._lock(theta[None]):
+            return self._call_at(theta[None], keep=False)[0]
+
+    def _make_all(self, theta: FloatArray) -> Iterator[Solve]:
+        """Yield `make` at points (n, n_parameters): by one call, by the engine, or one after the other."""
+        if self.batched and len(theta) > 1:
+            together = self._look_up_or_call(theta)
+            if together:
+                solved(len(theta))
+                yield from together
+                return  # otherwise calls with one point at a time show which point is at fault
+        engine = None if self.batched or len(theta) < 2 else self._engine
+        for one in map(self.make, theta) if engine is None else self._spread(theta, engine):
+            solved()
+            yield one
+
+    def _spread(self, theta: FloatArray, engine: Engine) -> list[Solve]:
+        """Return `make` at points (n, n_parameters) by workers; a point that crashes them has failed."""
+        found: dict[int, Solve] = {}
+        while len(found) < len(theta):
+            missing = [i for i in range(len(theta)) if i not in found]
+
+            def keep(i: int, solve: Solve, missing: Sequence[int] = missing) -> None:
+                found[missing[i]] = solve
+
+            try:
+                engine.run_tasks(_make_there, self, [theta[i] for i in missing], keep)
+            except LostTaskError as lost:
+                i = missing[lost.sequence]
+                why = f"the process that called it died {MAX_DEATHS} times ({lost.how})"
+                found[i] = Solve(theta[i], _NOTHING.frequencies, None, 0.0, why)
+        return [found[i] for i in range(len(theta))]
+
+    def _look_up_or_call(self, theta: FloatArray) -> list[Solve]:
+        """Return the solves at points (n, n_parameters), by one call for what is not stored; none if it fails."""
+        if not self._keeps:
+            return self._call_at(theta)
+        found = self._look_up(theta)
+        if len(found) < len(theta):
+            with self._lock(np.delete(theta, list(found), axis=0)):
+                found = self._look_up(theta)  # another process may have solved them meanwhile
+                missing = [i for i in range(len(theta)) if i not in found]
+                called = self._call_at(theta[missing]) if missing else []
+                if len(called) < len(missing):
+                    return []
+                found |= zip(missing, called, strict=True)
+        return [found[i] for i in range(len(theta))]
+
+    def _look_up(self, theta: FloatArray) -> dict[int, Solve]:
+        """Return the stored solves at points (n, n_parameters), by the number of the point."""
+        if self.store is None or not self._keeps:
+            return {}
+        found = {i: solve for i, point in enumerate(theta) if (solve := self.store.find(point)) is not None}
+        if self.is_outdated is None:
+            return found
+        return {i: solve for i, solve in found.items() if not self.is_outdated(solve)}
+
+    @contextmanager
+    def _lock(self, theta: FloatArray) -> Iterator[None]:
+        """Keep other processes from solving the same points for as long as a block lasts."""
+        with ExitStack() as stack:
+            if self.store is not None and self._keeps:
+                try:
+                    stack.enter_context(self.store.only_one(theta))
+                except OSError as error:
+                    self._give_up(error)
+            yield
+
+    def _call_at(self, theta: FloatArray, keep: bool = True) -> list[Solve]:
+        """Return the solves of one call at points (n, n_parameters), one point unless it is batched; store them.
+
+        None if the call fails for several points: which one is at fault is not known.
+        """
+        if self._first is None:
+            self._first = theta[0].tobytes()
+        for _ in range(self.retries + 1):
+            began, reason, is_lasting = time.perf_counter(), "", True
+            answers = [_NOTHING] * len(theta)
+            try:
+                argument = theta.copy() if self.batched else theta[0].copy()
+                answers = read_answers(
+                    self.call(argument), self.n_parameters, len(theta) if self.batched else None
+                )
+            except KeyboardInterrupt:
+                raise
+            except BaseException as error:  # GeneratorExit and others of the user's own among them
+                is_lasting = isinstance(error, self.lasting)
+                reason = one_line(str(error)) if isinstance(error, AnswerError) else in_words(error)
+            seconds = (time.perf_counter() - began) / len(theta)
+            if not reason:
+                break
+        if reason and len(theta) > 1:
+            return []
+        found = [
+            Solve(point.copy(), answer.frequencies, answer.shapes, seconds, reason, answer.gradient)
+            for point, answer in zip(theta, answers, strict=True)
+        ]
+        if keep and self._keeps:
+            if seconds < self.least_s:
+                self._keeps = bool(reason)  # a store would slow it down
+            elif is_lasting:
+                self._write(found)
+        return found
+
+    def _write(self, solves: Sequence[Solve]) -> None:
+        assert self.store is not None  # narrowed for the type checker
+        try:
+            for solve in solves:
+                self.store.keep(solve)
+        except OSError as error:
+            self._give_up(error)
+
+    def _give_up(self, error: OSError) -> None:
+        self._keeps = False
+        where = None if self.store is None else self.store.folder.parent
+        warnings.warn(f"store: solves cannot be kept in {where} ({error})", stacklevel=2)
+
+    def _remember(self, solve: Solve) -> Solve:
+        """Keep a solve in memory, in place of an earlier one of the same theta; the oldest make room for it."""
+        if len(solve.reason) > _LONGEST:
+            solve = solve._replace(reason=_shorten(solve.reason))
+        key = solve.theta.tobytes()
+        self._forget(key)
+        self._bytes += _size(solve)
+        self._known[key] = solve
+        while self._bytes > self.most_bytes and len(self._known) > 1:
+            self._forget(next(iter(self._known)))
+        return solve
+
+    def _forget(self, key: bytes) -> None:
+        if key in self._known:
+            self._bytes -= _size(self._known.pop(key))
+
+
+def _make_there(solves: Solves, theta: FloatArray, _: object) -> Solve:
+    return solves.make(theta)
+
+
+def _size(solve: Solve) -> int:
+    size = _OVERHEAD + len(solve.reason) + solve.theta.nbytes + solve.frequencies.nbytes
+    return size + sum(array.nbytes for array in (solve.shapes, solve.gradient) if array is not None)
+
+
+def _is_same(one: Solve, other: Solve) -> bool:
+    """Say whether two solves give the same numbers, in every bit."""
+    pairs = ((one.frequencies, other.frequencies), (one.shapes, other.shapes), (one.gradient, other.gradient))
+    return all((a is b is None) or np.array_equal(a, b, equal_nan=True) for a, b in pairs)  # type: ignore[arg-type]
+
+
+def _shorten(reason: str) -> str:
+    return reason if len(reason) <= _LONGEST else f"{reason[:_LONGEST]} …"
