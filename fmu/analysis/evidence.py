@@ -188,8 +188,8 @@ def _of_mixture(trace: xr.DataTree, method: str) -> Evidence:
     def estimated(q: FloatArray, p: FloatArray) -> tuple[float, float]:
         return by_importance(q) if method == "importance" else by_bridge(q, p, ratio)
 
-    value, within = estimated(candidates.ravel(), of_draws.ravel())
-    alone = [estimated(q, p)[0] for q, p in zip(candidates, of_draws, strict=True)]
+    value, within = estimated(candidates.ravel(), of_draws)
+    alone = [estimated(q, p[None])[0] for q, p in zip(candidates, of_draws, strict=True)]
     between, error = _errors(within, alone)
     table = data_frame({"log_evidence": alone}, "chain", range(len(alone)))
     shape = pareto_k(candidates[np.isfinite(candidates)])
@@ -222,26 +222,30 @@ def by_importance(q: FloatArray) -> tuple[float, float]:
 def by_bridge(q: FloatArray, p: FloatArray, ratio: float) -> tuple[float, float]:
     """Return log-evidence and standard error by the optimal bridge (Meng & Wong 1996).
 
+    The error is that of Frühwirth-Schnatter (2004). The draws of the posterior count in it by the effective sample
+    size of their terms, where that is smaller than `ratio` says.
+
     Parameters
     ----------
-    q, p : ndarray, shape (n,) and (m,)
+    q, p : ndarray, shape (n,) and (chains, draws)
         Log-weights log P − log q of independent draws from q, and of draws from the posterior.
     ratio : float
-        How many independent draws one of the posterior counts for, in the error of Frühwirth-Schnatter (2004).
+        How many independent draws one of the posterior counts for.
     """
-    n = ratio * len(p)
+    n = ratio * p.size
     of_p, of_q = n / (n + len(q)), len(q) / (n + len(q))
     log_z = float(np.median(p))
     for _ in range(_MOST_BRIDGES):
         above = logsumexp(q - np.logaddexp(np.log(of_p) + q - log_z, np.log(of_q))) - np.log(len(q))
-        below = logsumexp(-np.logaddexp(np.log(of_p) + p - log_z, np.log(of_q))) - np.log(len(p))
+        below = logsumexp(-np.logaddexp(np.log(of_p) + p - log_z, np.log(of_q))) - np.log(p.size)
         log_z, before = float(above - below), log_z
         if abs(log_z - before) < 1e-10:
             break
     log_f_p = -np.logaddexp(np.log(of_p) + p - log_z, np.log(of_q))
     log_f_q = q - log_z - np.logaddexp(np.log(of_p) + q - log_z, np.log(of_q))
-    f_p, f_q = (np.exp(log_f - logsumexp(log_f)) * len(log_f) for log_f in (log_f_p, log_f_q))
-    return log_z, float(np.sqrt(np.var(f_p) / n + np.var(f_q) / len(q)))
+    f_p, f_q = (np.exp(log_f - logsumexp(log_f)) * log_f.size for log_f in (log_f_p, log_f_q))
+    ess = np.fmin(n, effective.ess_mean(f_p))
+    return log_z, float(np.sqrt(np.var(f_p) / ess + np.var(f_q) / len(q)))
 
 
 def _stepping_stone(draws: FloatArray, t: FloatArray) -> _Estimate:

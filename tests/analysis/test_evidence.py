@@ -151,6 +151,6 @@ def test_the_error_of_a_bridge_knows_that_draws_hang_together():
     for _ in range(100):
         x, y = np.repeat(rng.standard_normal(100), 20), 2.0 * rng.standard_normal(2000)
         p, q = (-0.5 * z**2 + 0.5 * (z / 2.0) ** 2 for z in (x, y))
-        found.append(by_bridge(q, p, 1 / 20))
+        found.append(by_bridge(q, p[None], 1 / 20))
     value, error = np.array(found).T
     assert np.mean(error) == pytest.approx(np.std(value), rel=0.3)

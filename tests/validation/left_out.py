@@ -140,7 +140,7 @@ def log_evidence(of: fmu.UpdatingProblem, seed: int = 1) -> tuple[float, float]:
     if pareto_k(l2) < GOOD_K:
         return by_importance(l2)
     effective = min(len(kept), float(fmu.summary(trace)["ess_bulk"].min()) / 2)
-    return by_bridge(l2, log_ratio(kept), effective / len(kept))
+    return by_bridge(l2, log_ratio(kept)[None], effective / len(kept))
 
 
 def rows(case: str, pairing: str) -> list[Row]:

@@ -87,10 +87,16 @@ def mcse_mean(x: FloatArray, walkers: int = 1) -> float:
 
 
 def mcse_sd(x: FloatArray, walkers: int = 1) -> float:
-    """Return the Monte-Carlo standard error of the standard deviation s: the error of s² over 2 s."""
+    """Return the Monte-Carlo standard error of the standard deviation s: the error of s² over 2 s.
+
+    With the effective sample size of the squares or of the tails, the smaller one: chains that are slow in a tail
+    which they seldom visit show it there sooner.
+    """
     if _is_degenerate(x):
         return np.nan
-    return mcse_mean((x - x.mean()) ** 2, walkers) / (2.0 * float(np.std(x, ddof=1)))
+    squares = (x - x.mean()) ** 2
+    ess = np.fmin(ess_mean(squares, walkers), ess_tail(x, walkers))
+    return float(np.std(squares, ddof=1) / np.sqrt(ess) / (2.0 * np.std(x, ddof=1)))
 
 
 def mcse_quantile(x: FloatArray, probability: float, walkers: int = 1) -> float:
