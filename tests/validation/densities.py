@@ -91,7 +91,8 @@ def page(rows: list[Row]) -> str:
         "# Verdicts on plain log-densities",
         f"{len(rows)} runs on {len(made)} densities with exact moments (tests/densities.py, "
         f"tests/plain_densities.py), each until R-hat < 1.01 and an ESS of {UNTIL_ESS}, or "
-        f"{whole(MOST_SOLVES)} evaluations. Nothing was tuned for a density. By `python -m "
+        f"{whole(MOST_SOLVES)} evaluations; warm-up and the first 1000 steps are always made, of emcee by "
+        "each of its walkers. Nothing was tuned for a density. By `python -m "
         "tests.validation.densities results`.",
         f"**{len(called)} runs are called converged, without “locally”. Off by more than {significant(FAR)} "
         f"standard errors in a mean, a standard deviation or an evidence: {len(wrong)}"
