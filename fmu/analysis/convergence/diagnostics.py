@@ -52,6 +52,7 @@ MIN_CHAINS = 2
 MIN_ENSEMBLES = 4
 DIVERGING_LIMIT = 1e-3
 ENERGY_LIMIT = 0.3
+_MOSTLY = 0.5
 STANDING_LIMIT, STANDING_DRAWS = 0.2, 20
 LEAST_GROWTH = 1.1
 
@@ -172,15 +173,14 @@ def convergence_failures(
     The rule: at least two chains; no chain that does not move for a fifth of its draws; R-hat of every parameter
     below 1.01; bulk and tail ESS of every parameter at least 400 and at least 100 per chain (Vehtari et al. 2021);
     standard errors of the means below a tenth of the posterior sd, and of the ends of the 90 % intervals below
-    0.12 of it. At most one Hamiltonian trajectory in a
-    thousand diverges, and E-BFMI of every chain is at least 0.3. A mixture had enough candidates for each of its
-    components (`fmu.analysis.convergence.candidates`), and the weights of those of a curved one have no heavy
-    tail. For an ensemble sampler, whose ensembles are
-    the chains: at least four ensembles; a run of at least 50 autocorrelation times; and R-hat over walkers below
-    1.05. In so long a run it is above only if walkers stay in separate places (`rhat_over_walkers`); of a shorter
-    one it is reported only then. A quantity that is NaN fails its test. Ensembles of plain emcee
-    (`fmu.from_emcee`) may be fewer, even one, which has no R-hat: the verdict then rests on autocorrelation times
-    and on R-hat over walkers, and `few_ensembles` says what it cannot exclude.
+    0.12 of it. At most one Hamiltonian trajectory in a thousand diverges, unless most steps are candidates of a
+    mixture, and E-BFMI of every chain is at least 0.3. A mixture had enough candidates for each of its components
+    (`fmu.analysis.convergence.candidates`), and the weights of those of a curved one have no heavy tail. For an
+    ensemble sampler, whose ensembles are the chains: at least four ensembles; a run of at least 50 autocorrelation
+    times; and R-hat over walkers below 1.05. In so long a run it is above only if walkers stay in separate places
+    (`rhat_over_walkers`); of a shorter one it is reported only then. A quantity that is NaN fails its test.
+    Ensembles of plain emcee (`fmu.from_emcee`) may be fewer, even one, which has no R-hat: the verdict then rests
+    on autocorrelation times and on R-hat over walkers, and `few_ensembles` says what it cannot exclude.
 
     Draws cannot show a mode that no chain visited; see `fmu.diagnose`.
 
@@ -281,17 +281,11 @@ def _standing(trace: xr.DataTree) -> list[str]:
 def _trajectories(trace: xr.DataTree) -> list[str]:
     """Return the faults of the Hamiltonian trajectories; an empty list for samplers without them."""
     failures = []
-    if has(trace, "sample_stats", "diverging"):
-        diverging = array_of(trace, "sample_stats", "diverging")
-        if not np.mean(diverging) <= DIVERGING_LIMIT:
-            n = diverging.size
-            if has(trace, "sample_stats", CANDIDATE):
-                n = int(
-                    np.sum(np.isnan(array_of(trace, "sample_stats", CANDIDATE)))
-                )  # the others are no trajectories
-            useless = ", and more draws do not help" if _diverges_for_good(trace) else ""
-            said = f"{int(diverging.sum())} of {n} trajectories diverged{useless}"
-            failures.append(said + for_divergences(trace))
+    diverging = _trajectories_that_diverged(trace)
+    if not np.mean(diverging) <= DIVERGING_LIMIT:
+        useless = ", and more draws do not help" if _diverges_for_good(trace) else ""
+        said = f"{int(diverging.sum())} of {diverging.size} trajectories diverged{useless}"
+        failures.append(said + for_divergences(trace))
     if has(trace, "sample_stats", "energy"):
         fraction = energy_fraction(array_of(trace, "sample_stats", "energy"))
         chains = [f"chain {k}" for k in range(len(fraction))]
@@ -299,11 +293,24 @@ def _trajectories(trace: xr.DataTree) -> list[str]:
     return failures
 
 
+def _trajectories_that_diverged(trace: xr.DataTree) -> FloatArray:
+    """Say of each trajectory whether it diverged; of none where most steps are candidates of a mixture.
+
+    A trajectory that diverges stays where it began. The candidates do not depend on that place, and how well they
+    fit the posterior shows in their weights.
+    """
+    if not has(trace, "sample_stats", "diverging"):
+        return np.zeros(1)
+    diverging = array_of(trace, "sample_stats", "diverging")
+    if not has(trace, "sample_stats", CANDIDATE):
+        return diverging
+    is_local = np.isnan(array_of(trace, "sample_stats", CANDIDATE))
+    return diverging[is_local] if np.mean(is_local) >= _MOSTLY else np.zeros(1)
+
+
 def _diverges_for_good(trace: xr.DataTree) -> bool:
     """Say whether the share of diverging trajectories is certainly too large, by two standard errors."""
-    if not has(trace, "sample_stats", "diverging"):
-        return False
-    diverging = array_of(trace, "sample_stats", "diverging")
+    diverging = _trajectories_that_diverged(trace)
     n = float(diverging.sum())
     return n - 2.0 * np.sqrt(n) > DIVERGING_LIMIT * diverging.size
 
