@@ -124,10 +124,10 @@ IN_THE_SAMPLERS = (
     ),
     Fault(
         "central difference: divided by the whole step where a wall has cut it",
-        "fmu/samplers/trajectory.py",
-        "distance = np.diagonal(above - below, axis1=1, axis2=2)",
-        "distance = 2.0 * self.h * self.delta",
-        ("tests/samplers/test_gradient.py",),
+        "fmu/differences.py",
+        "np.asarray(np.diagonal(points[0] - points[1], axis1=1, axis2=2))",
+        "2.0 * np.broadcast_to(step, centre.shape)",
+        ("tests/test_differences.py", "tests/samplers/test_gradient.py"),
     ),
     Fault(
         "slice: shrinks to the wrong side",
@@ -174,7 +174,7 @@ IN_THE_SAMPLERS = (
     Fault(
         "scaled view: gradient left in the parameters' units",
         "fmu/posterior/scaled.py",
-        "return log_prob, gradient * self.scale",
+        "return log_prob, gradient * self.stretch(theta)",
         "return log_prob, gradient",
         ("tests/samplers/test_sampling_loop.py",),
     ),
@@ -423,8 +423,8 @@ IN_THE_MIXTURE = (
     Fault(
         "mixture: error of a bridge as if all draws were independent",
         "fmu/analysis/evidence.py",
-        "n = ratio * len(p)",
-        "n = len(p)",
+        "ess = np.fmin(n, effective.ess_mean(f_p))",
+        "ess = p.size",
         ("tests/analysis/test_evidence.py",),
     ),
     Fault(
