@@ -145,12 +145,13 @@ def test_a_mixture_beside_the_posterior_is_doubted(make_trace):
     assert "Pareto k" in evidence(trace).warnings[1]
 
 
-def test_the_error_of_a_bridge_knows_that_draws_hang_together():
-    """Against the scatter of bridges from chains of which every draw is repeated twenty times."""
+@pytest.mark.parametrize("ratio", [1 / 20, 1.0])
+def test_the_error_of_a_bridge_knows_that_draws_hang_together(ratio):
+    """Against the scatter of bridges from chains that repeat every draw, whatever `ratio` says of them."""
     rng, found = np.random.default_rng(5), []
     for _ in range(100):
         x, y = np.repeat(rng.standard_normal(100), 20), 2.0 * rng.standard_normal(2000)
         p, q = (-0.5 * z**2 + 0.5 * (z / 2.0) ** 2 for z in (x, y))
-        found.append(by_bridge(q, p[None], 1 / 20))
+        found.append(by_bridge(q, p[None], ratio))
     value, error = np.array(found).T
     assert np.mean(error) == pytest.approx(np.std(value), rel=0.3)
