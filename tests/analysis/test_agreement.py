@@ -5,7 +5,7 @@ import pytest
 
 from fmu.analysis.convergence.agreement import CLOSE, agreement
 from fmu.analysis.convergence.diagnostics import summary
-from fmu.analysis.convergence.effective import mcse_sd
+from fmu.analysis.convergence.effective import ess_mean, ess_tail, mcse_sd
 
 
 def of(make_trace, *arrays):
@@ -59,3 +59,15 @@ def test_the_standard_error_of_a_standard_deviation():
     """Of n independent normal draws it is σ/√(2n)."""
     x = np.random.default_rng(8).standard_normal((4, 5000))
     assert mcse_sd(x) == pytest.approx(1 / np.sqrt(2 * x.size), rel=0.1)
+
+
+def test_the_error_of_an_sd_looks_at_a_slow_tail():
+    """Rare and independent spikes make most of the variance; what lies beyond 95 % comes and goes slowly."""
+    rng = np.random.default_rng(2)
+    x = rng.uniform(-1.0, 1.0, (4, 2000))
+    x[:, 500:600] = rng.uniform(1.0, 1.2, (4, 100))
+    x[rng.uniform(size=x.shape) < 0.003] = 6.0
+    squares = (x - x.mean()) ** 2
+    assert ess_tail(x) < 0.3 * ess_mean(squares)
+    expected = np.std(squares, ddof=1) / np.sqrt(ess_tail(x)) / (2.0 * np.std(x, ddof=1))
+    assert mcse_sd(x) == pytest.approx(expected, rel=1e-12)
