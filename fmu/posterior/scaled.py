@@ -65,7 +65,7 @@ class ScaledDensity:
         return np.clip(self.offset + self.scale * u, self.theta_lower, self.theta_upper)
 
     def stretch(self, theta: FloatArray) -> FloatArray:
-        """Return ∂θ/∂u of each coordinate, shape (ndim,) or that of theta (n, ndim)."""
+        """Return the derivatives ∂θ/∂u, shape (ndim,), or (n, ndim) at theta of that shape."""
         return self.scale
 
     def log_prob(self, u: Any) -> Any:
@@ -132,5 +132,5 @@ class LogScaledDensity(ScaledDensity):
         return np.where(self.is_log, np.clip(from_logs, self.theta_lower, self.theta_upper), theta)
 
     def stretch(self, theta: FloatArray) -> FloatArray:
-        """Return ∂θ/∂u of each coordinate, shape (ndim,) or that of theta (n, ndim)."""
+        """Return the derivatives ∂θ/∂u, shape (ndim,), or (n, ndim) at theta of that shape."""
         return np.where(self.is_log, theta * self._sd, self.scale) if self.is_log.any() else self.scale

@@ -169,7 +169,7 @@ class HamiltonianTuner:
 
     def finished(self) -> HamiltonianMonteCarlo:
         """Return the settings learnt."""
-        step_size = float(self._capped(np.mean(self.averaging.averaged)))
+        step_size = float(self._limit_step(np.mean(self.averaging.averaged)))
         inverse_mass = self.sampler.inverse_mass
         if inverse_mass is None and self.learner.covariance is not None:
             inverse_mass = self.learner.covariance
@@ -199,7 +199,7 @@ class HamiltonianTuner:
         self.kernel = replace(self.kernel, metric=Metric.of(covariance, self.learner.ndim))
 
     def _take_step_size(self) -> None:
-        step_size = self._capped(self.averaging.log_value)
+        step_size = self._limit_step(self.averaging.log_value)
         self.kernel = replace(self.kernel, step_size=step_size, n_steps=self._n_steps(step_size))
 
     def _restarted(self, log_step_size: Any) -> DualAveraging:
@@ -216,7 +216,7 @@ class HamiltonianTuner:
         """Whether a metric gives the length of a trajectory a meaning."""
         return self.learner.covariance is not None or self.sampler.inverse_mass is not None
 
-    def _capped(self, log_step_size: Any) -> FloatArray:
+    def _limit_step(self, log_step_size: Any) -> FloatArray:
         """Return the step size, at most `_LONGEST` trajectories: on a flat density every step is accepted."""
         step_size: FloatArray = np.exp(log_step_size)
         return np.minimum(step_size, _LONGEST * self.sampler.length) if self._has_metric else step_size

@@ -99,5 +99,5 @@ def basin(model: Quadratic, kind: str, at_bound: FloatArray | IntArray) -> Quadr
 
 
 def are_negligible(log_prob: FloatArray, ndim: int) -> BoolArray:
-    """Say which places, of log-probabilities (n,), are so low beside the highest that no width makes up for it."""
+    """Say which of n places, by their log-probabilities (n,), have no mass: no width makes up for so low a top."""
     return np.asarray(log_prob < np.max(log_prob) - _LOW - _WIDER * ndim)

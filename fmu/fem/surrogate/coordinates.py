@@ -39,7 +39,7 @@ class Coordinates:
 
     def to_x(self, theta: FloatArray) -> FloatArray:
         """Return x, shape (n, n_parameters), at theta of that shape; at most `FARTHEST` away from the centre."""
-        return np.clip(self._unlimited(theta), -FARTHEST, FARTHEST)
+        return np.clip(self._map_without_limit(theta), -FARTHEST, FARTHEST)
 
     def to_theta(self, x: FloatArray) -> FloatArray:
         """Return theta at x, both of shape (n, n_parameters); −1 and 1 are the ends of the box exactly."""
@@ -51,10 +51,10 @@ class Coordinates:
     def slope(self, theta: FloatArray) -> FloatArray:
         """Return ∂x/∂θ of each parameter, shape (n, n_parameters)."""
         half = 0.5 * (self._g(self.upper) - self._g(self.lower))
-        goes_on = np.abs(self._unlimited(theta)) < FARTHEST
+        goes_on = np.abs(self._map_without_limit(theta)) < FARTHEST
         return np.where(goes_on, 1.0, 0.0) / np.where(self.is_log & goes_on, theta, 1.0) / half
 
-    def _unlimited(self, theta: FloatArray) -> FloatArray:
+    def _map_without_limit(self, theta: FloatArray) -> FloatArray:
         low, high = self._g(self.lower), self._g(self.upper)
         return (2.0 * self._g(theta) - (high + low)) / (high - low)
 

@@ -89,8 +89,8 @@ def _temperature(ndim: int) -> float:
     return float(np.exp(min(5.0 / ndim, _MOST_WIDENED)))
 
 
-def kurtosis(x: FloatArray, weight: FloatArray) -> float:
-    """Return the kurtosis of points x (n, ndim) with weights (n,), over that of a Gaussian (Mardia 1970)."""
+def measure_kurtosis(x: FloatArray, weight: FloatArray) -> float:
+    """Return the kurtosis of points x (n, ndim) with weights (n,), relative to a Gaussian (Mardia 1970)."""
     n, z = x.shape[1], standardised(x, weight)[0]
     return float(weight @ np.sum(z**2, axis=1) ** 2 / weight.sum() / (n * (n + 2)))
 

@@ -16,7 +16,7 @@ from fmu.samplers.mixture.curve import fit_infinite_margins
 from fmu.samplers.mixture.curved import CurvedMixture
 from fmu.samplers.mixture.kernel import MixtureKernel
 from fmu.samplers.mixture.proposal import GOOD, LESS_WIDE, WIDE, Mixture, Points, refit_mixture
-from fmu.samplers.mixture.quadratic import kurtosis, n_coefficients
+from fmu.samplers.mixture.quadratic import measure_kurtosis, n_coefficients
 from fmu.samplers.mixture.warmup.local_draws import Evaluated, fit_to_draws, groups_of_chains
 from fmu.samplers.mixture.warmup.rounds import ENOUGH, learn_in_rounds
 from fmu.samplers.mixture.warmup.unknown_maxima import Seen, add_maxima, find_unknown_maxima
@@ -319,7 +319,10 @@ class MixtureTuner:
         if groups_of_chains(self.visited.position.reshape(-1, self.chains, self.density.ndim)).any():
             return False
         share = points.effective_share(self.mixture.log_density(points.position))
-        return not share >= _FITS_BADLY and kurtosis(points.under(self.mixture.warp)[0], points.weight) > _HEAVY
+        return (
+            not share >= _FITS_BADLY
+            and measure_kurtosis(points.under(self.mixture.warp)[0], points.weight) > _HEAVY
+        )
 
     def _learn_curved(self, state: State) -> IntArray:
         """Learn a curved mixture from where local steps were; return the evaluations that this took.
