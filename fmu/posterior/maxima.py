@@ -14,7 +14,7 @@ import numpy as np
 from fmu.numbers import names_in_words
 from fmu.posterior.parameters import box
 from fmu.posterior.protocol import Problem
-from fmu.posterior.scaled import LogScaledDensity, ScaledDensity
+from fmu.posterior.scaled import ScaledDensity, ascent_coordinates
 from fmu.progress.phases import advanced, phase, solves
 from fmu.types import BoolArray, FloatArray, IntArray
 
@@ -79,7 +79,7 @@ def local_maxima(
     """
     if starts < 1:
         raise ValueError(f"starts: must be at least 1 (got {starts})")
-    scaled = LogScaledDensity(problem)
+    scaled = ascent_coordinates(problem)
     points = _starting_points(problem, scaled, starts, seed)
     if near is not None:
         points = np.concatenate([points, np.clip(scaled.to_scaled(near), scaled.lower, scaled.upper)])
@@ -133,7 +133,7 @@ def _nowhere(problem: Problem, n: int) -> str:
     return f"problem: the log-probability must have a finite gradient at one of {n} starts (got none{why})"
 
 
-def _starting_points(problem: Problem, scaled: LogScaledDensity, starts: int, seed: int) -> FloatArray:
+def _starting_points(problem: Problem, scaled: ScaledDensity, starts: int, seed: int) -> FloatArray:
     """Return scaled points (starts, ndim) within the bounds."""
     from scipy.stats import qmc
 
@@ -264,7 +264,7 @@ class GaussNewton:
         value = -log_likelihood - np.asarray(p.log_prior(theta))
         prior_slope, prior_curvature = p.prior.quadratic(theta, scaled.scale)
         stretch = scaled.stretch(theta)
-        if isinstance(scaled, LogScaledDensity) and scaled.is_log.any():
+        if scaled.is_log.any():
             prior_slope = prior_slope / scaled.scale * stretch
             j = np.flatnonzero(scaled.is_log)
             prior_curvature[:, j, j] = 1.0  # of −log p = u²/2 + sd u, the logarithm of a log-normal density of θ

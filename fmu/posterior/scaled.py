@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmu.types import FloatArray, LogDensity
+from fmu.types import BoolArray, FloatArray, LogDensity
 
 if TYPE_CHECKING:
     from fmu.posterior.protocol import Problem
@@ -34,6 +34,9 @@ class ScaledDensity:
     ValueError
         If bounds, offset or scale have the wrong length, the bounds enclose nothing, or a scale is not positive.
     """
+
+    is_log: BoolArray = np.zeros(1, dtype=bool)
+    """Coordinates that are logarithms: none."""
 
     def __init__(self, density: LogDensity) -> None:
         self.density = density
@@ -109,28 +112,28 @@ class LogScaledDensity(ScaledDensity):
         self._mean = np.array([0.0 if form is None else form.mean for form in logs])
         self._sd = np.array([1.0 if form is None else form.sd for form in logs])
         super().__init__(problem)
-        if self.is_log.any():
-            self.lower = np.where(self.is_log, np.maximum(self.lower, -FARTHEST), self.lower)
-            self.upper = np.where(self.is_log, np.minimum(self.upper, FARTHEST), self.upper)
+        self.lower = np.where(self.is_log, np.maximum(self.lower, -FARTHEST), self.lower)
+        self.upper = np.where(self.is_log, np.minimum(self.upper, FARTHEST), self.upper)
 
     def to_scaled(self, theta: FloatArray) -> FloatArray:
         """Return u for theta of any leading shape."""
-        u = super().to_scaled(theta)
-        if not self.is_log.any():
-            return u
         with np.errstate(divide="ignore"):  # at the bound 0
             logs = (np.log(np.where(self.is_log, theta, 1.0)) - self._mean) / self._sd
-        return np.where(self.is_log, logs, u)
+        return np.where(self.is_log, logs, super().to_scaled(theta))
 
     def to_theta(self, u: FloatArray) -> FloatArray:
         """Return theta for u in the box, clipped so that rounding cannot move it out of the bounds."""
-        theta = super().to_theta(u)
-        if not self.is_log.any():
-            return theta
         with np.errstate(over="ignore"):
             from_logs = np.exp(self._mean + self._sd * np.where(self.is_log, u, 0.0))
-        return np.where(self.is_log, np.clip(from_logs, self.theta_lower, self.theta_upper), theta)
+        theta = np.where(self.is_log, from_logs, super().to_theta(u))
+        return np.clip(theta, self.theta_lower, self.theta_upper)
 
     def stretch(self, theta: FloatArray) -> FloatArray:
-        """Return the derivatives ∂θ/∂u, shape (ndim,), or (n, ndim) at theta of that shape."""
-        return np.where(self.is_log, theta * self._sd, self.scale) if self.is_log.any() else self.scale
+        """Return the derivatives ∂θ/∂u, shape (n, ndim), at theta of that shape."""
+        return np.where(self.is_log, theta * self._sd, self.scale)
+
+
+def ascent_coordinates(problem: Problem) -> ScaledDensity:
+    """Return the coordinates in which to climb: logarithms only if a prior spans decades."""
+    with_logs = LogScaledDensity(problem)
+    return with_logs if with_logs.is_log.any() else ScaledDensity(problem)

@@ -10,7 +10,6 @@ from annotated_types import Interval
 
 from fmu.arguments import Chains, Count, Draws, OwnRule, Seed, Workers, check_arguments, shown
 from fmu.samplers.registry import SAMPLERS as SAMPLERS
-from fmu.sampling.limits import GROWTH_LIMIT as GROWTH_LIMIT
 from fmu.sampling.limits import Limits
 from fmu.sampling.steps import StoppedRun as StoppedRun
 from fmu.sampling.steps import Task, begin, convert, draw, examine

@@ -43,12 +43,12 @@ def pareto_k(log_w: FloatArray) -> float:
 
 
 def heavy_tail_in_words(k: float) -> str:
-    """Say that the weights of a mixture's candidates have a tail of a shape k that is too heavy; else empty."""
+    """Return a sentence on the weights of a mixture's candidates if their Pareto k is too large, else nothing."""
     if k <= GOOD_K:
         return ""
     return (
         f"Pareto k {significant(k, 2)} of the candidates' weights is above {given(GOOD_K)}: the mixture does not "
-        f"fit the density well enough"
+        "fit the density well enough"
     )
 
 

@@ -99,5 +99,5 @@ def basin(model: Quadratic, kind: str, at_bound: FloatArray | IntArray) -> Quadr
 
 
 def are_negligible(log_prob: FloatArray, ndim: int) -> BoolArray:
-    """Say which of n places, by their log-probabilities (n,), have no mass: no width makes up for so low a top."""
+    """Say of places with the log-probabilities (n,) whether each is too low to have mass, however wide it is."""
     return np.asarray(log_prob < np.max(log_prob) - _LOW - _WIDER * ndim)

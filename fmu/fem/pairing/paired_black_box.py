@@ -105,7 +105,7 @@ class PairedBlackBox(ModalModel):
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
         """Return frequencies in Hz, shape (n, n_modes); NaN where the function failed."""
-        return self._paired(theta)[0]
+        return self._pair_modes(theta)[0]
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters).
@@ -113,7 +113,7 @@ class PairedBlackBox(ModalModel):
         The function's own gradient, or central differences of the frequencies with the perturbations of eq. (15)
         of the paper. At a bound, or where the function fails on one side, they are one-sided.
         """
-        frequencies, gradient, _ = self._paired(theta)
+        frequencies, gradient, _ = self._pair_modes(theta)
         missing = np.isnan(gradient).all(axis=(1, 2)) & ~np.isnan(frequencies).any(axis=1)
         if missing.any():
             gradient[missing] = self._differences(
@@ -133,14 +133,14 @@ class PairedBlackBox(ModalModel):
         """
         if self._n_sensors is None:
             raise ValueError(f"{self.black_box.place}: must return shapes, as shapes have errors (it gives none)")
-        frequencies, slopes, shapes = self._paired(theta)
+        frequencies, slopes, shapes = self._pair_modes(theta)
         if not gradient:
             return ModalPrediction(frequencies, shapes)
         values = np.concatenate([frequencies[:, None], shapes], axis=1)
         n, rows, m = values.shape
 
         def nearby(points: FloatArray, of: IntArray) -> FloatArray:
-            f, _, s = self._paired(points)
+            f, _, s = self._pair_modes(points)
             # shapes have either sign: take that of the central point
             s = s * np.where(np.sum(s * shapes[of], axis=1, keepdims=True) < 0.0, -1.0, 1.0)
             return np.concatenate([f[:, None], s], axis=1).reshape(len(points), -1)
@@ -166,7 +166,7 @@ class PairedBlackBox(ModalModel):
             return str(error)
         return None
 
-    def _paired(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _pair_modes(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return paired frequencies, the function's own gradients and shapes; NaN where it failed or has none."""
         n, m, p, s = len(theta), self.n_modes, self.n_parameters, self._n_sensors or 0
         f, df, phi = np.full((n, m), np.nan), np.full((n, m, p), np.nan), np.full((n, s, m), np.nan)

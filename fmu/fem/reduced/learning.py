@@ -221,7 +221,7 @@ class Learner:
 def balance_directions(
     Z: FloatArray, tolerance: float, smallest: int, largest: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return orthonormal directions Q (r, q), the strongest first, and what they leave of the columns of Z.
+    """Return orthonormal directions Q (r, q), the strongest first, and the remainder of the columns of Z.
 
     Proper orthogonal decomposition makes the mean of what is left small. Columns of which much is left have more
     weight in the next decomposition, which makes the largest small (as Lawson's algorithm does for polynomials:

@@ -43,7 +43,7 @@ class Errors(NamedTuple):
         return cls([one for i, one in enumerate(given) if i not in quantities] or "frequency", quantities)
 
     def find_mistakes(self, model: Any, tests: Sequence[str]) -> list[str]:
-        """Return what is wrong between the errors, the model and the names of the tests, each with its place."""
+        """Return a sentence for each contradiction between errors, model and tests, with its place."""
         rule = f"must be the test in which it was measured, one of {names_shown(tests)}"
         found = [
             f"error.{i}.test: {rule} (got {'none' if one.test is None else shown(one.test)})"

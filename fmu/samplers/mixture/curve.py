@@ -110,7 +110,7 @@ def features(z: FloatArray) -> FloatArray:
 
 
 def select_features(used: BoolArray, *, linear: bool = False) -> BoolArray:
-    """Return which of the `features` are made of the coordinates `used` alone; without products if `linear`.
+    """Mark the `features` that consist of the coordinates `used` alone; without products if `linear`.
 
     Parameters
     ----------

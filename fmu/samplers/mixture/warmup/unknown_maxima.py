@@ -1,4 +1,4 @@
-"""Maxima that a mixture does not know: where it has too little, and a valley lies before what it has."""
+"""The search for maxima that have no component in a mixture: its density is too low there, beyond a valley."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ class Seen(NamedTuple):
 
     @property
     def is_chain(self) -> BoolArray:
-        """Which points are those of the chains, shape (n,)."""
+        """Whether each point is the present position of a chain, shape (n,)."""
         k = np.arange(len(self.position)) - self.candidates
         return np.asarray((k >= 0) & (k < self.chains))
 
 
 class NewMaximum(NamedTuple):
-    """A maximum: the log-density around it, not warped, and its mass over that of the mixture."""
+    """A maximum, as a quadratic in coordinates that are not warped, and its mass relative to the mixture."""
 
     quadratic: Quadratic
     mass: float
