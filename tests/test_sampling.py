@@ -364,14 +364,41 @@ def test_a_function_gives_value_and_gradient_in_one_call(problem):
     assert "gradient_cost" not in trace.attrs
 
 
-def test_a_limit_of_solves_holds_once_the_first_draws_are_made(problem):
-    """The verdict says what they took beyond it; further draws keep it, but for a block of candidates."""
-    trace = fmu.sample(problem, "mh", draws=50, warmup=100, until_ess=400, max_solves=300, seed=3, init="prior")
-    used = [int(trace[name]["n_solves"].sum()) for name in ("warmup_sample_stats", "sample_stats")]
-    assert trace["posterior"].sizes["draw"] == 50
-    said = f"its limit of 300 solves: the warm-up took {used[0]} and 50 draws {used[1]}"
-    assert said in str(fmu.diagnose(trace))
+@pytest.mark.parametrize(("sampler", "most"), [("mh", 300), ("hmc", 3000), ("slice", 600), ("emcee", 2500)])
+def test_a_limit_of_solves_shortens_warm_up_and_first_draws(problem, sampler, most):
+    """The verdict says so. A trajectory or a bracket takes more or less than usual."""
+    trace = fmu.sample(problem, sampler, warmup=400, until_ess=1e6, max_solves=most, seed=3, init="prior")
+    used = trace.attrs["warmup_n_solves"] + trace.attrs["n_solves"]
+    assert 0.6 * most < used < 1.2 * most
+    warmup = trace["warmup_posterior"].sizes["draw"] // trace.attrs["walkers"]
+    assert 5 < warmup < 400
+    assert f"solves, which shortened its warm-up from 400 to {warmup} steps" in str(fmu.diagnose(trace))
+
+
+def test_a_limit_of_solves_says_what_took_more(problem):
+    """No shorter run is possible than one step of every walker."""
+    trace = fmu.sample(problem, "emcee", warmup=0, until_ess=400, max_solves=100, seed=3, init="prior")
+    assert f"its limit of 100 solves: the warm-up took 0 and 1 draws {trace.attrs['n_solves']}" in str(
+        fmu.diagnose(trace)
+    )
+
+
+def test_a_limit_of_solves_leaves_a_run_alone_that_fits(problem):
     trace = fmu.sample(problem, "mixture", draws=50, warmup=100, until_ess=10_000, max_solves=3000, seed=3)
     total = sum(int(trace[name]["n_solves"].sum()) for name in ("warmup_sample_stats", "sample_stats"))
+    assert trace["warmup_posterior"].sizes["draw"] == 100
     assert 0.9 * 3000 < total <= 3000 + 100
     assert "its limit of 3 000 solves\n" in str(fmu.diagnose(trace))
+
+
+def test_a_run_with_a_shortened_warm_up_goes_on_with_a_higher_limit(problem, tmp_path):
+    asked = {"warmup": 400, "until_ess": 1e6, "seed": 3, "init": "prior", "checkpoint": tmp_path}
+    short = fmu.sample(problem, "mh", **asked, max_solves=300)
+    longer = fmu.sample(problem, "mh", **asked, max_solves=900)
+    assert longer.attrs["warmup"] == short.attrs["warmup"] < 400
+    kept = short["posterior"].sizes["draw"]
+    for name, values in short["posterior"].items():
+        np.testing.assert_array_equal(longer["posterior"][name][:, :kept], values)
+    assert longer["posterior"].sizes["draw"] > kept
+    with pytest.raises(ValueError, match=r"contains another run: run\.warmup 400 there, 500 here"):
+        fmu.sample(problem, "mh", **asked | {"warmup": 500}, max_solves=900)

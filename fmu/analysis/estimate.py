@@ -11,6 +11,7 @@ import numpy as np
 
 from fmu.numbers import fixed, whole
 from fmu.samplers.registry import named, planned
+from fmu.sampling.limits import usual_costs
 
 if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
@@ -62,7 +63,8 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
     is_function = bool(problem.model.functions)
     one_s = seconds_of_a_solve(problem)
     is_slow = is_function or one_s > _SLOW_S
-    found = []
+    found: list[Estimate] = []
+    solves: float
     if is_slow:
         at_once = workers if is_function else 1
         solves = (starts * _CLIMB + 6 * problem.ndim) * per_gradient + _WEIGHED
@@ -71,9 +73,8 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
         settings = named(name)
         lines = orders["chains"] * settings.walkers
         warmup, draws = planned(name, orders["warmup"], orders["draws"])
-        of_warmup, of_draw, distinct = settings.cost
-        per_step = per_gradient if settings.takes_gradients else 1
-        solves = lines * (warmup * of_warmup + draws * of_draw) * per_step
+        of_warmup, of_draw = usual_costs(settings, orders["chains"], per_gradient)
+        solves = warmup * of_warmup + draws * of_draw
         if not is_slow:
             side_by_side, each_s = 1, one_s + _OVERHEAD_S
             if (
@@ -88,7 +89,7 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
         most = orders["max_solves"] if orders["draws"] is None else None
         found.append(Estimate(name, solves, solves * each_s / side_by_side, most))
         if is_slow and not is_function:
-            predicted = lines * draws * distinct
+            predicted = lines * draws * settings.cost[2]
             found.append(Estimate(f"predictions of {name}", predicted, predicted * one_s))
     if problem.model.reduced_sizes:
         full_s = _timed(lambda: problem.model.full_frequencies(problem.start[None, : problem.n_structural]))

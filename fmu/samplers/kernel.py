@@ -112,7 +112,7 @@ class Sampler(ABC):
     name: ClassVar[str]
     title: ClassVar[str]
     colour: ClassVar[str]
-    cost: ClassVar[tuple[float, float, float]]
+    cost: ClassVar[tuple[float, float, float]] = (1.0, 1.0, 1.0)
     first: ClassVar[tuple[int, int]] = (1000, 1000)
     takes_gradients: ClassVar[bool] = False
     learns_together: ClassVar[bool] = False

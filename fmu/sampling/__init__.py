@@ -106,8 +106,8 @@ def sample(
     max_draws : int, optional
         The most steps kept, whatever the verdict. Default: 32 times `draws`, or no limit if there is `max_solves`.
     max_solves : int, optional
-        No more is drawn than about so many solves allow, warm-up included; the first `draws` are always made,
-        and the verdict says what took more.
+        No more is drawn than about so many solves allow, warm-up included. Where `warmup` and `draws` usually take
+        more with the sampler, both are shortened. The verdict says so, and what took more nevertheless.
     maxima : Maxima, optional
         The result of `fmu.find_map`. It is stored in the trace, and every verdict on the trace uses it. By default
         the maxima are searched for, wherever the chains start, but not in a hierarchical posterior.
@@ -163,7 +163,7 @@ def sample(
     settings = with_jumps(settings) if jumps else settings
     limits = Limits.of(draws, until_ess, max_draws, max_solves)
     numbers = _check(problem, settings, init, workers, warmup=warmup, chains=chains, groups=groups, seed=seed)
-    task = Task.of(problem, numbers, limits, checkpoint, max_failure_rate)
+    task = Task.of(problem, settings, numbers, limits, checkpoint, max_failure_rate)
     with reporting(progress, settings.name) as report, told_to(report):
         beginning = begin(task, settings, init, jumps, maxima)
         result, limit = draw(task, beginning, report, workers)

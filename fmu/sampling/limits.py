@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from fmu.numbers import whole
 
 if TYPE_CHECKING:
+    from fmu.samplers.kernel import Sampler
     from fmu.samplers.loop.record import RunResult
 
 GROWTH_LIMIT = 32
@@ -19,7 +20,7 @@ class Limits(NamedTuple):
     Attributes
     ----------
     first : int
-        Steps that are always drawn.
+        Steps after which the draws are first judged.
     until_ess : float or None
         Effective draws with which a run ends, None if it ends with the first steps.
     draws, solves : int or None
@@ -51,6 +52,32 @@ class Limits(NamedTuple):
             max_draws = GROWTH_LIMIT * draws
         return cls(draws, until_ess, max_draws, max_solves)
 
+    def shorten(self, warmup: int, costs: tuple[float, float]) -> tuple[int, Limits]:
+        """Return a warm-up and limits whose first draws fit into the solves, both shortened alike.
+
+        Parameters
+        ----------
+        warmup : int
+            Planned steps of warm-up.
+        costs : tuple of two float
+            Solves of a step of warm-up and of one after it, see `usual_costs`.
+        """
+        planned = warmup * costs[0] + self.first * costs[1]
+        if self.solves is None or planned <= self.solves:
+            return warmup, self
+        part = self.solves / planned
+        return int(part * warmup), self._replace(first=max(int(part * self.first), 1))
+
+    def first_after(self, warmup: int, solves: int, costs: tuple[float, float]) -> int:
+        """Return how many draws to make at first, after a warm-up of so many steps and solves.
+
+        A draw is taken to cost as many times the usual solves as a step of this warm-up did, if that is more.
+        """
+        if self.solves is None:
+            return self.first
+        dearer = max(solves / (warmup * costs[0]), 1.0) if warmup else 1.0
+        return max(min(self.first, int((self.solves - solves) / (dearer * costs[1]))), 1)
+
     def allow(self, result: RunResult) -> tuple[int, str]:
         """Return how many further steps a run may take; if none, which limit it has reached, else nothing.
 
@@ -67,9 +94,25 @@ class Limits(NamedTuple):
         steps, limit = min(allowed)
         return steps, "" if steps else limit
 
-    def describe_excess(self, result: RunResult) -> str:
-        """Say how a run took more than 1 % more solves than its limit; an empty string if it did not."""
-        warmed, drawn = (int(part.stats["n_solves"].sum()) for part in (result.warmup, result.posterior))
-        if self.solves is None or warmed + drawn <= 1.01 * self.solves:
+    def describe_excess(self, result: RunResult, planned_warmup: int) -> str:
+        """Say that the limit shortened the warm-up, and how a run took more than 1 % more solves than it.
+
+        An empty string if neither happened.
+        """
+        if self.solves is None:
             return ""
-        return f": the warm-up took {whole(warmed)} and {whole(result.draws)} draws {whole(drawn)}"
+        said = ""
+        if result.warmup_draws < planned_warmup:
+            steps = whole(result.warmup_draws)
+            said = f", which shortened its warm-up from {whole(planned_warmup)} to {steps} steps"
+        warmed, drawn = (int(part.stats["n_solves"].sum()) for part in (result.warmup, result.posterior))
+        if warmed + drawn <= 1.01 * self.solves:
+            return said
+        return f"{said}: the warm-up took {whole(warmed)} and {whole(result.draws)} draws {whole(drawn)}"
+
+
+def usual_costs(settings: Sampler, chains: int, solves_per_gradient: int) -> tuple[float, float]:
+    """Return the solves of a step of all chains, in warm-up and after it, as the built-in cases take them."""
+    of_warmup, of_draw, _ = settings.cost
+    each = chains * settings.walkers * (solves_per_gradient if settings.takes_gradients else 1)
+    return each * of_warmup, each * of_draw

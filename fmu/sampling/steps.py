@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+from fmu.sampling.limits import usual_costs
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -18,6 +21,8 @@ if TYPE_CHECKING:
     from fmu.samplers.kernel import Sampler
     from fmu.samplers.loop.record import RunResult
     from fmu.sampling.limits import Limits
+
+_SHORTENED = "warmup_shortened_to"
 
 
 class StoppedRun(KeyboardInterrupt):
@@ -43,12 +48,16 @@ class Task(NamedTuple):
     ----------
     problem : LogDensity
     numbers : dict
-        Warm-up, chains, groups and seed, which determine a run.
+        Warm-up as asked for, chains, groups and seed, which determine a run.
     limits : Limits
     saved : Checkpoint or None
     max_failure_rate : float
     full_solves : int
         Points that the full model has answered before, where there is a reduced one.
+    warmup : int
+        Steps of warm-up, as the limits allow.
+    costs : tuple of two float
+        Usual solves of a step of all chains in warm-up, and after it.
     """
 
     problem: Any
@@ -57,12 +66,24 @@ class Task(NamedTuple):
     saved: Checkpoint | None
     max_failure_rate: float
     full_solves: int
+    warmup: int
+    costs: tuple[float, float]
 
     @classmethod
     def of(
-        cls, problem: Any, numbers: dict[str, int], limits: Limits, checkpoint: Any, max_failure_rate: float
+        cls,
+        problem: Any,
+        settings: Sampler,
+        numbers: dict[str, int],
+        limits: Limits,
+        checkpoint: Any,
+        max_failure_rate: float,
     ) -> Task:
-        """Return the task; failures of the problem before it are forgotten."""
+        """Return the task; failures of the problem before it are forgotten.
+
+        The warm-up and the first draws are shortened to fit into the limits; a run that is resumed keeps its
+        warm-up.
+        """
         from fmu.analysis.maxima.search import is_updating
         from fmu.analysis.trace.failure_ledger import failure_rate_exceeded
         from fmu.runs import Checkpoint
@@ -71,7 +92,11 @@ class Task(NamedTuple):
         getattr(problem, "take_failures", list)()
         saved = checkpoint if checkpoint is None or isinstance(checkpoint, Checkpoint) else Checkpoint(checkpoint)
         full_solves = problem.model.full_solves if is_updating(problem) else 0
-        return cls(problem, numbers, limits, saved, max_failure_rate, full_solves)
+        costs = usual_costs(settings, numbers["chains"], int(getattr(problem, "solves_per_gradient", 1)))
+        warmup, limits = limits.shorten(numbers["warmup"], costs)
+        if saved is not None:
+            warmup = _saved_warmup(saved, numbers["warmup"], warmup)
+        return cls(problem, numbers, limits, saved, max_failure_rate, full_solves, warmup, costs)
 
 
 class Beginning(NamedTuple):
@@ -139,7 +164,7 @@ def draw(
             run = Run(
                 problem,
                 settings,
-                **task.numbers,
+                **{**task.numbers, "warmup": task.warmup},
                 init=beginning.starts.position,
                 progress=report,
                 engine=_engine(workers, stack),
@@ -150,7 +175,8 @@ def draw(
                 ),
                 live=live_diagnostics,
             )
-            result, limit = run.extend(task.limits.first), ""
+            first = limits.first_after(task.warmup, run.warmup_solves, task.costs)
+            result, limit = run.extend(first), ""
             while limits.until_ess is not None and not limit:
                 so_far = _as_trace(task, beginning, result, predictions=False)
                 missing = draws_missing(so_far, limits.until_ess, maxima)
@@ -188,7 +214,7 @@ def convert(task: Task, beginning: Beginning, result: RunResult, limit: str) -> 
         trace = with_maxima(trace, beginning.maxima)
     if limit:
         trace.attrs["limit"] = limit
-        trace.attrs["beyond_limit"] = task.limits.describe_excess(result)
+        trace.attrs["beyond_limit"] = task.limits.describe_excess(result, task.numbers["warmup"])
     trace.attrs["complete"] = 1
     if is_updating(problem) and problem.model.is_uncertain:
         trace.attrs.update(problem.model.record)  # no verdict before the certificate
@@ -231,8 +257,23 @@ def _store(task: Task, beginning: Beginning, saved: Checkpoint) -> Store:
 
     problem, settings = task.problem, beginning.settings
     run = {**task.numbers, "walkers": settings.walkers, "init": beginning.starts.origin}
+    if task.warmup < task.numbers["warmup"]:
+        run[_SHORTENED] = task.warmup
     configuration = described(problem, settings.name, describe(settings), run)
     return Store(saved, Identity.of(configuration), names_of(problem), units_of(problem))
+
+
+def _saved_warmup(saved: Checkpoint, asked: int, warmup: int) -> int:
+    """Return the steps of warm-up of the run in a checkpoint, if it was asked for the same; else `warmup`."""
+    from fmu.durable_files import DamagedError
+    from fmu.runs.identity import Identity
+
+    try:
+        identity = Identity.read(Path(saved.directory))
+    except DamagedError:
+        return warmup
+    run = {} if identity is None else identity.configuration["run"]
+    return int(run.get(_SHORTENED, asked)) if run.get("warmup") == asked else warmup
 
 
 def _engine(workers: int | str | Engine, stack: ExitStack) -> Engine:

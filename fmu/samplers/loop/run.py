@@ -249,6 +249,11 @@ class Run:
         self._drawn = target
         return self._result(target)
 
+    @property
+    def warmup_solves(self) -> int:
+        """Solves of the warm-up, of all chains."""
+        return int(np.sum(self._records[WARMUP].draws(self.warmup).stats.get("n_solves", 0)))
+
     def report_end(self) -> None:
         """Report the diagnostics of all draws, as the verdict has them, after the last `extend`."""
         if self._watch is not None:
