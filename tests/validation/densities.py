@@ -111,7 +111,8 @@ def page(rows: list[Row]) -> str:
         f"{len(rows)} runs on {len(made)} densities with exact moments (tests/densities.py, "
         f"tests/plain_densities.py), each until R-hat < 1.01 and an ESS of {UNTIL_ESS}, or "
         f"{whole(MOST_SOLVES['mixture'])} evaluations, warm-up among them; for emcee "
-        f"{whole(MOST_SOLVES['emcee'])}. Nothing was tuned for a density. By `python -m tests.validation.densities results`.",
+        f"{whole(MOST_SOLVES['emcee'])}. Nothing was tuned for a density. By `python -m "
+        "tests.validation.densities results`.",
         f"**{len(called)} runs are called converged, without “locally”. Off by more than {significant(FAR)} "
         f"standard errors in a mean, a standard deviation or an evidence: {len(wrong)}"
         f"{''.join(f' ({row.density}, {row.sampler}, seed {row.seed})' for row in wrong)}.** By Johnson's "
