@@ -34,11 +34,12 @@ test: $(READY)  ## Run the whole test suite, a worker a core
 	.venv/bin/python -m pytest --numprocesses=auto --no-loadscope-reorder $(RUN_PROGRAMS:%=--ignore=%)
 
 # What rounding decides: eigenvalues, null spaces, reduced models and what is compared with them.
-NUMERICAL := tests/fem/test_modal.py tests/fem/test_massless.py tests/fem/test_structure.py tests/fem/test_frame.py \
-  tests/fem/test_frame_stability.py tests/fem/test_frame_verification.py tests/fem/test_reduction.py \
-  tests/fem/test_reduced_basis.py tests/fem/test_observed.py tests/fem/test_pairing.py tests/posterior/test_rounding.py \
-  tests/fem/test_surrogate_process.py tests/posterior/test_unbounded_priors.py tests/analysis/test_check.py \
-  tests/cases/test_garteur.py tests/cases/test_several_tests_cases.py
+NUMERICAL := tests/fem/modes/test_modal.py tests/fem/modes/test_massless.py tests/fem/pairing/test_structure.py \
+  tests/fem/frame/test_frame.py tests/fem/frame/test_frame_stability.py tests/fem/frame/test_frame_verification.py \
+  tests/fem/test_reduction.py tests/fem/reduced/test_reduced_basis.py tests/fem/modes/test_observed.py \
+  tests/fem/pairing/test_pairing.py tests/posterior/test_rounding.py tests/fem/surrogate/test_surrogate_process.py \
+  tests/posterior/priors/test_unbounded_priors.py tests/analysis/test_check.py tests/cases/test_garteur.py \
+  tests/cases/test_several_tests_cases.py
 
 test-kernels: $(READY)  ## Run the numerical tests as other processors would compute
 	@set -e; for kernel in $$(.venv/bin/python -m tests.kernels); do \
@@ -65,8 +66,9 @@ $(READY_FAST): $(READY)
 	touch $(READY_FAST)
 
 # What factorises sparse matrices.
-SOLVED := tests/fem/test_solver.py tests/fem/test_modal.py tests/fem/test_massless.py tests/fem/test_frame_stability.py \
-  tests/fem/test_frequency_bound.py tests/fem/test_confirmed_modes.py tests/fem/test_training.py tests/fem/test_large_basis.py
+SOLVED := tests/fem/modes/test_solver.py tests/fem/modes/test_modal.py tests/fem/modes/test_massless.py \
+  tests/fem/frame/test_frame_stability.py tests/fem/reduced/test_frequency_bound.py \
+  tests/fem/reduced/test_confirmed_modes.py tests/fem/reduced/test_training.py tests/fem/reduced/test_large_basis.py
 
 test-fast: $(READY_FAST)  ## Run the tests of what factorises sparse matrices with PARDISO
 	OPENBLAS_NUM_THREADS=1 .venv/fast/bin/python -m pytest --numprocesses=auto --quiet $(SOLVED)
@@ -82,7 +84,7 @@ $(READY_PROGRAMS): $(READY)
 
 # What needs these libraries or is other with them, and the longest tests of CalculiX, where there is one (ccx).
 OF_PROGRAMS := tests/formats/models/test_ansys.py tests/formats/models/test_broken_models.py \
-  tests/fem/programs/test_opensees.py tests/config/test_opensees_table.py \
+  tests/fem/programs/test_opensees.py tests/config/models/test_opensees_table.py \
   'tests/config/test_templates.py::test_it_loads_checks_and_runs[opensees]' \
   'tests/config/test_templates.py::test_it_loads_checks_and_runs[nastran]' \
   tests/report/test_mode_files.py::test_elements_of_every_kind_and_names_with_angles $(RUN_PROGRAMS)

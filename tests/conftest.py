@@ -25,7 +25,7 @@ def pytest_collection_finish():
     gc.set_threshold(50_000, 20, 20)
 
 
-ROOMS = ("tests/cli/", "tests/engines/", "tests/report/")
+ROOMS = ("tests/cli/", "tests/engines/", "tests/paper/", "tests/report/")
 """Folders whose session fixtures are dear: a run, a cluster, rendered pages."""
 
 

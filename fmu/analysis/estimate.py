@@ -11,7 +11,7 @@ import numpy as np
 
 from fmu.numbers import fixed, whole
 from fmu.samplers.registry import named, planned
-from fmu.sampling.limits import usual_costs
+from fmu.samplers.settings import usual_costs
 
 if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem

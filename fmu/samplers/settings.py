@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from annotated_types import Ge
 
 from fmu.arguments import Numbers, require
 from fmu.types import FloatArray, Positive
+
+if TYPE_CHECKING:
+    from fmu.samplers.kernel import Sampler
 
 Scale = float | tuple[float, ...] | tuple[tuple[float, ...], ...]
 _FEW = 100
@@ -129,3 +132,10 @@ def _plain(value: Any) -> Any:
 def _as_floats(name: str, value: Any) -> FloatArray:
     require(name, value, Numbers)
     return np.asarray(value, dtype=float)
+
+
+def usual_costs(settings: Sampler, chains: int, solves_per_gradient: int) -> tuple[float, float]:
+    """Return the solves of a step of all chains, in warm-up and after it, as the built-in cases take them."""
+    of_warmup, of_draw, _ = settings.cost
+    each = chains * settings.walkers * (solves_per_gradient if settings.takes_gradients else 1)
+    return each * of_warmup, each * of_draw

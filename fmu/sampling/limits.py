@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, NamedTuple
 from fmu.numbers import whole
 
 if TYPE_CHECKING:
-    from fmu.samplers.kernel import Sampler
     from fmu.samplers.loop.record import RunResult
 
 GROWTH_LIMIT = 32
@@ -60,7 +59,7 @@ class Limits(NamedTuple):
         warmup : int
             Planned steps of warm-up.
         costs : tuple of two float
-            Solves of a step of warm-up and of one after it, see `usual_costs`.
+            Solves of a step of warm-up and of one after it, see `fmu.samplers.settings.usual_costs`.
         """
         planned = warmup * costs[0] + self.first * costs[1]
         if self.solves is None or planned <= self.solves:
@@ -109,10 +108,3 @@ class Limits(NamedTuple):
         if warmed + drawn <= 1.01 * self.solves:
             return said
         return f"{said}: the warm-up took {whole(warmed)} and {whole(result.draws)} draws {whole(drawn)}"
-
-
-def usual_costs(settings: Sampler, chains: int, solves_per_gradient: int) -> tuple[float, float]:
-    """Return the solves of a step of all chains, in warm-up and after it, as the built-in cases take them."""
-    of_warmup, of_draw, _ = settings.cost
-    each = chains * settings.walkers * (solves_per_gradient if settings.takes_gradients else 1)
-    return each * of_warmup, each * of_draw

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from fmu.sampling.limits import usual_costs
+from fmu.samplers.settings import usual_costs
 
 if TYPE_CHECKING:
     import xarray as xr

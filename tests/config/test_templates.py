@@ -57,7 +57,7 @@ def test_it_loads_checks_and_runs(kind, tmp_path):
     best = fitted(problem) if kind in RUN else fmu.find_map(problem, starts=8)[0].theta
     sd = np.max(np.abs(problem.frequencies(best) - problem.data.frequencies_hz) / problem.likelihood.error.sd)
     assert sd < 3.0  # the model fits the modes that it comes with
-    if kind in RUN:  # 8000 runs of a program: tests/config/test_command_table.py samples with fewer
+    if kind in RUN:  # 8000 runs of a program: tests/config/models/test_command_table.py samples with fewer
         return
     trace = fmu.sample(problem, "hmc", **SHORT)
     assert fmu.summary(trace)["rhat"].max() < 1.1

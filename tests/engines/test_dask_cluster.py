@@ -12,7 +12,7 @@ import pytest
 import fmu
 from fmu.engines import engine
 from fmu.engines.base import LostTaskError
-from tests.test_workers import SETTINGS, LinearProblem, assert_same
+from tests.sampling.test_workers import SETTINGS, LinearProblem, assert_same
 
 pytest.importorskip("distributed")
 

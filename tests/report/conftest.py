@@ -1,6 +1,6 @@
 """What there is to report on, run for a few seconds: too short to mean anything, long enough to write down.
 
-One experiment of the paper; runs on the cantilever, on a black-box model with hostile names, on a plain density.
+Runs on the cantilever, on a black-box model with hostile names, on a plain density.
 """
 
 import fcntl
@@ -9,9 +9,6 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.paper.experiment import compute
-from fmu.paper.findings import Findings
-from fmu.paper.plan import PAPER_SAMPLERS, Length, Plan
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
@@ -20,42 +17,6 @@ from fmu.report.pages import write_pages
 from tests.linear import LinearModel
 from tests.report.browser import short_run, started
 from tests.report.parsed import IMAGE, SCRIPT
-
-EXPERIMENT = ("cantilever-section", "shape")
-
-
-@pytest.fixture(scope="session")
-def plan():
-    return Plan(
-        experiments=(EXPERIMENT,),
-        paper=Length(40, 0, 1),
-        pace=dict.fromkeys(PAPER_SAMPLERS, Length(40, 0, 2)),
-        long={
-            "mh": Length(80, 20, 2),
-            "slice": Length(40, 10, 2),
-            "hmc": Length(30, 20, 2),
-            "emcee": Length(20, 5, 2),
-            "mixture": Length(40, 20, 2),
-        },
-        one_start=Length(30, 20, 2),
-        starts=16,
-        box_points=2**8,
-    )
-
-
-@pytest.fixture(scope="session")
-def messages():
-    return []
-
-
-@pytest.fixture(scope="session")
-def result(plan, messages):
-    return compute(*EXPERIMENT, plan, lambda *message: messages.append(message))
-
-
-@pytest.fixture(scope="session")
-def findings(result):
-    return Findings.of(result)
 
 
 @pytest.fixture(scope="session")

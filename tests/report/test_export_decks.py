@@ -13,7 +13,7 @@ from fmu.config import ConfigurationError, load
 from fmu.config.kept import KeptProblem
 from fmu.formats.decks import columns, number
 from fmu.report.export import export
-from tests.config.test_command_table import folder_of
+from tests.config.models.test_command_table import folder_of
 from tests.report.exported import run
 from tests.report.test_export_function import MODULE, PYTHON
 

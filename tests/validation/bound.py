@@ -24,7 +24,7 @@ from fmu.fem.reduced.training import box_points
 from fmu.numbers import MISSING, significant, whole
 from fmu.tables import markdown_table
 from fmu.types import FloatArray
-from tests.fem.test_frequency_bound import BUILT, box
+from tests.fem.reduced.test_frequency_bound import BUILT, box
 from tests.validation.scale_model import Size, scale_problem
 
 SEED = 2000

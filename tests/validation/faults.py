@@ -35,7 +35,7 @@ METROPOLIS = ("tests/samplers/test_metropolis.py",)
 HAMILTONIAN = ("tests/samplers/test_reflection.py", "tests/samplers/test_hamiltonian.py")
 SLICE = ("tests/samplers/test_slice.py",)
 WARMUP = ("tests/samplers/test_warmup.py", "tests/samplers/test_tuning.py")
-DIAGNOSTICS = ("tests/analysis/test_diagnostics.py",)
+DIAGNOSTICS = ("tests/analysis/convergence/test_diagnostics.py",)
 
 IN_THE_SAMPLERS = (
     Fault(
@@ -176,7 +176,7 @@ IN_THE_SAMPLERS = (
         "fmu/posterior/scaled.py",
         "return log_prob, gradient * self.stretch(theta)",
         "return log_prob, gradient",
-        ("tests/samplers/test_sampling_loop.py",),
+        ("tests/samplers/loop/test_sampling_loop.py",),
     ),
     Fault(
         "warm-up: dual averaging runs away from its target",
@@ -207,8 +207,8 @@ IN_THE_SAMPLERS = (
         METROPOLIS,
     ),
 )
-MIXTURE = ("tests/samplers/test_mixture.py",)
-MIXTURE_MOVE = ("tests/samplers/test_mixture_move.py",)
+MIXTURE = ("tests/samplers/mixture/test_mixture.py",)
+MIXTURE_MOVE = ("tests/samplers/mixture/test_mixture_move.py",)
 IN_THE_MIXTURE = (
     Fault(
         "mixture: Hastings ratio dropped, a candidate accepted by P alone",
@@ -292,21 +292,21 @@ IN_THE_MIXTURE = (
         "fmu/samplers/mixture/truncated_normal.py",
         "less += log_mass(a - tilt, b - tilt)",
         "less += 0.0",
-        ("tests/samplers/test_truncated_normal.py", *MIXTURE),
+        ("tests/samplers/mixture/test_truncated_normal.py", *MIXTURE),
     ),
     Fault(
         "mixture: weights normalised again when a run is resumed",
         "fmu/samplers/mixture/proposal.py",
         'return found | {"weights": self._given,',
         'return found | {"weights": self.weights,',
-        ("tests/samplers/test_mixture.py",),
+        ("tests/samplers/mixture/test_mixture.py",),
     ),
     Fault(
         "mixture: tilt left out of the density",
         "fmu/samplers/mixture/truncated_normal.py",
         "less = 0.5 * (z[:, i] - tilt) ** 2",
         "less = 0.5 * z[:, i] ** 2",
-        ("tests/samplers/test_truncated_normal.py", *MIXTURE),
+        ("tests/samplers/mixture/test_truncated_normal.py", *MIXTURE),
     ),
     Fault(
         "mixture: adaptation goes on after warm-up",
@@ -404,21 +404,21 @@ IN_THE_MIXTURE = (
         "fmu/analysis/maxima/starts.py",
         "0.5 * (share / share.sum() + 1.0 / len(chosen))",
         "share / share.sum()",
-        ("tests/analysis/test_starts.py",),
+        ("tests/analysis/maxima/test_starts.py",),
     ),
     Fault(
         "mixture: evidence with the weights of the draws for those of the candidates",
         "fmu/analysis/evidence.py",
         "by_importance(q) if method ==",
         "by_importance(p) if method ==",
-        ("tests/analysis/test_evidence.py", "tests/samplers/test_jumps.py"),
+        ("tests/analysis/test_evidence.py", "tests/samplers/mixture/test_jumps.py"),
     ),
     Fault(
         "mixture: sides of the bridge swapped",
         "fmu/analysis/evidence.py",
         "else by_bridge(q, p, ratio)",
         "else by_bridge(p, q, ratio)",
-        ("tests/analysis/test_evidence.py", "tests/samplers/test_jumps.py"),
+        ("tests/analysis/test_evidence.py", "tests/samplers/mixture/test_jumps.py"),
     ),
     Fault(
         "mixture: error of a bridge as if all draws were independent",
@@ -432,7 +432,7 @@ IN_THE_MIXTURE = (
         "fmu/analysis/trace/conversion.py",
         "v + log_volume if name in (LOG_WEIGHT, CANDIDATE) else v",
         "v",
-        ("tests/samplers/test_jumps.py",),
+        ("tests/samplers/mixture/test_jumps.py",),
     ),
 )
 IN_THE_POSTERIOR = (
@@ -441,21 +441,21 @@ IN_THE_POSTERIOR = (
         "fmu/posterior/errors/frequency.py",
         "-2.0 * beta * error * slope",
         "-1.0 * beta * error * slope",
-        ("tests/posterior/test_likelihood.py",),
+        ("tests/posterior/errors/test_likelihood.py",),
     ),
     Fault(
         "likelihood: normaliser (5) dropped",
         "fmu/posterior/errors/frequency.py",
         "0.5 * np.log(self.beta / np.pi)",
         "0.0 * self.beta",
-        ("tests/posterior/test_likelihood.py",),
+        ("tests/posterior/errors/test_likelihood.py",),
     ),
     Fault(
         "likelihood: β taken for 1/σ²",
         "fmu/posterior/errors/frequency.py",
         "return np.asarray(1.0 / np.sqrt(2.0 * self.beta))",
         "return np.asarray(1.0 / np.sqrt(self.beta))",
-        ("tests/posterior/test_likelihood.py",),
+        ("tests/posterior/errors/test_likelihood.py",),
     ),
     Fault(
         "prior: its mass inside the bounds left out",
@@ -476,7 +476,7 @@ IN_THE_POSTERIOR = (
         "fmu/posterior/priors/base.py",
         "self.mean + self.sd * (-z if flip else z)",
         "self.mean + self.sd * z",
-        ("tests/posterior/test_priors.py",),
+        ("tests/posterior/priors/test_priors.py",),
     ),
 )
 IN_THE_STRUCTURE = (
@@ -485,42 +485,46 @@ IN_THE_STRUCTURE = (
         "fmu/fem/modes/modal.py",
         "return gradient - lam[..., None] * self._M_map.contract(theta, self._forms(phi, of_mass=True))",
         "return gradient",
-        ("tests/fem/test_modal.py", "tests/fem/test_structure.py", "tests/fem/test_reduced_basis.py"),
+        (
+            "tests/fem/modes/test_modal.py",
+            "tests/fem/pairing/test_structure.py",
+            "tests/fem/reduced/test_reduced_basis.py",
+        ),
     ),
     Fault(
         "Fox & Kapoor: ∂K in place of ∂M, reduced model",
         "fmu/fem/reduced/basis.py",
         "rows = self._M_rows if of_mass else self._K_rows",
         "rows = self._K_rows",
-        ("tests/fem/test_reduced_basis.py",),
+        ("tests/fem/reduced/test_reduced_basis.py",),
     ),
     Fault(
         "the bound of a reduced frequency forgets α",
         "fmu/fem/reduced/residuals.py",
         "alpha = np.where(alpha > 0.0, alpha, np.nan)[:, None]",
         "alpha = np.ones((len(alpha), 1))",
-        ("tests/fem/test_frequency_bound.py",),
+        ("tests/fem/reduced/test_frequency_bound.py",),
     ),
     Fault(
         "α is that of the stiffest term, not of the softest",
         "fmu/fem/reduced/anchors.py",
         "low, high = np.min(ratios, axis=2), np.max(ratios, axis=2)",
         "low, high = np.max(ratios, axis=2), np.max(ratios, axis=2)",
-        ("tests/fem/test_frequency_bound.py",),
+        ("tests/fem/reduced/test_frequency_bound.py",),
     ),
     Fault(
         "the residual forgets the mass",
         "fmu/fem/reduced/residuals.py",
         "R[:, i] = K @ U - (M @ U) * lam[i]",
         "R[:, i] = K @ U",
-        ("tests/fem/test_frequency_bound.py",),
+        ("tests/fem/reduced/test_frequency_bound.py",),
     ),
     Fault(
         "the energy of the residual counts a quarter",
         "fmu/fem/reduced/residuals.py",
         "relative = weight[:, :, None] * G * weight[:, None, :]",
         "relative = 0.25 * weight[:, :, None] * G * weight[:, None, :]",
-        ("tests/fem/test_frequency_bound.py",),
+        ("tests/fem/reduced/test_frequency_bound.py",),
     ),
     Fault(
         "the bound forgets the mode above those needed",
@@ -534,42 +538,42 @@ IN_THE_STRUCTURE = (
         "fmu/fem/reduced/learning.py",
         "if factorised(K - sigma * M, is_definite=False).negative != k:",
         "if factorised(K - sigma * M, is_definite=False).negative < 0:",
-        ("tests/fem/test_frequency_bound.py",),
+        ("tests/fem/reduced/test_frequency_bound.py",),
     ),
     Fault(
         "modes that begin with those of the reduced model go uncounted",
         "fmu/fem/reduced/confirming.py",
         "is_definite=False).negative == below",
         "is_definite=False).negative >= 0",
-        ("tests/fem/test_confirmed_modes.py",),
+        ("tests/fem/reduced/test_confirmed_modes.py",),
     ),
     Fault(
         "MAC: not squared",
         "fmu/fem/modes/modal.py",
         "return np.divide(cross**2, size,",
         "return np.divide(np.abs(cross), size,",
-        ("tests/fem/test_modal.py",),
+        ("tests/fem/modes/test_modal.py",),
     ),
     Fault(
         "pairing by number: off by one",
         "fmu/fem/pairing/rules.py",
         "gradient).columns(np.array(numbers) - 1)",
         "gradient).columns(np.maximum(np.array(numbers) - 2, 0))",
-        ("tests/fem/test_pairing.py",),
+        ("tests/fem/pairing/test_pairing.py",),
     ),
     Fault(
         "pairing by shape: two measured modes may share a computed one",
         "fmu/fem/pairing/rules.py",
         "best[i] = linear_sum_assignment(mac[i], maximize=True)[1]",
         "pass",
-        ("tests/fem/test_pairing.py",),
+        ("tests/fem/pairing/test_pairing.py",),
     ),
     Fault(
         "beam: lumped instead of consistent coupling of rotations",
         "fmu/fem/frame/beam.py",
         "d, e, f = 13 * L**2 / 420, 4 * L**3 / 420, 3 * L**3 / 420",
         "d, e, f = 13 * L**2 / 420, 4 * L**3 / 420, 0 * L**3 / 420",
-        ("tests/fem/test_beam.py", "tests/fem/test_closed_form.py"),
+        ("tests/fem/frame/test_beam.py", "tests/fem/frame/test_closed_form.py"),
     ),
 )
 IN_THE_VERDICT = (
@@ -620,24 +624,24 @@ IN_THE_VERDICT = (
         "fmu/analysis/convergence/effective.py",
         "return float(np.sum(x.shape[1] / autocorrelation_times(x, walkers)))",
         "return float(np.sum(x.shape[1] / autocorrelation_times(x, 1)))",
-        ("tests/analysis/test_effective.py",),
+        ("tests/analysis/convergence/test_effective.py",),
     ),
     Fault(
         "ensembles: autocorrelation about each walker's own mean",
         "fmu/analysis/convergence/effective.py",
         "paths - paths.mean()",
         "paths - paths.mean(axis=1, keepdims=True)",
-        ("tests/analysis/test_effective.py",),
+        ("tests/analysis/convergence/test_effective.py",),
     ),
     Fault(
         "E-BFMI: upside down",
         "fmu/analysis/convergence/effective.py",
         "return np.mean(np.diff(energy, axis=1) ** 2, axis=1) / np.var(energy, axis=1, ddof=1)",
         "return np.var(energy, axis=1, ddof=1) / np.mean(np.diff(energy, axis=1) ** 2, axis=1)",
-        ("tests/analysis/test_movement.py", *DIAGNOSTICS),
+        ("tests/analysis/convergence/test_movement.py", *DIAGNOSTICS),
     ),
 )
-DURABLE = ("tests/runs/test_durable.py",)
+DURABLE = ("tests/test_durable.py",)
 IN_THE_CHECKPOINTS = (
     Fault(
         "checkpoint: a file's content not forced to disk",
@@ -728,7 +732,7 @@ IN_SEVERAL_TESTS = (
         "fmu/posterior/priors/spike_and_slab.py",
         "spike, slab = (Normal(sd, mean=self.mean).log_pdf(x) for sd in (self.spike, self.sd))",
         "spike, slab = (Normal(sd, mean=self.mean).log_pdf(x) for sd in (self.sd, self.sd))",
-        ("tests/posterior/test_priors.py",),
+        ("tests/posterior/priors/test_priors.py",),
     ),
     Fault(
         "several tests: covariates not about their mean",
@@ -751,7 +755,7 @@ IN_SURROGATES = (
         "fmu/posterior/errors/surrogate_variance.py",
         "terms = part.terms + _correction(part, residuals, seen)",
         "terms = part.terms",
-        ("tests/posterior/test_surrogate_variance.py",),
+        ("tests/posterior/errors/test_surrogate_variance.py",),
     ),
     Fault(
         "surrogate: the certificate is from solves that it has seen",
@@ -765,14 +769,14 @@ IN_SURROGATES = (
         "fmu/fem/surrogate/process.py",
         "self._trend * self.x[:, j] - self._by_length[j]",
         "self._trend * self.x[:, j] + self._by_length[j]",
-        ("tests/fem/test_surrogate_process.py",),
+        ("tests/fem/surrogate/test_surrogate_process.py",),
     ),
     Fault(
         "surrogate: half the derivative of its variance",
         "fmu/fem/surrogate/process.py",
         "by_variance[:, j] = 2.0 * (",
         "by_variance[:, j] = 1.0 * (",
-        ("tests/fem/test_surrogate_process.py",),
+        ("tests/fem/surrogate/test_surrogate_process.py",),
     ),
     Fault(
         "surrogate: lower instead of upper limit of its error",
@@ -793,14 +797,14 @@ IN_SURROGATES = (
         "fmu/fem/surrogate/close_pairs.py",
         "dy[:, i] - by_root, dy[:, i] + by_root",
         "dy[:, i] - by_root, dy[:, i] - by_root",
-        ("tests/fem/test_close_pairs.py",),
+        ("tests/fem/surrogate/test_close_pairs.py",),
     ),
     Fault(
         "surrogate: the variance of a distance is that of its square",
         "fmu/fem/surrogate/close_pairs.py",
         "v[:, i] + 0.25 * v[:, i + 1] / h",
         "v[:, i] + v[:, i + 1]",
-        ("tests/fem/test_close_pairs.py",),
+        ("tests/fem/surrogate/test_close_pairs.py",),
     ),
     Fault(
         "delayed acceptance: ratio of the weights upside down",

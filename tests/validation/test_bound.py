@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fmu.fem.reduced import residuals
-from tests.fem.test_frequency_bound import halves
+from tests.fem.reduced.test_frequency_bound import halves
 from tests.validation import bound
 from tests.validation.bound import Found, examined, page
 

@@ -400,7 +400,7 @@ def test_any_reader_of_modes_serves_a_command(tmp_path, result):
 
 
 def test_shapes_are_turned_from_the_axes_of_the_deck(tmp_path):
-    """Nodes of the deck have output coordinate systems, as in `tests.formats.test_f06`."""
+    """Nodes of the deck have output coordinate systems, as in `tests.formats.modes.test_f06`."""
     files = Path(__file__).parents[2] / "formats" / "models" / "nastran"
     (tmp_path / "turned.bdf.in").write_text("$ {k1} {k2}\n" + (files / "turned.bdf").read_text())
     copy = "import shutil; shutil.copy('turned.f06', 'deck.f06')"

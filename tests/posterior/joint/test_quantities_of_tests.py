@@ -11,7 +11,7 @@ import fmu
 from fmu import cli
 from fmu.config import ConfigurationError
 from fmu.posterior.joint.joint_problem import TestsError
-from tests.posterior.test_quantities import cantilever
+from tests.posterior.errors.test_quantities import cantilever
 
 FIRST, SECOND = np.array([[1.0, 0], [0, 0]]), np.array([[1.0, -1], [-1, 1]])
 PARAMETERS = [

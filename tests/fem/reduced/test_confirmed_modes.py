@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.reduced import confirming
 from fmu.fem.reduced.training import box_points
-from tests.fem.test_frequency_bound import BUILT, box, free
+from tests.fem.reduced.test_frequency_bound import BUILT, box, free
 
 
 def paired(built, tolerance=1e-4):

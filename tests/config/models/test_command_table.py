@@ -19,7 +19,7 @@ from fmu.config import ConfigurationError, load
 from fmu.config.template import write_template
 from fmu.formats.decks import filled, read_deck
 
-SOLVER = Path(__file__).parents[1] / "fem" / "programs" / "solver.py"
+SOLVER = Path(__file__).parents[2] / "fem" / "programs" / "solver.py"
 TOML = f"""\
 name = "two springs"
 
@@ -46,7 +46,7 @@ start = 1.0
 lower = 0.5
 upper = 1.5
 """
-RUN = "import sys; from tests.config.test_command_table import sampled; sampled(*sys.argv[1:])"
+RUN = "import sys; from tests.config.models.test_command_table import sampled; sampled(*sys.argv[1:])"
 WHOLE_RUN = [
     *("--sampler", "mh", "--draws", "60", "--warmup", "40", "--chains", "2", "--starts", "2", "--no-report"),
     *("--progress", "none", "--keep-draws", "5", "--pairing", "index", "--max-failure-rate", "0.9"),

@@ -8,7 +8,7 @@ import pytest
 import fmu
 from fmu.samplers.mixture.mixture import with_jumps
 from fmu.samplers.registry import named
-from tests.samplers.test_mixture import Apart, drawn
+from tests.samplers.mixture.test_mixture import Apart, drawn
 
 
 @pytest.mark.parametrize("name", ["mh", "slice", "hmc"])

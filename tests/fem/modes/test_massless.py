@@ -14,7 +14,7 @@ from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, eigen
 from fmu.fem.modes.separable import SeparableModel, Term
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.reduced.basis import ReducedBlock
-from tests.fem.massless_bridge import LOWER, START, UPPER, bridge, condensed
+from tests.fem.modes.massless_bridge import LOWER, START, UPPER, bridge, condensed
 
 ROTATIONS = ((3, "ry"), (8, "rx"), (4, "z"), (9, "y"))
 

@@ -12,7 +12,7 @@ from fmu.formats.modes.f06 import read_f06
 from fmu.formats.modes.measured_modes import ModesError
 from tests.formats.models.write_with_pynastran import IDS, portal
 
-FILES = Path(__file__).parent / "models" / "nastran"
+FILES = Path(__file__).parents[1] / "models" / "nastran"
 SENSORS = [(205, "x"), (303, "-z"), (410, "y"), (410, "rx")]
 MSC = """\
 1    PORTAL                                                       JANUARY  1, 2026  MSC NASTRAN   PAGE     9

@@ -15,7 +15,7 @@ from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.modes.modal import frequency_hz
 from fmu.fem.modes.separable import RigidArm
-from tests.fem.exact_frame import Member, frequencies
+from tests.fem.frame.exact_frame import Member, frequencies
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 LEG = Section(A=3e-3, Iy=9e-6, Iz=4e-6, J=7e-6)

@@ -11,7 +11,7 @@ import fmu
 from fmu.config import ConfigurationError, load
 from tests.formats.models.write_with_pynastran import portal
 
-FILES = Path(__file__).parents[1] / "formats" / "models" / "nastran"
+FILES = Path(__file__).parents[2] / "formats" / "models" / "nastran"
 E = [2.1e11]
 TEXT = """
 name = "portal"

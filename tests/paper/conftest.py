@@ -1,0 +1,43 @@
+"""One experiment of the paper, run for a few seconds: too short to mean anything, long enough to write down."""
+
+import pytest
+
+from fmu.paper.experiment import compute
+from fmu.paper.findings import Findings
+from fmu.paper.plan import PAPER_SAMPLERS, Length, Plan
+
+EXPERIMENT = ("cantilever-section", "shape")
+
+
+@pytest.fixture(scope="session")
+def plan():
+    return Plan(
+        experiments=(EXPERIMENT,),
+        paper=Length(40, 0, 1),
+        pace=dict.fromkeys(PAPER_SAMPLERS, Length(40, 0, 2)),
+        long={
+            "mh": Length(80, 20, 2),
+            "slice": Length(40, 10, 2),
+            "hmc": Length(30, 20, 2),
+            "emcee": Length(20, 5, 2),
+            "mixture": Length(40, 20, 2),
+        },
+        one_start=Length(30, 20, 2),
+        starts=16,
+        box_points=2**8,
+    )
+
+
+@pytest.fixture(scope="session")
+def messages():
+    return []
+
+
+@pytest.fixture(scope="session")
+def result(plan, messages):
+    return compute(*EXPERIMENT, plan, lambda *message: messages.append(message))
+
+
+@pytest.fixture(scope="session")
+def findings(result):
+    return Findings.of(result)
