@@ -8,7 +8,8 @@ of pyOMA_2 1.4 calls "covariance".
 
 ``Phi_std`` is cautious: in pyOMA_2 1.4.3 it holds the error of a shape's scale, which all components share and
 no comparison of shapes depends on. Over 24 simulated records of the frame in tests/formats/modes/ambient.py it is
-6 to 65 times the scatter of shapes of unit length; ``Fn_std`` is 0.9 to 1.1 times that of the two lower frequencies.
+6 to 65 times the scatter of shapes of unit length; ``Fn_std`` is 0.9 to 1.1 times that of the two lower
+frequencies.
 """
 
 from __future__ import annotations
