@@ -10,6 +10,7 @@ from fmu.posterior.maxima import Ascent, GaussNewton, ascend, decrement, leaders
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
+from tests.gradients import differences
 
 
 def quadratic(J, b):
@@ -81,11 +82,7 @@ def test_problem_as_least_squares(chain):
     log_prob = problem.log_prob(theta)
     assert value[0] - value[1] == pytest.approx(log_prob[1] - log_prob[0], rel=1e-10)
     assert_allclose(gradient, -problem.log_prob_and_grad(theta)[1] * problem.scale, rtol=1e-10)
-    h = 1e-5
-    J = np.stack(
-        [(problem.frequencies(theta + h * e) - problem.frequencies(theta - h * e)) / (2 * h) for e in np.eye(2)],
-        axis=-1,
-    ) * problem.scale * np.sqrt([[[600.0], [200.0]]])  # fmt: skip
+    J = differences(problem.frequencies, theta, 1e-5) * problem.scale * np.sqrt([[[600.0], [200.0]]])
     expected = np.einsum("nmk,nml->nkl", J, J) + np.diag([problem.scale[0] ** 2 / 0.25, 0.0])
     assert_allclose(hessian, expected, rtol=1e-5, atol=1e-6)
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests import densities
+from tests.gradients import assert_gradient
 
 N = 100_000
 
@@ -58,11 +59,7 @@ def test_gradient_is_that_of_differences(drawn):
     x = x[inside]
     value, slope = density.log_prob_and_grad(x)
     assert np.array_equal(value, density.log_prob(x))
-    for k in range(density.ndim):
-        step = np.zeros(density.ndim)
-        step[k] = h[k]
-        difference = (density.log_prob(x + step) - density.log_prob(x - step)) / (2 * h[k])
-        np.testing.assert_allclose(slope[:, k], difference, rtol=1e-4, atol=1e-4 * np.abs(slope).max())
+    assert_gradient(slope, density.log_prob, x, h, rtol=1e-4, atol=1e-4 * np.abs(slope).max())
 
 
 def test_density_is_normalised(drawn):

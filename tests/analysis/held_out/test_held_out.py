@@ -14,6 +14,7 @@ from fmu.analysis.trace.conversion import to_trace
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.scaled import ScaledDensity
+from tests.gradients import assert_gradient
 from tests.two_storeys import left_out as by_quadrature
 
 pytestmark = pytest.mark.usefixtures("refits")
@@ -272,9 +273,7 @@ def test_a_mode_leaves_with_its_shape(pairing, error):
     whole = UpdatingProblem(model, data, [fmu.Parameter("k", 1.0, 0.5, 2.0)], pairing=pairing, error=errors)
     part, theta = whole.using(["1", "3"]), np.array([[1.0, 0.02], [1.1, 0.05]])
     np.testing.assert_array_equal(part.log_likelihood_terms(theta), whole.log_likelihood_terms(theta)[:, [0, 2]])
-    step = 1e-6 * np.eye(2)
-    differences = [(part.log_prob(theta + h) - part.log_prob(theta - h)) / 2e-6 for h in step]
-    np.testing.assert_allclose(part.log_prob_and_grad(theta)[1], np.transpose(differences), rtol=1e-4, atol=1e-4)
+    assert_gradient(part.log_prob_and_grad(theta)[1], part.log_prob, theta, 1e-6, rtol=1e-4, atol=1e-4)
     residuals, of_all = (problem.likelihood.residuals_and_slopes(theta)[0] for problem in (part, whole))
     assert 3 * residuals.shape[1] == 2 * of_all.shape[1]
     labels = part.likelihood.labels(data.labels)

@@ -14,6 +14,7 @@ from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, eigen
 from fmu.fem.modes.full_block import FullBlock, full_model
 from fmu.fem.modes.modal import fix_sign, frequency_gradient, frequency_hz, mac
 from fmu.fem.modes.separable import SeparableModel, Term, WeightedSum, weighted_sum
+from tests.gradients import differences
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 
@@ -172,16 +173,6 @@ def random_model(powers_K, powers_M, n=6, seed=0):
     return SeparableModel([Term(definite(), p) for p in powers_K], [Term(definite(), p) for p in powers_M])
 
 
-def sixth_order_difference(function, theta, j, step):
-    """Return ∂f/∂θ_j by the central difference whose error is O(step⁶)."""
-    total = 0.0
-    for k, weight in ((1, 45.0), (2, -9.0), (3, 1.0)):
-        shift = np.zeros_like(theta)
-        shift[j] = k * step * theta[j]
-        total = total + weight * (function(theta + shift) - function(theta - shift))
-    return total / (60.0 * step * theta[j])
-
-
 @pytest.mark.parametrize(
     ("powers_K", "powers_M"),
     [
@@ -198,9 +189,8 @@ def test_eigenvalue_gradient_against_differences(powers_K, powers_M):
     lam, phi = block.modes(theta[None], 6)
     gradient = block.eigenvalue_gradient(theta[None], lam, phi)
     assert gradient.shape == (1, 6, 2)
-    for j in range(2):
-        expected = sixth_order_difference(lambda t: block.eigenvalues(t[None], 6)[0], theta, j, 0.003)
-        assert_allclose(gradient[0, :, j], expected, rtol=1e-7, atol=1e-8 * lam.max())
+    expected = differences(lambda theta: block.eigenvalues(theta, 6), theta[None], 0.003 * theta, order=6)
+    assert_allclose(gradient, expected, rtol=1e-7, atol=1e-8 * lam.max())
 
 
 def test_eigenvalue_gradient_of_a_plate_thickness():

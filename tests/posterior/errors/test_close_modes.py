@@ -21,6 +21,7 @@ from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.errors.frequency import BetaFrequencyErrors
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.errors.residual import ModalResidual
+from tests.gradients import differences
 
 SENSORS = ((0, "x"), (1, "x"), (2, "x"))
 Q = np.eye(3) - 2.0 / 9.0 * np.outer([1, 2, 2], [1, 2, 2])
@@ -100,14 +101,6 @@ def paired(gap, reduced, top=10.0):
     return structure, data
 
 
-def slopes(function, theta, h):
-    """Return the gradient of `function` at theta (ndim,) in extended precision, by five-point differences."""
-    theta = theta.astype(np.longdouble)
-    steps = np.diag(h.astype(np.longdouble))
-    near, far = (function(theta + k * steps) - function(theta - k * steps) for k in (1, 2))
-    return ((8 * near - far) / (12 * h)).astype(float)
-
-
 def gradients(name, gap, reduced, top=10.0):
     """Return the gradient by the model, and that of the closed form."""
     structure, data = paired(gap, reduced, top)
@@ -126,7 +119,8 @@ def gradients(name, gap, reduced, top=10.0):
 
     own = likelihood.terms_and_gradient(theta[None])[1][0].sum(axis=0)
     step = np.where(np.arange(len(theta)) < 3, 0.003 * gap, 1e-4)
-    return own, slopes(log_likelihood, theta, step)
+    theta, step = (one.astype(np.longdouble) for one in (theta, step))
+    return own, differences(log_likelihood, theta[None], step, order=4)[0].astype(float)
 
 
 def misfit(own, reference):
@@ -198,6 +192,6 @@ def test_the_modal_residual_knows_no_modes_of_the_model():
     for gap in (1e-1, 1e-4, 1e-8, 0.0):
         residual = ModalResidual(system(gap, 10.0), measured(gap), point(gap))
         own = residual.terms_and_gradient(point(gap)[None])[1][0].sum(axis=0)
-        h = np.full(3, 1e-3)
-        reference = slopes(lambda theta, of=residual: of.terms(theta.astype(float)).sum(axis=1), point(gap), h)
+        terms = lambda theta, of=residual: of.terms(theta).sum(axis=1)  # noqa: E731
+        (reference,) = differences(terms, point(gap)[None], 1e-3, order=4)
         assert misfit(own, reference) < 1e-6, gap

@@ -6,6 +6,7 @@ import scipy.stats
 from numpy.testing import assert_allclose
 
 import fmu
+from tests.gradients import assert_gradient
 
 STOREYS = [np.array([[1.0, 0.0], [0.0, 0.0]]), np.array([[1.0, -1.0], [-1.0, 1.0]])]
 PARAMETERS = [fmu.Parameter(name, 1.0, 0.7, 1.5) for name in ("k1", "k2")]
@@ -46,11 +47,7 @@ def test_gradient_with_inferred_scale_and_freedom(building):
     assert problem.names == ("k1", "k2", "s", "nu")
     for theta in ([1.0, 1.0, 0.02, 2.0], [1.2, 0.8, 0.05, 30.0]):
         theta = np.array(theta)
-        gradient = problem.log_prob_and_grad(theta)[1]
-        for i in range(4):
-            h = 1e-6 * np.eye(4)[i] * theta
-            slope = (problem.log_prob(theta + h) - problem.log_prob(theta - h)) / (2 * h[i])
-            assert_allclose(gradient[i], slope, rtol=1e-6)
+        assert_gradient(problem.log_prob_and_grad(theta)[1], problem.log_prob, theta, 1e-6 * theta, rtol=1e-6)
 
 
 def test_simulated_errors_have_the_density(building):

@@ -14,6 +14,7 @@ from fmu.posterior.joint.population import (
     truncated_normal_scores,
     truncated_normal_values,
 )
+from tests.gradients import assert_gradient
 
 CASES = [(0.0, 1.0, -np.inf, np.inf), (1.0, 0.3, 0.5, 1.5), (0.5, 2.0, 0.5, np.inf), (1.49, 0.05, 0.5, 1.5)]
 
@@ -30,16 +31,16 @@ def test_truncated_normal_is_that_of_scipy(mean, sd, lower, upper):
     value, of_density = truncated_normal_log_pdf(x, m, s, lower, upper)
     assert_allclose(value, exact.logpdf(x), rtol=1e-10, atol=1e-12)
 
-    h, inner = 1e-6, slice(4, -4)
-    for k, (dz, dm, ds) in enumerate(np.eye(3) * h):
-        ahead, behind = (
-            truncated_normal_values(z + i * dz, m + i * dm, s + i * ds, lower, upper)[0] for i in (1, -1)
-        )
-        assert_allclose(slopes[k][inner], ((ahead - behind) / (2 * h))[inner], rtol=1e-6, atol=1e-8)
-        ahead, behind = (
-            truncated_normal_log_pdf(x + i * dz, m + i * dm, s + i * ds, lower, upper)[0] for i in (1, -1)
-        )
-        assert_allclose(of_density[k][inner], ((ahead - behind) / (2 * h))[inner], rtol=1e-6, atol=1e-6)
+    inner = slice(4, -4)
+    slopes, of_density = (np.stack(one, axis=1)[inner] for one in (slopes, of_density))
+    at = np.stack([z, m, s], axis=1)[inner]
+    assert_gradient(
+        slopes, lambda at: truncated_normal_values(*at.T, lower, upper)[0], at, 1e-6, rtol=1e-6, atol=1e-8
+    )
+    at = np.stack([x, m, s], axis=1)[inner]
+    assert_gradient(
+        of_density, lambda at: truncated_normal_log_pdf(*at.T, lower, upper)[0], at, 1e-6, rtol=1e-6, atol=1e-6
+    )
 
 
 def springs(distribution="normal", n=8, scatter=0.1, noise=0.01, centring=None):

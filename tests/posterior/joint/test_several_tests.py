@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import fmu
 from fmu.posterior.joint.joint_problem import TestsError
+from tests.gradients import assert_gradient
 
 STOREYS = [np.array([[1.0, 0.0], [0.0, 0.0]]), np.array([[1.0, -1.0], [-1.0, 1.0]])]
 MASS = np.diag([1000.0, 1000.0])
@@ -83,17 +84,7 @@ def test_a_parameter_known_in_one_test(building):
     theta = np.array([1.8e6, 2.5e6])
     assert_allclose(problem.frequencies(theta)[2:], frequencies((1.8e6, 1.2e6)), rtol=1e-12)
     assert_array_equal(problem.values(theta)[1], [1.8e6, 1.2e6])
-    assert_allclose(problem.log_prob_and_grad(theta)[1], differences(problem, theta), rtol=1e-6)
-
-
-def differences(problem, theta, step=1e-6):
-    """Return the gradient by central differences."""
-    found = np.empty(problem.ndim)
-    for i in range(problem.ndim):
-        h = np.zeros(problem.ndim)
-        h[i] = step * problem.scale[i]
-        found[i] = (problem.log_prob(theta + h) - problem.log_prob(theta - h)) / (2 * h[i])
-    return found
+    assert_gradient(problem.log_prob_and_grad(theta)[1], problem.log_prob, theta, 1e-6 * problem.scale, rtol=1e-6)
 
 
 @pytest.mark.parametrize("distribution", ["normal", "log-normal"])
@@ -122,9 +113,7 @@ def test_gradient_of_everything_at_once(building, distribution, noise):
     theta = problem.sample_prior(np.random.default_rng(1), 4)
     values, gradients = problem.log_prob_and_grad(theta)
     assert_allclose(values, problem.log_prob(theta), rtol=1e-12)
-    for point, gradient in zip(theta, gradients, strict=True):
-        exact, by_differences = gradient * problem.scale, differences(problem, point) * problem.scale
-        assert_allclose(exact, by_differences, rtol=1e-5, atol=1e-6 * np.abs(exact).max())
+    assert_gradient(gradients, problem.log_prob, theta, 1e-6 * problem.scale, rtol=1e-5, of_largest=1e-6)
 
 
 def test_log_prob_of_a_batch_is_that_of_each_point(building):
@@ -158,7 +147,7 @@ def test_errors_of_shapes_and_inferred_deviations_over_tests(building):
         for name, k1 in (("a", 1.9e6), ("b", 2.2e6))
     ]
     assert_allclose(problem.log_likelihood(theta), sum(parts), rtol=1e-11)
-    assert_allclose(problem.log_prob_and_grad(theta)[1], differences(problem, theta), rtol=1e-5)
+    assert_gradient(problem.log_prob_and_grad(theta)[1], problem.log_prob, theta, 1e-6 * problem.scale, rtol=1e-5)
 
 
 def test_every_mistake_is_told_with_its_place(building):
