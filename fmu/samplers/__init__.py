@@ -1,7 +1,8 @@
 """Markov-chain samplers, which see a log-density and nothing of finite elements.
 
-Reading order: kernel, metropolis, slice, trajectory, hmc, ensemble, adaptation, tempering/, loop/; `registry` has
-the samplers by name. The public names are listed in ``__init__.pyi``; each is imported when it is first used.
+Reading order: kernel, local, metropolis, slice, trajectory, hmc, ensemble, adaptation, tempering/, loop/;
+`registry` has the samplers by name. The public names are listed in ``__init__.pyi``; each is imported when it is
+first used.
 """
 
 import lazy_loader

@@ -6,6 +6,9 @@ from .kernel import LogDensity as LogDensity
 from .kernel import Sampler as Sampler
 from .kernel import State as State
 from .kernel import Tuner as Tuner
+from .local import LocalKernel as LocalKernel
+from .local import LocalSampler as LocalSampler
+from .local import accept_or_reject as accept_or_reject
 from .loop.record import Draws as Draws
 from .loop.record import RunResult as RunResult
 from .loop.run import Run as Run

@@ -10,10 +10,11 @@ import numpy as np
 
 from fmu.arguments import check_arguments
 from fmu.samplers.adaptation import DualAveraging, Learner, Schedule
-from fmu.samplers.kernel import Info, Sampler, State, Tree
+from fmu.samplers.kernel import Info, State, Tree
+from fmu.samplers.local import LocalSampler
 from fmu.samplers.mixture.quadratic import definite
 from fmu.samplers.settings import fits, one_of, positive_number, positive_scale, whole_number
-from fmu.samplers.trajectory import CentralDifference, ExactGradient, HamiltonianKernel, Metric
+from fmu.samplers.trajectory import CentralDifference, ExactGradient, HamiltonianKernel, Metric, WithGradient
 from fmu.types import FloatArray, LogDensity, Positive
 
 GRADIENTS = ("exact", "central-difference")
@@ -32,7 +33,7 @@ _LONGEST = 10.0
 
 @check_arguments
 @dataclass(frozen=True)
-class HamiltonianMonteCarlo(Sampler):
+class HamiltonianMonteCarlo(LocalSampler):
     """Hamiltonian Monte Carlo in the original (affinely scaled) coordinates, with trajectories that reflect.
 
     H(E, p) = V(E) + pᵀM⁻¹p/2 with V = −log P. A trajectory is `n_steps` leapfrog steps, eq. (12)-(14) of the
@@ -90,7 +91,6 @@ class HamiltonianMonteCarlo(Sampler):
     colour: ClassVar[str] = "#0072B2"
     cost: ClassVar[tuple[float, float, float]] = (7.0, 4.0, 0.9)
     first: ClassVar[tuple[int, int]] = (500, 250)
-    takes_gradients: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if self.step_size is not None:
@@ -114,7 +114,7 @@ class HamiltonianMonteCarlo(Sampler):
 
     def bind(self, density: LogDensity) -> HamiltonianKernel:
         """Return the kernel that samples `density`; ValueError if a vector or matrix does not fit it."""
-        target: ExactGradient | CentralDifference = ExactGradient(density)
+        target: WithGradient = ExactGradient(density)
         if self.gradient == "central-difference":
             delta = np.broadcast_to(fits("delta", self.delta, density.ndim), density.ndim)
             target = CentralDifference(density, delta, self.h)
@@ -128,6 +128,10 @@ class HamiltonianMonteCarlo(Sampler):
         if len(curvature) <= _LEARNABLE or self.inverse_mass is not None or self.step_size is not None:
             return self
         return replace(self, inverse_mass=np.linalg.inv(definite(curvature)))
+
+    def take_covariance(self, covariance: FloatArray) -> HamiltonianMonteCarlo:
+        """Return the settings with the covariance as M⁻¹, unless they have one."""
+        return self if self.inverse_mass is not None else replace(self, inverse_mass=covariance)
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> HamiltonianTuner | None:
         """Return a tuner that learns these settings in `steps` warm-up steps; None if none is needed."""

@@ -101,12 +101,16 @@ class Sampler(ABC):
         and distinct draws.
     first : tuple of two int
         Steps of warm-up, and draws after which a run that ends when it has converged is first judged.
-    takes_gradients : bool
-        Whether each evaluation includes the gradient.
+    is_local : bool
+        Whether its steps are local ones, see `LocalSampler`: the mixture and tempering can then take them.
     learns_together : bool
         Whether all chains must be in one group.
     walkers : int
         Walkers that an ensemble moves together; 1 for a sampler whose chain is a single point.
+    gradient : str
+        How the steps get gradients: "exact", from the density; "central-difference"; or "" if they take none.
+    takes_gradients : bool
+        Whether each evaluation includes the gradient.
     """
 
     name: ClassVar[str]
@@ -114,13 +118,23 @@ class Sampler(ABC):
     colour: ClassVar[str]
     cost: ClassVar[tuple[float, float, float]] = (1.0, 1.0, 1.0)
     first: ClassVar[tuple[int, int]] = (1000, 1000)
-    takes_gradients: ClassVar[bool] = False
+    is_local: ClassVar[bool] = False
     learns_together: ClassVar[bool] = False
 
     @property
     def walkers(self) -> int:
         """A chain is a single point."""
         return 1
+
+    @property
+    def gradient(self) -> str:
+        """No gradients."""
+        return ""
+
+    @property
+    def takes_gradients(self) -> bool:
+        """Whether each evaluation includes the gradient: if there are any, unless a sampler says otherwise."""
+        return bool(self.gradient)
 
     def starting_from(self, components: Sequence[Any], weights: FloatArray) -> Self:
         """Return the settings that use the maxima of the density, as quadratics; most samplers do not use them."""
@@ -227,3 +241,7 @@ class Target:
         first = self.evaluate(positions)
         none = np.zeros(first.log_prob.shape, dtype=np.int64)
         return State(positions, first.log_prob), Info(none.astype(bool), first.log_prob, first.n_solves, none)
+
+    def complete(self, state: State) -> tuple[State, Info | None]:
+        """Return another kernel's state with what a step needs, and what that cost; None if it had all."""
+        return state, None

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
 from fmu.arguments import check_arguments
-from fmu.samplers.kernel import Info, Sampler, State, Target, Tree
+from fmu.samplers.kernel import Info, State, Target, Tree
+from fmu.samplers.local import LocalKernel, LocalSampler, accept_or_reject
 from fmu.samplers.settings import Scale, cholesky_factor, fits, positive_scale, vector
 from fmu.samplers.slice import Slice, SliceKernel, SliceTuner
 from fmu.types import FloatArray, LogDensity
@@ -66,6 +68,22 @@ class RandomWalk:
 
     def log_ratio(self, candidate: FloatArray, position: FloatArray) -> FloatArray:
         """Return 0: q(a | b) = q(b | a)."""
+        return np.zeros(len(position))
+
+
+@dataclass(frozen=True)
+class RandomWalks:
+    """Gaussian random walks, each chain with its own covariance L Lᵀ: L of shape (chains, ndim, ndim)."""
+
+    factor: FloatArray
+
+    def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:
+        """Draw position + L z with z standard normal."""
+        z = rng.standard_normal(position.shape)
+        return position + np.einsum("nij,nj->ni", self.factor, z)
+
+    def log_ratio(self, candidate: FloatArray, position: FloatArray) -> FloatArray:
+        """Return 0: the walks are symmetric."""
         return np.zeros(len(position))
 
 
@@ -155,7 +173,7 @@ class Independence:
 
 @check_arguments
 @dataclass(frozen=True)
-class MetropolisHastings(Sampler):
+class MetropolisHastings(LocalSampler):
     """Metropolis-Hastings: accept a candidate with probability min(1, P(E*) q(E | E*) / (P(E) q(E* | E))).
 
     Parameters
@@ -188,15 +206,10 @@ class MetropolisHastings(Sampler):
 
 
 @dataclass(frozen=True)
-class MetropolisKernel:
+class MetropolisKernel(LocalKernel):
     """Metropolis-Hastings bound to a density."""
 
-    target: Target
     proposal: Proposal
-
-    def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the start, one solve per chain."""
-        return self.target.start(positions)
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Propose, and accept or reject.
@@ -212,13 +225,18 @@ class MetropolisKernel:
             - state.log_prob[alive]
             + self.proposal.log_ratio(candidate[alive], state.position[alive])
         )
-        log_u = -rng.standard_exponential(len(candidate))
-        accepted = log_u <= log_ratio
-        position = np.where(accepted[:, None], candidate, state.position)
-        log_prob = np.where(accepted, new.log_prob, state.log_prob)
+        end, accepted = accept_or_reject(rng, state, State(candidate, new.log_prob), log_ratio)
         extra = {"acceptance_rate": np.exp(np.minimum(0.0, log_ratio)), "n_nonfinite": new.n_nonfinite}
-        info = Info(accepted, log_prob, new.n_solves, np.zeros_like(new.n_solves), extra)
-        return State(position, log_prob), info
+        return end, Info(accepted, end.log_prob, new.n_solves, np.zeros_like(new.n_solves), extra)
+
+    def join(self, kernels: Sequence[MetropolisKernel], chains: int) -> MetropolisKernel:
+        """Return one kernel of several, whose proposals are Gaussian random walks."""
+        ndim, factors = self.target.ndim, list[FloatArray]()
+        for kernel in kernels:
+            proposal: Any = kernel.proposal
+            factor: FloatArray = proposal.factor
+            factors.append(factor if factor.ndim == 2 else np.diag(np.broadcast_to(factor, ndim)))
+        return replace(self, proposal=RandomWalks(np.repeat(factors, chains, axis=0)))
 
 
 class Search(SliceKernel):

@@ -32,6 +32,11 @@ def sampler_class(name: str) -> type[Sampler]:
     return found
 
 
+def local_samplers() -> tuple[str, ...]:
+    """Return the names of the samplers whose steps are local ones."""
+    return tuple(name for name in SAMPLERS if sampler_class(name).is_local)
+
+
 def planned(name: str, warmup: int | None, draws: int | None) -> tuple[int, int]:
     """Return the warm-up steps and draws of a run; without `draws`, those until it is first judged."""
     from fmu.samplers.kernel import Sampler

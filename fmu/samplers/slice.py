@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from fmu.arguments import check_arguments
 from fmu.samplers.adaptation import Learner, Schedule
-from fmu.samplers.kernel import Info, Sampler, State, Target, Tree
+from fmu.samplers.kernel import Info, State, Target, Tree
+from fmu.samplers.local import LocalKernel, LocalSampler
 from fmu.samplers.settings import fits, one_of, orthonormal, positive_number, positive_scale, whole_number
 from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
 
@@ -22,7 +24,7 @@ ACCOUNT = ("n_solves", "n_nonfinite", "n_steps_out", "n_shrinks")
 
 @check_arguments
 @dataclass(frozen=True)
-class Slice(Sampler):
+class Slice(LocalSampler):
     """Slice sampling: draw a level Y under the density, then a point from the slice {E : P(E) ≥ Y}.
 
     Parameters
@@ -85,23 +87,25 @@ class Slice(Sampler):
         """Return a tuner that learns these settings in `steps` warm-up steps; None if none is needed."""
         return SliceTuner(self, density, steps) if self.width is None else None
 
+    def take_covariance(self, covariance: FloatArray) -> Slice:
+        """Return the settings with intervals along the principal axes, unless they have intervals or axes."""
+        if self.width is not None or self.axes is not None:
+            return self
+        variances, axes = np.linalg.eigh(covariance)
+        return replace(self, axes=axes, width=self.spread * np.sqrt(np.maximum(variances, 1e-24)))
+
 
 @dataclass(frozen=True)
-class SliceKernel:
+class SliceKernel(LocalKernel):
     """Slice sampling bound to a density; `width` has one entry per axis, the axes are the columns of `axes`.
 
     Both may have a leading dimension if every chain has its own: (chains, ndim) and (chains, ndim, ndim).
     Intervals are kept as offsets from the present position along the axes, so that 0 always lies within.
     """
 
-    target: Target
     settings: Slice
     width: FloatArray
     axes: FloatArray
-
-    def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the start, one solve per chain."""
-        return self.target.start(positions)
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Draw from the slice: once along all axes together, or a full sweep of them."""
@@ -120,6 +124,11 @@ class SliceKernel:
                 x, log_prob = self._shrink(rng, x, log_prob, level, ends, self.axes[..., i : i + 1], account)
         moved, n_solves = np.any(x != state.position, axis=1), account.pop("n_solves")
         return State(x, log_prob), Info(moved, log_prob, n_solves, np.zeros_like(n_solves), account)
+
+    def join(self, kernels: Sequence[SliceKernel], chains: int) -> Self:
+        """Return one kernel of several, with intervals and axes for every chain."""
+        width, axes = [kernel.width for kernel in kernels], [kernel.axes for kernel in kernels]
+        return replace(self, width=np.repeat(width, chains, axis=0), axes=np.repeat(axes, chains, axis=0))
 
     def _place(self, rng: np.random.Generator, chains: int, width: FloatArray) -> FloatArray:
         """Return the initial interval around offset 0, placed at random: (left and right, chains, axes)."""

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from fmu.differences import both_sides
 from fmu.samplers.kernel import Info, State, Target
+from fmu.samplers.local import LocalKernel, accept_or_reject
 from fmu.samplers.settings import cholesky_factor, fits
 from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
 
@@ -88,7 +91,37 @@ class Slope(NamedTuple):
     n_solves: IntArray
 
 
-class ExactGradient(Target):
+class WithGradient(Target):
+    """A density as kernels evaluate it that use its gradient."""
+
+    @abstractmethod
+    def slope(self, position: FloatArray, *, with_log_prob: bool, chain: Any = slice(None)) -> Slope:
+        """Evaluate at `position`, shape (n, ndim), in one batch; `chain` is an index to whose points they are."""
+
+    def start(self, positions: FloatArray) -> tuple[State, Info]:
+        """Evaluate log-density and gradient at the start; ValueError where the gradient is not finite."""
+        slope = self.slope(positions, with_log_prob=True)
+        require_finite_gradient(slope.log_prob, slope.finite)
+        one = np.ones(len(positions), dtype=np.int64)
+        info = Info(np.zeros(len(positions), dtype=bool), slope.log_prob, slope.n_solves, one)
+        return State(positions, slope.log_prob, slope.gradient), info
+
+    def complete(self, state: State) -> tuple[State, Info | None]:
+        """Return a state with the gradient, which a kernel that needs none has left out, and what that cost."""
+        if state.gradient is not None:
+            return state, None
+        begun, cost = self.start(state.position)
+        return replace(begun, log_prob=state.log_prob), cost
+
+
+def require_finite_gradient(log_prob: FloatArray, finite: BoolArray) -> None:
+    """Raise ValueError naming the first chain whose log-density is finite and whose gradient is not."""
+    bad = np.isfinite(log_prob) & ~finite
+    if bad.any():
+        raise ValueError(f"init: the gradient must be finite at the start (chain {np.flatnonzero(bad)[0]})")
+
+
+class ExactGradient(WithGradient):
     """A density with its own gradient: one solve per point, or the density's `solves_per_gradient`."""
 
     def slope(self, position: FloatArray, *, with_log_prob: bool, chain: Any = slice(None)) -> Slope:
@@ -103,7 +136,7 @@ class ExactGradient(Target):
         return found
 
 
-class CentralDifference(Target):
+class CentralDifference(WithGradient):
     """∂ log P/∂E_i ≈ (log P(E + h Δ_i e_i) − log P(E − h Δ_i e_i)) / (2 h Δ_i), eq. (15) with V = −log P.
 
     A perturbed point that would leave the box is put on the wall, and the quotient is divided by the distance that
@@ -241,30 +274,19 @@ class Trajectory(NamedTuple):
 
 
 @dataclass(frozen=True)
-class HamiltonianKernel:
+class HamiltonianKernel(LocalKernel):
     """Hamiltonian Monte Carlo bound to a density with gradients.
 
     `step_size` has shape () if it is one for all chains, else (chains,); `metric` may be each chain's own too. The
     other fields are those of `HamiltonianMonteCarlo`.
     """
 
-    target: ExactGradient | CentralDifference
+    target: WithGradient
     metric: Metric
     step_size: FloatArray
     n_steps: int
     jitter: float
     max_bounces: int
-
-    def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate log-density and gradient at the start; ValueError where the gradient is not finite."""
-        slope = self.target.slope(positions, with_log_prob=True)
-        bad = np.isfinite(slope.log_prob) & ~slope.finite
-        if bad.any():
-            raise ValueError(f"init: the gradient must be finite at the start (chain {np.flatnonzero(bad)[0]})")
-        chains = len(positions)
-        one = np.ones(chains, dtype=np.int64)
-        info = Info(np.zeros(chains, dtype=bool), slope.log_prob, slope.n_solves, one)
-        return State(positions, slope.log_prob, slope.gradient), info
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Draw momenta, follow one trajectory per chain, accept or reject its end."""
@@ -273,17 +295,12 @@ class HamiltonianKernel:
         chains = len(state.position)
         momentum = self.metric.sample_momentum(rng, chains)
         step_size = self.step_size * (1 + self.jitter * rng.uniform(-1, 1, chains))
-        log_u = -rng.standard_exponential(chains)
         end = self.integrate(state, momentum, step_size)
 
         energy = self.metric.kinetic(momentum) - state.log_prob
         new_energy = np.where(end.finished, self._energy(end), np.inf)
         error = new_energy - energy
-        accepted = log_u <= -error
-        moved = accepted[:, None]
-        position = np.where(moved, end.position, state.position)
-        log_prob = np.where(accepted, end.log_prob, state.log_prob)
-        gradient = np.where(moved, end.gradient, state.gradient)
+        new, accepted = accept_or_reject(rng, state, State(end.position, end.log_prob, end.gradient), -error)
         extra = {
             "acceptance_rate": np.exp(-np.maximum(0.0, error)),
             "energy": np.where(accepted, new_energy, energy),
@@ -293,7 +310,17 @@ class HamiltonianKernel:
             "step_size": step_size,
             "n_bounces": end.n_bounces,
         }
-        return State(position, log_prob, gradient), Info(accepted, log_prob, end.n_solves, end.n_steps, extra)
+        return new, Info(accepted, new.log_prob, end.n_solves, end.n_steps, extra)
+
+    def join(self, kernels: Sequence[HamiltonianKernel], chains: int) -> HamiltonianKernel:
+        """Return one kernel of several: metric and step size of each, and their median number of steps."""
+        inverse, factor = [k.metric.inverse for k in kernels], [k.metric.inverse_factor for k in kernels]
+        return replace(
+            self,
+            metric=Metric(np.repeat(inverse, chains, axis=0), np.repeat(factor, chains, axis=0)),
+            step_size=np.concatenate([np.broadcast_to(kernel.step_size, chains) for kernel in kernels]),
+            n_steps=int(np.median([kernel.n_steps for kernel in kernels])),
+        )
 
     def _energy(self, end: Trajectory) -> FloatArray:
         """Return H at the end of the trajectories; infinite where the momentum has overflowed."""

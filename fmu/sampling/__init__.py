@@ -230,7 +230,7 @@ def _check(
         raise ValueError(f"workers: must be the address of a scheduler, such as tcp://host:8786 (got {workers!r})")
     for name in names_of(problem):
         require_name(name)
-    if getattr(settings, "gradient", "") == "exact" and not hasattr(problem, "log_prob_and_grad"):
+    if settings.gradient == "exact" and not hasattr(problem, "log_prob_and_grad"):
         raise ValueError(
             f"sampler: {settings.name} needs a density with log_prob_and_grad; without it take 'mixture', or "
             "fmu.HamiltonianMonteCarlo(gradient='central-difference')"

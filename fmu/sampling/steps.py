@@ -114,7 +114,7 @@ def begin(task: Task, settings: Sampler, init: Any, jumps: bool | None, maxima: 
     from fmu.analysis.maxima.search import find_map, is_searchable, is_updating
     from fmu.analysis.maxima.starts import choose_starts, components, worth_starting_from
     from fmu.runs.maxima import kept_maxima
-    from fmu.samplers.mixture.mixture import can_jump, with_jumps
+    from fmu.samplers.mixture.mixture import with_jumps
 
     problem, is_new = task.problem, False
     if maxima is None and is_searchable(problem):
@@ -126,7 +126,7 @@ def begin(task: Task, settings: Sampler, init: Any, jumps: bool | None, maxima: 
     starts = choose_starts(problem, init, begin_at, chains, settings.walkers, seed)
     if begin_at is not None:  # chains that start elsewhere may be caught at any of them
         caught_at = [m for m in begin_at if m.starting_share > NEGLIGIBLE or starts.word != "maxima"]
-        if jumps is None and len(caught_at) > 1 and can_jump(settings):
+        if jumps is None and len(caught_at) > 1 and settings.is_local:
             settings = with_jumps(settings)
     if begin_at is not None or getattr(problem, "is_hierarchical", False):
         settings = settings.starting_from(*components(problem, begin_at))
@@ -292,5 +292,4 @@ def _takes_exact_gradients(trace: xr.DataTree, problem: Any, settings: Sampler) 
     Differences consist of solves that are counted, and a user's function returns value and gradient in one call.
     """
     is_function = bool(getattr(getattr(problem, "model", None), "functions", ()))
-    differences = getattr(getattr(settings, "local", settings), "gradient", "exact") != "exact"
-    return bool(trace.attrs["n_gradients"]) and not is_function and not differences
+    return bool(trace.attrs["n_gradients"]) and not is_function and settings.gradient != "central-difference"

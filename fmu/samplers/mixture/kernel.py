@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.samplers.kernel import Info, State, Target
+from fmu.samplers.local import LocalKernel, accept_or_reject
 from fmu.samplers.mixture.curved import CurvedMixture
 from fmu.samplers.mixture.proposal import Mixture
-from fmu.samplers.trajectory import HamiltonianKernel
 from fmu.types import FloatArray
 
 BLOCK = 25
@@ -37,7 +37,7 @@ class MixtureKernel:
     ----------
     proposal : Mixture, CurvedMixture or None
         None before the first fit: every step is then a local one.
-    local : Kernel
+    local : LocalKernel
     local_steps, jumps : int
         So many local steps, then so many jumps.
     fit : int
@@ -50,7 +50,7 @@ class MixtureKernel:
 
     target: Target
     proposal: Mixture | CurvedMixture | None
-    local: Any
+    local: LocalKernel
     local_steps: int
     jumps: int
     fit: int = 0
@@ -80,12 +80,11 @@ class MixtureKernel:
         return self._jump(rng, state, self.proposal)
 
     def _local(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        solves = gradients = np.zeros(len(state.position), dtype=np.int64)
-        start = State(state.position, state.log_prob, state.gradient)
-        if state.gradient is None and isinstance(self.local, HamiltonianKernel):  # a jump has left it behind
-            begun, cost = self.local.init(state.position)
-            start, solves, gradients = replace(begun, log_prob=state.log_prob), cost.n_solves, cost.n_gradients
+        start, cost = self.local.target.complete(State(state.position, state.log_prob, state.gradient))
         end, info = self.local.step(rng, start)
+        n_solves, n_gradients = info.n_solves, info.n_gradients
+        if cost is not None:  # a jump has left the gradient behind
+            n_solves, n_gradients = n_solves + cost.n_solves, n_gradients + cost.n_gradients
         log_weight = state.extra[LOG_WEIGHT]
         if self.proposal is not None:
             at_end = end.log_prob - self.proposal.log_density(end.position)
@@ -101,8 +100,7 @@ class MixtureKernel:
             LOG_WEIGHT: log_weight,
             CANDIDATE: np.full(len(log_weight), np.nan),
         }
-        told = Info(info.accepted, end.log_prob, info.n_solves + solves, info.n_gradients + gradients, stats, info)
-        return replace(end, extra=extra), told
+        return replace(end, extra=extra), Info(info.accepted, end.log_prob, n_solves, n_gradients, stats, info)
 
     def _jump(
         self, rng: np.random.Generator, state: State, proposal: Mixture | CurvedMixture
@@ -132,9 +130,7 @@ class MixtureKernel:
             usual = np.median(extra["block_log_prob"])
             is_far = state.log_prob < usual - _FAR - ndim
             log_ratio = np.where(is_far & (value >= usual), np.inf, log_ratio)
-        accepted = -rng.standard_exponential(chains) <= log_ratio
-        position = np.where(accepted[:, None], candidate, state.position)
-        log_prob = np.where(accepted, value, state.log_prob)
+        end, accepted = accept_or_reject(rng, state, State(candidate, value), log_ratio)
         extra |= {"next": np.array(k + 1), LOG_WEIGHT: np.where(accepted, weight, extra[LOG_WEIGHT])}
         stats: dict[str, NDArray[Any]] = {
             name.removeprefix(_LOCAL): _nothing(value) for name, value in extra.items() if name.startswith(_LOCAL)
@@ -145,8 +141,8 @@ class MixtureKernel:
             LOG_WEIGHT: extra[LOG_WEIGHT],
             CANDIDATE: weight,
         }
-        info = Info(accepted, log_prob, n_solves, np.zeros_like(n_solves), stats)
-        return State(position, log_prob, None, extra), info
+        info = Info(accepted, end.log_prob, n_solves, np.zeros_like(n_solves), stats)
+        return replace(end, extra=extra), info
 
 
 def _nothing(value: NDArray[Any]) -> NDArray[Any]:

@@ -12,13 +12,14 @@ from annotated_types import Interval
 from fmu.arguments import check_arguments
 from fmu.samplers.hmc import HamiltonianMonteCarlo
 from fmu.samplers.kernel import Sampler, Target
-from fmu.samplers.metropolis import MetropolisHastings
+from fmu.samplers.local import LocalSampler
 from fmu.samplers.mixture.curved import CurvedMixture
 from fmu.samplers.mixture.kernel import MixtureKernel
 from fmu.samplers.mixture.proposal import WIDE, Mixture
 from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.samplers.mixture.warmup.local_draws import first_warp
 from fmu.samplers.mixture.warmup.tuner import MixtureTuner
+from fmu.samplers.registry import local_samplers
 from fmu.samplers.settings import positive_scale, vector, whole_number
 from fmu.samplers.slice import Slice
 from fmu.types import FloatArray, LogDensity
@@ -52,7 +53,7 @@ class MixtureSampler(Sampler):
     wide : float, optional
         Part of every component's weight that its wider copies have, so that w stays bounded. If not given, warm-up
         chooses: 0.05 where the effective share of the candidates is at least 0.9, else 0.1.
-    local : HamiltonianMonteCarlo, MetropolisHastings or Slice, optional
+    local : LocalSampler, optional
         The local steps: HMC if the density has exact gradients, otherwise slice sampling.
     local_steps, jumps : int
         So many local steps, then so many candidates of the mixture; 39 if not given, and 79 where `wide` is below
@@ -76,7 +77,7 @@ class MixtureSampler(Sampler):
     weights: Any = None
     bent: Sequence[bool] | None = None
     wide: Annotated[float, Interval(gt=0.0, lt=1.0)] | None = None
-    local: HamiltonianMonteCarlo | MetropolisHastings | Slice | None = None
+    local: LocalSampler | None = None
     local_steps: int = 1
     jumps: int | None = None
     adapt: bool = True
@@ -86,6 +87,16 @@ class MixtureSampler(Sampler):
     colour: ClassVar[str] = "#882255"
     cost: ClassVar[tuple[float, float, float]] = (1.5, 1.3, 0.8)
     first: ClassVar[tuple[int, int]] = (400, 250)
+
+    @property
+    def gradient(self) -> str:
+        """How local steps that were chosen get gradients."""
+        return "" if self.local is None else self.local.gradient
+
+    @property
+    def takes_gradients(self) -> bool:
+        """Candidates have no gradients."""
+        return False
 
     def __post_init__(self) -> None:
         whole_number("local_steps", self.local_steps, 1)
@@ -147,17 +158,12 @@ class MixtureSampler(Sampler):
         components = [warp.quadratic(one) for one in self.components]
         return Mixture(components, np.asarray(self.weights), warp, wide)
 
-    def local_of(self, density: LogDensity) -> HamiltonianMonteCarlo | MetropolisHastings | Slice:
+    def local_of(self, density: LogDensity) -> LocalSampler:
         """Return the settings of the local steps."""
         if self.local is not None:
             return self.local
         exact = getattr(density, "solves_per_gradient", 1) == 1
         return HamiltonianMonteCarlo() if exact else Slice()
-
-
-def can_jump(sampler: Sampler) -> bool:
-    """Say whether a sampler can have jumps: whether its steps are local ones, of a single point."""
-    return isinstance(sampler, HamiltonianMonteCarlo | MetropolisHastings | Slice)
 
 
 def with_jumps(sampler: Any) -> MixtureSampler:
@@ -170,6 +176,7 @@ def with_jumps(sampler: Any) -> MixtureSampler:
     Moves between modes and local ones in turn: Tjelmeland & Hegstad (2001), Scand. J. Stat. 28, 205-223; Ahn, Chen
     & Welling (2013), AISTATS 31, 108-116; Pompe, Holmes & Łatuszyński (2020), Ann. Statist. 48, 2930-2952.
     """
-    if not can_jump(sampler):
-        raise ValueError(f"jumps: are for mh, slice and hmc only (got True with {sampler.name})")
+    if not sampler.is_local:
+        known = ", ".join(local_samplers())
+        raise ValueError(f"jumps: are for local samplers such as {known} (got True with {sampler.name})")
     return MixtureSampler(local=sampler, local_steps=1, jumps=1)

@@ -11,6 +11,7 @@ from emcee.state import State
 from numpy.typing import ArrayLike
 
 from fmu.arguments import check_arguments, shown
+from fmu.samplers.local import accept
 from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fit_mixture
 from fmu.samplers.mixture.quadratic import of_moments
 from fmu.types import BoolArray, FloatArray
@@ -87,7 +88,7 @@ class MixtureMove(Move):
             reached, blobs = model.compute_log_prob_fn(q)
             with np.errstate(invalid="ignore"):  # a walker may have started where it is -inf
                 gain = np.where(np.isfinite(reached), reached - log_prob + factor, -np.inf)
-            accepted[moved] = -model.random.standard_exponential(len(q)) < gain
+            accepted[moved] = accept(model.random, gain)
             state = self.update(state, State(q, log_prob=reached, blobs=blobs), accepted, moved)
         return state, accepted
 

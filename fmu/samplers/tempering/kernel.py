@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.samplers.kernel import Info, State
-from fmu.samplers.metropolis import MetropolisKernel, Search
-from fmu.samplers.slice import SliceKernel
+from fmu.samplers.local import LocalKernel, accept
 from fmu.samplers.tempering.density import Points, PriorAndLikelihood, TemperedTarget
-from fmu.samplers.trajectory import HamiltonianKernel, Metric
+from fmu.samplers.trajectory import require_finite_gradient
 from fmu.types import FloatArray, IntArray
 
 LOG_LIKELIHOOD = "rung_log_likelihood"
@@ -33,19 +32,18 @@ class TemperingKernel:
 
     parts: PriorAndLikelihood
     temperatures: FloatArray
-    kernels: tuple[Any, ...]
+    kernels: tuple[LocalKernel, ...]
     swap_every: int
     records: bool = True
-    _joined: dict[int, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _joined: dict[int, LocalKernel] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
         """Put all replicas of a chain at its start, one solve per chain."""
         points, rungs, chains = self.parts.points(positions), len(self.temperatures), len(positions)
         gradient = points.gradient(np.ones(chains))
         log_prob = points.log_prob(np.ones(chains))
-        bad = np.isfinite(log_prob) & (False if gradient is None else ~np.all(np.isfinite(gradient), axis=1))
-        if bad.any():
-            raise ValueError(f"init: the gradient must be finite at the start (chain {np.flatnonzero(bad)[0]})")
+        if gradient is not None:
+            require_finite_gradient(log_prob, np.all(np.isfinite(gradient), axis=1))
         replicas = points.each(lambda a: np.repeat(a[None], rungs, axis=0))
         state = self._state(replicas, np.zeros((rungs, chains), dtype=np.int64), 0)
         solves = np.full(chains, self.parts.solves_each)
@@ -112,7 +110,7 @@ class TemperingKernel:
         lower = np.arange(first, rungs - 1, 2)
         order = np.repeat(np.arange(rungs)[:, None], chains, axis=1)
         gain = np.diff(self.temperatures)[lower, None] * (log_likelihood[lower] - log_likelihood[lower + 1])
-        swapped = -rng.standard_exponential(gain.shape) <= gain
+        swapped = accept(rng, gain)
         # the pairs (first, first + 1), (first + 2, …) share no rung, so that all swap at once
         order[lower] += swapped
         order[lower + 1] -= swapped
@@ -138,63 +136,14 @@ def replicas_of(state: State) -> Points:
     return Points(*(state.extra.get(f"rung_{name}") for name in Points._fields))  # type: ignore[arg-type]
 
 
-@dataclass(frozen=True)
-class RandomWalks:
-    """Gaussian random walks, each chain with its own covariance L Lᵀ: L of shape (chains, ndim, ndim)."""
-
-    factor: FloatArray
-
-    def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:
-        """Draw position + L z with z standard normal."""
-        z = rng.standard_normal(position.shape)
-        return position + np.einsum("nij,nj->ni", self.factor, z)
-
-    def log_ratio(self, candidate: FloatArray, position: FloatArray) -> FloatArray:
-        """Return 0: the walks are symmetric."""
-        return np.zeros(len(position))
-
-
-def side_by_side(kernels: Sequence[Any], chains: int) -> Any:
+def side_by_side(kernels: Sequence[LocalKernel], chains: int) -> LocalKernel:
     """Return the kernel that moves the replicas of all rungs as one array, rung by rung and `chains` in each.
 
     Parameters
     ----------
-    kernels : sequence of Kernel
+    kernels : sequence of LocalKernel
         One per rung, all of one kind.
     chains : int
     """
     first = kernels[0]
-    if all(kernel is first for kernel in kernels):
-        return first
-    return replace(first, **_JOINED[type(first)](kernels, chains))
-
-
-def _slices(kernels: Sequence[SliceKernel], chains: int) -> dict[str, Any]:
-    width, axes = [kernel.width for kernel in kernels], [kernel.axes for kernel in kernels]
-    return {"width": np.repeat(width, chains, axis=0), "axes": np.repeat(axes, chains, axis=0)}
-
-
-def _walks(kernels: Sequence[Any], chains: int) -> dict[str, Any]:
-    ndim = kernels[0].target.ndim
-    factors = []
-    for kernel in kernels:
-        factor: FloatArray = kernel.proposal.factor
-        factors.append(factor if factor.ndim == 2 else np.diag(np.broadcast_to(factor, ndim)))
-    return {"proposal": RandomWalks(np.repeat(factors, chains, axis=0))}
-
-
-def _trajectories(kernels: Sequence[HamiltonianKernel], chains: int) -> dict[str, Any]:
-    inverse, factor = [k.metric.inverse for k in kernels], [k.metric.inverse_factor for k in kernels]
-    return {
-        "metric": Metric(np.repeat(inverse, chains, axis=0), np.repeat(factor, chains, axis=0)),
-        "step_size": np.concatenate([np.broadcast_to(kernel.step_size, chains) for kernel in kernels]),
-        "n_steps": int(np.median([kernel.n_steps for kernel in kernels])),
-    }
-
-
-_JOINED: Mapping[type, Callable[[Any, int], dict[str, Any]]] = {
-    SliceKernel: _slices,
-    Search: _slices,
-    MetropolisKernel: _walks,
-    HamiltonianKernel: _trajectories,
-}
+    return first if all(kernel is first for kernel in kernels) else first.join(kernels, chains)

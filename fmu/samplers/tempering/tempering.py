@@ -15,11 +15,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fmu.arguments import check_arguments
-from fmu.samplers.hmc import HamiltonianMonteCarlo
 from fmu.samplers.kernel import Info, Sampler, State, Tree
-from fmu.samplers.metropolis import MetropolisHastings
+from fmu.samplers.local import LocalSampler
+from fmu.samplers.registry import SAMPLERS, local_samplers, named
 from fmu.samplers.settings import vector, whole_number
-from fmu.samplers.slice import Slice
 from fmu.samplers.tempering.density import PriorAndLikelihood
 from fmu.samplers.tempering.kernel import TemperingKernel, replicas_of
 from fmu.types import FloatArray, LogDensity
@@ -32,7 +31,6 @@ _POWER = 5.0
 """The first rungs lie at (k/K)⁵ (Friel & Pettitt 2008): posteriors are far narrower than priors."""
 _SHORTEST = 20  # steps of a stage of warm-up
 _LEAST = 1e-3  # rejection of a swap that the interpolation assumes at least, so that the barrier increases
-_KERNELS = {kind.name: kind for kind in (Slice, MetropolisHastings, HamiltonianMonteCarlo)}
 
 
 @check_arguments
@@ -48,8 +46,9 @@ class Tempering(Sampler):
 
     Parameters
     ----------
-    kernel : {"slice", "mh", "hmc"}, Slice, MetropolisHastings or HamiltonianMonteCarlo
-        What moves the replicas at t > 0; after warm-up a tuple of settings, one for each of these rungs.
+    kernel : str or LocalSampler
+        What moves the replicas at t > 0, such as "slice", "mh" or "hmc", or settings; after warm-up a tuple of
+        settings, one for each of these rungs.
     temperatures : array_like, shape (rungs,), optional
         Inverse temperatures from 0 to 1, which are then not learnt.
     rungs : int, optional
@@ -82,8 +81,9 @@ class Tempering(Sampler):
     learns_together: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        if isinstance(self.kernel, str) and self.kernel in _KERNELS:
-            object.__setattr__(self, "kernel", _KERNELS[self.kernel]())
+        given = self.kernel
+        if isinstance(given, str) and given in SAMPLERS:
+            object.__setattr__(self, "kernel", named(given))
         if self.temperatures is not None:
             object.__setattr__(self, "temperatures", ladder("temperatures", self.temperatures))
         if self.rungs is not None:
@@ -95,11 +95,11 @@ class Tempering(Sampler):
         if several and (self.temperatures is None or len(self.kernel) != len(self.temperatures) - 1):
             raise ValueError(f"kernel: must be one per temperature above 0 (got {len(self.kernel)})")
         kinds = {type(kernel) for kernel in self._kernels(1)}
-        if len(kinds) != 1 or not kinds <= set(_KERNELS.values()):
+        if len(kinds) != 1 or not issubclass(kinds.pop(), LocalSampler):
             raise ValueError(
-                f"kernel: must be one of {', '.join(_KERNELS)}, or settings of one (got {self.kernel!r})"
+                f"kernel: must be one of {', '.join(local_samplers())}, or settings of one (got {given!r})"
             )
-        if any(kernel.takes_gradients and kernel.gradient != "exact" for kernel in self._kernels(1)):
+        if any(kernel.gradient == "central-difference" for kernel in self._kernels(1)):
             raise ValueError("kernel.gradient: must be exact under tempering (got central-difference)")
 
     def bind(self, density: LogDensity) -> TemperingKernel:

@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.special import logsumexp
 
-from fmu.samplers.hmc import HamiltonianMonteCarlo
 from fmu.samplers.kernel import Info, State, Target, Tree, Tuner
-from fmu.samplers.metropolis import MetropolisHastings
 from fmu.samplers.mixture.curve import fit_infinite_margins
 from fmu.samplers.mixture.curved import CurvedMixture
 from fmu.samplers.mixture.kernel import MixtureKernel
@@ -384,7 +382,7 @@ class MixtureTuner:
         local = self.sampler.local_of(self.density)
         if isinstance(self.mixture, CurvedMixture) and self.sampler.local is None:
             local = Slice()  # the gradients of such a density say little of what is a standard deviation away
-        self.local_settings = _shape_steps(local, covariance)
+        self.local_settings = local.take_covariance(covariance)
         self.local = self.local_settings.tuner(self.density, self.chains, remaining)
 
     def _take_kernel(self) -> None:
@@ -398,15 +396,3 @@ def _sum(one: IntArray | None, other: IntArray | None) -> IntArray | None:
     if one is None or other is None:
         return other if one is None else one
     return one + other
-
-
-def _shape_steps(
-    local: HamiltonianMonteCarlo | MetropolisHastings | Slice, covariance: FloatArray
-) -> HamiltonianMonteCarlo | MetropolisHastings | Slice:
-    """Return local settings that fit a covariance, where they do not give a shape of their own."""
-    if isinstance(local, HamiltonianMonteCarlo):
-        return local if local.inverse_mass is not None else replace(local, inverse_mass=covariance)
-    if isinstance(local, MetropolisHastings) or local.width is not None or local.axes is not None:
-        return local
-    variances, axes = np.linalg.eigh(covariance)
-    return replace(local, axes=axes, width=local.spread * np.sqrt(np.maximum(variances, 1e-24)))
