@@ -40,9 +40,9 @@ DIAGNOSTICS = ("tests/analysis/convergence/test_diagnostics.py",)
 IN_THE_SAMPLERS = (
     Fault(
         "Metropolis: accept test inverted",
-        "fmu/samplers/metropolis.py",
-        "accepted = log_u <= log_ratio",
-        "accepted = log_u >= log_ratio",
+        "fmu/samplers/local.py",
+        "-rng.standard_exponential(log_ratio.shape) <= log_ratio",
+        "-rng.standard_exponential(log_ratio.shape) >= log_ratio",
         METROPOLIS,
     ),
     Fault(
@@ -62,8 +62,8 @@ IN_THE_SAMPLERS = (
     Fault(
         "HMC: accept test inverted",
         "fmu/samplers/trajectory.py",
-        "accepted = log_u <= -error",
-        "accepted = log_u >= -error",
+        "State(end.position, end.log_prob, end.gradient), -error)",
+        "State(end.position, end.log_prob, end.gradient), error)",
         HAMILTONIAN,
     ),
     Fault(
