@@ -5,6 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tests.shear_building import two_frequencies_hz
+
 SD = 1 / 16
 MODES_OF_PRIORS, SD_OF_PRIORS = (1.3, 0.8), 1.0
 BETWEEN = 0.9
@@ -21,14 +23,6 @@ class Posterior(NamedTuple):
     def log_evidence(self):
         """With the errors' density normalised."""
         return float(np.log(self.unnormalised_evidence / (2 * np.pi * SD**2)))
-
-
-def frequencies(theta, masses):
-    """Both roots of the characteristic equation; the lower one from the product, free of cancellation."""
-    (k1, k2), (m1, m2) = 29.7e6 * theta.T, masses
-    total, product = (k1 + k2) / m1 + k2 / m2, k1 * k2 / (m1 * m2)
-    upper = 0.5 * (total + np.sqrt(total**2 - 4 * product))
-    return np.sqrt(np.stack([product / upper, upper], axis=1)) / (2 * np.pi)
 
 
 @cache
@@ -60,4 +54,4 @@ def _grid(nodes, masses):
         variances.append(np.log1p(roots[np.isreal(roots)].real.max()))
     theta = np.exp(np.log(MODES_OF_PRIORS) + variances + np.sqrt(variances) * z)
     prior = half**2 * np.outer(w, w).ravel() * np.exp(-0.5 * np.sum(z**2, axis=1)) / (2 * np.pi)
-    return theta, prior, ((frequencies(theta, masses) / [3.13, 9.83]) ** 2 - 1) ** 2
+    return theta, prior, ((two_frequencies_hz(29.7e6 * theta, masses) / [3.13, 9.83]) ** 2 - 1) ** 2

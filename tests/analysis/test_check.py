@@ -17,10 +17,9 @@ from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.problem import UpdatingProblem
 from tests.linear import LinearModel
+from tests.shear_building import shear_building, storey
 
-K1 = np.diag([1.0, 0.0, 0.0])
-K2 = np.array([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
-K3 = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, -1.0], [0.0, -1.0, 1.0]])
+K1, K2, K3 = (storey(j, 3) for j in range(3))
 M = np.eye(3)
 SENSORS = ((0, "x"), (1, "x"), (2, "x"))
 EXACT = np.sqrt(scipy.linalg.eigh(1e4 * (K1 + K2 + K3), M)[0]) / (2 * np.pi)
@@ -221,10 +220,7 @@ def test_all_of_it_in_words():
 
 def test_of_several_tests_a_parameter_changes_what_that_of_the_structure_does():
     """Whatever test it is of, and where one is known in the first test."""
-    K = [np.diag([1.0, 0.0]), np.array([[1.0, -1.0], [-1.0, 1.0]])]
-    model = fmu.SeparableModel.from_terms(
-        ["k1", "k2", "m"], list(zip(K, ["k1", "k2"], strict=True)), [(np.eye(2), "m")]
-    )
+    model = shear_building(["k1", "k2"], mass_name="m")
     uncertain = [fmu.Parameter(name, 1.0, 0.5, 2.0) for name in ("k1", "k2", "m")]
     data = fmu.ModalData([0.1, 0.26], sd_hz=0.01)
     tests = [

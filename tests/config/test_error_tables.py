@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose
 
 import fmu
 from fmu.config import ConfigurationError, load
+from tests.shear_building import shear_building
 
 ERRORS = """\
 [[error]]
@@ -54,12 +55,7 @@ def test_error_models(text, folder):
         fmu.ShapeErrors([[0.05, 0.1], [0.1, 0.2]], discrepancy=delta),
         fmu.MACErrors(0.05),
     ]
-    k1, k2 = [[1.0, 0.0], [0.0, 0.0]], [[1.0, -1.0], [-1.0, 1.0]]
-    model = fmu.SeparableModel(
-        [fmu.Term(k1, (1, 0)), fmu.Term(k2, (0, 1))],
-        [fmu.Term(np.diag([16.5e3, 16.1e3]), (0, 0))],
-        [("first", "x"), ("second", "x")],
-    )
+    model = shear_building(["k1", "k2"], mass=[16.5e3, 16.1e3], dofs=[("first", "x"), ("second", "x")])
     data = fmu.ModalData([3.1, 9.8], sensors=[("first", "x"), ("second", "x")], shapes=[[0.6, 1.0], [1.0, -0.6]])
     parameters = [fmu.Parameter(name, 2.97e7, 1e7, 6e7) for name in ("k1", "k2")]
     built = fmu.UpdatingProblem(model, data, parameters, error=errors)

@@ -12,11 +12,11 @@ from fmu import cases
 from fmu.config import ConfigurationError, load
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, PointMass, Section
 from fmu.fem.frame.frame import Frame
-from fmu.fem.modes.separable import Term
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.train_reduced import Tolerance
 from tests import cantilever
+from tests.shear_building import shear_building
 
 
 @pytest.mark.parametrize(
@@ -99,11 +99,7 @@ def test_a_reduction_that_is_none_is_a_mistake(frame_text, tmp_path, value, rule
 def test_matrices(matrices_text, folder):
     (folder / "two.toml").write_text(matrices_text)
     from_file = load(folder / "two.toml")
-    k1, k2 = sp.csr_array([[1.0, 0.0], [0.0, 0.0]]), sp.csr_array([[1.0, -1.0], [-1.0, 1.0]])
-    m = sp.csr_array(np.diag([16.5e3, 16.1e3]))
-    model = fmu.SeparableModel(
-        [Term(k1, (1, 0)), Term(k2, (0, 1))], [Term(m, (0, 0))], [("first", "x"), ("second", "x")]
-    )
+    model = shear_building(["k1", "k2"], mass=[16.5e3, 16.1e3], dofs=[("first", "x"), ("second", "x")])
     data = fmu.ModalData([3.1, 9.8], sensors=[("first", "x"), ("second", "x")], shapes=[[0.6, 1.0], [1.0, -0.6]])
     parameters = [fmu.Parameter(name, 2.97e7, 1e7, 6e7) for name in ("k1", "k2")]
     built = fmu.UpdatingProblem(model, data, parameters, beta=0.5 / 0.05**2)

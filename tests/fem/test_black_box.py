@@ -7,9 +7,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 import fmu
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.programs.solves import MOST_REASONS
+from tests.shear_building import shear_building, storey
 
 M = np.diag([2.0, 1.0])
-K_PARTS = np.array([[[1.0, 0.0], [0.0, 0.0]], [[1.0, -1.0], [-1.0, 1.0]]])
+K_PARTS = np.array([storey(0, 2), storey(1, 2)])
 PARAMETERS = [fmu.Parameter(name, 300.0, 100.0, 600.0) for name in ("k1", "k2")]
 START = np.array([300.0, 300.0])
 
@@ -35,7 +36,7 @@ def batched(theta):
     return tuple(np.stack(part) for part in zip(*map(solved, theta), strict=True))
 
 
-SEPARABLE = fmu.SeparableModel.from_terms(["k1", "k2"], [(K_PARTS[0], "k1"), (K_PARTS[1], "k2")], [M])
+SEPARABLE = shear_building(["k1", "k2"], mass=M)
 DATA = fmu.ModalData(1.05 * frequencies(START), sensors=((0, "x"), (1, "x")), shapes=solved(START)[1])
 
 

@@ -17,6 +17,7 @@ from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.priors.one_sided import LogNormal
 from fmu.posterior.problem import UpdatingProblem
+from tests.shear_building import shear_building
 
 MEASURED = np.array([1.0, 2.0])
 NOISE = Parameter("noise", 0.02, 0.0, prior=LogNormal(0.02, 0.5))
@@ -24,9 +25,7 @@ SHAPES = np.array([[1.0, 1.0], [1.5, -0.7]])
 
 
 def storeys(error=None, pairing="shape", shapes=None, beta=None, **data):
-    model = fmu.SeparableModel.from_terms(
-        ["k"], [(np.array([[2.0, -1.0], [-1.0, 1.0]]), "k")], [np.diag([0.02, 0.01])], [("1", "x"), ("2", "x")]
-    )
+    model = shear_building(["k", "k"], mass=[0.02, 0.01], dofs=[("1", "x"), ("2", "x")])
     sensors = [("1", "x"), ("2", "x")] if shapes is not None else []
     modes = ModalData(MEASURED, sensors=sensors, shapes=shapes, **data)
     parameters = [Parameter("k", 1.0, 0.5, 2.0, Normal(0.2, mean=1.0))]

@@ -8,10 +8,9 @@ import pytest
 import fmu
 from fmu.config.mistakes import BrokenError
 from fmu.engines.process_pool import ProcessPool
+from tests.shear_building import shear_building, storey
 
-K = [np.diag([1.0, 0.0, 0.0, 0.0])] + [np.zeros((4, 4)) for _ in range(3)]
-for storey in range(1, 4):
-    K[storey][storey - 1 : storey + 1, storey - 1 : storey + 1] = [[1.0, -1.0], [-1.0, 1.0]]
+K = [storey(j, 4) for j in range(4)]
 SENSORS = [(0, "x"), (2, "x"), (3, "x")]
 FREQUENCIES = [1.61, 4.52, 6.98]
 SHAPES = [[0.29, -0.83, 0.98], [0.79, -0.42, -1.00], [1.01, 0.99, 0.93]]
@@ -29,8 +28,8 @@ def modes_of(theta):
 
 
 def chain(**settings):
-    terms = [(1000.0 * (K[0] + K[1]), "lower"), (1000.0 * (K[2] + K[3]), "upper")]
-    model = settings.pop("model", None) or fmu.SeparableModel.from_terms(["lower", "upper"], terms, [MASS])
+    building = shear_building(["lower", "lower", "upper", "upper"], 1000.0, MASS)
+    model = settings.pop("model", None) or building
     data = fmu.ModalData(FREQUENCIES, sensors=SENSORS, shapes=SHAPES, **settings.pop("data", {}))
     priors = settings.pop("priors", (fmu.Uniform(), fmu.Uniform()))
     parameters = [

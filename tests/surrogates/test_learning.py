@@ -9,17 +9,9 @@ import fmu
 from fmu.analysis.certificate import surrogate_in_words
 from fmu.surrogates.learning import SurrogateWarning
 from tests.gradients import assert_gradient
+from tests.shear_building import two_frequencies_hz as storeys
 
 START, SD = np.array([5e7, 3e7]), np.array([0.01, 0.03])
-
-
-def storeys(theta):
-    """Frequencies of a shear building of two storeys."""
-    k1, k2 = theta
-    m1, m2 = 16e3, 12e3
-    total, product = (k1 + k2) / m1 + k2 / m2, k1 * k2 / (m1 * m2)
-    upper = 0.5 * (total + np.sqrt(total**2 - 4 * product))
-    return np.sqrt([product / upper, upper]) / (2 * np.pi)
 
 
 def problem(function=storeys, *, sd=SD, batched=False):

@@ -14,6 +14,7 @@ from scipy.linalg import eigh
 import fmu
 from fmu.posterior.priors.base import Prior
 from fmu.types import FloatArray
+from tests.shear_building import storey
 
 STIFFNESS, MASS = 1e8, 1e5  # N/m, kg
 LENGTH = {"draws": 250, "warmup": 250, "chains": 4}
@@ -29,24 +30,15 @@ class Case:
     sampler: str
 
 
-def storey(j: int, n: int) -> FloatArray:
-    """Return the stiffness matrix of storey `j`, from 0, of `n` storeys."""
-    drift = np.zeros(n)
-    drift[j] = 1.0
-    if j:
-        drift[j - 1] = -1.0
-    return STIFFNESS * np.outer(drift, drift)
-
-
 def _terms(rng: np.random.Generator, n: int, is_crossing: bool) -> list[FloatArray]:
     """Return a stiffness matrix for each parameter; with two directions that cross, one for each of these."""
     if is_crossing:
-        one = sum(storey(j, n) for j in range(n))
+        one = STIFFNESS * sum(storey(j, n) for j in range(n))
         tilt = np.kron([[0.0, 1.0], [1.0, 0.0]], 0.002 * one)
         first, second = (np.kron(np.diag(side), one) for side in ([1.0, 0.0], [0.0, 1.0]))
         return [first + tilt, second]
     groups = int(rng.integers(1, min(4, n) + 1))
-    return [sum(storey(j, n) for j in part) for part in np.array_split(rng.permutation(n), groups)]
+    return [STIFFNESS * sum(storey(j, n) for j in part) for part in np.array_split(rng.permutation(n), groups)]
 
 
 def _prior(rng: np.random.Generator) -> Prior:
@@ -67,7 +59,7 @@ def random_case(seed: int) -> Case:
         truth[0] = upper * rng.uniform(1.02, 1.4)
     K = sum(x * term for x, term in zip(truth, terms, strict=True))
     if is_soft:
-        K = K - rng.uniform(0.1, 0.4) * min(truth) * np.pad(storey(n // 2, n), (0, size - n))
+        K = K - rng.uniform(0.1, 0.4) * min(truth) * np.pad(STIFFNESS * storey(n // 2, n), (0, size - n))
     lam, modes = eigh(K, MASS * np.eye(size))
     n_modes = int(rng.integers(2, min(6, size) + 1))
     sd, times = 10.0 ** rng.uniform(-3.0, -1.5), float(rng.choice([0.3, 1.0, 1.0, 3.0]))

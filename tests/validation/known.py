@@ -19,7 +19,8 @@ from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.types import FloatArray
 from tests.samplers.targets import Banana, BoundedBeta, Funnel, SkewedGumbel, Target, TruncatedGaussian, TwoModes
 from tests.samplers.tempered_targets import Tempered
-from tests.validation import storeys, ten_storeys
+from tests.shear_building import frequencies_hz, shear_building
+from tests.validation import storeys
 
 NEGLIGIBLE = 45.0
 """Drop of the log-density below its maximum at which a cell of the quadrature is left out: e⁻⁴⁵ = 3e-20."""
@@ -376,18 +377,14 @@ def _three_storeys(measured: FloatArray) -> fmu.UpdatingProblem:
 def _three_frequencies() -> fmu.UpdatingProblem:
     """Return three storeys whose stiffnesses are to follow from three frequencies: several frames have them."""
     names, numbers = ["k1", "k2", "k3"], (1, 2, 3)
-    storey = [ten_storeys.storey(j, storeys=3, stiffness=2e8) for j in numbers]
     sensors = tuple((j, "x") for j in numbers)
-    model = fmu.SeparableModel.from_terms(
-        names, stiffness=list(zip(storey, names, strict=True)), mass=[1e5 * np.eye(3)], dofs=sensors
-    )
+    model = shear_building(names, 2e8, 1e5, dofs=sensors)
     paired = PairedStructure.of(
         model, pairing="index", numbers=numbers, sensors=sensors, reference=np.ones(3), shapes=None
     )
     lower, upper = np.full(3, 0.2), np.full(3, 5.0)
     paired.train(lower, upper)
-    truth = sum(factor * K for factor, K in zip((1.5, 1.0, 1.6), storey, strict=True))
-    f = np.sqrt(np.linalg.eigvalsh(truth) / 1e5) / (2.0 * np.pi)
+    f = frequencies_hz(model, (1.5, 1.0, 1.6))[0]
     parameters = [fmu.Parameter(name, start=1.0, lower=0.2, upper=5.0) for name in names]
     error = fmu.FrequencyErrors("relative", sd=0.04)
     return fmu.UpdatingProblem(paired, fmu.ModalData(f, numbers), parameters, error=error)

@@ -29,6 +29,7 @@ from threadpoolctl import threadpool_limits
 
 import fmu
 from fmu.types import FloatArray
+from tests.shear_building import shear_building
 from tests.validation.kept import kept_lines
 from tests.validation.several_tests_page import BEYOND, INTERVAL, RANKED, page
 
@@ -46,16 +47,9 @@ ERRORS = [fmu.FrequencyErrors("absolute"), fmu.ShapeErrors()]
 
 def building(storeys: int) -> fmu.SeparableModel:
     """Return a shear building with a factor on the stiffness of each storey."""
-    terms = []
-    for i in range(storeys):
-        K = np.zeros((storeys, storeys))
-        K[i, i] = STIFFNESS
-        if i:
-            K[i - 1, i - 1] = STIFFNESS
-            K[i, i - 1] = K[i - 1, i] = -STIFFNESS
-        terms.append((K, f"k{i + 1}"))
-    floors = [(f"floor {i + 1}", "x") for i in range(storeys)]
-    return fmu.SeparableModel.from_terms([name for _, name in terms], terms, [MASS * np.eye(storeys)], dofs=floors)
+    numbers = range(1, storeys + 1)
+    floors = [(f"floor {i}", "x") for i in numbers]
+    return shear_building([f"k{i}" for i in numbers], STIFFNESS, MASS, dofs=floors)
 
 
 def modes(model: fmu.SeparableModel, theta: Any) -> tuple[FloatArray, FloatArray]:

@@ -18,6 +18,7 @@ from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.formats.matrices.read import write_matrix
 from fmu.posterior.parameters import box
 from fmu.types import FloatArray
+from tests import shear_building
 
 STOREYS, STIFFNESS, MASS = 10, 176.729e6, 100e3  # N/m, kg: the lowest frequency is 1 Hz
 SPREAD = 0.15
@@ -55,11 +56,7 @@ def prior() -> tuple[FloatArray, FloatArray]:
 
 def storey(j: int, storeys: int = STOREYS, stiffness: float = STIFFNESS) -> FloatArray:
     """Return the stiffness matrix of storey `j`, from 1, between floors j − 1 and j; N/m."""
-    drift = np.zeros(storeys)
-    drift[j - 1] = 1.0
-    if j > 1:
-        drift[j - 2] = -1.0
-    return stiffness * np.outer(drift, drift)
+    return stiffness * shear_building.storey(j - 1, storeys)
 
 
 def structure() -> PairedStructure:
@@ -71,12 +68,8 @@ def structure() -> PairedStructure:
     model serves all measurements.
     """
     names = [p.name for p in PARAMETERS]
-    model = fmu.SeparableModel.from_terms(
-        names,
-        stiffness=[(storey(j), name) for j, name in enumerate(names, 1)],
-        mass=[MASS * np.eye(STOREYS)],
-        dofs=[(j, "x") for j in range(1, STOREYS + 1)],
-    )
+    floors = [(j, "x") for j in range(1, STOREYS + 1)]
+    model = shear_building.shear_building(names, STIFFNESS, MASS, dofs=floors)
     paired = PairedStructure.of(
         model, pairing="index", numbers=NUMBERS, sensors=SENSORS, reference=np.ones(STOREYS), shapes=None
     )

@@ -9,6 +9,7 @@ from fmu.analysis.trace.conversion import to_trace
 from fmu.analysis.trace.misfit import TAILS
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.errors.shape import ShapeTerm
+from tests.shear_building import shear_building
 
 
 def squares_of(trace):
@@ -32,8 +33,8 @@ def test_known_errors_of_frequencies(make_result, problem):
 @pytest.fixture(scope="module")
 def shaped():
     """Two storeys with measured frequencies and shapes, both errors inferred; the full model answers."""
-    dofs, K = [(1, "x"), (2, "x")], np.array([[2.0, -1.0], [-1.0, 1.0]])
-    model = fmu.SeparableModel.from_terms(["k"], stiffness=[(400.0 * K, "k")], mass=[np.eye(2)], dofs=dofs)
+    dofs = [(1, "x"), (2, "x")]
+    model = shear_building(["k", "k"], 400.0, dofs=dofs)
     data = fmu.ModalData([1.99, 5.10], sensors=tuple(dofs), shapes=[[0.6, -1.0], [1.0, 0.65]])
     noise = {
         name: fmu.Parameter(name, start, 0.0, np.inf, fmu.LogNormal(start, 0.4))

@@ -15,6 +15,7 @@ from numpy.testing import assert_allclose
 import fmu
 from fmu import cli
 from fmu.config import ConfigurationError, load
+from tests.shear_building import shear_building
 
 MODULE = """\
 import numpy as np
@@ -110,10 +111,7 @@ def loaded(folder, text):
 def test_a_function_beside_the_file(folder):
     path, modules = list(sys.path), set(sys.modules)
     problem = load(folder / "two.toml")
-    masses = [([[16.5e3, 0.0], [0.0, 16.1e3]])]
-    model = fmu.SeparableModel.from_terms(
-        ["k1", "k2"], [([[1.0, 0.0], [0.0, 0.0]], "k1"), ([[1.0, -1.0], [-1.0, 1.0]], "k2")], masses
-    )
+    model = shear_building(["k1", "k2"], mass=[16.5e3, 16.1e3])
     data = fmu.ModalData([4.1, 10.9], sensors=[(0, "x"), (1, "x")], shapes=[[0.6, 1.0], [1.0, -0.6]])
     built = fmu.UpdatingProblem(model, data, problem.parameters, beta=0.5 / 0.05**2)
     theta = built.sample_prior(np.random.default_rng(1), 30)

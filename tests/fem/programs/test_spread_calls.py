@@ -9,8 +9,9 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import fmu
+from tests.shear_building import storey
 
-K = np.array([[[1.0, 0.0], [0.0, 0.0]], [[1.0, -1.0], [-1.0, 1.0]]])
+K = np.array([storey(0, 2), storey(1, 2)])
 HERE = os.getpid()
 
 

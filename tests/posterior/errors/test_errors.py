@@ -6,7 +6,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 from scipy.integrate import quad
 
-from fmu.fem.modes.separable import SeparableModel, Term
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
@@ -16,6 +15,7 @@ from fmu.posterior.errors.mac import MACErrors
 from fmu.posterior.errors.shape import ShapeErrors
 from fmu.posterior.parameters import Parameter
 from tests.gradients import assert_gradient
+from tests.shear_building import shear_building
 
 SENSORS = ((0, "x"), (1, "x"), (3, "x"))
 START = np.array([1.0, 1.3, 0.9, 1.1])
@@ -27,14 +27,7 @@ DELTA = Parameter("delta", start=0.2, lower=0.0, upper=2.0)
 
 def storeys():
     """Four storeys whose four stiffnesses are the parameters; masses of one, one and a half, …"""
-    K = []
-    for k in range(4):
-        matrix = np.zeros((4, 4))
-        matrix[k, k] = 1.0
-        if k:
-            matrix[k - 1, k - 1], matrix[k - 1, k], matrix[k, k - 1] = 1.0, -1.0, -1.0
-        K.append(Term(matrix, tuple(np.eye(4)[k])))
-    return SeparableModel(K, [Term(np.diag([1.0, 1.5, 1.2, 0.8]), (0.0,) * 4)])
+    return shear_building(["k1", "k2", "k3", "k4"], mass=[1.0, 1.5, 1.2, 0.8])
 
 
 @pytest.fixture(scope="module")

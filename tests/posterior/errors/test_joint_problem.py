@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import fmu
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from tests.gradients import assert_gradient
+from tests.shear_building import shear_building
 
 TRUTH = np.array([1.1, 0.9])
 SENSORS = ((0, "x"), (2, "x"), (3, "x"))
@@ -21,14 +22,7 @@ def storeys():
     There are more modes than parameters: where a model can fit all of them, errors of no size at all are most
     probable.
     """
-    K = []
-    for k in range(4):
-        matrix = np.zeros((4, 4))
-        matrix[k, k] = 1.0
-        if k:
-            matrix[k - 1, k - 1], matrix[k - 1, k], matrix[k, k - 1] = 1.0, -1.0, -1.0
-        K.append(fmu.Term(1e3 * matrix, (1.0, 0.0) if k < 2 else (0.0, 1.0)))
-    return fmu.SeparableModel(K, [fmu.Term(np.diag([1.0, 1.5, 1.2, 0.8]), (0.0, 0.0))])
+    return shear_building(["k1", "k1", "k2", "k2"], 1e3, [1.0, 1.5, 1.2, 0.8])
 
 
 def measured(rng):
@@ -123,18 +117,7 @@ def test_emcee_takes_it_as_it_is(problem):
 def test_the_reduced_model_is_good_enough_for_shapes_too():
     """A structure large enough to be reduced: where the posterior lives, shapes are as good as it needs."""
     n, sensors = 60, tuple((k, "x") for k in (9, 24, 39, 54))
-    matrices = []
-    for k in range(n):
-        matrix = np.zeros((n, n))
-        matrix[k, k] = 1.0
-        if k:
-            matrix[k - 1, k - 1], matrix[k - 1, k], matrix[k, k - 1] = 1.0, -1.0, -1.0
-        matrices.append(1e5 * matrix)
-    K = [
-        fmu.Term(sum(matrices[: n // 2]), (1.0, 0.0)),
-        fmu.Term(sum(matrices[n // 2 :]), (0.0, 1.0)),
-    ]
-    model = fmu.SeparableModel(K, [fmu.Term(np.eye(n), (0.0, 0.0))])
+    model = shear_building(["lower"] * (n // 2) + ["upper"] * (n // 2), 1e5)
     bounded = [fmu.Parameter(name, 1.0, 0.7, 1.3) for name in ("lower", "upper")]
     bare = fmu.UpdatingProblem(model, fmu.ModalData([1.0, 2.0, 3.0], sensors=sensors), bounded)
     seen = bare.model.observed(np.array([[1.1, 0.9]]))

@@ -7,8 +7,8 @@ from numpy.testing import assert_allclose
 
 import fmu
 from tests.gradients import assert_gradient
+from tests.shear_building import frequencies_hz, shear_building
 
-STOREYS = [np.array([[1.0, 0.0], [0.0, 0.0]]), np.array([[1.0, -1.0], [-1.0, 1.0]])]
 PARAMETERS = [fmu.Parameter(name, 1.0, 0.7, 1.5) for name in ("k1", "k2")]
 NU = fmu.Parameter("nu", 5.0, 1.0, 60.0, prior=fmu.ScipyPrior(scipy.stats.gamma(2.0, scale=10.0)))
 SCALE = fmu.Parameter("s", 0.01, 0.0, 0.5, prior=fmu.HalfNormal(0.02))
@@ -16,13 +16,11 @@ SCALE = fmu.Parameter("s", 0.01, 0.0, 0.5, prior=fmu.HalfNormal(0.02))
 
 @pytest.fixture(scope="module")
 def building():
-    terms = [(2e6 * K, name) for K, name in zip(STOREYS, ("k1", "k2"), strict=True)]
-    return fmu.SeparableModel.from_terms(["k1", "k2"], terms, [1000.0 * np.eye(2)])
+    return shear_building(["k1", "k2"], 2e6, 1000.0)
 
 
 def measured(building, theta=(1.0, 1.0)):
-    K, M = building.K(theta).toarray(), building.M(theta).toarray()
-    return np.sqrt(np.linalg.eigvalsh(K @ np.linalg.inv(M))) / (2 * np.pi)
+    return frequencies_hz(building, theta)[0]
 
 
 @pytest.mark.parametrize("kind", ["absolute", "relative", "eigenvalue"])

@@ -10,6 +10,7 @@ import fmu
 from fmu.posterior.joint.correlation import Correlation, correlations
 from fmu.posterior.joint.joint_problem import TestsError
 from tests.gradients import assert_gradient
+from tests.shear_building import frequencies_hz, shear_building
 
 NAMES = ("k1", "k2", "k3")
 
@@ -22,16 +23,10 @@ def values_of(rng, n, r=0.0):
 
 def posed(values, known=None, noise=0.002, distribution="normal", seed=2, **options):
     """Return the problem of tests of three masses in a row, whose frequencies have small errors."""
-    rng, terms = np.random.default_rng(seed), []
-    for i, name in enumerate(NAMES):
-        row = np.eye(3)[i] - (np.eye(3)[i - 1] if i else 0.0)
-        terms.append((np.outer(row, row), name))
-    model = fmu.SeparableModel.from_terms(NAMES, terms, [np.diag([1.0, 0.7, 1.6])])
-    tests = []
+    rng, tests = np.random.default_rng(seed), []
+    model = shear_building(NAMES, mass=[1.0, 0.7, 1.6])
     for t, theta in enumerate(values):
-        f = np.sqrt(scipy.linalg.eigh(model.K(theta).toarray(), model.M(theta).toarray(), eigvals_only=True))
-        f = f / (2 * np.pi)
-        f = f * (1 + noise * rng.standard_normal(3))
+        f = frequencies_hz(model, theta)[0] * (1 + noise * rng.standard_normal(3))
         tests.append(fmu.Test(f"t{t}", fmu.ModalData(f, sd_hz=noise * f), known=(known or {}).get(t, {})))
     parameters = [fmu.Parameter(name, 1.0, 0.5, 1.5) for name in NAMES]
     varies = dict.fromkeys(NAMES, fmu.Population(distribution))

@@ -6,39 +6,22 @@ from numpy.testing import assert_allclose
 
 import fmu
 from tests.gradients import assert_gradient
+from tests.shear_building import frequencies_hz, shear_building
 
 STOREYS = 4
 NAMES = tuple(f"k{i + 1}" for i in range(STOREYS))
 
 
-def stiffness(i):
-    K = np.zeros((STOREYS, STOREYS))
-    K[i, i] = 1.0
-    if i:
-        K[i - 1, i - 1] = 1.0
-        K[i, i - 1] = K[i - 1, i] = -1.0
-    return 2e6 * K
-
-
 @pytest.fixture(scope="module")
 def building():
-    terms = [(stiffness(i), name) for i, name in enumerate(NAMES)]
-    dofs = [(f"floor {i + 1}", "x") for i in range(STOREYS)]
-    return fmu.SeparableModel.from_terms(NAMES, terms, [1000.0 * np.eye(STOREYS)], dofs=dofs)
-
-
-def modes(building, theta):
-    K, M = building.K(theta).toarray(), building.M(theta).toarray()
-    values, vectors = np.linalg.eigh(K / 1000.0)
-    assert_allclose(M, 1000.0 * np.eye(STOREYS))
-    return np.sqrt(values) / (2 * np.pi), vectors
+    return shear_building(NAMES, 2e6, 1000.0, dofs=[(f"floor {i + 1}", "x") for i in range(STOREYS)])
 
 
 def measured_states(building, losses, noise=0.002, seed=1):
     """Return a test of the undamaged building, and one of each state: frequencies and shapes with errors."""
     rng, found = np.random.default_rng(seed), []
     for state, loss in {"reference": np.zeros(STOREYS), **losses}.items():
-        f, shapes = modes(building, 1.0 - np.asarray(loss))
+        f, shapes = frequencies_hz(building, 1.0 - np.asarray(loss))
         f = f * (1 + noise * rng.standard_normal(STOREYS))
         shapes = shapes + 0.01 * rng.standard_normal(shapes.shape)
         data = fmu.ModalData(f, sensors=building.dofs, shapes=shapes, sd_hz=noise * f, shapes_sd=0.01)

@@ -12,8 +12,8 @@ from fmu.analysis.maxima.search import default_starts
 from fmu.cli.sampled import _spread
 from fmu.engines.base import InProcess
 from fmu.progress.phases import solves
+from tests.shear_building import shear_building
 
-STOREYS = [np.array([[1.0, 0.0], [0.0, 0.0]]), np.array([[1.0, -1.0], [-1.0, 1.0]])]
 HERE = os.getpid()
 
 
@@ -40,8 +40,7 @@ def joint(function, n=10, p=1, **options):
 
 def building(n=10, **options):
     parameters = [fmu.Parameter(name, 100.0, 50.0, 200.0) for name in ("k1", "k2")]
-    model = fmu.SeparableModel.from_terms(["k1", "k2"], [(STOREYS[0], "k1"), (STOREYS[1], "k2")], [np.eye(2)])
-    return fmu.JointProblem(model, several(n, 2.6), parameters, pairing="index", **options)
+    return fmu.JointProblem(shear_building(["k1", "k2"]), several(n, 2.6), parameters, pairing="index", **options)
 
 
 def test_what_tests_share_is_called_once():

@@ -13,8 +13,8 @@ from fmu.config import ConfigurationError
 from fmu.posterior.joint.joint_problem import TestsError
 from tests.gradients import assert_gradient
 from tests.posterior.errors.test_quantities import cantilever
+from tests.shear_building import shear_building
 
-FIRST, SECOND = np.array([[1.0, 0], [0, 0]]), np.array([[1.0, -1], [-1, 1]])
 PARAMETERS = [
     fmu.Parameter("k1", 5.7e7, 1e7, 1e8),
     fmu.Parameter("k2", 1.7e7, 5e6, 5e7),
@@ -33,12 +33,7 @@ MEASURED = {"bare": [BARE], "laden": [LADEN, STATIC], "held": [STATIC], "known":
 
 def chain():
     """Return two masses on two springs: frequencies tell k/m alone."""
-    return fmu.SeparableModel.from_terms(
-        ["k1", "k2", "mu"],
-        stiffness=[(FIRST, "k1"), (SECOND, "k2")],
-        mass=[(np.eye(2), "mu")],
-        dofs=[(0, "x"), (1, "x")],
-    )
+    return shear_building(["k1", "k2"], mass_name="mu", dofs=[(0, "x"), (1, "x")])
 
 
 def data(shift=0.0):

@@ -9,8 +9,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 import fmu
 from fmu.posterior.joint.joint_problem import TestsError
 from tests.gradients import assert_gradient
+from tests.shear_building import shear_building, storey
 
-STOREYS = [np.array([[1.0, 0.0], [0.0, 0.0]]), np.array([[1.0, -1.0], [-1.0, 1.0]])]
+STOREYS = [storey(0, 2), storey(1, 2)]
 MASS = np.diag([1000.0, 1000.0])
 K1 = fmu.Parameter("k1", 2e6, 1e6, 3e6, prior=fmu.Normal(3e5, mean=2e6), unit="N/m")
 K2 = fmu.Parameter("k2", 2e6, 1e6, 3e6, unit="N/m")
@@ -19,7 +20,7 @@ SENSORS = ((0, "x"), (1, "x"))
 
 @pytest.fixture(scope="module")
 def building():
-    return fmu.SeparableModel.from_terms(["k1", "k2"], [(STOREYS[0], "k1"), (STOREYS[1], "k2")], [MASS])
+    return shear_building(["k1", "k2"], mass=MASS)
 
 
 def frequencies(k, mass=MASS, stiffness=0.0):
@@ -135,11 +136,7 @@ def test_errors_of_shapes_and_inferred_deviations_over_tests(building):
     theta = np.array([1.9e6, 2.2e6, 2.1e6, 0.07])
     parts = [
         fmu.UpdatingProblem(
-            building
-            if name == "a"
-            else fmu.SeparableModel.from_terms(
-                ["k1", "k2"], [(STOREYS[0], "k1"), (STOREYS[1], "k2")], [MASS + np.diag([0.0, 80.0])]
-            ),
+            building if name == "a" else shear_building(["k1", "k2"], mass=[1000.0, 1080.0]),
             data,
             [K1, K2],
             error=errors,

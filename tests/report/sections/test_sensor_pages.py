@@ -10,6 +10,7 @@ from fmu.report.check_page import check_page, write_check
 from fmu.report.document import Items, Omitted
 from fmu.report.run import runs_of
 from fmu.report.sections.sensors import sensors
+from tests.shear_building import frequencies_hz, shear_building
 
 FLOORS, WRONG = 10, 6
 DEGREES = tuple((f"f{j}", "x") for j in range(1, FLOORS + 1))
@@ -17,21 +18,13 @@ DEGREES = tuple((f"f{j}", "x") for j in range(1, FLOORS + 1))
 
 def building(change=None, mpc=None, sd=0.02):
     """Return a problem of a building with shapes measured at every floor, spoilt by `change`."""
-    ends = np.eye(FLOORS) - np.eye(FLOORS, k=-1)
-    springs = [np.outer(row, row) for row in ends]
-    lower, upper = sum(springs[:5]), sum(springs[5:])
-    model = fmu.SeparableModel.from_terms(
-        ["k1", "k2"],
-        stiffness=[(4e5 * lower, "k1"), (4e5 * upper, "k2")],
-        mass=[1e3 * np.eye(FLOORS)],
-        dofs=DEGREES,
-    )
-    lam, phi = np.linalg.eigh(4e5 * (1.05 * lower + 0.95 * upper) / 1e3)
+    model = shear_building(["k1"] * 5 + ["k2"] * 5, 4e5, 1e3, dofs=DEGREES)
+    f, phi = frequencies_hz(model, [1.05, 0.95])
     shapes = phi[:, :4] + sd * np.random.default_rng(1).normal(size=(FLOORS, 4)) * np.abs(phi[:, :4]).max()
     if change is not None:
         change(shapes)
     data = fmu.ModalData(
-        np.sqrt(lam[:4]) / (2 * np.pi),
+        f[:4],
         sensors=DEGREES,
         shapes=shapes,
         sd_hz=0.02,
