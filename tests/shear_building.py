@@ -43,7 +43,7 @@ def shear_building(names, stiffness=1.0, mass=1.0, mass_name=None, dofs=None):
 
 
 def frequencies_hz(model, theta):
-    """Return the frequencies of a structure at theta (ndim,), Hz, and its shapes of unit length, by LAPACK alone."""
+    """Return frequencies (n,), Hz, and shapes of unit length of a structure at theta (ndim,), by LAPACK alone."""
     values, shapes = scipy.linalg.eigh(model.K(theta).toarray(), model.M(theta).toarray())
     return np.sqrt(values) / (2 * np.pi), shapes / np.linalg.norm(shapes, axis=0)
 
