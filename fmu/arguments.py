@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from functools import cache, wraps
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_origin
 
 from annotated_types import Ge, Interval
 
@@ -60,6 +60,53 @@ if TYPE_CHECKING:
 else:
     Place = int | str
     """A node: its number, or its name until nodes are numbered."""
+
+
+class ArgumentError(ValueError):
+    """A value that breaks a rule, of an argument or of a key in a file: ``key: rule (got value)`` and advice.
+
+    Attributes
+    ----------
+    key : str
+        The argument or key, with dots before its parts, as in ``frequencies_hz.2``; empty if the error is in no
+        single one.
+    rule : str
+        What the value must be.
+    value : str
+        The value received, as the message shows it; empty if the message shows none.
+    advice : str
+        The rest of the message, such as what to do.
+    """
+
+    def __init__(self, key: str, rule: str, value: object = "", advice: str = "") -> None:
+        self.key, self.rule, self.value, self.advice = key, rule, str(value), advice
+        super().__init__(key, rule, self.value, advice)  # with these a copy is made in another process
+
+    def __str__(self) -> str:
+        got = f" (got {self.value})" if self.value else ""
+        return f"{self.key}{': ' * bool(self.key)}{self.rule}{got}{self.advice}"
+
+    @classmethod
+    def of(cls, error: Exception) -> ArgumentError:
+        """Return an error as a record; the text of an error of another kind becomes the rule of no key."""
+        return error if isinstance(error, ArgumentError) else ArgumentError("", str(error))
+
+    def at(self, key: str) -> Self:
+        """Return the error of another key."""
+        return type(self)(key, self.rule, self.value, self.advice)
+
+    def under(self, place: str) -> Self:
+        """Return the error with its key below a place: ``lower`` under ``parameters.1``."""
+        return self.at(".".join(filter(None, (place, self.key))))
+
+    def moved(self, old: str, new: str) -> Self:
+        """Return the error with another key in place of an old one, also where the old one is the first part."""
+        rest = f"{self.key}.".removeprefix(f"{old}.")
+        return self if rest == f"{self.key}." else self.at(rest[:-1]).under(new)
+
+
+class MissingFileError(ArgumentError, FileNotFoundError):
+    """A file that does not exist or cannot be read, named by an argument or a key in a file."""
 
 
 class Numbers:
@@ -120,8 +167,8 @@ def check_arguments[Door: Callable[..., Any]](door: Door) -> Door:
 def require(name: str, value: Any, rule: Any) -> None:
     """Raise ValueError unless a value is what an annotation says."""
     mistake = _mistake(name, value, rule)
-    if mistake:
-        raise ValueError(mistake)
+    if mistake is not None:
+        raise mistake
 
 
 def shown(value: Any) -> str:
@@ -148,28 +195,28 @@ def _rules(door: Callable[..., Any]) -> tuple[inspect.Signature, dict[str, Any]]
     return signature, rules
 
 
-def _mistake(name: str, value: Any, rule: Any) -> str:
-    """Say how a value breaks a rule; empty if it does not."""
+def _mistake(name: str, value: Any, rule: Any) -> ArgumentError | None:
+    """Return how a value breaks a rule; None if it does not."""
     marks: tuple[Any, ...] = ()
     if get_origin(rule) is Annotated:
         rule, *more = get_args(rule)
         marks = tuple(more)
     if any(isinstance(mark, OwnRule) for mark in marks):
-        return ""
+        return None
     if get_origin(rule) in (Union, UnionType):
         options = get_args(rule)
         if str in options and any(_is_path_rule(one) for one in options):  # text is then a path, too
             return _mistake(name, value, Union[tuple(one for one in options if one is not str)])  # noqa: UP007
         found = [_mistake(name, value, Annotated[(one, *marks)] if marks else one) for one in get_args(rule)]
-        if not all(found):
-            return ""
-        within = [one for one in found if not one.startswith(f"{name}: ")]  # of an entry, where the kind is right
+        if None in found:
+            return None
+        within = [one for one in found if one is not None and one.key != name]  # of an entry, where the kind is right
         if within:
             return within[0]
     elif _is_kind(value, rule, marks):
-        return next(filter(None, _within(name, value, rule)), "")
+        return next(filter(None, _within(name, value, rule)), None)
     words = _in_words(Annotated[(rule, *marks)] if marks else rule)
-    return f"{name}: must be {words} (got {shown(value)}){_advice(value, rule, marks)}"
+    return ArgumentError(name, f"must be {words}", shown(value), _advice(value, rule, marks))
 
 
 def _is_kind(value: Any, rule: Any, marks: tuple[Any, ...] = ()) -> bool:
@@ -208,12 +255,12 @@ def _is_kind(value: Any, rule: Any, marks: tuple[Any, ...] = ()) -> bool:
     return isinstance(value, origin)
 
 
-def _within(name: str, value: Any, rule: Any) -> Iterator[str]:
-    """Yield how entries of a sequence or a mapping break their rules."""
+def _within(name: str, value: Any, rule: Any) -> Iterator[ArgumentError | None]:
+    """Yield how entries of a sequence or a mapping break their rules, None for one that does not."""
     origin, of = get_origin(rule), get_args(rule)
     if origin is tuple and of and of[-1] is not Ellipsis:
         if len(value) != len(of):
-            yield f"{name}: must have {len(of)} entries (got {shown(value)})"
+            yield ArgumentError(name, f"must have {len(of)} entries", shown(value))
             return
         for i, (entry, one) in enumerate(zip(value, of, strict=True)):
             yield _mistake(f"{name}.{i}", entry, one)
@@ -223,7 +270,7 @@ def _within(name: str, value: Any, rule: Any) -> Iterator[str]:
     elif origin is Mapping:
         for key, entry in value.items():
             if _mistake(name, key, of[0]):
-                yield f"{name}.{key}: must have a key that is {_in_words(of[0])} (got {shown(key)})"
+                yield ArgumentError(f"{name}.{key}", f"must have a key that is {_in_words(of[0])}", shown(key))
             yield _mistake(f"{name}.{key}", entry, of[1])
 
 
