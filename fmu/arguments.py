@@ -210,7 +210,9 @@ def _mistake(name: str, value: Any, rule: Any) -> ArgumentError | None:
         found = [_mistake(name, value, Annotated[(one, *marks)] if marks else one) for one in get_args(rule)]
         if None in found:
             return None
-        within = [one for one in found if one is not None and one.key != name]  # of an entry, where the kind is right
+        within = [
+            one for one in found if one is not None and one.key != name
+        ]  # of an entry, where the kind is right
         if within:
             return within[0]
     elif _is_kind(value, rule, marks):

@@ -19,7 +19,7 @@ from fmu.analysis.prediction import measurement_in_words
 from fmu.analysis.prior_prediction import DRAWS, PriorPrediction, prior_prediction
 from fmu.analysis.repeatability import repeatability
 from fmu.analysis.trace.modal_states import START, modal_states
-from fmu.arguments import Seed, check_arguments
+from fmu.arguments import ArgumentError, Seed, check_arguments
 from fmu.fem.frame.drawing import changed_elements, drawn, is_drawable, parameter_colours, sketch
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.static import TRANSLATIONS, rigid_translation
@@ -379,9 +379,9 @@ def check(
         If `problem` is not an updating problem, `draws` is less than 2, or the model fails at the start values.
     """
     if not is_updating(problem):
-        raise ValueError(f"problem: must be an UpdatingProblem (got {type(problem).__name__})")
+        raise ArgumentError("problem", "must be an UpdatingProblem", type(problem).__name__)
     if not np.all(np.isfinite(problem.frequencies(problem.start))):
-        raise ValueError(f"start: the model must have frequencies there (got {problem.start.tolist()})")
+        raise ArgumentError("start", "the model must have frequencies there", problem.start.tolist())
     gradient = check_gradient(problem, seed)
     informed = problem.likelihood.of_modes and bool(np.all(np.isfinite(gradient.exact[0])))
     drawing, colours = structure_drawing(problem)

@@ -16,7 +16,7 @@ from fmu.analysis.maxima.results import Maxima
 from fmu.analysis.maxima.search import is_updating
 from fmu.analysis.trace.modal_states import MAXIMUM, START
 from fmu.analysis.trace.reading import has, with_group
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.numbers import fixed, names_in_words, share, significant
 from fmu.progress.phases import phase
 from fmu.tables import data_frame, distinct, text_table, wrapped
@@ -184,15 +184,15 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
         not those of modes (the modal residual).
     """
     if not (is_updating(problem) and problem.likelihood.of_modes):
-        raise ValueError("problem: must be an UpdatingProblem with errors in the modes")
+        raise ArgumentError("problem", "must be an UpdatingProblem with errors in the modes")
     point = problem.start if theta is None else np.asarray(theta, dtype=float)
     if point.shape != (problem.ndim,) or not np.all((point >= problem.lower) & (point <= problem.upper)):
-        raise ValueError(f"theta: must be {problem.ndim} numbers within the bounds (got {point.tolist()})")
+        raise ArgumentError("theta", f"must be {problem.ndim} numbers within the bounds", point.tolist())
     n = problem.n_structural
     prior_sd = np.array([truncated_sd(parameter) for parameter in problem.parameters[:n]])
     sensitivity = problem.likelihood.sensitivity(point[None])[0] * prior_sd
     if not np.all(np.isfinite(sensitivity)):
-        raise ValueError(f"theta: the modes must have finite derivatives (got none at {point.tolist()})")
+        raise ArgumentError("theta", "the modes must have finite derivatives", f"none at {point.tolist()}")
     labels = problem.likelihood.labels(tuple(map(str, problem.data.labels)))
     return Identifiability(problem.names[:n], problem.units[:n], labels, point[:n], prior_sd, sensitivity)
 

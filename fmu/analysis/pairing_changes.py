@@ -11,7 +11,7 @@ import numpy as np
 from fmu.analysis.trace.modal_states import GROUP as MODES
 from fmu.analysis.trace.modal_states import START
 from fmu.analysis.trace.reading import array_of, check_trace, has, parameter_draws, with_group
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.fem.modes.modal import frequency_hz
 from fmu.numbers import share, significant
 from fmu.progress.phases import by_parts
@@ -161,8 +161,8 @@ def pairing_changes(trace: xr.DataTree) -> PairingChanges:
     """
     check_trace(trace)
     if not has(trace, "posterior_predictive") or not has(trace, MODES):
-        raise ValueError(
-            "trace: must be of an updating problem, with frequencies at the draws and before updating"
+        raise ArgumentError(
+            "trace", "must be of an updating problem, with frequencies at the draws and before updating"
         )
     labels = tuple(map(str, trace["posterior_predictive"]["mode"].to_numpy()))
     f = array_of(trace, "posterior_predictive", "model_frequency").reshape(-1, len(labels))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from annotated_types import Gt
 
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -72,7 +72,7 @@ def path(name: str) -> Path:
         If there is no such case.
     """
     if name not in names():
-        raise ValueError(f"case: must be one of {', '.join(names())} (got {name!r})")
+        raise ArgumentError("case", f"must be one of {', '.join(names())}", repr(name))
     return _FOLDER / f"{name}.toml"
 
 

@@ -72,7 +72,7 @@ class Commands(click.Group):
             click.echo("Stopped.", err=True)
             sys.exit(STOPPED)
         except ConfigurationError as error:
-            _fail(str(error.args[0]), *error.mistakes)
+            _fail(error.headline, *error.mistakes)
         except OSError as error:
             _fail(_of_system(error))
         except ValueError as error:

@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from annotated_types import Gt
 
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.config.mistakes import ConfigurationError as ConfigurationError
-from fmu.config.mistakes import Mistake, got, of_validation, place
+from fmu.config.mistakes import of_validation, place
 from fmu.formats.files import why_no_file
+from fmu.formats.shown import shown
 from fmu.numbers import typed
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ def read(path: Path) -> ProblemFile:
     try:
         content = _parsed(path)
     except ValueError as error:
-        raise ConfigurationError(path.name, [Mistake("", str(error))]) from error
+        raise ConfigurationError(path.name, [ArgumentError("", str(error))]) from error
     beyond = list(_out_of_size(content))
     if beyond:
         raise ConfigurationError(path.name, beyond)
@@ -126,20 +127,20 @@ def _parsed(path: Path) -> dict[str, Any]:
         raise ValueError(f"is not valid TOML: it has a number or a date that cannot be read ({error})") from error
 
 
-def _out_of_size(content: Any) -> Iterator[Mistake]:
+def _out_of_size(content: Any) -> Iterator[ArgumentError]:
     """Yield a mistake for everything nested too deeply and for every number out of the range of SI values."""
     ahead: list[tuple[tuple[int | str, ...], Any]] = [((), content)]
     while ahead:
         where, value = ahead.pop()
         if isinstance(value, dict | list):
             if len(where) > DEEPEST:
-                yield Mistake(place(where), f"must not be nested more than {DEEPEST} tables and lists deep")
+                yield ArgumentError(place(where), f"must not be nested more than {DEEPEST} tables and lists deep")
                 continue
             items = list(value.items() if isinstance(value, dict) else enumerate(value))
             ahead += [((*where, key), inner) for key, inner in reversed(items)]
         elif isinstance(value, float | int) and _is_out_of_size(value):
             rule = f"must be 0, or from {typed(SMALLEST_NUMBER)} to {typed(LARGEST_NUMBER)} in size"
-            yield Mistake(place(where), got(rule, value))
+            yield ArgumentError(place(where), rule, shown(value))
 
 
 def _is_out_of_size(value: float) -> bool:

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Tag
 
-from fmu.config.mistakes import Mistake, got
+from fmu.arguments import ArgumentError
 from fmu.config.tables import Declared, Name, Number, Numbers, OneOf, Positive, by_kind, listed
-from fmu.formats.shown import names_shown
+from fmu.formats.shown import names_shown, shown
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors import ERROR_MODELS
 from fmu.posterior.errors.base import ErrorModel
@@ -43,7 +43,7 @@ ErrorTable = Annotated[Declared, OneOf("of", {name: (model,) for name, model in 
 
 def built_errors(
     tables: Sequence[Declared], noise: Mapping[str, Parameter], known: Sequence[str]
-) -> tuple[list[ErrorModel], list[Mistake]]:
+) -> tuple[list[ErrorModel], list[ArgumentError]]:
     """Return the error models of tables, and what is wrong between them and the noises that they name.
 
     Parameters
@@ -59,10 +59,16 @@ def built_errors(
     for i, table in enumerate(tables):
         names = _noises(table)
         used |= set(names.values())
-        found += [Mistake(f"error.{i}.{key}", got(rule, name)) for key, name in names.items() if name not in known]
+        found += [
+            ArgumentError(f"error.{i}.{key}", rule, shown(name))
+            for key, name in names.items()
+            if name not in known
+        ]
         models.append(table.build(**{key: noise.get(name) for key, name in names.items()}))
     rule = "must be used as sd or discrepancy of an [[error]]"
-    found += [Mistake(f"noise.{i}.name", got(rule, name)) for i, name in enumerate(known) if name not in used]
+    found += [
+        ArgumentError(f"noise.{i}.name", rule, shown(name)) for i, name in enumerate(known) if name not in used
+    ]
     return models, found
 
 
@@ -86,14 +92,14 @@ def _noises(table: Declared) -> dict[str, str]:
     }
 
 
-def beside_tests(tables: Sequence[Declared], models: Sequence[ErrorModel], data: ModalData) -> list[Mistake]:
+def beside_tests(tables: Sequence[Declared], models: Sequence[ErrorModel], data: ModalData) -> list[ArgumentError]:
     """Refuse an ``sd`` of errors whose size the scatter of tests gives: one of the two would be ignored."""
     rule = (
         "must not be given together with tests, whose scatter gives the error of their mean. Leave it out and "
         "use discrepancy for the model error, or replace tests by frequencies (the means) with an sd"
     )
     return [
-        Mistake(f"error.{i}.sd", got(rule, table.given()["sd"]))
+        ArgumentError(f"error.{i}.sd", rule, shown(table.given()["sd"]))
         for i, (table, model) in enumerate(zip(tables, models, strict=True))
         if model.sd is not None and data.tests is not None and model.data_give_sd(data)
     ]
@@ -101,7 +107,7 @@ def beside_tests(tables: Sequence[Declared], models: Sequence[ErrorModel], data:
 
 def vanishing(
     noise: Mapping[str, Parameter], models: Sequence[ErrorModel], data: ModalData, n_parameters: int
-) -> list[Mistake]:
+) -> list[ArgumentError]:
     """Return the standard deviations that an exact fit would let shrink to zero, where the density has no limit.
 
     The density grows as sd^(−n) where all n errors of that size can be zero: with at most as many errors as
@@ -131,5 +137,5 @@ def vanishing(
                 f"must be positive (or use a log-normal prior): {n_parameters} parameters can fit these {n} "
                 f"errors exactly, and the probability density is unbounded as the deviation tends to zero"
             )
-            found.append(Mistake(f"noise.{i}.lower", got(rule, parameter.lower)))
+            found.append(ArgumentError(f"noise.{i}.lower", rule, shown(parameter.lower)))
     return found

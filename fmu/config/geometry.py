@@ -7,7 +7,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from fmu.config.mistakes import BrokenError, Mistake
+from fmu.arguments import ArgumentError
+from fmu.config.mistakes import BrokenError
 from fmu.config.tables import Built, FileName, Name, TomlTable, Vector
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.matching import Matching, match_points
@@ -45,7 +46,7 @@ class GeometryTable(TomlTable):
         model = built.model
         if not isinstance(model, SeparableModel) or model.geometry is None:
             rule = "must be given with a model whose nodes have coordinates: of a frame, or exported with its mesh"
-            raise BrokenError([Mistake(WHERE, rule)])
+            raise BrokenError([ArgumentError(WHERE, rule)])
         known = {point: built.places.get(str(place), place) for point, place in self.nodes.items()}
         try:
             return match_points(self._read(folder), model, self.unit, known)
@@ -56,7 +57,7 @@ class GeometryTable(TomlTable):
                 if key in ("nodes", "points")
                 else f"{WHERE}.{'points' if self.points else 'file'}"
             )
-            raise BrokenError([Mistake(at, rule if key in ("nodes", "points") else str(error))]) from None
+            raise BrokenError([ArgumentError(at, rule if key in ("nodes", "points") else str(error))]) from None
 
     def _read(self, folder: Path) -> dict[str, Any]:
         if self.points is not None:
@@ -65,6 +66,6 @@ class GeometryTable(TomlTable):
         try:
             return read_uff_points(path) if path.suffix.lower() in _UNIVERSAL else read_points(path)
         except ModesError as error:
-            raise BrokenError([Mistake(f"{WHERE}.file", mistake) for mistake in error.mistakes]) from None
+            raise BrokenError([ArgumentError(f"{WHERE}.file", mistake) for mistake in error.mistakes]) from None
         except (OSError, ImportError) as error:
-            raise BrokenError([Mistake(f"{WHERE}.file", str(error).removeprefix("path: "))]) from None
+            raise BrokenError([ArgumentError.of(error).moved("path", "").under(f"{WHERE}.file")]) from None

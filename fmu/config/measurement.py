@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,8 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, StringConstraints, field_validator, model_validator
 
+from fmu.arguments import ArgumentError
 from fmu.config.geometry import GeometryTable
-from fmu.config.mistakes import BrokenError, Mistake, got
+from fmu.config.mistakes import BrokenError
 from fmu.config.tables import (
     Built,
     Declared,
@@ -34,6 +34,7 @@ from fmu.formats.matrices.read import read_matrix
 from fmu.formats.modes import READERS
 from fmu.formats.modes.csv import read_frequencies, read_shapes, read_tests
 from fmu.formats.modes.measured_modes import MOST_MODES, ModesError, ModesFormat, Place, Sensors
+from fmu.formats.shown import shown
 from fmu.posterior.data.covariance import checked_covariance
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
@@ -123,20 +124,17 @@ class MeasurementTable(TomlTable):
     @classmethod
     def _is_covariance(cls, value: list[list[float]] | str | None) -> list[list[float]] | str | None:
         if isinstance(value, list):
-            try:
-                checked_covariance(value, len(value), "")
-            except ValueError as error:  # NumPy's too, of rows that differ in length
-                raise ValueError(str(error).removeprefix(": ").removeprefix(".")) from None
+            checked_covariance(value, len(value), "")
         return value
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
         given = [key for key in _SOURCES if getattr(self, key) is not None]
         if len(given) != 1:
-            raise ValueError(got(f"must have one of {', '.join(_SOURCES)}", given))
+            raise ArgumentError("", f"must have one of {', '.join(_SOURCES)}", shown(given))
         trust = [key for key in _TRUST if getattr(self, key) is not None]
         if len(trust) > 1:
-            raise ValueError(got(_ONE_TRUST, trust))
+            raise ArgumentError("", _ONE_TRUST, shown(trust))
         if trust and given[0] in _TESTS:
             raise ValueError(
                 f"{trust[0]} must not be given together with {given[0]}, whose scatter gives the error"
@@ -174,12 +172,12 @@ class MeasurementTable(TomlTable):
         """Whether the source has shapes too, at sensors that its reader may be given."""
         return self._source in READERS and "sensors" in arguments(READERS[self._source].read)
 
-    def mistakes(self, needs_trust: bool) -> list[Mistake]:
+    def mistakes(self, needs_trust: bool) -> list[ArgumentError]:
         """Return a mistake if the size of the frequency errors is given neither here nor by an error model."""
         given = [key for key in _TRUST if getattr(self, key) is not None]
         if given or not needs_trust or self.frequencies is None:
             return []
-        return [Mistake("measurement", got(_ONE_TRUST, given))]
+        return [ArgumentError("measurement", _ONE_TRUST, shown(given))]
 
     def build(self, folder: Path, built: Built, needs_trust: bool = True) -> ModalData:
         """Return the data at sensors of the model; BrokenError if they cannot be built.
@@ -199,21 +197,23 @@ class MeasurementTable(TomlTable):
         given["sensors"] = self._sensors(given.get("sensors", ()), built, parallel)
         n, most = len(given["frequencies_hz"]), built.most_modes
         if n > most:
-            rule = f"must have at most {most} modes, one per degree of freedom of the model (got {n})"
-            raise BrokenError([Mistake("measurement", rule)])
+            rule = f"must have at most {most} modes, one per degree of freedom of the model"
+            raise BrokenError([ArgumentError("measurement", rule, n)])
         trust = {"sd_hz": self.sd, "covariance_hz2": self._covariance(folder)}
         if any(getattr(self, key) is not None for key in _TRUST):
             given |= trust
         elif needs_trust and all(given.get(key) is None for key in trust):
             rule = f"{_ONE_TRUST}, as the file has no standard deviations"
-            raise BrokenError([Mistake("measurement", rule)])
+            raise BrokenError([ArgumentError("measurement", rule)])
         keys = ("numbers", "labels", "counterparts", "use")
         given |= {key: tuple(getattr(self, key)) for key in keys if getattr(self, key)}
         try:
             return ModalData(**given)
         except ValueError as error:
-            rule = re.sub(r"^(\w+)_hz2?", r"\1", str(error))  # keys of the file have no units in their names
-            raise BrokenError([Mistake.of("measurement", rule)]) from None
+            wrong = ArgumentError.of(error)
+            for key in ("frequencies", "sd", "covariance"):  # keys of the file have no units in their names
+                wrong = wrong.moved(f"{key}_hz", key).moved(f"{key}_hz2", key)
+            raise BrokenError([wrong.under("measurement")]) from None
 
     def _covariance(self, folder: Path) -> ArrayLike | None:
         """Return the covariance of the frequencies, read if it is in a file; BrokenError if it cannot be."""
@@ -224,7 +224,9 @@ class MeasurementTable(TomlTable):
             if matrix.shape[0] > MOST_MODES:
                 raise ValueError(f"must have at most {MOST_MODES} rows (got {matrix.shape[0]})")
         except ValueError as error:
-            raise BrokenError([Mistake("measurement.covariance", str(error).removeprefix("variable: "))]) from None
+            raise BrokenError(
+                [ArgumentError.of(error).moved("variable", "").under("measurement.covariance")]
+            ) from None
         return np.asarray(matrix.toarray())
 
     def _turned(self, given: Mapping[str, Any], points: Matching | None) -> dict[str, Any]:
@@ -233,11 +235,11 @@ class MeasurementTable(TomlTable):
             return {}
         if self.test_shapes is not None and given.get("shapes_sd") is not None:
             rule = "must have axes parallel to the model's, as the scatter of test_shapes is along them"
-            raise BrokenError([Mistake("measurement.geometry", rule)])
+            raise BrokenError([ArgumentError("measurement.geometry", rule)])
         try:
             sensors, shapes = points.turned(given.get("sensors", ()), given.get("shapes"))
         except ValueError as error:
-            raise BrokenError([Mistake(f"measurement.{self._where}", str(error))]) from None
+            raise BrokenError([ArgumentError(f"measurement.{self._where}", str(error))]) from None
         return {"sensors": sensors, "shapes_sd": None} | ({} if shapes is None else {"shapes": shapes})
 
     @property
@@ -256,12 +258,12 @@ class MeasurementTable(TomlTable):
             try:
                 sensor = sensor if points is None else points.sensor(place, str(direction))
             except ValueError as error:
-                found.append(Mistake(f"measurement.{where}", str(error)))
+                found.append(ArgumentError(f"measurement.{where}", str(error)))
                 continue
             sensors.append(sensor)
             if not built.model.sees(sensor):
-                rule = got("must be a point and a direction that are free to move", [place, direction])
-                found.append(Mistake(f"measurement.{where}", rule))
+                rule = "must be a point and a direction that are free to move"
+                found.append(ArgumentError(f"measurement.{where}", rule, shown([place, direction])))
         if found:
             raise BrokenError(found)
         return tuple(sensors)
@@ -308,9 +310,9 @@ def _at(where: str) -> Iterator[None]:
     try:
         yield
     except ModesError as error:
-        raise BrokenError([Mistake(where, mistake) for mistake in error.mistakes]) from None
+        raise BrokenError([ArgumentError(where, mistake) for mistake in error.mistakes]) from None
     except (OSError, ImportError) as error:
-        raise BrokenError([Mistake(where, str(error).removeprefix("path: "))]) from None
+        raise BrokenError([ArgumentError.of(error).moved("path", "").under(where)]) from None
 
 
 def _mean(key: str, values: ArrayLike, scatter: str) -> dict[str, Any]:
@@ -318,8 +320,7 @@ def _mean(key: str, values: ArrayLike, scatter: str) -> dict[str, Any]:
     try:
         tests = RepeatedTests(values, scatter)
     except ValueError as error:
-        place, _, rule = str(error).partition(": ")
-        raise BrokenError([Mistake(place.replace("frequencies", f"measurement.{key}"), rule)]) from None
+        raise BrokenError([ArgumentError.of(error).moved("frequencies", f"measurement.{key}")]) from None
     return {**tests.mean()._asdict(), "tests": tests}
 
 
@@ -327,21 +328,20 @@ def _repeated_shapes(shapes: list[list[list[float]]], tests: RepeatedTests) -> d
     """Return the mean of the tests' shapes and its standard deviation, as arguments of `ModalData`."""
     where, (n_tests, n_modes) = "measurement.test_shapes", np.shape(tests.frequencies_hz)
     wrong = (
-        [Mistake(where, f"must be {n_tests}, one per test (got {len(shapes)})")] if len(shapes) != n_tests else []
+        [ArgumentError(where, f"must be {n_tests}, one per test", len(shapes))] if len(shapes) != n_tests else []
     )
     wrong = wrong or [
-        Mistake(f"{where}.{i}", f"must be {n_modes}, one per mode (got {len(test)})")
+        ArgumentError(f"{where}.{i}", f"must be {n_modes}, one per mode", len(test))
         for i, test in enumerate(shapes)
         if len(test) != n_modes
     ]
     lengths = sorted({len(row) for test in shapes for row in test})
     if not wrong and len(lengths) > 1:
-        wrong = [Mistake(where, got("must have rows of one length, one value per sensor", lengths))]
+        wrong = [ArgumentError(where, "must have rows of one length, one value per sensor", shown(lengths))]
     if wrong:
         raise BrokenError(wrong)
     values = np.swapaxes(np.array(shapes, dtype=float), 1, 2)
     try:
         return {"shapes": mean_shapes(values), "shapes_sd": shapes_sd(values)}
     except ValueError as error:
-        place, _, rule = str(error).partition(": ")
-        raise BrokenError([Mistake(place.replace("shapes", where, 1), rule)]) from None
+        raise BrokenError([ArgumentError.of(error).moved("shapes", where)]) from None

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any
 
+from fmu.arguments import ArgumentError
 from fmu.formats.shown import shown, told
 
 if TYPE_CHECKING:
@@ -16,7 +16,6 @@ FUNCTION = rf"^{_NAME}(\.{_NAME})*:{_NAME}(\.{_NAME})*$"
 """The pattern of ``module:function``."""
 PYTHON_FILE = rf"^{_NAME}\.py$"
 LONGEST_KEY = 40
-_KEY_FIRST = re.compile(r"(?:(\w+(?:\.\w+)*): )?(.*)", re.DOTALL)
 _PATTERNS = {
     r"^[^/\x00-\x1f]+$": "must have no slash, line break or other control character",
     r"^[^\x00-\x1f]+$": "must have no line break or other control character",
@@ -27,28 +26,15 @@ _PATTERNS = {
 """The rules behind the patterns of strings."""
 
 
-class Mistake(NamedTuple):
-    """A mistake: its location (``parameters.1.upper``), and the rule with the value received."""
-
-    where: str
-    rule: str
-
-    def __str__(self) -> str:
-        return f"{self.where}: {self.rule}" if self.where else self.rule
-
-    @classmethod
-    def of(cls, where: str, error: object) -> Self:
-        """Return the library's ValueError ``key: rule (got value)`` as a mistake at that key of a table."""
-        key, rule = _KEY_FIRST.fullmatch(str(error)).groups("")  # type: ignore[union-attr]
-        return cls(".".join(part for part in (where, key) if part), rule)
-
-
 class BrokenError(Exception):
     """Mistakes found while a part of the problem was built."""
 
-    def __init__(self, mistakes: Sequence[Mistake]) -> None:
+    def __init__(self, mistakes: Sequence[ArgumentError]) -> None:
         self.mistakes = tuple(mistakes)
-        super().__init__("; ".join(map(str, self.mistakes)))
+        super().__init__(self.mistakes)
+
+    def __str__(self) -> str:
+        return "; ".join(map(str, self.mistakes))
 
 
 class ConfigurationError(ValueError):
@@ -58,22 +44,22 @@ class ConfigurationError(ValueError):
     ----------
     source : str
         The file.
-    mistakes : tuple of Mistake
+    mistakes : tuple of ArgumentError
         All that were found.
     """
 
-    def __init__(self, source: str, mistakes: Sequence[Mistake]) -> None:
+    def __init__(self, source: str, mistakes: Sequence[ArgumentError]) -> None:
         self.source, self.mistakes = source, tuple(mistakes)
+        super().__init__(source, self.mistakes)
+
+    @property
+    def headline(self) -> str:
+        """The file, and how many mistakes it has."""
         n = len(self.mistakes)
-        super().__init__(f"{source}: {n} error{'s' if n > 1 else ''}")
+        return f"{self.source}: {n} error{'s' if n > 1 else ''}"
 
     def __str__(self) -> str:
-        return "\n".join([f"{super().__str__()}:", *(f"  {line}" for line in told(self.mistakes))])
-
-
-def got(rule: str, value: Any) -> str:
-    """Return a rule followed by the value received, shortened if it is long."""
-    return f"{rule} (got {shown(value)})"
+        return "\n".join([f"{self.headline}:", *(f"  {line}" for line in told(self.mistakes))])
 
 
 def place(parts: Sequence[int | str]) -> str:
@@ -83,27 +69,27 @@ def place(parts: Sequence[int | str]) -> str:
     )
 
 
-def of_validation(error: ValidationError) -> list[Mistake]:
+def of_validation(error: ValidationError) -> list[ArgumentError]:
     """Return the errors of pydantic as mistakes."""
     return [_of_one(dict(one)) for one in error.errors(include_url=False)]
 
 
-def _of_one(error: dict[str, Any]) -> Mistake:
+def _of_one(error: dict[str, Any]) -> ArgumentError:
     where = place(_in_the_file(error["loc"]))
-    kind, value = error["type"], error["input"]
+    kind, value = error["type"], shown(error["input"])
     if kind == "extra_forbidden":
-        return Mistake(where, "is not a known key")
+        return ArgumentError(where, "is not a known key")
     if kind == "missing":
-        return Mistake(where, "is missing")
+        return ArgumentError(where, "is missing")
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         return _of_tag(where, error)
     if kind == "string_pattern_mismatch":
-        return Mistake(where, got(_PATTERNS.get(error["ctx"]["pattern"], _as_rule(error["msg"])), value))
+        return ArgumentError(where, _PATTERNS.get(error["ctx"]["pattern"], _as_rule(error["msg"])), value)
     if kind == "value_error":
-        return Mistake.of(where, error["ctx"]["error"])
+        return ArgumentError.of(error["ctx"]["error"]).under(where)
     if kind == "kind":
-        return Mistake(where, got(error["msg"], value))
-    return Mistake(where, got(_as_rule(error["msg"]), value))
+        return ArgumentError(where, error["msg"], value)
+    return ArgumentError(where, _as_rule(error["msg"]), value)
 
 
 def _as_rule(message: str) -> str:
@@ -112,14 +98,14 @@ def _as_rule(message: str) -> str:
     return f"must {rest}" if should and subject in ("Input", "String", "List", "Dictionary") else message
 
 
-def _of_tag(where: str, error: dict[str, Any]) -> Mistake:
+def _of_tag(where: str, error: dict[str, Any]) -> ArgumentError:
     """Return the mistake in the key that selects the kind of a table."""
     context = error["ctx"]
     where = f"{where}.{context['discriminator'].strip("'")}"
     if "tag" not in context:
-        return Mistake(where, "is missing")
+        return ArgumentError(where, "is missing")
     known = ", ".join(tag.strip("'") for tag in context["expected_tags"].split(", "))
-    return Mistake(where, got(f"must be one of {known}", context["tag"]))
+    return ArgumentError(where, f"must be one of {known}", shown(context["tag"]))
 
 
 def _in_the_file(where: tuple[int | str, ...]) -> list[int | str]:

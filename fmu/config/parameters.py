@@ -8,9 +8,10 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from fmu.config.mistakes import Mistake, got
+from fmu.arguments import ArgumentError
 from fmu.config.tables import Declared, Name, NotNegative, OneOf, ParameterName, Positive, TomlTable
 from fmu.fem.frame.updates import PROPERTIES
+from fmu.formats.shown import shown
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors import PRIORS
 from fmu.types import Direction
@@ -68,14 +69,14 @@ class Uncertain(TomlTable):
             If bounds, start and prior do not fit each other.
         """
         if self.prior.called == "truncated-normal" and self.lower is None and self.upper is None:
-            raise ValueError("prior: a truncated normal needs lower or upper")
+            raise ArgumentError("prior", "a truncated normal needs lower or upper")
         lower = -np.inf if self.lower is None else self.lower
         upper = np.inf if self.upper is None else self.upper
         parameter = Parameter(self.name, self.start, lower, upper, self.prior.build(), self.unit)
         log_mass = parameter.prior.log_mass(lower, upper)
         if log_mass < LEAST_LOG_MASS:
             power = f"1e{log_mass / np.log(10.0):.0f}"
-            raise ValueError(f"prior: must have probability between the bounds (got {power})")
+            raise ArgumentError("prior", "must have probability between the bounds", power)
         return parameter
 
 
@@ -108,7 +109,7 @@ class ParameterTable(Uncertain, Target):
     def _what_varies(self) -> Self:
         for key, kind in (("population", "population"), ("loss", "damage")):
             if key in self.model_fields_set and self.varies != kind:
-                raise ValueError(f'{key}: must be given with varies = "{kind}" (got {self.varies})')
+                raise ArgumentError(key, f'must be given with varies = "{kind}"', self.varies)
         return self
 
     def is_positive(self) -> bool:
@@ -129,7 +130,7 @@ class NoiseTable(Uncertain):
 
 def built(
     key: str, tables: Sequence[Uncertain], taken: Sequence[str] = ()
-) -> tuple[dict[str, Parameter], list[Mistake]]:
+) -> tuple[dict[str, Parameter], list[ArgumentError]]:
     """Return the parameters by name, in the order of the file, and the mistakes in their tables.
 
     Parameters
@@ -144,29 +145,31 @@ def built(
     found, names = [], list(taken)
     for i, table in enumerate(tables):
         if table.name in names:
-            found.append(Mistake(f"{key}.{i}.name", got("must not be the name of another parameter", table.name)))
+            found.append(
+                ArgumentError(f"{key}.{i}.name", "must not be the name of another parameter", shown(table.name))
+            )
         names.append(table.name)
         try:
             parameters[table.name] = table.build()
         except ValueError as error:
-            found.append(Mistake.of(f"{key}.{i}", str(error).removeprefix(f"{table.name}.")))
+            found.append(ArgumentError.of(error).moved(table.name, "").under(f"{key}.{i}"))
     return parameters, found
 
 
-def of_several_tests(tables: Sequence[ParameterTable]) -> list[Mistake]:
+def of_several_tests(tables: Sequence[ParameterTable]) -> list[ArgumentError]:
     """Return a mistake for each key that needs several tests."""
     return [
-        Mistake(f"parameters.{i}.{key}", "is allowed with several [[tests]] only")
+        ArgumentError(f"parameters.{i}.{key}", "is allowed with several [[tests]] only")
         for i, table in enumerate(tables)
         for key in ("varies", "population", "slopes", "loss")
         if key in table.model_fields_set
     ]
 
 
-def without_targets(tables: Sequence[ParameterTable]) -> list[Mistake]:
+def without_targets(tables: Sequence[ParameterTable]) -> list[ArgumentError]:
     """Return a mistake for each key that only parameters of a frame may have."""
     return [
-        Mistake(f"parameters.{i}.{key}", "is allowed for frames only")
+        ArgumentError(f"parameters.{i}.{key}", "is allowed for frames only")
         for i, table in enumerate(tables)
         for key in Target.model_fields
         if key in table.model_fields_set

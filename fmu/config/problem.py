@@ -9,9 +9,10 @@ from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field, Tag
 
+from fmu.arguments import ArgumentError
 from fmu.config.errors import ErrorTable, beside_tests, built_errors, is_of_modes, vanishing, with_places
 from fmu.config.measurement import MeasurementTable
-from fmu.config.mistakes import BrokenError, ConfigurationError, Mistake
+from fmu.config.mistakes import BrokenError, ConfigurationError
 from fmu.config.models.command import CommandTable
 from fmu.config.models.exports import ExportsTable
 from fmu.config.models.frame import FrameTable
@@ -20,7 +21,7 @@ from fmu.config.models.opensees import OpenSeesTable
 from fmu.config.models.python import PythonTable
 from fmu.config.parameters import NoiseTable, ParameterTable, built, of_several_tests
 from fmu.config.tables import Built, FileName, Name, Positive, TomlTable, by_kind
-from fmu.config.tests import MOST_TESTS, TestTable, built_tests, in_the_file, moved, variations
+from fmu.config.tests import MOST_TESTS, TestTable, built_tests, in_the_file, variations
 from fmu.engines.base import Engine
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.rules import SOFTNESS
@@ -54,7 +55,7 @@ class ExportTable(TomlTable):
     for its posterior standard deviation, and {NAME:8} or {NAME:16} in a field of Nastran. plate.inp.in gives
     plate.inp."""
 
-    def mistakes(self, folder: Path, names: Sequence[str]) -> list[Mistake]:
+    def mistakes(self, folder: Path, names: Sequence[str]) -> list[ArgumentError]:
         """Return a mistake for each template that cannot be filled."""
         found, given = [], dict.fromkeys([*names, *(f"{name} sd" for name in names)], 1.0)
         made = list(EXPORTED)
@@ -66,7 +67,7 @@ class ExportTable(TomlTable):
                 made.append(name)
                 filled(read_deck(folder / template), given)
             except ValueError as error:
-                found.append(Mistake(f"export.templates.{i}", str(error)))
+                found.append(ArgumentError(f"export.templates.{i}", str(error)))
         return found
 
 
@@ -175,20 +176,20 @@ class ProblemFile(TomlTable):
         except BrokenError as error:
             raise ConfigurationError(source, error.mistakes) from None
         except ValueError as error:
-            raise ConfigurationError(source, [Mistake("", str(error))]) from error
+            raise ConfigurationError(source, [ArgumentError.of(error)]) from error
 
-    def _of_measurements(self, needs_trust: bool) -> list[Mistake]:
+    def _of_measurements(self, needs_trust: bool) -> list[ArgumentError]:
         """Return the mistakes in what was measured that its tables alone show."""
         if (self.measurement is None) == (self.tests is None):
             given = "none" if self.tests is None else "both"
-            return [Mistake("measurement", f"must be given, or several [[tests]] instead (got {given})")]
+            return [ArgumentError("measurement", f"must be given, or several [[tests]] instead (got {given})")]
         if self.tests is None:
             keys = {"reference": self.reference, "correlation": self.correlation}
             rule = "is allowed with several [[tests]] only"
-            of_one = [Mistake(key, rule) for key, value in keys.items() if value is not None]
+            of_one = [ArgumentError(key, rule) for key, value in keys.items() if value is not None]
             return self.measured.mistakes(needs_trust) + of_several_tests(self.parameters) + of_one
         return [
-            moved(mistake, "measurement", f"tests.{i}")
+            mistake.moved("measurement", f"tests.{i}")
             for i, table in enumerate(self.tests)
             for mistake in table.mistakes(needs_trust)
         ]
@@ -246,7 +247,9 @@ class ProblemFile(TomlTable):
         if beta is not None:
             return replace(data, sd_hz=None, covariance_hz2=None)
         if self.error == "modal-residual" and self.measured.beta is None:
-            raise BrokenError([Mistake("measurement.beta", "must be given for the modal residual, as a number")])
+            raise BrokenError(
+                [ArgumentError("measurement.beta", "must be given for the modal residual, as a number")]
+            )
         return data
 
 

@@ -28,9 +28,10 @@ from pydantic import (
 )
 from pydantic_core import core_schema
 
-from fmu.config.mistakes import got
+from fmu.arguments import ArgumentError
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
+from fmu.formats.shown import shown
 from fmu.numbers import names_in_words
 from fmu.posterior.parameters import require_name
 from fmu.types import NotNegative as NotNegative
@@ -46,8 +47,8 @@ Name = Annotated[str, StringConstraints(min_length=1, max_length=100, pattern=r"
 def _of_parameter(name: str) -> str:
     try:
         require_name(name)
-    except ValueError as error:  # it ends with the value received
-        raise ValueError(str(error).removeprefix("name: ")) from None
+    except ArgumentError as error:
+        raise error.at("") from None
     return name
 
 
@@ -95,7 +96,7 @@ def one_length(what: str) -> AfterValidator:
     def checked(rows: list[list[float]]) -> list[list[float]]:
         lengths = [len(row) for row in rows]
         if len(set(lengths)) > 1:
-            raise ValueError(got(f"must have rows of one length, one value per {what}", lengths))
+            raise ArgumentError("", f"must have rows of one length, one value per {what}", shown(lengths))
         return rows
 
     return AfterValidator(checked)
@@ -144,7 +145,7 @@ class Declared(TomlTable):
         for make in self.makes:
             if required(make) <= given.keys() <= arguments(make).keys():
                 return make(**given)
-        raise ValueError(got(f"must have either {_ways(self.makes)}", list(given)))
+        raise ArgumentError("", f"must have either {_ways(self.makes)}", shown(list(given)))
 
     @model_validator(mode="after")
     def _can_be_built(self) -> Self:

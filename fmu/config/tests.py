@@ -9,8 +9,9 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from fmu.arguments import ArgumentError
 from fmu.config.measurement import MeasurementTable
-from fmu.config.mistakes import BrokenError, Mistake
+from fmu.config.mistakes import BrokenError
 from fmu.config.parameters import ParameterTable
 from fmu.config.tables import Built, Name, ParameterName, TomlTable
 from fmu.posterior.joint.damage import Damage
@@ -63,7 +64,7 @@ class TestTable(MeasurementTable):
         try:
             data = self.build(folder, built, needs_trust)
         except BrokenError as error:
-            raise BrokenError([moved(mistake, "measurement", where) for mistake in error.mistakes]) from None
+            raise BrokenError([mistake.moved("measurement", where) for mistake in error.mistakes]) from None
         if self.beta is not None:
             data = type(data)(**{**vars(data), "sd_hz": np.sqrt(0.5 / np.asarray(self.beta))})
         place = {str(name): node for name, node in built.places.items()}
@@ -78,21 +79,15 @@ class TestTable(MeasurementTable):
                 dict(self.known),
             )
         except ValueError as error:
-            raise BrokenError([Mistake.of(where, error)]) from None
-
-
-def moved(mistake: Mistake, old: str, new: str) -> Mistake:
-    """Return a mistake at another place."""
-    where = mistake.where
-    return Mistake(new + where.removeprefix(old), mistake.rule) if where.startswith(old) else mistake
+            raise BrokenError([ArgumentError.of(error).under(where)]) from None
 
 
 def built_tests(
     tables: Sequence[TestTable], folder: Path, built: Built, needs_trust: bool
-) -> tuple[list[Test], list[Mistake]]:
+) -> tuple[list[Test], list[ArgumentError]]:
     """Return the tests, and the mistakes in their tables."""
     tests: list[Test] = []
-    found: list[Mistake] = []
+    found: list[ArgumentError] = []
     for number, table in enumerate(tables):
         try:
             tests.append(table.test(number, folder, built, needs_trust))
@@ -120,14 +115,13 @@ def variations(tables: Sequence[ParameterTable]) -> dict[str, Any]:
     return {"varies": varies, "slopes": slopes}
 
 
-def in_the_file(error: TestsError, tables: Sequence[ParameterTable]) -> list[Mistake]:
+def in_the_file(error: TestsError, tables: Sequence[ParameterTable]) -> list[ArgumentError]:
     """Return the mistakes of tests that do not fit together, where they are in the file."""
     number = {table.name: i for i, table in enumerate(tables)}
     found = []
     for said in error.mistakes:
-        mistake = Mistake.of("", said)
-        key, _, name = mistake.where.partition(".")
-        if key in ("varies", "slopes") and name in number:
-            mistake = Mistake(f"parameters.{number[name]}.{key}", mistake.rule)
-        found.append(mistake)
+        where, _, rule = said.partition(": ")
+        key, _, name = where.partition(".")
+        at = f"parameters.{number[name]}.{key}" if key in ("varies", "slopes") and name in number else where
+        found.append(ArgumentError(at, rule))
     return found

@@ -30,7 +30,7 @@ from typing import Annotated, Any
 import numpy as np
 from annotated_types import Interval
 
-from fmu.arguments import Count, check_arguments
+from fmu.arguments import ArgumentError, Count, check_arguments
 from fmu.durable_files import digest
 from fmu.engines.base import Engine
 from fmu.fem.programs.answers import Answer
@@ -106,8 +106,8 @@ class BlackBoxModel:
         self.name = name or _name_of(function)
         self._folder = None if store is None else Path(store).resolve()
         if self._folder is not None and not self.configuration().get("sha256"):
-            raise ValueError(
-                "store: the function must be in a file, so that a change of it is noticed (it is not)"
+            raise ArgumentError(
+                "store", "the function must be in a file, so that a change of it is noticed (it is not)"
             )
         self.solved = self._begin_solves()
 

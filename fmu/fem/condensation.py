@@ -16,7 +16,7 @@ from annotated_types import Ge
 from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 
-from fmu.arguments import Numbers, check_arguments, require, shown
+from fmu.arguments import ArgumentError, Numbers, check_arguments, require, shown
 from fmu.fem.modes.eigensolver import eigen, rank
 from fmu.fem.modes.separable import SeparableModel
 from fmu.types import FloatArray, IntArray
@@ -226,7 +226,7 @@ def _matrices(K: Any, M: Any) -> list[Any]:
         if not sp.issparse(matrix):
             require(name, matrix, Numbers)
         if len(np.shape(matrix)) != 2 or np.shape(matrix) != (np.shape(K)[0],) * 2:
-            raise ValueError(f"{name}: must be a square matrix, of the size of K (got shape {np.shape(matrix)})")
+            raise ArgumentError(name, "must be a square matrix, of the size of K", f"shape {np.shape(matrix)}")
         found.append(sp.csr_array(matrix))
     return found
 
@@ -234,10 +234,10 @@ def _matrices(K: Any, M: Any) -> list[Any]:
 def _index(name: str, dofs: ArrayLike, n_dof: int) -> IntArray:
     given = np.asarray(dofs)
     if given.ndim != 1 or len(given) == 0 or (given != np.trunc(given)).any() or np.isinf(given).any():
-        raise ValueError(f"{name}: must be a list of degrees of freedom (got {shown(dofs)})")
+        raise ArgumentError(name, "must be a list of degrees of freedom", shown(dofs))
     index = given.astype(np.int64)
     if index.min() < 0 or index.max() >= n_dof:
-        raise ValueError(f"{name}: must lie in 0..{n_dof - 1} (got {int(index.min())}..{int(index.max())})")
+        raise ArgumentError(name, f"must lie in 0..{n_dof - 1}", f"{int(index.min())}..{int(index.max())}")
     if len(np.unique(index)) < len(index):
-        raise ValueError(f"{name}: must be distinct (got {index.tolist()})")
+        raise ArgumentError(name, "must be distinct", index.tolist())
     return index

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmu.arguments import shown
+from fmu.arguments import ArgumentError, shown
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.paired_black_box import PairedBlackBox
@@ -31,7 +31,7 @@ def check_names(parameters: Sequence[Parameter]) -> None:
     names = [p.name for p in parameters]
     if len(set(names)) < len(names):
         twice = sorted({name for name in names if names.count(name) > 1})
-        raise ValueError(f"parameters: names must be distinct (got twice: {twice})")
+        raise ArgumentError("parameters", "names must be distinct", f"twice: {twice}")
 
 
 def paired_model(
@@ -60,17 +60,17 @@ def paired_model(
         If the model does not fit the parameters or the data.
     """
     if not (isinstance(model, SeparableModel | BlackBoxModel) or callable(getattr(model, "frequencies", None))):
-        raise ValueError(
-            "model: must be a SeparableModel, a BlackBoxModel or an object with frequencies(theta), n_parameters "
-            f"and n_modes (got {shown(model)})"
+        raise ArgumentError(
+            "model",
+            "must be a SeparableModel, a BlackBoxModel or an object with frequencies(theta), "
+            "n_parameters and n_modes",
+            shown(model),
         )
     if pairing == SOFT and not isinstance(model, SeparableModel):
-        raise ValueError(
-            f"pairing: soft needs a SeparableModel, with slopes of shapes (got {type(model).__name__})"
-        )
+        raise ArgumentError("pairing", "soft needs a SeparableModel, with slopes of shapes", type(model).__name__)
     n = len(parameters)
     if model.n_parameters != n:
-        raise ValueError(f"parameters: the model takes {model.n_parameters} (got {n})")
+        raise ArgumentError("parameters", f"the model takes {model.n_parameters}", n)
     start = np.array([p.start for p in parameters], dtype=float)
     shapes = None if data.shapes is None else np.asarray(data.shapes)
     paired: Any = None
@@ -88,7 +88,7 @@ def paired_model(
     elif isinstance(model, SeparableModel):
         names = tuple(p.name for p in parameters)
         if model.names not in (None, names):
-            raise ValueError(f"parameters: must be the model's, in its order {model.names} (got {names})")
+            raise ArgumentError("parameters", f"must be the model's, in its order {model.names}", names)
         paired = PairedStructure.of(
             model,
             pairing=pairing,
@@ -103,7 +103,7 @@ def paired_model(
     else:
         paired = as_modal_model(model)
     if paired.n_modes != data.n_modes:
-        raise ValueError(f"data: the model pairs {paired.n_modes} modes (got {data.n_modes})")
+        raise ArgumentError("data", f"the model pairs {paired.n_modes} modes", data.n_modes)
     return paired
 
 
@@ -140,34 +140,33 @@ def likelihood_of(
     have errors as by default.
     """
     if isinstance(error, str) and error not in ERRORS:
-        raise ValueError(f"error: must be one of {ERRORS}, or error models (got {error!r})")
+        raise ArgumentError("error", f"must be one of {ERRORS}, or error models", repr(error))
     if error == "modal-residual":
         if not isinstance(model, SeparableModel):
-            raise ValueError(f"error: the modal residual needs a SeparableModel (got {type(model).__name__})")
+            raise ArgumentError("error", "the modal residual needs a SeparableModel", type(model).__name__)
         start = np.array([p.start for p in parameters], dtype=float)
         return ModalResidual(model, data, start, 1.0 if beta is None else beta)
     given: Any = error if isinstance(error, Sequence) and not isinstance(error, str) else [error]
     if not given or not all(
         one in ("frequency",) or hasattr(one, "bind") or isinstance(one, QuantityErrors) for one in given
     ):
-        raise ValueError(
-            f"error: must be one of {ERRORS}, or error models such as fmu.FrequencyErrors(sd=0.01) "
-            f"(got {shown(error)})"
+        raise ArgumentError(
+            "error", f"must be one of {ERRORS}, or error models such as fmu.FrequencyErrors(sd=0.01)", shown(error)
         )
     others = [one for one in given if isinstance(one, QuantityErrors)]
     errors = [one for one in given if one not in others and one != "frequency"]
     if not errors:
         errors = [BetaFrequencyErrors(beta)]
     elif beta is not None:
-        raise ValueError(f"beta: must not be given together with error models, which have sd (got {beta})")
+        raise ArgumentError("beta", "must not be given together with error models, which have sd", beta)
     if not others:
         make: Any = MixtureLikelihood if paired.is_soft else ModalLikelihood
         likelihood: Likelihood = make(paired, data, errors)
         return likelihood
     if paired.is_soft or not isinstance(model, SeparableModel):
         got = "soft pairing" if paired.is_soft else type(model).__name__
-        raise ValueError(f"error: a mass or a displacement needs a SeparableModel, paired one to one (got {got})")
+        raise ArgumentError("error", "a mass or a displacement needs a SeparableModel, paired one to one", got)
     named = [one.test for one in others if one.test is not None]
     if named:
-        raise ValueError(f"test: must not be given where there is one test only (got {named[0]!r})")
+        raise ArgumentError("test", "must not be given where there is one test only", repr(named[0]))
     return ModalLikelihood(paired, data, errors, [one.bind_structure(model, parameters) for one in others])

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fmu.arguments import Bound, check_arguments
+from fmu.arguments import ArgumentError, Bound, check_arguments
 from fmu.numbers import given, shown, typed
 from fmu.posterior.priors.base import Normal, Prior, Uniform
 from fmu.types import FloatArray
@@ -57,27 +57,28 @@ class Parameter:
     def __post_init__(self) -> None:
         require_name(self.name)
         if not self.unit.isprintable():
-            raise ValueError(f"{self.name}.unit: must have only printable characters (got {self.unit!r})")
+            raise ArgumentError(f"{self.name}.unit", "must have only printable characters", repr(self.unit))
         if not self.lower < self.upper:
-            raise ValueError(f"{self.name}.upper: must exceed lower {typed(self.lower)} (got {typed(self.upper)})")
+            raise ArgumentError(f"{self.name}.upper", f"must exceed lower {typed(self.lower)}", typed(self.upper))
         low, high = self.prior.support
         object.__setattr__(self, "lower", max(self.lower, low))
         object.__setattr__(self, "upper", min(self.upper, high))
-        no_mass = f"{self.name}.prior: must have probability between the bounds (got none)"
+        no_mass = ArgumentError(f"{self.name}.prior", "must have probability between the bounds", "none")
         if not self.lower < self.upper:
-            raise ValueError(no_mass)
+            raise no_mass
         if not (np.isfinite(self.start) and self.lower <= self.start <= self.upper):
             bounds = f"[{typed(self.lower)}, {typed(self.upper)}]"
-            raise ValueError(f"{self.name}.start: must be finite and within {bounds} (got {typed(self.start)})")
+            raise ArgumentError(f"{self.name}.start", f"must be finite and within {bounds}", typed(self.start))
         if self.prior.needs_bounds and not np.isfinite(self.upper - self.lower):
-            raise ValueError(
-                f"{self.name}.prior: a uniform prior needs finite bounds (got [{typed(self.lower)}, "
-                f"{typed(self.upper)}])"
+            raise ArgumentError(
+                f"{self.name}.prior",
+                "a uniform prior needs finite bounds",
+                f"[{typed(self.lower)}, {typed(self.upper)}]",
             )
         if not np.isfinite(self.prior.log_mass(self.lower, self.upper)):
-            raise ValueError(no_mass)
+            raise no_mass
         if not self._has_density(self.start):
-            raise ValueError(f"{self.name}.start: must be where the prior has a density (got {typed(self.start)})")
+            raise ArgumentError(f"{self.name}.start", "must be where the prior has a density", typed(self.start))
 
     @property
     def lowest(self) -> float:
@@ -118,7 +119,7 @@ def require_name(name: str, key: str = "name") -> None:
         rule = "must have only printable characters, and no space at its ends"
     else:
         return
-    raise ValueError(f"{key}: {rule} (got {name!r})")
+    raise ArgumentError(key, rule, repr(name))
 
 
 def share_alpha(parameters: Sequence[Parameter], alpha: Mapping[str, float]) -> tuple[Parameter, ...]:
@@ -137,7 +138,7 @@ def share_alpha(parameters: Sequence[Parameter], alpha: Mapping[str, float]) -> 
     """
     unused = set(alpha) - {p.group for p in parameters}
     if unused:
-        raise ValueError(f"alpha: every group needs a parameter (none in {sorted(unused)})")
+        raise ArgumentError("alpha", f"every group needs a parameter (none in {sorted(unused)})")
     return tuple(
         replace(p, prior=Normal.from_alpha(alpha[p.group])) if p.group in alpha else p for p in parameters
     )

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fmu.arguments import ArgumentError
 from fmu.types import BoolArray, FloatArray, LogDensity
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ class ScaledDensity:
         self.solves_per_gradient = int(getattr(density, "solves_per_gradient", by_differences))
         self.theta_lower, self.theta_upper = (self._vector(name) for name in ("lower", "upper"))
         if not np.all(self.theta_lower < self.theta_upper):
-            raise ValueError(f"upper: must exceed lower {self.theta_lower} (got {self.theta_upper})")
+            raise ArgumentError("upper", f"must exceed lower {self.theta_lower}", self.theta_upper)
         if hasattr(density, "offset") and hasattr(density, "scale"):
             self.offset, self.scale = self._vector("offset"), self._vector("scale")
         else:
@@ -53,8 +54,8 @@ class ScaledDensity:
             self.offset = np.where(boxed, self.theta_lower, 0.0)
             self.scale = np.where(boxed, self.theta_upper - self.theta_lower, 1.0)
         if not (np.all(np.isfinite(self.offset)) and np.all(np.isfinite(self.scale)) and np.all(self.scale > 0)):
-            raise ValueError(
-                f"scale: must be positive and finite, and offset finite (got {self.scale}, {self.offset})"
+            raise ArgumentError(
+                "scale", "must be positive and finite, and offset finite", f"{self.scale}, {self.offset}"
             )
         self.lower = self.to_scaled(self.theta_lower)
         self.upper = self.to_scaled(self.theta_upper)
@@ -84,9 +85,7 @@ class ScaledDensity:
     def _vector(self, name: str) -> FloatArray:
         vector = np.asarray(getattr(self.density, name), dtype=float)
         if vector.shape != (self.ndim,):
-            raise ValueError(
-                f"{name}: must have shape ({self.ndim},), one entry per coordinate (got {vector.shape})"
-            )
+            raise ArgumentError(name, f"must have shape ({self.ndim},), one entry per coordinate", vector.shape)
         return vector
 
 

@@ -17,7 +17,7 @@ from markupsafe import Markup, escape
 
 from fmu.analysis.convergence.diagnosis import choose_run
 from fmu.analysis.trace.conversion import load_traces
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.progress.phases import Phase, phase
 from fmu.report.document import Items, Link, Omitted, Page, PageSection, Verdict
 from fmu.report.files import OutputDirectory
@@ -168,10 +168,10 @@ def write_report(run_directory: str | os.PathLike[str]) -> Path:
     """
     directory = Path(run_directory)
     if not directory.is_dir():
-        raise ValueError(f"run_directory: must be a directory (got {directory})")
+        raise ArgumentError("run_directory", "must be a directory", directory)
     traces = load_traces(directory)
     if not traces:
-        raise ValueError(f"run_directory: {why_no_traces(Path(directory))}")
+        raise ArgumentError("run_directory", f"{why_no_traces(Path(directory))}")
     return publish(traces, directory)
 
 

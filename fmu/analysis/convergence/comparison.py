@@ -17,7 +17,7 @@ from fmu.analysis.convergence.remedies import (
     WALKER_RHAT_LIMIT,
 )
 from fmu.analysis.trace.reading import check_trace, in_solves, walkers_of
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.numbers import MISSING, fixed, significant, whole
 from fmu.samplers.registry import BASELINE
 from fmu.tables import data_frame
@@ -82,7 +82,7 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
         If `traces` is empty or contains something other than traces.
     """
     if not isinstance(traces, Mapping) or not traces:
-        raise ValueError(f"traces: must be a mapping of at least one name to a trace (got {traces!r:.60})")
+        raise ArgumentError("traces", "must be a mapping of at least one name to a trace", f"{traces!r:.60}")
     for name, trace in traces.items():
         check_trace(trace, f"traces.{name}")
     return compare_runs(traces, problem).comparison.join(costs_side_by_side(traces))

@@ -40,7 +40,7 @@ from fmu.analysis.prediction import bound_warnings, search_warnings, shape_warni
 from fmu.analysis.repeatability import repeatability_warnings
 from fmu.analysis.trace.conversion import names_of
 from fmu.analysis.trace.reading import array_of, check_trace, has, parameter_names, walkers_of, with_group
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -194,7 +194,7 @@ def diagnose(
     """
     check_trace(trace)
     if problem is not None and names_of(problem) != parameter_names(trace):
-        raise ValueError(f"problem: must have the parameters {parameter_names(trace)} (got {names_of(problem)})")
+        raise ArgumentError("problem", f"must have the parameters {parameter_names(trace)}", names_of(problem))
     named = dict(others) if isinstance(others, Mapping) else {str(k): other for k, other in enumerate(others, 1)}
     for name, other in named.items():
         check_trace(other, f"others.{name}")

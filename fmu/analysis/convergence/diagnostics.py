@@ -37,7 +37,7 @@ from fmu.analysis.trace.reading import (
     parameter_units,
     walkers_of,
 )
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.numbers import apart, given, share, significant, whole
 from fmu.samplers.mixture.kernel import CANDIDATE
 from fmu.tables import data_frame
@@ -118,7 +118,7 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
 def interval_columns(ci_prob: float) -> tuple[str, str]:
     """Return the names of an equal-tailed interval's columns, ``eti90_lb`` and ``eti90_ub`` for 0.9."""
     if not 0 < ci_prob < 1:
-        raise ValueError(f"ci_prob: must lie between 0 and 1 (got {ci_prob!r})")
+        raise ArgumentError("ci_prob", "must lie between 0 and 1", repr(ci_prob))
     return f"eti{100 * ci_prob:g}_lb", f"eti{100 * ci_prob:g}_ub"
 
 

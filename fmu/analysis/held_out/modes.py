@@ -27,7 +27,7 @@ from fmu.analysis.trace.reading import (
     walkers_of,
     with_group,
 )
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
 from fmu.numbers import names_in_words
 from fmu.progress.phases import phase
@@ -117,9 +117,9 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
     """
     check_trace(trace)
     if not has(trace, "log_likelihood"):
-        raise ValueError("trace: must have the log-likelihood of the modes (it has no group log_likelihood)")
+        raise ArgumentError("trace", "must have the log-likelihood of the modes (it has no group log_likelihood)")
     if is_pseudo(trace):
-        raise ValueError("trace: the modal residual is a pseudo-likelihood, and predicts no measurement")
+        raise ArgumentError("trace", "the modal residual is a pseudo-likelihood, and predicts no measurement")
     if problem is not None:
         trace = with_left_out(trace, problem, most=np.inf)
     table = kept_table(trace)

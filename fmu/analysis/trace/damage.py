@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmu.analysis.trace.reading import has
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.numbers import names_in_words, share, whole
 from fmu.tables import data_frame
 
@@ -52,9 +52,9 @@ def damage(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.Data
     """
     wrong = [x for x in beyond if not 0.0 <= x < 1.0]
     if wrong:
-        raise ValueError(f"beyond: must be between 0 and 1, such as 0.05 (got {wrong[0]})")
+        raise ArgumentError("beyond", "must be between 0 and 1, such as 0.05", wrong[0])
     if not has(trace, GROUP):
-        raise ValueError("trace: has no losses, as it has no parameter that varies between groups of tests")
+        raise ArgumentError("trace", "has no losses, as it has no parameter that varies between groups of tests")
     losses = trace[GROUP].to_dataset()
     names = [str(name) for name in losses.data_vars]
     rows: list[Any] = []

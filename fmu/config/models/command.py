@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field
 
-from fmu.config.mistakes import BrokenError, Mistake
+from fmu.arguments import ArgumentError
+from fmu.config.mistakes import BrokenError
 from fmu.config.parameters import ParameterTable, without_targets
 from fmu.config.tables import Built, FileName, Of, Positive, TomlTable
 from fmu.fem.programs.command import STEP, CommandError, CommandModel
@@ -50,7 +51,7 @@ class CommandTable(TomlTable):
     step: Annotated[float, Field(gt=0, le=0.1)] = STEP
     """Of central differences, relative to the range of each parameter."""
 
-    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
+    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
         """Return a mistake for each key that a program cannot use."""
         return without_targets(parameters)
 
@@ -60,4 +61,4 @@ class CommandTable(TomlTable):
         try:
             return Built(CommandModel([p.name for p in parameters], folder=folder, **given), {})
         except CommandError as error:
-            raise BrokenError([Mistake.of("model", mistake) for mistake in error.mistakes]) from error
+            raise BrokenError([mistake.under("model") for mistake in error.mistakes]) from error

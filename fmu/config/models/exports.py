@@ -11,13 +11,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from fmu.config.mistakes import BrokenError, Mistake, got
+from fmu.arguments import ArgumentError
+from fmu.config.mistakes import BrokenError
 from fmu.config.parameters import ParameterTable, without_targets
 from fmu.config.tables import Built, FileName, Name, TomlTable
 from fmu.fem.frame.stability import require_stable
 from fmu.fem.modes.exports import Export, from_exports
 from fmu.formats.models.read import read_mesh, read_model
-from fmu.formats.shown import names_shown
+from fmu.formats.shown import names_shown, shown
 
 MOST_EXPORTS = 1000
 
@@ -46,11 +47,11 @@ class ExportsTable(TomlTable):
     """Modes that CalculiX printed at all nodes: how nodes move that ``*TIE`` leaves without rows."""
     free: bool = False
 
-    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
+    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
         """Return the mistakes between tables: values of unknown parameters, and parameters without a value."""
         names = [parameter.name for parameter in parameters]
         found = [
-            Mistake(f"model.exports.{i}.values", got(f"must be of {names_shown(names)}", name))
+            ArgumentError(f"model.exports.{i}.values", f"must be of {names_shown(names)}", shown(name))
             for i, one in enumerate(self.exports)
             for name in one.values
             if name not in names
@@ -58,7 +59,7 @@ class ExportsTable(TomlTable):
         for i, name in enumerate(names):
             if name not in self.exports[0].values:
                 rule = "must have a value in the first of model.exports"
-                found.append(Mistake(f"parameters.{i}.name", got(rule, name)))
+                found.append(ArgumentError(f"parameters.{i}.name", rule, shown(name)))
         return found + without_targets(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
@@ -67,8 +68,8 @@ class ExportsTable(TomlTable):
         try:
             mesh = None if self.mesh is None else read_mesh(folder / self.mesh)
         except ValueError as error:
-            raise BrokenError([Mistake("model.mesh", str(error).removeprefix("path: "))]) from error
-        exports, found = list[Export](), list[Mistake]()
+            raise BrokenError([ArgumentError.of(error).moved("path", "model.mesh")]) from error
+        exports, found = list[Export](), list[ArgumentError]()
         for i, one in enumerate(self.exports):
             values = {p.name: one.values.get(p.name, nominal[p.name]) for p in parameters}
             try:
@@ -77,19 +78,18 @@ class ExportsTable(TomlTable):
                 read = read_model(folder / one.stiffness, mass, mesh, tied_modes=tied)
                 exports.append(Export(values, read, one.check, one.stiffness))
             except ValueError as error:
-                argument, _, rule = str(error).partition(": ")
-                key = {"path": f"exports.{i}.stiffness", "mass": f"exports.{i}.mass"}.get(argument, argument)
-                found.append(Mistake(f"model.{key}", rule))
+                wrong, here = ArgumentError.of(error), f"exports.{i}"
+                wrong = wrong.moved("path", f"{here}.stiffness").moved("mass", f"{here}.mass")
+                found.append(wrong.under("model"))
         if found:
             raise BrokenError(found)
         ends = ((p.name, p.lower, p.upper) for p in parameters)
         try:
             model = from_exports(exports, {n: (a, b) for n, a, b in ends if a is not None and b is not None})
         except ValueError as error:
-            place, _, rule = str(error).partition(": ")
-            raise BrokenError([Mistake(f"model.{place}", rule)]) from error
+            raise BrokenError([ArgumentError.of(error).under("model")]) from error
         try:
             require_stable(model, [table.start for table in parameters], self.free)
         except ValueError as error:
-            raise BrokenError([Mistake("model", f"{error}, at the start")]) from error
+            raise BrokenError([ArgumentError("model", f"{error}, at the start")]) from error
         return Built(model, {}, model.n_dof)

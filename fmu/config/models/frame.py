@@ -10,7 +10,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from fmu.config.mistakes import BrokenError, Mistake, got
+from fmu.arguments import ArgumentError
+from fmu.config.mistakes import BrokenError
 from fmu.config.parameters import KEYS, ParameterTable, Target
 from fmu.config.tables import Built, Name, Of, TomlTable, Vector, inside
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, Material, PointMass, Section
@@ -18,7 +19,7 @@ from fmu.fem.frame.frame import Frame
 from fmu.fem.frame.stability import require_stable
 from fmu.fem.frame.updates import ROTATIONS, Factor
 from fmu.fem.modes.separable import RigidArm
-from fmu.formats.shown import names_shown
+from fmu.formats.shown import names_shown, shown
 from fmu.types import Direction, Positive
 
 MOST_ELEMENTS = 10_000
@@ -54,8 +55,8 @@ def _spring(
     ends: Any = (point, None) if points is None else tuple(points)
     try:
         return JointSpring("", ends, stiffness, tied)  # type: ignore[arg-type]
-    except ValueError as error:
-        raise ValueError(str(error).removeprefix("spring '': ")) from None
+    except ArgumentError as error:
+        raise error.moved("spring ''", "") from None
 
 
 class Member(TomlTable):
@@ -84,7 +85,7 @@ class FrameTable(TomlTable):
     offsets: dict[Name, Annotated[RigidArm, Of("offset", RigidArm, point="node")]] = {}
     free: bool = False
 
-    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
+    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
         """Return the mistakes between tables: names that do not exist, members of no length."""
         return self._between_tables() + self._of_points() + self._of_parameters(parameters)
 
@@ -96,9 +97,9 @@ class FrameTable(TomlTable):
             model = mesh.frame().separable(updates)
             require_stable(model, [table.start for table in parameters], self.free, mesh.label)
         except ValueError as error:
-            name, _, rule = str(error).partition(": ")
-            places = [f"parameters.{i}" for i, table in enumerate(parameters) if table.name == name]
-            raise BrokenError([Mistake(places[0], rule) if places else Mistake("model", str(error))]) from error
+            wrong, places = ArgumentError.of(error), {t.name: f"parameters.{i}" for i, t in enumerate(parameters)}
+            at = places.get(wrong.key)
+            raise BrokenError([wrong.at(at) if at else ArgumentError("model", str(error))]) from error
         return Built(model, mesh.node_of, model.n_dof)
 
     @property
@@ -106,42 +107,42 @@ class FrameTable(TomlTable):
         """Names of the groups of members, sorted."""
         return sorted({member.group for member in self.members})
 
-    def _of_parameters(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
+    def _of_parameters(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
         found = self._of_targets(parameters)
         for i, table in enumerate(parameters):
             if not table.is_positive():
-                rule = got("must be positive, as the property is", table.lower)
-                found.append(Mistake(f"parameters.{i}.lower", rule))
+                rule = "must be positive, as the property is"
+                found.append(ArgumentError(f"parameters.{i}.lower", rule, shown(table.lower)))
         return found
 
-    def _of_targets(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
+    def _of_targets(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
         """Return the mistakes in targets: unknown names or directions, and values updated by two parameters."""
         known: dict[str, Collection[str]] = {
             "groups": self.groups,
             "masses": [_known_as(mass) for mass in self.masses],
             "springs": list(self.springs),
         }
-        found: list[Mistake] = []
+        found: list[ArgumentError] = []
         owner: dict[tuple[str, str, str], str] = {}
         for i, table in enumerate(parameters):
             if table.property is None:
-                found.append(Mistake(f"parameters.{i}.property", f"is missing: one of {', '.join(KEYS)}"))
+                found.append(ArgumentError(f"parameters.{i}.property", f"is missing: one of {', '.join(KEYS)}"))
             key = KEYS.get(table.property or "E", "groups")
             where = f"parameters.{i}.{key}"
             found += _out_of_place(f"parameters.{i}", table, key)
             names = table.named(key, self.groups)
             if not names:
-                found.append(Mistake(where, f"must name a {_SINGULAR[key]}"))
+                found.append(ArgumentError(where, f"must name a {_SINGULAR[key]}"))
             for name in names if table.property else ():
                 if name not in known[key]:
-                    found.append(Mistake(where, got(f"must be among {names_shown(known[key])}", name)))
+                    found.append(ArgumentError(where, f"must be among {names_shown(known[key])}", shown(name)))
                     continue
                 directions: Sequence[str] = table.directions
                 if key == "springs":
                     has: list[str] = list(self.springs[name].stiffness)
                     rule = f"must be among those of {name}: {', '.join(has) or 'none'}"
                     wrong = [d for d in directions if d not in has]
-                    found += [Mistake(f"parameters.{i}.directions", got(rule, d)) for d in wrong]
+                    found += [ArgumentError(f"parameters.{i}.directions", rule, shown(d)) for d in wrong]
                     directions = directions or has
                 elif table.property == "inertia":
                     directions = directions or ROTATIONS
@@ -150,11 +151,11 @@ class FrameTable(TomlTable):
                     if quantity in owner:
                         along = f" along {direction}" if direction else ""
                         rule = f"{table.property} of {name}{along} is already updated by {owner[quantity]}"
-                        found.append(Mistake(where, rule))
+                        found.append(ArgumentError(where, rule))
                     owner[quantity] = table.name
         return found
 
-    def _between_tables(self) -> list[Mistake]:
+    def _between_tables(self) -> list[ArgumentError]:
         found = []
         for i, member in enumerate(self.members):
             for key, name, known in (
@@ -164,46 +165,44 @@ class FrameTable(TomlTable):
                 ("material", member.material, self.materials),
             ):
                 if name not in known:
-                    found.append(Mistake(f"model.members.{i}.{key}", _unknown(name, known)))
+                    found.append(_unknown(f"model.members.{i}.{key}", name, known))
             if member.start == member.end:
                 found.append(
-                    Mistake(f"model.members.{i}.to", got("must not be the same point as from", member.end))
+                    ArgumentError(f"model.members.{i}.to", "must not be the same point as from", shown(member.end))
                 )
             elif self.points.get(member.start, 0) == self.points.get(member.end, 1):
-                rule = f"must not be at the place of from: the member would have no length (got {member.end!r})"
-                found.append(Mistake(f"model.members.{i}.to", rule))
+                rule = "must not be at the place of from: the member would have no length"
+                found.append(ArgumentError(f"model.members.{i}.to", rule, repr(member.end)))
         if sum(member.elements for member in self.members) > MOST_ELEMENTS:
-            found.append(Mistake("model.members", f"must have at most {MOST_ELEMENTS} elements in total"))
+            found.append(ArgumentError("model.members", f"must have at most {MOST_ELEMENTS} elements in total"))
         names = [mass.name for mass in self.masses if mass.name]
         if len(set(names)) < len(names):
-            found.append(Mistake("model.masses", got("must have distinct names", names)))
+            found.append(ArgumentError("model.masses", "must have distinct names", shown(names)))
         if not (self.free or self.supports or any(spring.nodes[1] is None for spring in self.springs.values())):
             rule = (
                 "must restrain the structure (a spring to the ground does too); set free = true if it is "
                 "free on purpose"
             )
-            found.append(Mistake("model.supports", rule))
+            found.append(ArgumentError("model.supports", rule))
         return found
 
-    def _of_points(self) -> list[Mistake]:
+    def _of_points(self) -> list[ArgumentError]:
         named: list[tuple[str, Any]] = [("supports", name) for name in self.supports]
         named += [("masses", mass.node) for mass in self.masses]
         named += [(f"springs.{key}", end) for key, spring in self.springs.items() for end in _ends(spring)]
         named += [(f"offsets.{key}.point", arm.node) for key, arm in self.offsets.items()]
-        found = [
-            Mistake(f"model.{where}", _unknown(name, self.points))
-            for where, name in named
-            if name not in self.points
-        ]
+        found = [_unknown(f"model.{where}", name, self.points) for where, name in named if name not in self.points]
         found += [
-            Mistake(f"model.offsets.{name}", "must not have the name of a point")
+            ArgumentError(f"model.offsets.{name}", "must not have the name of a point")
             for name in self.offsets
             if name in self.points
         ]
         used = {point for member in self.members for point in (member.start, member.end)}
         used |= {end for spring in self.springs.values() for end in _ends(spring)}
         idle = sorted(set(self.points) - used)
-        return found + [Mistake(f"model.points.{name}", "is not connected to a member or spring") for name in idle]
+        return found + [
+            ArgumentError(f"model.points.{name}", "is not connected to a member or spring") for name in idle
+        ]
 
 
 class _Mesh:
@@ -282,12 +281,15 @@ class _Mesh:
 _SINGULAR = {"groups": "group", "masses": "mass", "springs": "spring"}
 
 
-def _out_of_place(where: str, table: Target, key: str) -> list[Mistake]:
+def _out_of_place(where: str, table: Target, key: str) -> list[ArgumentError]:
     """Return the keys that a parameter with this property must not have."""
     wrong = [other for other in _SINGULAR if other != key and table.named(other, ["all"])]
     if table.directions and table.property not in ("inertia", "stiffness"):
         wrong.append("directions")
-    return [Mistake(f"{where}.{other}", f"must be left out: {table.property} belongs to {key}") for other in wrong]
+    return [
+        ArgumentError(f"{where}.{other}", f"must be left out: {table.property} belongs to {key}")
+        for other in wrong
+    ]
 
 
 def _ends(spring: JointSpring) -> list[Any]:
@@ -300,5 +302,5 @@ def _known_as(mass: PointMass) -> str:
     return mass.name or str(mass.node)
 
 
-def _unknown(name: str, known: Any) -> str:
-    return got(f"must be one of {names_shown(known)}", name)
+def _unknown(where: str, name: str, known: Any) -> ArgumentError:
+    return ArgumentError(where, f"must be one of {names_shown(known)}", shown(name))

@@ -8,11 +8,11 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from fmu.config.mistakes import Mistake, got
+from fmu.arguments import ArgumentError
 from fmu.config.parameters import ParameterTable
 from fmu.config.tables import Name, TomlTable
 from fmu.fem.modes.line_picture import LinePicture
-from fmu.formats.shown import names_shown
+from fmu.formats.shown import names_shown, shown
 
 
 class LineTable(TomlTable):
@@ -24,7 +24,7 @@ class LineTable(TomlTable):
 
 def mistakes_of_lines(
     points: Mapping[str, object], lines: Sequence[LineTable], parameters: Sequence[ParameterTable], has_mesh: bool
-) -> list[Mistake]:
+) -> list[ArgumentError]:
     """Return the mistakes between lines, their points and parameters."""
     names = [parameter.name for parameter in parameters]
     found = []
@@ -32,16 +32,16 @@ def mistakes_of_lines(
         at = f"model.lines.{i}"
         for key, given, known in (("points", line.points, list(points)), ("parameters", line.parameters, names)):
             found += [
-                Mistake(f"{at}.{key}", got(f"must name one of {names_shown(known)}", name))
+                ArgumentError(f"{at}.{key}", f"must name one of {names_shown(known)}", shown(name))
                 for name in given
                 if name not in known
             ]
     if (points or lines) and has_mesh:
         found.append(
-            Mistake("model.lines" if lines else "model.points", "must be left out: mesh gives the pictures")
+            ArgumentError("model.lines" if lines else "model.points", "must be left out: mesh gives the pictures")
         )
     elif points and not lines:
-        found.append(Mistake("model.points", "must be joined by [[model.lines]]"))
+        found.append(ArgumentError("model.points", "must be joined by [[model.lines]]"))
     return found
 
 

@@ -12,11 +12,12 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from fmu.config.mistakes import BrokenError, Mistake, got
+from fmu.arguments import ArgumentError
+from fmu.config.mistakes import BrokenError
 from fmu.config.models.lines import LineTable, mistakes_of_lines, picture_of
 from fmu.config.parameters import ParameterTable, without_targets
 from fmu.config.tables import Built, FileName, Name, SensorTable, TomlTable, Vector, one_length
-from fmu.fem.frame.stability import require_stable
+from fmu.fem.frame.stability import MechanismError, require_stable
 from fmu.fem.modes.separable import Geometry, SeparableModel, Term
 from fmu.formats.matrices.abaqus import HELD
 from fmu.formats.matrices.limits import Labelled
@@ -24,7 +25,7 @@ from fmu.formats.matrices.read import read_labelled, symmetric_matrix
 from fmu.formats.models.assembly import Assembled, assembled, notes_of
 from fmu.formats.models.exported import NO_MESH, Mesh
 from fmu.formats.models.read import read_mesh, read_ties, require_nodes
-from fmu.formats.shown import names_shown
+from fmu.formats.shown import names_shown, shown
 from fmu.numbers import typed
 from fmu.types import DIRECTIONS
 
@@ -83,40 +84,42 @@ class MatricesTable(TomlTable):
     lines: list[LineTable] = []
     free: bool = False
 
-    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
+    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
         """Return the mistakes between tables: powers of unknown parameters, and parameters in no term."""
         names = [parameter.name for parameter in parameters]
         found, used = [], set()
         for where, term in self._terms():
             used |= set(term.powers)
             found += [
-                Mistake(f"{where}.powers", got(f"must name one of {names_shown(names)}", name))
+                ArgumentError(f"{where}.powers", f"must name one of {names_shown(names)}", shown(name))
                 for name in term.powers
                 if name not in names
             ]
         for i, table in enumerate(parameters):
             if table.name not in used:
-                found.append(Mistake(f"parameters.{i}.name", got("must be in the powers of a term", table.name)))
+                found.append(
+                    ArgumentError(f"parameters.{i}.name", "must be in the powers of a term", shown(table.name))
+                )
         found += mistakes_of_lines(self.points, self.lines, parameters, self.mesh is not None)
         return found + self._of_powers(parameters) + without_targets(parameters) + self._of_dofs()
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
         """Read the matrices and return the model; BrokenError if it cannot be built."""
         read: list[Labelled] = []
-        found: list[Mistake] = []
+        found: list[ArgumentError] = []
         for where, table in self._terms():
             try:
                 read.append(table.read(folder))
             except ValueError as error:
-                key, _, rule = str(error).partition(": ")
-                at = (key, rule) if key in ("variable", "triangle") else (table.source, str(error))
-                found.append(Mistake(f"{where}.{at[0]}", at[1]))
+                wrong = ArgumentError.of(error)
+                own = wrong if wrong.key in ("variable", "triangle") else ArgumentError(table.source, str(error))
+                found.append(own.under(where))
         mesh = NO_MESH
         if self.mesh is not None:
             try:
                 mesh = read_mesh(folder / self.mesh)
             except ValueError as error:
-                found.append(Mistake("model.mesh", str(error).removeprefix("path: ")))
+                found.append(ArgumentError.of(error).moved("path", "model.mesh"))
         if found:
             raise BrokenError(found)
         joined = self._on_the_same_dofs(read, mesh)
@@ -129,7 +132,7 @@ class MatricesTable(TomlTable):
             try:
                 ties, notes = read_ties(folder / self.tied_modes, mesh, joined.dofs)
             except ValueError as error:
-                raise BrokenError([Mistake("model.tied_modes", str(error))]) from error
+                raise BrokenError([ArgumentError("model.tied_modes", str(error))]) from error
             joined = joined._replace(motions={**joined.motions, **ties}, notes=[*joined.notes, *notes])
         try:
             model = SeparableModel(
@@ -138,8 +141,12 @@ class MatricesTable(TomlTable):
             model.notes = (*joined.notes, *mesh.notes)
             model.picture = picture_of(self.points, self.lines, parameters)
             require_stable(model, [table.start for table in parameters], self.free)
+        except MechanismError as error:
+            advice = "" if self.free else "; set free = true if it is free on purpose"
+            raise BrokenError([ArgumentError("model", f"{error}, at the start{advice}")]) from error
         except ValueError as error:
-            raise BrokenError([Mistake("model", self._in_words(str(error)))]) from error
+            wrong = ArgumentError.of(error).moved("K_terms", "stiffness").moved("M_terms", "mass")
+            raise BrokenError([ArgumentError("model", f"{wrong}, at the start")]) from error
         return Built(model, {}, model.n_dof)
 
     def _terms(self) -> list[tuple[str, TermTable]]:
@@ -147,7 +154,7 @@ class MatricesTable(TomlTable):
         both = (("stiffness", self.stiffness), ("mass", self.mass))
         return [(f"model.{key}.{i}", term) for key, terms in both for i, term in enumerate(terms)]
 
-    def _of_powers(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
+    def _of_powers(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
         """Return a mistake for each parameter whose power is undefined somewhere between its bounds."""
         found = []
         for where, term in self._terms():
@@ -155,18 +162,20 @@ class MatricesTable(TomlTable):
                 power = term.powers.get(table.name, 1.0)
                 if (power < 0.0 or not power.is_integer()) and not table.is_positive():
                     rule = f"must be positive, as {where}.powers has it to the power {typed(power)}"
-                    found.append(Mistake(f"parameters.{i}.lower", got(rule, table.lower)))
+                    found.append(ArgumentError(f"parameters.{i}.lower", rule, shown(table.lower)))
         return found
 
-    def _of_dofs(self) -> list[Mistake]:
+    def _of_dofs(self) -> list[ArgumentError]:
         found, seen = [], set()
         for i, (node, direction) in enumerate(self.dofs or []):
             if direction not in DIRECTIONS:
-                rule = got(f"must be a node and one of {', '.join(DIRECTIONS)}", [node, direction])
-                found.append(Mistake(f"model.dofs.{i}", rule))
+                rule = f"must be a node and one of {', '.join(DIRECTIONS)}"
+                found.append(ArgumentError(f"model.dofs.{i}", rule, shown([node, direction])))
             if (node, direction) in seen:
                 found.append(
-                    Mistake(f"model.dofs.{i}", got("must not be the name of another row", [node, direction]))
+                    ArgumentError(
+                        f"model.dofs.{i}", "must not be the name of another row", shown([node, direction])
+                    )
                 )
             seen.add((node, direction))
         return found
@@ -183,7 +192,7 @@ class MatricesTable(TomlTable):
         named: list[tuple[Any, str]] = [(node, str(direction)) for node, direction in self.dofs or []]
         if self.mesh is not None and self.dofs is not None:
             if not all(isinstance(node, int) for node, _ in named):
-                raise BrokenError([Mistake("model.dofs", "must be nodes of the mesh, by their numbers")])
+                raise BrokenError([ArgumentError("model.dofs", "must be nodes of the mesh, by their numbers")])
             read = [one._replace(dofs=tuple(named)) for one in read]
         if self.mesh is not None or read[0].dofs is not None:
             try:
@@ -192,15 +201,16 @@ class MatricesTable(TomlTable):
                     files = [Path(table.file) for _, table in self._terms() if table.file is not None]
                     require_nodes(found.dofs, found.motions, mesh, files)
             except ValueError as error:
-                where, _, rule = str(error).partition(": ")
-                raise BrokenError([Mistake("model.mesh" if where == "mesh" else where, rule)]) from error
+                raise BrokenError([ArgumentError.of(error).moved("mesh", "model.mesh")]) from error
             return found
         matrices = [one.matrix for one in read]
         dofs = named or [(i, "x") for i in range(rows[0])]
         largest = np.max([np.abs(matrix.diagonal()) for matrix in matrices[: len(self.stiffness)]], axis=0)
         free = np.flatnonzero(largest < HELD)
         if len(free) == 0:
-            raise BrokenError([Mistake("model.stiffness", f"must have a diagonal entry below {typed(HELD)}")])
+            raise BrokenError(
+                [ArgumentError("model.stiffness", f"must have a diagonal entry below {typed(HELD)}")]
+            )
         return Assembled(
             [matrix[free][:, free] for matrix in matrices], [dofs[i] for i in free], {}, notes_of(read)
         )
@@ -217,21 +227,14 @@ class MatricesTable(TomlTable):
             rows = one.matrix.shape[0]
             if are_named and one.dofs is None and not by_mesh:
                 rule = "must name its degrees of freedom, as the other files do"
-                found.append(Mistake(f"{where}.{table.source}", rule))
+                found.append(ArgumentError(f"{where}.{table.source}", rule))
             elif not are_named and rows != n:
-                rule = f"must have {n} rows, as model.stiffness.0 has (got {rows})"
-                found.append(Mistake(f"{where}.{table.source}", rule))
+                rule = f"must have {n} rows, as model.stiffness.0 has"
+                found.append(ArgumentError(f"{where}.{table.source}", rule, rows))
         if self.dofs is not None and are_named:
-            found.append(Mistake("model.dofs", "must not be given: the files name the degrees of freedom"))
+            found.append(ArgumentError("model.dofs", "must not be given: the files name the degrees of freedom"))
         elif self.dofs is not None and len(self.dofs) != n:
-            rule = f"must name {n} degrees of freedom, one per row (got {len(self.dofs)})"
-            found.append(Mistake("model.dofs", rule))
+            rule = f"must name {n} degrees of freedom, one per row"
+            found.append(ArgumentError("model.dofs", rule, len(self.dofs)))
         if found:
             raise BrokenError(found)
-
-    def _in_words(self, error: str) -> str:
-        """Return an error of the model in the words of the file, with a remedy."""
-        text = error.replace("K_terms", "stiffness").replace("M_terms", "mass") + ", at the start"
-        if "can move without strain" in text and not self.free:
-            text += "; set free = true if it is free on purpose"
-        return text

@@ -12,11 +12,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, StringConstraints
 
-from fmu.config.mistakes import PYTHON_FILE, BrokenError, Mistake
+from fmu.arguments import ArgumentError
+from fmu.config.mistakes import PYTHON_FILE, BrokenError
 from fmu.config.models.python import imported
 from fmu.config.parameters import ParameterTable, without_targets
 from fmu.config.tables import Built, FileName, TomlTable
 from fmu.fem.frame.stability import require_stable
+from fmu.fem.modes.exports import NotSeparableError
 from fmu.fem.programs.opensees import MODES, MOST_DOFS, OpenSeesModel, from_opensees
 
 WHERE = "model.file"
@@ -39,7 +41,7 @@ class OpenSeesTable(TomlTable):
     """With per_theta: folder, from that of this file, of solves that took 0.05 s or longer."""
     free: bool = False
 
-    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
+    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
         """Return a mistake for each key that such a model cannot use."""
         return without_targets(parameters)
 
@@ -56,13 +58,14 @@ class OpenSeesTable(TomlTable):
                 model = OpenSeesModel(build, start, modes=self.modes, step=self.step, store=store)
                 return Built(model, {}, model.assembled.n_dof)
             model = from_opensees(build, [table.name for table in parameters], start, lower, upper)
+        except NotSeparableError as error:
+            advice = "; with per_theta = true the model may depend on the parameters in any way"
+            raise BrokenError([ArgumentError(WHERE, f"{error}{advice}")]) from error
         except ValueError as error:
-            text = str(error)
-            if "must be a sum of" in text:
-                text += "; with per_theta = true the model may depend on the parameters in any way"
-            raise BrokenError([Mistake(WHERE, text.removeprefix("build: "))]) from error
+            wrong = ArgumentError.of(error).moved("build", "")
+            raise BrokenError([ArgumentError(WHERE, str(wrong))]) from error
         try:
             require_stable(model, start, self.free)
         except ValueError as error:
-            raise BrokenError([Mistake(WHERE, f"{error}, at the start")]) from error
+            raise BrokenError([ArgumentError(WHERE, f"{error}, at the start")]) from error
         return Built(model, {}, model.n_dof)

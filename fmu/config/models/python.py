@@ -16,13 +16,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, StringConstraints
 
-from fmu.config.mistakes import FUNCTION, BrokenError, Mistake, got
+from fmu.arguments import ArgumentError
+from fmu.config.mistakes import FUNCTION, BrokenError
 from fmu.config.parameters import ParameterTable, without_targets
 from fmu.config.tables import Built, FileName, TomlTable
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.programs.sources import source_digest
 from fmu.formats.files import too_large, why_no_file
-from fmu.formats.shown import in_words
+from fmu.formats.shown import in_words, shown
 
 WHERE = "model.function"
 LARGEST_MODULE = 2**24
@@ -44,7 +45,7 @@ class PythonTable(TomlTable):
     step: Annotated[float, Field(gt=0, le=0.1)] = 1e-4
     store: FileName = "solves"
 
-    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[Mistake]:
+    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
         """Return a mistake for each key that a function cannot use."""
         return without_targets(parameters)
 
@@ -111,7 +112,7 @@ def imported(place: str, folder: Path, where: str = WHERE) -> Callable[..., Any]
     name, _, attribute = place.partition(":")
     beside = _beside(name, folder.resolve())
     if beside is not None and too_large(beside, LARGEST_MODULE):
-        raise BrokenError([Mistake(where, f"{beside.name} {too_large(beside, LARGEST_MODULE)}")])
+        raise BrokenError([ArgumentError(where, f"{beside.name} {too_large(beside, LARGEST_MODULE)}")])
     try:
         with _importing_from(folder.resolve(), name) if beside is not None else nullcontext():
             module = importlib.import_module(name)
@@ -121,23 +122,26 @@ def imported(place: str, folder: Path, where: str = WHERE) -> Callable[..., Any]
     except ModuleNotFoundError as error:
         missing = str(error.name)
         if beside is None and (name == missing or name.startswith(f"{missing}.")):
-            rule = got("must be in a module beside the file or installed", name)
-            raise BrokenError([Mistake(where, rule)]) from error
+            raise BrokenError(
+                [ArgumentError(where, "must be in a module beside the file or installed", shown(name))]
+            ) from error
         raise _not_importable(name, error, where) from error
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # GeneratorExit and others of the user's own among them
         raise _not_importable(name, error, where) from error
     if function is None:
-        raise BrokenError([Mistake(where, got(f"must be in the module {name}", attribute))])
+        raise BrokenError([ArgumentError(where, f"must be in the module {name}", shown(attribute))])
     if not callable(function):
-        raise BrokenError([Mistake(where, f"must be a function (got {place}, of type {type(function).__name__})")])
+        raise BrokenError(
+            [ArgumentError(where, "must be a function", f"{place}, of type {type(function).__name__}")]
+        )
     return function if beside is None else Imported(function, place, folder.resolve(), where)
 
 
 def _not_importable(name: str, error: BaseException, where: str) -> BrokenError:
     rule = f"must be in a module that can be imported ({name}: {in_words(error)})"
-    return BrokenError([Mistake(where, rule)])
+    return BrokenError([ArgumentError(where, rule)])
 
 
 def _beside(name: str, folder: Path) -> Path | None:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fmu.arguments import ArgumentError
 from fmu.types import FloatArray
 
 _AXIAL = (0, 6)
@@ -102,7 +103,9 @@ def local_axes(axis: ArrayLike, y_direction: ArrayLike) -> FloatArray:
     parallel = ~(norm > 1e-6 * np.linalg.norm(direction, axis=1, keepdims=True))[:, 0]
     if np.any(parallel):
         element = int(np.argmax(parallel))
-        raise ValueError(f"y_direction: must not be zero or parallel to an element (wrong for element {element})")
+        raise ArgumentError(
+            "y_direction", f"must not be zero or parallel to an element (wrong for element {element})"
+        )
     y = y / norm
     return np.stack([x, y, np.cross(x, y)], axis=1)
 
@@ -145,7 +148,7 @@ def to_global(matrices: FloatArray, axes: FloatArray) -> FloatArray:
 def _lengths(length: ArrayLike) -> FloatArray:
     L = np.atleast_1d(np.asarray(length, dtype=float))
     if not np.all(L > 0.0):
-        raise ValueError(f"length: must be positive (got {float(np.min(L))} m)")
+        raise ArgumentError("length", "must be positive", f"{float(np.min(L))} m")
     return L
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import ArrayLike
 
-from fmu.arguments import Place, check_arguments
+from fmu.arguments import ArgumentError, Place, check_arguments
 from fmu.fem.modes.separable import RigidArm
 from fmu.numbers import significant, typed
 from fmu.types import DIRECTIONS as DIRECTIONS
@@ -74,7 +74,7 @@ class Section:
             If a dimension is not positive, or the wall is thicker than half the diameter.
         """
         if thickness > diameter / 2:
-            raise ValueError(f"thickness: must not exceed half the diameter {typed(diameter)} (got {thickness})")
+            raise ArgumentError("thickness", f"must not exceed half the diameter {typed(diameter)}", thickness)
         outer, inner = diameter / 2, diameter / 2 - thickness
         second = np.pi / 4 * (outer**4 - inner**4)
         return cls(A=np.pi * (outer**2 - inner**2), Iy=second, Iz=second, J=2 * second)
@@ -94,9 +94,9 @@ class Section:
             If a dimension is not positive, the flanges leave no web, or the web is wider than the flanges.
         """
         if 2 * flange >= height:
-            raise ValueError(f"flange: must be thinner than half the height {typed(height)} (got {flange})")
+            raise ArgumentError("flange", f"must be thinner than half the height {typed(height)}", flange)
         if web > width:
-            raise ValueError(f"web: must not exceed the width {typed(width)} (got {web})")
+            raise ArgumentError("web", f"must not exceed the width {typed(width)}", web)
         depth = height - 2 * flange
         return cls(
             A=2 * width * flange + web * depth,
@@ -163,7 +163,7 @@ class ElementGroup:
     def __post_init__(self) -> None:
         ends = np.asarray(self.elements)
         if ends.ndim != 2 or ends.shape[1] != 2 or not np.issubdtype(ends.dtype, np.integer):
-            raise ValueError(f"elements: must be pairs of node numbers (got shape {ends.shape} of {ends.dtype})")
+            raise ArgumentError("elements", "must be pairs of node numbers", f"shape {ends.shape} of {ends.dtype}")
 
     def value(self, name: str) -> float:
         """Return the initial value of a property of `fmu.fem.frame.updates.PROPERTIES`."""
@@ -240,18 +240,18 @@ class JointSpring:
         for direction in (*self.stiffness, *self.tied):
             if direction not in DIRECTIONS:
                 rule = f"directions of stiffness and tied must be of {DIRECTIONS}"
-                raise ValueError(f"{here}: {rule} (got {direction!r})")
+                raise ArgumentError(here, rule, repr(direction))
         for direction in self.stiffness:
             if direction in self.tied:
-                raise ValueError(
-                    f"{here}: must be either elastic or tied in a direction (got {direction!r} as both)"
+                raise ArgumentError(
+                    here, "must be either elastic or tied in a direction", f"{direction!r} as both"
                 )
         if not self.stiffness and not self.tied:
-            raise ValueError(f"{here}: must have a stiffness or a tied direction (got neither)")
+            raise ArgumentError(here, "must have a stiffness or a tied direction", "neither")
         if self.tied and self.nodes[1] is None:
-            raise ValueError(f"{here}: must have two ends to be tied; a support holds one to the ground")
+            raise ArgumentError(here, "must have two ends to be tied; a support holds one to the ground")
         if self.nodes[0] == self.nodes[1]:
-            raise ValueError(f"{here}: ends must differ (got {self.nodes})")
+            raise ArgumentError(here, "ends must differ", self.nodes)
 
     def value(self, direction: str) -> float:
         """Return the stiffness in a direction."""

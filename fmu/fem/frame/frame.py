@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.fem.frame import beam
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, PointMass
 from fmu.fem.frame.updates import Factor, Ownership, Quantity, Target, ownership
@@ -58,7 +58,7 @@ class Frame:
     def __post_init__(self) -> None:
         self._coordinates()
         if not self.groups:
-            raise ValueError("groups: must be at least one (got none)")
+            raise ArgumentError("groups", "must be at least one", "none")
 
     @check_arguments
     def separable(self, updates: Mapping[str, Sequence[Target] | Factor] | None = None) -> SeparableModel:
@@ -134,7 +134,7 @@ class Frame:
     def _coordinates(self) -> FloatArray:
         nodes = np.asarray(self.nodes, dtype=float)
         if nodes.ndim != 2 or nodes.shape[1] != 3 or not np.all(np.isfinite(nodes)):
-            raise ValueError(f"nodes: must be finite x, y, z of every node (got shape {nodes.shape})")
+            raise ArgumentError("nodes", "must be finite x, y, z of every node", f"shape {nodes.shape}")
         return nodes
 
     def _check(self, nodes: FloatArray, numbering: Numbering) -> None:
@@ -156,8 +156,8 @@ class Frame:
         # It would make the mass matrix singular.
         loose = np.unique(numbering.free[~carried[numbering.free]] // 6).tolist()
         if loose:
-            raise ValueError(
-                f"nodes: a node without an element must be fixed, tied or have mass (got nodes {loose})"
+            raise ArgumentError(
+                "nodes", "a node without an element must be fixed, tied or have mass", f"nodes {loose}"
             )
 
     def _mass_matrices(self, n_nodes: int, owned: Ownership) -> list[tuple[Any, tuple[float, ...]]]:
@@ -229,12 +229,12 @@ class Numbering:
             require_node("supports", node, n_nodes)
             for direction in directions:
                 if direction not in DIRECTIONS:
-                    raise ValueError(f"supports: direction must be one of {DIRECTIONS} (got {direction!r})")
+                    raise ArgumentError("supports", f"direction must be one of {DIRECTIONS}", repr(direction))
                 fixed.add(int(owner[6 * node + DIRECTIONS.index(direction)]))
         own = np.flatnonzero(owner == np.arange(len(owner)))
         free = own[~np.isin(own, list(fixed))]
         if not len(free):
-            raise ValueError(f"supports: must leave a degree of freedom free (got all {len(owner)} fixed)")
+            raise ArgumentError("supports", "must leave a degree of freedom free", f"all {len(owner)} fixed")
         return cls(owner, free)
 
     @property
@@ -260,7 +260,7 @@ class Numbering:
 def require_node(where: str, node: int, n_nodes: int) -> None:
     """Raise ValueError unless `node` is one of 0 … n_nodes − 1."""
     if not 0 <= node < n_nodes:
-        raise ValueError(f"{where}: node must lie in 0..{n_nodes - 1} (got {node})")
+        raise ArgumentError(where, f"node must lie in 0..{n_nodes - 1}", node)
 
 
 def _name(dof: int) -> Dof:

@@ -21,6 +21,10 @@ _SAME = 1e-4
 _SHOWN = 4
 
 
+class MechanismError(ValueError):
+    """A structure that can move without strain, in more ways than it is meant to."""
+
+
 @dataclass(frozen=True, eq=False)
 class FreeMotions:
     """The motions of a structure that take no energy.
@@ -120,7 +124,7 @@ def require_stable(
         words.append(what_moves(model, motions.shapes, label, rigid))
     n = motions.count - (allowed if free else 0)
     ways = f"in {n} way{'s' if n > 1 else ''}{' beside those of a free body' if free else ''}"
-    raise ValueError(f"the structure is a mechanism: it can move without strain {ways} ({'; '.join(words)})")
+    raise MechanismError(f"the structure is a mechanism: it can move without strain {ways} ({'; '.join(words)})")
 
 
 def _require_mass(model: SeparableModel, theta: ArrayLike, label: Callable[[Any], str]) -> None:

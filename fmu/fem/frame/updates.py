@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, PointMass
 
 Target = Sequence[str]
@@ -97,14 +97,14 @@ def ownership(
     for kind, plural in (("group", "groups"), ("mass", "masses"), ("spring", "springs")):
         names = [thing.name for thing in things[kind] if thing.name or kind == "group"]
         if len(set(names)) < len(names):
-            raise ValueError(f"{plural}: names must be distinct (got {names})")
+            raise ArgumentError(plural, "names must be distinct", names)
     owner: dict[Quantity, Owner] = {}
     for j, (parameter, targets) in enumerate(updates.items()):
         factor = isinstance(targets, Factor)
         for target in targets.targets if isinstance(targets, Factor) else targets:
             for quantity in _quantities(parameter, target, things, factor):
                 if quantity in owner:
-                    raise ValueError(f"{parameter}: {_in_words(quantity, things)} is updated already")
+                    raise ArgumentError(parameter, f"{_in_words(quantity, things)} is updated already")
                 owner[quantity] = Owner(j, factor)
     return Ownership(owner, len(updates))
 
@@ -114,26 +114,26 @@ def _quantities(
 ) -> list[Quantity]:
     name, of, direction = target[0], target[1] if len(target) > 1 else None, target[2:]
     if name not in _KIND:
-        raise ValueError(f"{parameter}: property must be one of {tuple(_KIND)} (got {name!r})")
+        raise ArgumentError(parameter, f"property must be one of {tuple(_KIND)}", repr(name))
     kind = _KIND[name]
     picked = [(i, thing) for i, thing in enumerate(things[kind]) if of is None or thing.name == of]
     if not picked or of == "":
         known = sorted(thing.name for thing in things[kind] if thing.name)
-        raise ValueError(f"{parameter}: {kind} must be one of {known} (got {of!r})")
+        raise ArgumentError(parameter, f"{kind} must be one of {known}", repr(of))
     if name in PROPERTIES or name == "mass":
         if direction:
-            raise ValueError(f"{parameter}: {name} has no direction (got {direction[0]!r})")
+            raise ArgumentError(parameter, f"{name} has no direction", repr(direction[0]))
         found = [Quantity(name, i) for i, _ in picked]
     else:
         found = [q for i, thing in picked for q in _directed(parameter, name, i, thing, direction)]
         rotations = {q.direction in ROTATIONS for q in found}
         if len(rotations) > 1 and not factor:
             rule = "stiffness in N/m and in N·m/rad cannot have one value: name a direction, or use a factor"
-            raise ValueError(f"{parameter}: {rule}")
+            raise ArgumentError(parameter, rule)
     if factor:
         for quantity in found:
             if things[kind][quantity.number].value(quantity.direction or name) == 0.0:
-                raise ValueError(f"{parameter}: {_in_words(quantity, things)} is 0, a factor changes nothing")
+                raise ArgumentError(parameter, f"{_in_words(quantity, things)} is 0, a factor changes nothing")
     return found
 
 
@@ -143,10 +143,10 @@ def _directed(parameter: str, name: str, i: int, thing: Any, direction: Sequence
     else:
         known, has = ROTATIONS, tuple(d for d in ROTATIONS if thing.value(d) > 0.0)
     if not direction and not has:
-        raise ValueError(f"{parameter}: {name} of {thing.name!r} is 0: name a direction")
+        raise ArgumentError(parameter, f"{name} of {thing.name!r} is 0: name a direction")
     for d in direction:
         if d not in known:
-            raise ValueError(f"{parameter}: direction of {thing.name!r} must be one of {known} (got {d!r})")
+            raise ArgumentError(parameter, f"direction of {thing.name!r} must be one of {known}", repr(d))
     return [Quantity(name, i, d) for d in direction or has]
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from fmu.arguments import ArgumentError
 from fmu.fem.modes.separable import SeparableModel, Term, merge_terms, monomial
 from fmu.types import FloatArray
 
@@ -47,18 +48,19 @@ def changed_model(
     for place, mass in (masses or {}).items():
         seen = [(place, d) for d in _TRANSLATIONS if model.sees((place, d))]
         if not seen:
-            raise ValueError(f"masses.{place}: must be a place that is free to move (got {place!r})")
+            raise ArgumentError(f"masses.{place}", "must be a place that is free to move", repr(place))
         M_terms.append(Term(_along(model.observation(seen), mass), constant))
     for (place, direction), stiffness in (springs or {}).items():
         if not model.sees((place, direction)):
-            raise ValueError(
-                f"springs.{place}: must be a place and a direction that are free to move (got {place!r}, "
-                f"{direction!r})"
+            raise ArgumentError(
+                f"springs.{place}",
+                "must be a place and a direction that are free to move",
+                f"{place!r}, {direction!r}",
             )
         K_terms.append(Term(_along(model.observation([(place, direction)]), stiffness), constant))
     kept = [j for j in range(model.n_parameters) if j not in (known or {})]
     if not kept:
-        raise ValueError(f"known: must leave a parameter that is uncertain (got all {model.n_parameters})")
+        raise ArgumentError("known", "must leave a parameter that is uncertain", f"all {model.n_parameters}")
     if known:
         at = np.ones((1, model.n_parameters))
         at[0, list(known)] = list(known.values())

@@ -22,13 +22,14 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.fem.modes.eigensolver import SingularMassError, eigen
 from fmu.fem.modes.modal import frequency_hz, is_rigid
 from fmu.fem.modes.separable import Geometry, SeparableModel, Term
 from fmu.formats.models.exported import ExportedModel
 from fmu.numbers import hertz, names_in_words, significant, typed
 from fmu.types import BoolArray, FloatArray
+
 
 POWERS = (1, 2, 3, -1)
 REPRODUCED = 1e-8
@@ -60,6 +61,10 @@ Dof = tuple[Any, str]
 
 
 @check_arguments
+class NotSeparableError(ArgumentError):
+    """Matrices that are no sum of products of powers of the parameters."""
+
+
 @dataclass(frozen=True, eq=False)
 class Export:
     """Matrices of another program, and the values of the parameters with which it made them.
@@ -167,7 +172,9 @@ def from_exports(
         found[what] = _recovery(what, names, exports, values, used, entries, changed, np.array(ends).T)
     if not touched.all():
         name = names[int(np.argmin(touched))]
-        raise ValueError(f"exports: {name} must change the matrices (they are the same where it alone differs)")
+        raise ArgumentError(
+            "exports", f"{name} must change the matrices (they are the same where it alone differs)"
+        )
     first = exports[0].model
     model = SeparableModel(
         found["stiffness"].terms, found["mass"].terms, first.dofs, Geometry.of_mesh(first), motions=first.motions
@@ -209,18 +216,20 @@ def _of_digits(nominal: ExportedModel, found: Recovery) -> list[str]:
 def _points(exports: Sequence[Export]) -> tuple[tuple[str, ...], FloatArray]:
     """Return the parameters' names, and their values in each export, shape (n_exports, n_parameters)."""
     if len(exports) < 2:
-        raise ValueError(f"exports: must be at least 2 (got {len(exports)})")
+        raise ArgumentError("exports", "must be at least 2", len(exports))
     names = tuple(exports[0].values)
     if not names:
-        raise ValueError("exports.0.values: must give the parameters (got none)")
+        raise ArgumentError("exports.0.values", "must give the parameters", "none")
     if exports[0].check:
-        raise ValueError("exports.0.check: must not be true: the first export is the one that others differ from")
+        raise ArgumentError(
+            "exports.0.check", "must not be true: the first export is the one that others differ from"
+        )
     for i, one in enumerate(exports):
         for name, value in one.values.items():
             if name not in names:
-                raise ValueError(f"exports.{i}.values: must be of {names_in_words(list(names))} (got {name})")
+                raise ArgumentError(f"exports.{i}.values", f"must be of {names_in_words(list(names))}", name)
             if not np.isfinite(value) or (i == 0 and value == 0):
-                raise ValueError(f"exports.{i}.values.{name}: must be finite, and not zero at first (got {value})")
+                raise ArgumentError(f"exports.{i}.values.{name}", "must be finite, and not zero at first", value)
     nominal = exports[0].values
     return names, np.array(
         [[one.values.get(name, nominal[name]) for name in names] for one in exports], dtype=float
@@ -235,18 +244,20 @@ def _on_one_mesh(exports: Sequence[Export]) -> None:
         if one.model.dofs != first:
             here, there = set(one.model.dofs), set(first)
             which = [f"node {node} {direction}" for node, direction in sorted(here ^ there)[:_TOLD]]
-            raise ValueError(
-                f"exports.{i}: must have the degrees of freedom of the first export, {len(there)} of one mesh "
-                f"(got {len(here)}; only one of the two has {names_in_words(which)})"
+            raise ArgumentError(
+                f"exports.{i}",
+                f"must have the degrees of freedom of the first export, {len(there)} of one mesh",
+                f"{len(here)}; only one of the two has {names_in_words(which)}",
             )
         for (node, direction), weights in one.model.motions.items():
             before = motions.get((node, direction), {})
             names = sorted(weights.keys() | before.keys())
             size = max(abs(w) for w in weights.values())
             if any(abs(weights.get(name, 0.0) - before.get(name, 0.0)) > _SAME_MOTION * size for name in names):
-                raise ValueError(
-                    f"exports.{i}: must have the geometry of the first export (the motion of node {node} "
-                    f"{direction} depends differently on the nodes that it follows)"
+                raise ArgumentError(
+                    f"exports.{i}",
+                    f"must have the geometry of the first export (the motion of node {node} {direction} "
+                    "depends differently on the nodes that it follows)",
                 )
 
 
@@ -257,8 +268,8 @@ def _changed_alone(names: Sequence[str], values: FloatArray, used: BoolArray) ->
     for j, name in enumerate(names):
         alone = np.flatnonzero(used & differs[:, j] & (differs.sum(axis=1) == 1)).tolist()
         if not alone:
-            raise ValueError(
-                f"exports: must have one, not kept for checking, in which only {name} differs from the first"
+            raise ArgumentError(
+                "exports", f"must have one, not kept for checking, in which only {name} differs from the first"
             )
         found.append(alone)
     return found
@@ -433,11 +444,12 @@ def _recovery(
                 break
         fit = None if chosen is None else _Fit.of(chosen, relative, used)
         if fit is None:
-            raise ValueError(_refusal(what, names, known, group, relative, used, exports, entries, own))
+            raise _refusal(what, names, known, group, relative, used, exports, entries, own)
         if not fit.reproduces(entries.entry[:, own], used, everything, entries.noise):
-            raise ValueError(
-                f"exports: the {what} must be the sum of what its parameters change "
-                f"({_worst(fit, used, exports, entries, own)})"
+            raise ArgumentError(
+                "exports",
+                f"the {what} must be the sum of what its parameters change "
+                f"({_worst(fit, used, exports, entries, own)})",
             )
         decided |= chosen != first
         rounding = max(rounding, float(entries.noise * fit.amplification(monomials(corners, fit.powers)).max()))
@@ -543,7 +555,7 @@ def _refusal(
     exports: Sequence[Export],
     entries: _Entries,
     own: Any,
-) -> str:
+) -> ArgumentError:
     """Return why no terms of a group of parameters reproduce the exports, with the entries that say so.
 
     They are those that the terms miss which suit most of the entries.
@@ -558,13 +570,15 @@ def _refusal(
     those = names_in_words([names[j] for j in group]) or "nothing"
     if best is None:
         told = names_in_words([_in_words(powers, names) for powers in known])
-        return (
-            f"exports: more are needed, not kept for checking, in which {those} are changed together: there are "
-            f"entries of the {what} that several of them change, and {told} cannot be told apart there"
+        return ArgumentError(
+            "exports",
+            f"more are needed, not kept for checking, in which {those} are changed together: there are "
+            f"entries of the {what} that several of them change, and {told} cannot be told apart there",
         )
-    return (
-        f"exports: what {those} changes of the {what} must be a sum of products of powers from {min(POWERS)} to "
-        f"{max(POWERS)} ({_worst(best, used, exports, entries, own)})"
+    return NotSeparableError(
+        "exports",
+        f"what {those} changes of the {what} must be a sum of products of powers from {min(POWERS)} to "
+        f"{max(POWERS)} ({_worst(best, used, exports, entries, own)})",
     )
 
 

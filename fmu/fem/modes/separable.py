@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 
-from fmu.arguments import Place, check_arguments, shown
+from fmu.arguments import ArgumentError, Place, check_arguments, shown
 from fmu.fem.modes.line_picture import LinePicture
 from fmu.formats.models.edges import edges
 from fmu.formats.models.exported import ExportedModel, Mesh
@@ -198,9 +198,9 @@ class Geometry:
         for name, width in (("nodes", 3), ("elements", 2)):
             rows = np.asarray(getattr(self, name))
             if rows.size and (rows.ndim != 2 or rows.shape[1] != width or not np.isfinite(rows).all()):
-                raise ValueError(f"{name}: must be finite, of shape (n, {width}) (got shape {rows.shape})")
+                raise ArgumentError(name, f"must be finite, of shape (n, {width})", f"shape {rows.shape}")
         if self.ids is not None and np.shape(self.ids) != (len(np.asarray(self.nodes)),):
-            raise ValueError(f"ids: must have a name for each node (got shape {np.shape(self.ids)})")
+            raise ArgumentError("ids", "must have a name for each node", f"shape {np.shape(self.ids)}")
 
     @classmethod
     @check_arguments
@@ -421,8 +421,8 @@ class SeparableModel:
         try:
             return self.dof_of[(node, direction)]
         except KeyError:
-            raise ValueError(
-                f"sensor: the model has no free degree of freedom (got node {node!r}, {direction!r})"
+            raise ArgumentError(
+                "sensor", "the model has no free degree of freedom", f"node {node!r}, {direction!r}"
             ) from None
 
     def observation(self, sensors: Sequence[tuple[Any, str]]) -> Any:
@@ -470,7 +470,7 @@ class SeparableModel:
             if weight and (arm.node, d) in self.dof_of
         }
         if not seen:
-            raise ValueError(f"sensor: sees no free degree of freedom (got {place!r}, {direction!r})")
+            raise ArgumentError("sensor", "sees no free degree of freedom", f"{place!r}, {direction!r}")
         return seen
 
     def located(self) -> Iterator[tuple[int, str, Mapping[int, float]]]:
@@ -495,18 +495,18 @@ def selection(dofs: ArrayLike, n_dof: int) -> Any:
 
 def _check_terms(model: SeparableModel) -> None:
     if len(model.dofs) != model.n_dof:
-        raise ValueError(f"dofs: must name {model.n_dof} degrees of freedom (got {len(model.dofs)})")
+        raise ArgumentError("dofs", f"must name {model.n_dof} degrees of freedom", len(model.dofs))
     for name, terms in (("K_terms", model.K_terms), ("M_terms", model.M_terms)):
         for k, term in enumerate(terms):
             if term.matrix.shape != (model.n_dof, model.n_dof):
-                raise ValueError(f"{name}.{k}: must have shape {(model.n_dof,) * 2} (got {term.matrix.shape})")
+                raise ArgumentError(f"{name}.{k}", f"must have shape {(model.n_dof,) * 2}", term.matrix.shape)
             if len(term.powers) != model.n_parameters:
-                raise ValueError(f"{name}.{k}: must have {model.n_parameters} powers (got {len(term.powers)})")
+                raise ArgumentError(f"{name}.{k}", f"must have {model.n_parameters} powers", len(term.powers))
             if not np.all(np.isfinite(term.powers)):
-                raise ValueError(f"{name}.{k}: powers must be finite (got {term.powers})")
+                raise ArgumentError(f"{name}.{k}", "powers must be finite", term.powers)
             difference = abs(term.matrix - term.matrix.T).max()
             if not difference <= 1e-9 * abs(term.matrix).max():
-                raise ValueError(f"{name}.{k}: must be symmetric and finite (asymmetry {typed(difference)})")
+                raise ArgumentError(f"{name}.{k}", f"must be symmetric and finite (asymmetry {typed(difference)})")
 
 
 def _as_csr(matrix: Any) -> Any:
@@ -514,9 +514,9 @@ def _as_csr(matrix: Any) -> Any:
         try:
             matrix = np.asarray(matrix)
         except ValueError:  # rows of different lengths
-            raise ValueError(f"matrix: must be a real matrix (got {shown(matrix)})") from None
+            raise ArgumentError("matrix", "must be a real matrix", shown(matrix)) from None
     if matrix.ndim != 2 or matrix.dtype.kind not in "fiub":
-        raise ValueError(f"matrix: must be a real matrix (got {matrix.dtype} of shape {matrix.shape})")
+        raise ArgumentError("matrix", "must be a real matrix", f"{matrix.dtype} of shape {matrix.shape}")
     return sp.csr_array(matrix, dtype=float)
 
 
@@ -543,8 +543,8 @@ def named_term(given: Any, names: tuple[str, ...], where: str) -> Term:
     by_name = {powers: 1} if isinstance(powers, str) else dict(powers)
     unknown = sorted(set(by_name) - set(names))
     if unknown:
-        raise ValueError(f"{where}: must name parameters among {', '.join(names)} (got {', '.join(unknown)})")
+        raise ArgumentError(where, f"must name parameters among {', '.join(names)}", ", ".join(unknown))
     try:
         return Term(matrix, tuple(by_name.get(name, 0) for name in names))
     except ValueError as error:
-        raise ValueError(f"{where}.{error}") from error
+        raise ArgumentError.of(error).under(where) from error

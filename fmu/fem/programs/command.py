@@ -15,7 +15,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.durable_files import digest
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.programs.answers import AnswerError
@@ -32,14 +32,18 @@ from fmu.formats.shown import shown
 
 STEP = 1e-3
 """Of central differences: decks and results often have seven figures."""
+_BRACES = "may have {job} and {deck} in braces"
 
 
 class CommandError(ValueError):
-    """A command that cannot be used; `mistakes` lists all that was found, each ``argument: rule``."""
+    """A command that cannot be used; `mistakes` lists all that was found."""
 
-    def __init__(self, mistakes: Sequence[str]) -> None:
+    def __init__(self, mistakes: Sequence[ArgumentError]) -> None:
         self.mistakes = tuple(mistakes)
-        super().__init__("; ".join(mistakes))
+        super().__init__(self.mistakes)
+
+    def __str__(self) -> str:
+        return "; ".join(map(str, self.mistakes))
 
 
 @check_arguments
@@ -122,9 +126,12 @@ class CommandModel(BlackBoxModel):
             self.template = read_deck(template)
             filled(self.template, dict.fromkeys(self.names, 1.0))
             missing = [name for name in self.names if name not in placeholders(self.template)]
-            wrong += [f"template: must have the placeholder {{{name}}} (it has none)" for name in missing]
+            wrong += [
+                ArgumentError("template", f"must have the placeholder {{{name}}} (it has none)")
+                for name in missing
+            ]
         except ValueError as error:
-            wrong.append(f"template: {error}")
+            wrong.append(ArgumentError("template", str(error)))
         self.program, of_program = self._program()
         wrong += of_program
         if template.parent == self.folder:  # the deck is written beside its inputs
@@ -135,7 +142,7 @@ class CommandModel(BlackBoxModel):
             if not why and place_beside(name) in (self.deck, Path(OUTPUT)):
                 why = f"must not have the name of the deck or of {OUTPUT}"
             if why:
-                wrong.append(f"inputs.{i}: {why}")
+                wrong.append(ArgumentError(f"inputs.{i}", why))
             else:
                 contents[name] = digest((self.folder / name).read_bytes())
         if wrong:
@@ -210,31 +217,33 @@ class CommandModel(BlackBoxModel):
             is_outdated=run.is_outdated,
         )
 
-    def _of_options(self) -> list[str]:
+    def _of_options(self) -> list[ArgumentError]:
         """Return the mistakes in the arguments that need no file."""
         wrong = []
         if not self.command or not self.command[0]:
-            wrong.append(f"command: must be a list of a program and its arguments (got {list(self.command)})")
+            wrong.append(
+                ArgumentError("command", "must be a list of a program and its arguments", list(self.command))
+            )
         for i, part in enumerate(self.command):
             for word in WORD.findall(part):
                 if word not in ("job", "deck"):
-                    wrong.append(f"command.{i}: may have {{job}} and {{deck}} in braces (got {{{word}}})")
+                    wrong.append(ArgumentError(f"command.{i}", _BRACES, f"{{{word}}}"))
         if (self.found is None) == (self.reader is None):
-            wrong.append("frequencies: must be given, or a reader instead")
+            wrong.append(ArgumentError("frequencies", "must be given, or a reader instead"))
         if self.reader is not None and self.reader not in READERS:
-            wrong.append(f"reader: must be one of {', '.join(READERS)} (got {shown(self.reader)})")
+            wrong.append(ArgumentError("reader", f"must be one of {', '.join(READERS)}", shown(self.reader)))
         if self.result is not None and self.reader is None:
-            wrong.append("result: must not be given without a reader")
+            wrong.append(ArgumentError("result", "must not be given without a reader"))
         for word in WORD.findall(self.result or ""):
             if word not in ("job", "deck"):
-                wrong.append(f"result: may have {{job}} and {{deck}} in braces (got {{{word}}})")
+                wrong.append(ArgumentError("result", _BRACES, f"{{{word}}}"))
         if not 0.0 < self.timeout <= 1e7:
-            wrong.append(f"timeout: must be positive, in seconds (got {self.timeout})")
+            wrong.append(ArgumentError("timeout", "must be positive, in seconds", self.timeout))
         if not 0 <= self.retries <= 100:
-            wrong.append(f"retries: must be from 0 to 100 (got {self.retries})")
+            wrong.append(ArgumentError("retries", "must be from 0 to 100", self.retries))
         return wrong
 
-    def _program(self) -> tuple[Path, list[str]]:
+    def _program(self) -> tuple[Path, list[ArgumentError]]:
         """Return the path of the program, and what is wrong with it."""
         name = self.command[0] if self.command else ""
         is_path = "/" in name or os.sep in name
@@ -245,7 +254,8 @@ class CommandModel(BlackBoxModel):
             found = None
         if name and not found:
             where = "beside the file" if is_path else "installed, on the PATH"
-            return Path(), [f"command.0: must be a program that is {where}, and may be run (got {shown(name)})"]
+            rule = f"must be a program that is {where}, and may be run"
+            return Path(), [ArgumentError("command.0", rule, shown(name))]
         return Path(found or "").absolute(), []
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.formats.files import too_large, why_no_file
 from fmu.formats.shown import shown
 from fmu.numbers import significant
@@ -48,14 +48,14 @@ class FoundFrequencies:
         try:
             groups = re.compile(self.pattern, re.MULTILINE).groups
         except (re.error, OverflowError, RecursionError) as error:
-            raise ValueError(
-                f"pattern: must be a regular expression ({error}; got {shown(self.pattern)})"
+            raise ArgumentError(
+                "pattern", f"must be a regular expression ({error}; got {shown(self.pattern)})"
             ) from None
         if groups != 1:
-            raise ValueError(f"pattern: must have one group, as (…), for the frequency (got {groups} groups)")
+            raise ArgumentError("pattern", "must have one group, as (…), for the frequency", f"{groups} groups")
         for word in WORD.findall(self.file):
             if word not in ("job", "deck"):
-                raise ValueError(f"file: may have {{job}} and {{deck}} in braces (got {{{word}}})")
+                raise ArgumentError("file", "may have {job} and {deck} in braces", f"{{{word}}}")
 
     def read(self, path: Path, seconds: float = 60.0) -> FloatArray:
         """Return the frequencies in a file; ValueError if there are none, or none are found within `seconds`."""
@@ -74,11 +74,13 @@ class FoundFrequencies:
             done = subprocess.run(command, capture_output=True, timeout=seconds, check=True)
         except subprocess.TimeoutExpired:
             rule = f"must be matched within {significant(seconds)} s"
-            raise ValueError(
-                f"pattern: {rule} in {path.name} (got {shown(self.pattern)}, which took longer)"
+            raise ArgumentError(
+                "pattern", f"{rule} in {path.name}", f"{shown(self.pattern)}, which took longer"
             ) from None
         except subprocess.CalledProcessError as error:
-            raise ValueError(f"pattern: cannot be matched in {path.name} (exit code {error.returncode})") from None
+            raise ArgumentError(
+                "pattern", f"cannot be matched in {path.name} (exit code {error.returncode})"
+            ) from None
         found: list[str | None] = json.loads(done.stdout)
         return found
 
@@ -94,4 +96,4 @@ def _number(word: str | None, name: str) -> float:
     try:
         return float((word or "").upper().replace("D", "E"))
     except ValueError:
-        raise ValueError(f"{name}: the pattern must match numbers (got {shown(word)})") from None
+        raise ArgumentError(name, "the pattern must match numbers", shown(word)) from None

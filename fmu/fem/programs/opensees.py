@@ -25,7 +25,7 @@ import numpy as np
 import scipy.sparse as sp
 from annotated_types import Interval
 
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.engines.program import last_lines
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.eigensolver import eigen
@@ -91,10 +91,12 @@ def exported(build: Build, theta: FloatArray) -> ExportedModel:
         except KeyboardInterrupt:
             raise
         except BaseException as error:
-            raise ValueError(f"build: must work at {np.asarray(theta).tolist()} ({in_words(error)})") from error
+            raise ArgumentError(
+                "build", f"must work at {np.asarray(theta).tolist()} ({in_words(error)})"
+            ) from error
         nodes = ops.getNodeTags() or []
         if not nodes:
-            raise ValueError("build: must make nodes in OpenSees (it made none)")
+            raise ArgumentError("build", "must make nodes in OpenSees (it made none)")
         followers = _followers(ops)
         dofs_at = _assembled(ops, bool(followers))
         dofs: dict[int, DofName] = {}
@@ -107,7 +109,7 @@ def exported(build: Build, theta: FloatArray) -> ExportedModel:
             names = _DIRECTIONS.get((len(place), ndf))
             if names is None:
                 rule = f"node {node} has {ndf} in {len(place)} dimensions"
-                raise ValueError(f"build: must make degrees of freedom of structures ({rule})")
+                raise ArgumentError("build", f"must make degrees of freedom of structures ({rule})")
             directions[node] = names
             own = [name for j, name in enumerate(names, 1) if j not in followers.get(node, ())]
             dofs |= {row: (node, name) for row, name in zip(dofs_at[node], own, strict=False) if row >= 0}
@@ -119,7 +121,7 @@ def exported(build: Build, theta: FloatArray) -> ExportedModel:
         motions, notes = follower_motions(ops, directions, frozenset(dofs.values()), step)
         elements = {tag: tuple(ops.eleNodes(tag)) for tag in ops.getEleTags() or []}
     if len(dofs) < n:
-        raise ValueError(f"build: OpenSees must name its {n} equations (it names {len(dofs)})")
+        raise ArgumentError("build", f"OpenSees must name its {n} equations (it names {len(dofs)})")
     known = {tag: nodes for tag, nodes in elements.items() if len(nodes) in _KINDS}
     if len(known) < len(elements):
         notes.append(f"Of {len(elements)} elements, {len(elements) - len(known)} are not drawn.")
@@ -166,9 +168,7 @@ def from_opensees(
     """
     for key, values in (("start", start), ("lower", lower), ("upper", upper)):
         if not len(names) or np.shape(values) != (len(names),) or np.isnan(values).any():
-            raise ValueError(
-                f"{key}: must be numbers, one for each of {list(names)} (got {list(np.ravel(values))})"
-            )
+            raise ArgumentError(key, f"must be numbers, one for each of {list(names)}", list(np.ravel(values)))
     points, checks = _points(*(np.array(values, dtype=float) for values in (start, lower, upper)))
     exports = [
         Export(
@@ -183,7 +183,7 @@ def from_opensees(
     try:
         model = from_exports(exports, bounds)
     except ValueError as error:
-        raise ValueError(str(error).removeprefix("exports: ")) from error
+        raise ArgumentError.of(error).moved("exports", "") from error
     model.notes = (*model.notes, *exports[0].model.notes)
     return model
 
@@ -221,7 +221,7 @@ class OpenSeesModel(BlackBoxModel):
         store: str | os.PathLike[str] | None = None,
     ) -> None:
         if np.ndim(start) != 1 or not len(start) or not np.isfinite(start).all():
-            raise ValueError(f"start: must be a list of finite numbers (got {np.asarray(start).tolist()})")
+            raise ArgumentError("start", "must be a list of finite numbers", np.asarray(start).tolist())
         self.build, self.modes = build, modes
         self.assembled = _fixed_model(exported(build, start))
         name = getattr(inspect.unwrap(build), "__qualname__", "build")
@@ -322,7 +322,7 @@ def _followers(ops: Any) -> dict[int, list[int]]:
     held = sum(len(ops.getFixedDOFs(node)) for node in ops.getFixedNodes() or [])
     held += sum(map(len, followers.values()))
     if sum(ops.getNDF(node)[0] for node in ops.getNodeTags()) <= held:
-        raise ValueError("build: must leave degrees of freedom free (all are fixed)")
+        raise ArgumentError("build", "must leave degrees of freedom free (all are fixed)")
     return followers
 
 
@@ -340,7 +340,7 @@ def _assembled(ops: Any, follows: bool) -> dict[int, list[int]]:
     ops.analysis("Transient")
     ops.analyze(1, 0.0)
     if not 0 < ops.systemSize() <= MOST_DOFS:
-        raise ValueError(f"build: must leave 1 to {MOST_DOFS} degrees of freedom free (got {ops.systemSize()})")
+        raise ArgumentError("build", f"must leave 1 to {MOST_DOFS} degrees of freedom free", ops.systemSize())
     return {node: ops.nodeDOFs(node) for node in ops.getNodeTags()}
 
 
@@ -350,13 +350,15 @@ def _matrix(ops: Any, what: str, n: int, factors: Sequence[float]) -> Any:
     ops.analyze(1, 0.0)
     entries = np.array(ops.printA("-ret") or [], dtype=float)
     if entries.size != n * n or not np.all(np.isfinite(entries)):
-        raise ValueError(f"build: OpenSees must assemble a finite {what}")
+        raise ArgumentError("build", f"OpenSees must assemble a finite {what}")
     if not entries.any():
-        raise ValueError(f"build: must give {what} (that of OpenSees is zero)")
+        raise ArgumentError("build", f"must give {what} (that of OpenSees is zero)")
     matrix = entries.reshape(n, n)
     apart = np.max(np.abs(matrix - matrix.T))
     if apart > _ASYMMETRIC * np.max(np.abs(matrix)):
-        raise ValueError(f"build: the {what} must be symmetric (it differs from its transpose by {shown(apart)})")
+        raise ArgumentError(
+            "build", f"the {what} must be symmetric (it differs from its transpose by {shown(apart)})"
+        )
     return sp.csr_array(0.5 * (matrix + matrix.T))
 
 

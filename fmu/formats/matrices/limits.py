@@ -11,6 +11,7 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from fmu.arguments import ArgumentError
 from fmu.formats.shown import names_shown
 from fmu.types import FloatArray
 
@@ -75,7 +76,17 @@ class MatrixFormat:
 
 
 class RefusedError(Exception):
-    """A readable file that does not hold what is needed, or holds too much."""
+    """A readable file that does not hold what is needed, or holds too much.
+
+    Attributes
+    ----------
+    record : ArgumentError
+        Its key is ``variable`` where the name of the matrix is at fault, and empty otherwise.
+    """
+
+    def __init__(self, rule: str, key: str = "") -> None:
+        self.record = ArgumentError(key, rule)
+        super().__init__(str(self.record))
 
 
 class NoMatrixError(RefusedError):
@@ -92,7 +103,7 @@ class SeveralError(RefusedError):
 
     def __init__(self, names: Sequence[str]) -> None:
         self.names = tuple(names)
-        super().__init__(f"variable: must be given, one of {names_shown(names)}")
+        super().__init__(f"must be given, one of {names_shown(names)}", "variable")
 
 
 def chosen(names: Sequence[str], variable: str | None) -> str:
@@ -102,7 +113,7 @@ def chosen(names: Sequence[str], variable: str | None) -> str:
     if variable is None and len(names) > 1:
         raise SeveralError(names)
     if variable is not None and variable not in names:
-        raise RefusedError(f"variable: must be one of {names_shown(names)} (got {variable!r})")
+        raise RefusedError(f"must be one of {names_shown(names)} (got {variable!r})", "variable")
     return names[0] if variable is None else variable
 
 

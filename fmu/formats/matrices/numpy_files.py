@@ -84,7 +84,7 @@ def _npz(path: Path, variable: str | None) -> Labelled:
         with np.load(path, allow_pickle=False) as content:
             return Labelled(content[name])
     if variable is not None:
-        raise RefusedError(f"variable: the file has one matrix, without a name (got {variable!r})")
+        raise RefusedError(f"the file has one matrix, without a name (got {variable!r})", "variable")
     return Labelled(sp.load_npz(path))
 
 

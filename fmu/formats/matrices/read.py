@@ -36,6 +36,7 @@ from typing import Any, Literal
 import numpy as np
 import scipy.sparse as sp
 
+from fmu.arguments import ArgumentError
 from fmu.formats.advice import how_to_export
 from fmu.formats.files import too_large, why_no_file
 from fmu.formats.matrices import FORMATS
@@ -118,7 +119,7 @@ def read_labelled(
     if too_large(path, LARGEST_FILE):
         raise ValueError(too_large(path, LARGEST_FILE))
     if variable is not None and not _FORMAT_OF[suffix].has_names:
-        raise ValueError(f"variable: a {suffix} file has one matrix, without a name (got {variable!r})")
+        raise ArgumentError("variable", f"a {suffix} file has one matrix, without a name", repr(variable))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of readers, about what is refused below or changes in later versions
@@ -128,7 +129,7 @@ def read_labelled(
     except NoMatrixError as refused:
         raise ValueError(f"{refused}{advice}") from refused
     except RefusedError as refused:
-        raise ValueError(str(refused)) from refused
+        raise refused.record from refused
     except MemoryError:
         raise
     except Exception as error:  # whatever a broken file makes the readers raise
@@ -176,7 +177,7 @@ def write_matrix(path: Path, matrix: Any, variable: str = "matrix") -> None:
     form = _FORMAT_OF.get(_suffix(path))
     if form is None or form.write is None:
         known = [suffix for suffix, form in _FORMAT_OF.items() if form.write is not None]
-        raise ValueError(f"path: must end in {', '.join(known)} (got {path.name!r})")
+        raise ArgumentError("path", f"must end in {', '.join(known)}", repr(path.name))
     form.write(path, sp.csr_array(matrix), variable)
 
 
@@ -255,10 +256,12 @@ def _mirrored(matrix: Any, triangle: Triangle) -> Any:
     above, below = _off_diagonal(matrix)
     if (triangle == "lower" and above) or (triangle == "upper" and below):
         there = f"{above} above the diagonal, {below} below it"
-        raise ValueError(f"triangle: the file must have only its {triangle} triangle (it has entries: {there})")
+        raise ArgumentError(
+            "triangle", f"the file must have only its {triangle} triangle (it has entries: {there})"
+        )
     diagonal = sp.diags_array(matrix.diagonal(), format="csr")
     half = sp.csr_array(matrix - diagonal)
     half.eliminate_zeros()
     if half.multiply(half.T).nnz:
-        raise ValueError("triangle: the file must have each pair of entries once (it has both of some)")
+        raise ArgumentError("triangle", "the file must have each pair of entries once (it has both of some)")
     return sp.csr_array(half + half.T + diagonal)

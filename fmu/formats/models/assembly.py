@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from fmu.arguments import ArgumentError
 from fmu.formats.matrices.abaqus import HELD
 from fmu.formats.matrices.limits import Labelled
 from fmu.formats.models.exported import NO_MESH, DofName, Mesh
@@ -63,7 +64,7 @@ def assembled(read: Sequence[Labelled], n_stiffness: int, where: Sequence[str], 
     for names, at in zip(named, where, strict=True):
         if not set(names) & set(named[0]):
             rule = f"must have degrees of freedom that {where[0]} has"
-            raise ValueError(f"{at}: {rule} (got {_shown(names)}; {where[0]} has {_shown(named[0])})")
+            raise ArgumentError(at, rule, f"{_shown(names)}; {where[0]} has {_shown(named[0])}")
     dofs = sorted({dof for names in named for dof in names}, key=_order)
     index = {dof: i for i, dof in enumerate(dofs)}
     matrices = [
@@ -75,7 +76,7 @@ def assembled(read: Sequence[Labelled], n_stiffness: int, where: Sequence[str], 
     is_empty = np.sum([abs(matrix).sum(axis=1) for matrix in matrices], axis=0) == 0.0
     rows = np.flatnonzero(~is_held & ~is_empty)
     if len(rows) == 0:
-        raise ValueError(f"{where[0]}: must have a row that is neither held nor empty")
+        raise ArgumentError(where[0], "must have a row that is neither held nor empty")
     notes = [
         f"{np.sum(which)} degrees of freedom are left out: {why}."
         for which, why in ((is_held, "held by supports"), (is_empty & ~is_held, "without stiffness and mass"))
@@ -98,12 +99,12 @@ def _named(one: Labelled, where: str, mesh: Mesh, assumed: dict[str, None]) -> t
     """Return the names of the rows of a matrix; what is assumed for that is added."""
     n = one.matrix.shape[0]
     if one.dofs is not None and len(one.dofs) != n:
-        raise ValueError(f"{where}: must name {n} degrees of freedom (got {len(one.dofs)})")
+        raise ArgumentError(where, f"must name {n} degrees of freedom", len(one.dofs))
     if one.dofs is not None:
         if len(set(one.dofs)) < n:
             seen: set[DofName] = set()
             twice = next(dof for dof in one.dofs if dof in seen or seen.add(dof))  # type: ignore[func-returns-value]
-            raise ValueError(f"{where}: must name each degree of freedom once (got {_shown([twice])} twice)")
+            raise ArgumentError(where, "must name each degree of freedom once", f"{_shown([twice])} twice")
         return one.dofs
     for which, names in mesh.sets.items():
         if len(names) == n:
@@ -114,7 +115,7 @@ def _named(one: Labelled, where: str, mesh: Mesh, assumed: dict[str, None]) -> t
     if known:
         rule += f", as the mesh has other numbers of rows, {known}; rows that AUTOSPC held are missing in matrices"
         rule += " (SPC1 entries for them name them, and so does PARAM,AUTOSPC,N)"
-    raise ValueError(f"{where}: {rule}")
+    raise ArgumentError(where, rule)
 
 
 def _order(dof: DofName) -> tuple[int, int]:

@@ -24,7 +24,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.formats.calculix_dat import read_displacements, read_frequencies
 from fmu.formats.files import too_large, why_no_file
 from fmu.formats.matrices.limits import LARGEST_FILE, MOST_DOFS, Labelled, RefusedError, SeveralError, text_lines
@@ -106,9 +106,9 @@ def read_model(
         given = _told("dofs", partial(read_names, Path(dofs)))
         for one in read:
             if one.dofs is not None:
-                raise ValueError("dofs: must not be given: the matrices name their degrees of freedom")
+                raise ArgumentError("dofs", "must not be given: the matrices name their degrees of freedom")
             if one.matrix.shape[0] != len(given):
-                raise ValueError(f"dofs: must name {one.matrix.shape[0]} degrees of freedom (got {len(given)})")
+                raise ArgumentError("dofs", f"must name {one.matrix.shape[0]} degrees of freedom", len(given))
         read = [one._replace(dofs=given) for one in read]
     model = assembled(read, 1, where, found)
     if mesh is not None:
@@ -205,10 +205,10 @@ def read_names(path: Path) -> tuple[DofName, ...]:
             direction = _DIRECTION.get(words[-1])
             if not is_name or direction is None:
                 rule = "must be node,direction with a direction x, y, z, rx, ry, rz or 1 to 6"
-                raise ValueError(f"{path.name}: line {number} {rule} (got {shown(line)})")
+                raise ArgumentError(path.name, f"line {number} {rule}", shown(line))
             names.append((int(words[0]), direction))
             if len(names) > MOST_DOFS:
-                raise ValueError(f"{path.name}: must have at most {MOST_DOFS} lines")
+                raise ArgumentError(path.name, f"must have at most {MOST_DOFS} lines")
     return tuple(names)
 
 
@@ -217,11 +217,13 @@ def require_nodes(
 ) -> None:
     """Raise ValueError unless a mesh has a node of the matrices, which are along the axes that it gives."""
     if TRANSFORMED in mesh.notes and any(file.suffix.lower() == ".mtx" for file in files):
-        raise ValueError("mesh: must have no *TRANSFORM: Abaqus writes matrices along the axes that it turns")
+        raise ArgumentError("mesh", "must have no *TRANSFORM: Abaqus writes matrices along the axes that it turns")
     known = set(mesh.nodes.tolist())
     named = [node for node, _ in motions] + [node for node, _ in dofs]
     if not known.intersection(named):
-        raise ValueError(f"mesh: must have the nodes of the matrices, such as {named[0]} (it has none of them)")
+        raise ArgumentError(
+            "mesh", f"must have the nodes of the matrices, such as {named[0]} (it has none of them)"
+        )
 
 
 def _matrix(path: Path, variable: str | None) -> Labelled:
@@ -296,5 +298,5 @@ def _told(argument: str, read: Callable[[], Any]) -> Any:
     try:
         return read()
     except ValueError as error:
-        text = str(error).removeprefix("variable: ")
-        raise ValueError(f"{argument}: {one_line(text)}") from error
+        text = str(ArgumentError.of(error).moved("variable", ""))
+        raise ArgumentError(argument, one_line(text)) from error

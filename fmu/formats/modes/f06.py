@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fmu.arguments import ArgumentError
 from fmu.formats.matrices.limits import text_lines
 from fmu.formats.matrices.nastran.includes import BULK_DATA
 from fmu.formats.models.read import read_mesh
@@ -113,7 +114,7 @@ def _read_printed(
     try:
         axes = {} if deck is None else read_mesh(deck).axes
     except ValueError as error:
-        raise ModesError(file.name, ["deck: " + str(error).removeprefix("path: ")]) from None
+        raise ModesError(file.name, [str(ArgumentError.of(error).moved("path", "deck"))]) from None
     shapes = [[_at(found.shapes[number], sensor, axes, file.name) for number in numbers] for sensor in sensors]
     if not np.all(np.isfinite(shapes)):
         raise ModesError(file.name, ["shapes: must be finite at the sensors"])

@@ -11,6 +11,7 @@ import numpy as np
 from annotated_types import Ge, Interval
 from numpy.typing import ArrayLike
 
+from fmu.arguments import ArgumentError, MissingFileError
 from fmu.formats.files import too_large, why_no_file
 from fmu.formats.shown import names_shown, shown, told
 from fmu.numbers import apart, given
@@ -167,13 +168,16 @@ def real_shapes(shapes: ArrayLike, least_mpc: float = LEAST_MPC) -> tuple[FloatA
     """
     phi = np.asarray(shapes, dtype=complex)
     if not np.all(np.isfinite(phi)) or not np.all(np.any(phi != 0, axis=0)):
-        raise ValueError("shapes: must be finite, and no mode zero at every sensor")
+        raise ArgumentError("shapes", "must be finite, and no mode zero at every sensor")
     mpc = phase_collinearity(phi)
     if not np.all(mpc >= least_mpc):
         at = int(np.argmin(mpc))
-        raise ValueError(
-            f"shapes: mode {at + 1} must have a phase collinearity (MPC) of at least {given(least_mpc)} to be "
-            f"taken for a real one (got {apart(mpc[at], least_mpc, sd=0.1)[0]}); least_mpc=0 takes it anyway"
+        raise ArgumentError(
+            "shapes",
+            f"mode {at + 1} must have a phase collinearity (MPC) of at least {given(least_mpc)} "
+            "to be taken for a real one",
+            apart(mpc[at], least_mpc, sd=0.1)[0],
+            "; least_mpc=0 takes it anyway",
         )
     return np.asarray((phi * np.exp(-0.5j * np.angle(np.sum(phi**2, axis=0)))).real), mpc
 
@@ -190,7 +194,7 @@ def checked_file(path: Path) -> Path:
     """
     why = why_no_file(path)
     if why:
-        raise FileNotFoundError(f"path: must be a file ({why})")
+        raise MissingFileError("path", f"must be a file ({why})")
     large = too_large(path, LARGEST_FILE)
     if large:
         raise ModesError(path.name, [large])

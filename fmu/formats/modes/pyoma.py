@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from fmu.arguments import ArgumentError
 from fmu.formats.modes.measured_modes import (
     LEAST_MPC,
     MOST_MODES,
@@ -133,13 +134,13 @@ def _unit_sd(shapes: FloatArray, phi_std: FloatArray) -> FloatArray | None:
     theirs: with σ_0 = `FIXED` times the least of the others, a variance changes by less than `FIXED`² of it.
     """
     if not np.all(np.isfinite(phi_std)) or np.any(phi_std < 0.0):
-        raise ValueError("Phi_std: must be finite and not negative")
+        raise ArgumentError("Phi_std", "must be finite and not negative")
     if len(shapes) < 2:
         return None
     sd = phi_std / np.linalg.norm(shapes, axis=0)
     for column in sd.T:
         if np.sum(column == 0.0) > 1:
-            raise ValueError("Phi_std: must be positive but at one channel, which scales the shape")
+            raise ArgumentError("Phi_std", "must be positive but at one channel, which scales the shape")
         column[column == 0.0] = FIXED * np.min(column[column > 0.0])
     return sd
 

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fmu.arguments import ArgumentError
 from fmu.formats.modes.measured_modes import (
     LEAST_MPC,
     Collinearity,
@@ -160,11 +161,11 @@ def write_uff(
     node_numbers = []
     for place, _ in sensors:
         if place not in number_of and not isinstance(place, int | np.integer):
-            raise ValueError(f"nodes: must say which node number {place!r} is")
+            raise ArgumentError("nodes", f"must say which node number {place!r} is")
         node_numbers.append(number_of.get(place, place))
     directions = [direction.removeprefix("-") for _, direction in sensors]
     if len(set(zip(node_numbers, directions, strict=True))) < len(directions):
-        raise ValueError("sensors: must be distinct nodes or directions")
+        raise ArgumentError("sensors", "must be distinct nodes or directions")
     written = sorted(set(node_numbers))
     row = {node: i for i, node in enumerate(written)}
     columns = DIRECTIONS if any(direction.startswith("r") for direction in directions) else DIRECTIONS[:3]

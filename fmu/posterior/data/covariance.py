@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fmu.arguments import ArgumentError
 from fmu.numbers import significant
 from fmu.types import FloatArray
 
@@ -30,26 +31,23 @@ def checked_covariance(covariance: ArrayLike, n: int, name: str = "covariance_hz
     """
     matrix = np.array(covariance, dtype=float)
     if matrix.shape != (n, n):
-        raise ValueError(f"{name}: must have shape {(n, n)}, modes x modes (got {matrix.shape})")
+        raise ArgumentError(name, f"must have shape {(n, n)}, modes x modes", matrix.shape)
     if not np.all(np.isfinite(matrix)):
-        raise ValueError(f"{name}: must be finite (got {matrix.tolist()})")
+        raise ArgumentError(name, "must be finite", matrix.tolist())
     variance = np.diag(matrix)
     if not np.all(variance > 0):
         at = int(np.argmin(variance > 0))
-        raise ValueError(f"{name}.{at}.{at}: must be positive, a variance (got {variance[at]} Hz²)")
+        raise ArgumentError(f"{at}.{at}", "must be positive, a variance", f"{variance[at]} Hz²").under(name)
     sd = np.sqrt(variance)
     correlation = matrix / sd[:, None] / sd
     off = np.abs(correlation - correlation.T)
     if off.max() > _SYMMETRIC:
         i, j = map(int, np.unravel_index(np.argmax(off), off.shape))
-        raise ValueError(
-            f"{name}: must be symmetric (got {matrix[i, j]} at {i}.{j} and {matrix[j, i]} at {j}.{i})"
-        )
+        raise ArgumentError(name, "must be symmetric", f"{matrix[i, j]} at {i}.{j} and {matrix[j, i]} at {j}.{i}")
     lowest = float(np.linalg.eigvalsh(0.5 * (correlation + correlation.T))[0])
     if lowest < 1e-12:
-        raise ValueError(
-            f"{name}: must be positive definite (got a lowest eigenvalue of the correlations of "
-            f"{significant(lowest)})"
+        raise ArgumentError(
+            name, "must be positive definite", f"a lowest eigenvalue of the correlations of {significant(lowest)}"
         )
     matrix = 0.5 * (matrix + matrix.T)
     matrix.flags.writeable = False

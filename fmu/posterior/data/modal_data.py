@@ -12,7 +12,7 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import ArrayLike
 
-from fmu.arguments import check_arguments, shown
+from fmu.arguments import ArgumentError, check_arguments, shown
 from fmu.fem.pairing.matching import Matching
 from fmu.formats.modes.csv import read_frequencies, read_shapes
 from fmu.formats.modes.measured_modes import LEAST_MPC, MeasuredModes
@@ -92,11 +92,11 @@ class ModalData:
     def __post_init__(self) -> None:
         frequencies = np.array(self.frequencies_hz, dtype=float)
         if frequencies.ndim != 1 or len(frequencies) == 0:
-            raise ValueError(f"frequencies_hz: must be a list of numbers (got shape {frequencies.shape})")
+            raise ArgumentError("frequencies_hz", "must be a list of numbers", f"shape {frequencies.shape}")
         wrong = ~(np.isfinite(frequencies) & (frequencies > 0))
         if np.any(wrong):
             at = int(np.argmax(wrong))
-            raise ValueError(f"frequencies_hz.{at}: must be positive and finite (got {frequencies[at]} Hz)")
+            raise ArgumentError(f"frequencies_hz.{at}", "must be positive and finite", f"{frequencies[at]} Hz")
         frequencies.flags.writeable = False
         object.__setattr__(self, "frequencies_hz", frequencies)
         n = len(frequencies)
@@ -107,28 +107,28 @@ class ModalData:
         object.__setattr__(self, "use", tuple(map(bool, self.use)) or (True,) * n)
         for name in ("numbers", "labels", "use"):
             if len(getattr(self, name)) != n:
-                raise ValueError(f"{name}: must be {n}, one per mode (got {len(getattr(self, name))})")
+                raise ArgumentError(name, f"must be {n}, one per mode", len(getattr(self, name)))
 
         if len(set(self.labels)) < n:
-            raise ValueError(f"labels: must be distinct (got {self.labels})")
+            raise ArgumentError("labels", "must be distinct", self.labels)
         if not any(self.use):
-            raise ValueError(f"use: must be true for at least one mode (got {list(self.use)})")
+            raise ArgumentError("use", "must be true for at least one mode", list(self.use))
         if self.shapes is not None:
             shapes = np.array(self.shapes, dtype=float)
             if shapes.shape != (len(self.sensors), n):
-                raise ValueError(
-                    f"shapes: must have shape {(len(self.sensors), n)}, sensors x modes (got {shapes.shape})"
+                raise ArgumentError(
+                    "shapes", f"must have shape {(len(self.sensors), n)}, sensors x modes", shapes.shape
                 )
             if not np.all(np.isfinite(shapes)) or not np.all(np.any(shapes != 0.0, axis=0)):
-                raise ValueError("shapes: must be finite, and no mode zero at every sensor")
+                raise ArgumentError("shapes", "must be finite, and no mode zero at every sensor")
             shapes.flags.writeable = False
             object.__setattr__(self, "shapes", shapes)
         if self.mpc is not None and np.shape(self.mpc) != (n,):
-            raise ValueError(f"mpc: must be {n}, one per mode (got shape {np.shape(self.mpc)})")
+            raise ArgumentError("mpc", f"must be {n}, one per mode", f"shape {np.shape(self.mpc)}")
         self._check_uncertainty(n)
         self._check_counterparts(n)
         if self.tests is not None and np.shape(self.tests.frequencies_hz)[1] != n:
-            raise ValueError(f"tests: must be of {n} modes (got {np.shape(self.tests.frequencies_hz)[1]})")
+            raise ArgumentError("tests", f"must be of {n} modes", np.shape(self.tests.frequencies_hz)[1])
 
     def _check_counterparts(self, n: int) -> None:
         given = tuple(self.counterparts)
@@ -136,14 +136,14 @@ class ModalData:
         if not given:
             return
         if len(given) != n or len(set(given)) < n or min(given) < 1:
-            raise ValueError(f"counterparts: must be {n} distinct numbers from 1, one per mode (got {given})")
+            raise ArgumentError("counterparts", f"must be {n} distinct numbers from 1, one per mode", given)
         if self.shapes is not None:
-            raise ValueError("counterparts: must not be given together with shapes, which pair the modes")
+            raise ArgumentError("counterparts", "must not be given together with shapes, which pair the modes")
 
     def _check_uncertainty(self, n: int) -> None:
         if self.sd_hz is not None and self.covariance_hz2 is not None:
-            raise ValueError(
-                f"sd_hz: must not be given together with covariance_hz2 (got {shown(self.covariance_hz2)})"
+            raise ArgumentError(
+                "sd_hz", "must not be given together with covariance_hz2", shown(self.covariance_hz2)
             )
         if self.sd_hz is not None:
             object.__setattr__(self, "sd_hz", _spread(self.sd_hz, "sd_hz", (n,), "one per mode"))
@@ -151,7 +151,7 @@ class ModalData:
             object.__setattr__(self, "covariance_hz2", checked_covariance(self.covariance_hz2, n))
         if self.shapes_sd is not None:
             if self.shapes is None:
-                raise ValueError("shapes_sd: must not be given without shapes")
+                raise ArgumentError("shapes_sd", "must not be given without shapes")
             full = (len(self.sensors), n)
             object.__setattr__(self, "shapes_sd", _spread(self.shapes_sd, "shapes_sd", full, "sensors x modes"))
 
@@ -306,7 +306,7 @@ class ModalData:
             If there is no pyuff.
         """
         if self.shapes is None:
-            raise ValueError("shapes: must have been measured to be written")
+            raise ArgumentError("shapes", "must have been measured to be written")
         write_uff(Path(path), self.frequencies_hz, self.shapes, self.sensors, self.numbers, nodes)
 
     @classmethod
@@ -354,11 +354,11 @@ def _spread(value: ArrayLike, name: str, shape: tuple[int, ...], what: str) -> F
     """Return standard deviations of the given shape, read-only."""
     given = np.array(value, dtype=float)
     if given.shape not in ((), shape[-1:], shape):
-        raise ValueError(f"{name}: must be a number or have shape {shape}, {what} (got {given.shape})")
+        raise ArgumentError(name, f"must be a number or have shape {shape}, {what}", given.shape)
     spread = np.broadcast_to(given, shape).copy()
     wrong = ~(np.isfinite(spread) & (spread > 0))
     if wrong.any():
-        raise ValueError(f"{name}: must be positive and finite (got {spread[wrong][0]})")
+        raise ArgumentError(name, "must be positive and finite", spread[wrong][0])
     spread.flags.writeable = False
     return spread
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.arguments import ArgumentError
 from fmu.numbers import fixed
 from fmu.types import FloatArray
 
@@ -40,17 +41,17 @@ def _checked(frequencies: ArrayLike, scatter: str) -> FloatArray:
     """Return frequencies as an array; ValueError if they or `scatter` are wrong."""
     values = np.array(frequencies, dtype=float)
     if values.ndim != 2 or values.size == 0:
-        raise ValueError(f"frequencies: must have shape (n_tests, n_modes) (got {values.shape})")
+        raise ArgumentError("frequencies", "must have shape (n_tests, n_modes)", values.shape)
     if scatter not in SCATTERS:
-        raise ValueError(f"scatter: must be one of {SCATTERS} (got {scatter!r})")
+        raise ArgumentError("scatter", f"must be one of {SCATTERS}", repr(scatter))
     wrong = ~np.isnan(values) & ~(np.isfinite(values) & (values > 0))
     if wrong.any():
         i, j = map(int, np.unravel_index(np.argmax(wrong), wrong.shape))
-        raise ValueError(f"frequencies.{i}.{j}: must be positive and finite, or NaN (got {values[i, j]} Hz)")
+        raise ArgumentError(f"frequencies.{i}.{j}", "must be positive and finite, or NaN", f"{values[i, j]} Hz")
     n = np.sum(~np.isnan(values), axis=0)
     if n.min() < 2:
         at = int(np.argmin(n))
-        raise ValueError(f"frequencies: every mode must have at least 2 values (got {n[at]} of mode {at + 1})")
+        raise ArgumentError("frequencies", "every mode must have at least 2 values", f"{n[at]} of mode {at + 1}")
     return values
 
 
@@ -63,9 +64,10 @@ def _scatter(values: FloatArray, scatter: str) -> _Scatter:
         s = mean * np.sqrt(np.sum(nu * (s / mean) ** 2) / np.sum(nu))
         nu = np.full(len(n), np.sum(nu))
     if not np.all(s > 0):
-        raise ValueError(
-            "frequencies: the values of a mode must differ between tests, or their scatter says nothing "
-            f"(got {mean[np.argmin(s)]} Hz only, of mode {np.argmin(s) + 1})"
+        raise ArgumentError(
+            "frequencies",
+            "the values of a mode must differ between tests, or their scatter says nothing",
+            f"{mean[np.argmin(s)]} Hz only, of mode {np.argmin(s) + 1}",
         )
     return _Scatter(mean, s, nu, n)
 
@@ -191,11 +193,12 @@ def _student(nu: Any) -> FloatArray:
 def _joint(values: FloatArray) -> MeanFrequencies:
     n, n_modes = values.shape
     if np.isnan(values).any():
-        raise ValueError('frequencies: must have no NaN where scatter is "joint"')
+        raise ArgumentError("frequencies", 'must have no NaN where scatter is "joint"')
     if n < n_modes + 3:
-        raise ValueError(
-            f'frequencies: must be of at least {n_modes + 3} tests, 3 more than modes, where scatter is "joint" '
-            f"(got {n})"
+        raise ArgumentError(
+            "frequencies",
+            f'must be of at least {n_modes + 3} tests, 3 more than modes, where scatter is "joint"',
+            n,
         )
     centred = values - values.mean(axis=0)
     return MeanFrequencies(values.mean(axis=0), None, centred.T @ centred / (n * (n - n_modes - 2)))
@@ -256,7 +259,7 @@ def shapes_sd(shapes: ArrayLike) -> FloatArray | None:
 def _checked_shapes(shapes: ArrayLike) -> FloatArray:
     values = np.array(shapes, dtype=float)
     if values.ndim != 3 or values.size == 0:
-        raise ValueError(f"shapes: must have shape (n_tests, n_sensors, n_modes) (got {values.shape})")
+        raise ArgumentError("shapes", "must have shape (n_tests, n_sensors, n_modes)", values.shape)
     return values
 
 
@@ -264,11 +267,11 @@ def _aligned(shapes: FloatArray, mode: int) -> tuple[FloatArray, FloatArray]:
     """Return the shapes of one mode, of unit length and one sign, without missed ones; and their mean."""
     tests = np.flatnonzero(~np.isnan(shapes).all(axis=1))
     if not len(tests):
-        raise ValueError(f"shapes: every mode must be in a test (got none of mode {mode})")
+        raise ArgumentError("shapes", "every mode must be in a test", f"none of mode {mode}")
     length = np.linalg.norm(shapes[tests], axis=1)
     if not np.all(np.isfinite(length) & (length > 0)):
         at = tests[np.argmin(np.isfinite(length) & (length > 0))]
-        raise ValueError(f"shapes.{at}: mode {mode} must be finite and not zero, or NaN at every sensor")
+        raise ArgumentError(f"shapes.{at}", f"mode {mode} must be finite and not zero, or NaN at every sensor")
     unit = shapes[tests] / length[:, None]
     common = np.linalg.svd(unit)[2][0]
     turned = unit * np.where(unit @ common < 0, -1.0, 1.0)[:, None]
@@ -276,9 +279,11 @@ def _aligned(shapes: FloatArray, mode: int) -> tuple[FloatArray, FloatArray]:
     mac = (unit @ mean) ** 2
     if mac.min() < LEAST_MAC:
         at = tests[np.argmin(mac)]
-        raise ValueError(
-            f"shapes.{at}: mode {mode} must have a MAC of at least {LEAST_MAC} with the mean of all tests "
-            f"(got {fixed(float(mac.min()), 2)}): is it the same mode?"
+        raise ArgumentError(
+            f"shapes.{at}",
+            f"mode {mode} must have a MAC of at least {LEAST_MAC} with the mean of all tests",
+            fixed(float(mac.min()), 2),
+            ": is it the same mode?",
         )
     sign = 1.0 if unit[0] @ mean > 0 else -1.0
     return sign * turned, sign * mean

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.arguments import ArgumentError
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.repeated import RepeatedTests
@@ -300,7 +301,7 @@ class Likelihood:
         ValueError
             If it is not a distribution of the frequencies.
         """
-        raise ValueError("error: must be a distribution of the frequencies to simulate them")
+        raise ArgumentError("error", "must be a distribution of the frequencies to simulate them")
 
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
@@ -323,17 +324,17 @@ def mode_weights(weights: ArrayLike | None, n: int) -> FloatArray:
         return np.ones(n)
     given = np.asarray(weights, dtype=float)
     if given.shape != (n,) or not np.all(np.isfinite(given) & (given > 0)):
-        raise ValueError(f"weights: must be {n} positive numbers, one per mode (got {given.tolist()})")
+        raise ArgumentError("weights", f"must be {n} positive numbers, one per mode", given.tolist())
     return given
 
 
 def unit_shapes(data: ModalData, name: str) -> FloatArray:
     """Return the measured shapes scaled to unit length, (n_sensors, n_modes); ValueError if there are none."""
     if data.shapes is None:
-        raise ValueError(f"{name}: need measured shapes at the sensors (got none)")
+        raise ArgumentError(name, "need measured shapes at the sensors", "none")
     shapes = np.asarray(data.shapes)
     if len(shapes) < 2:
-        raise ValueError(f"{name}: need shapes at two sensors or more (got {len(shapes)})")
+        raise ArgumentError(name, "need shapes at two sensors or more", len(shapes))
     return np.asarray(shapes / np.linalg.norm(shapes, axis=0))
 
 
@@ -341,7 +342,7 @@ def checked_beta(beta: ArrayLike, n_modes: int) -> FloatArray:
     """Return β of every mode, shape (n_modes,); ValueError if one is not positive and finite."""
     array = np.array(beta, dtype=float)
     if array.ndim > 1 or (array.ndim == 1 and len(array) != n_modes):
-        raise ValueError(f"beta: must be a number or {n_modes} numbers (got shape {array.shape})")
+        raise ArgumentError("beta", f"must be a number or {n_modes} numbers", f"shape {array.shape}")
     if not np.all(np.isfinite(array) & (array > 0)):
-        raise ValueError(f"beta: must be positive and finite (got {array.tolist()})")
+        raise ArgumentError("beta", "must be positive and finite", array.tolist())
     return np.broadcast_to(array, n_modes).copy()

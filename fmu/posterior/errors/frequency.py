@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.covariance import checked_covariance
 from fmu.posterior.data.modal_data import ModalData
@@ -69,7 +69,9 @@ class FrequencyErrors:
         sd = self.sd
         if sd is None and data.covariance_hz2 is not None:
             if self.kind != "absolute" or self.weights is not None or self.discrepancy is not None:
-                raise ValueError("sd: errors with a covariance must be absolute, without weights or a discrepancy")
+                raise ArgumentError(
+                    "sd", "errors with a covariance must be absolute, without weights or a discrepancy"
+                )
             return CorrelatedFrequencyTerm(measured, np.asarray(data.covariance_hz2))
         if sd is None and data.sd_hz is not None:
             per_hz = {"absolute": 1.0, "relative": measured, "eigenvalue": 0.5 * measured}
@@ -116,7 +118,7 @@ class BetaFrequencyErrors:
             return FrequencyErrors("absolute").bind(data, index)
         if known:
             own = "sd_hz" if data.covariance_hz2 is None else "covariance_hz2"
-            raise ValueError(f"beta: must not be given, as the data have {own} (got {self.beta})")
+            raise ArgumentError("beta", f"must not be given, as the data have {own}", self.beta)
         measured = np.asarray(data.frequencies_hz)
         return FrequencyTerm.of_beta(measured, 1.0 if self.beta is None else self.beta)
 

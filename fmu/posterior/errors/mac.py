@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import erf
 
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals, mode_weights, unit_shapes
@@ -140,14 +140,15 @@ def groups_of(together: Sequence[Sequence[str]], labels: Sequence[str], n_sensor
     named = [str(name) for group in together for name in group]
     unknown = [name for name in named if name not in labels]
     if unknown:
-        raise ValueError(f"together: must name measured modes, {', '.join(labels)} (got {unknown[0]!r})")
+        raise ArgumentError("together", f"must name measured modes, {', '.join(labels)}", repr(unknown[0]))
     if len(set(named)) < len(named):
-        raise ValueError(f"together: must name no mode twice (got {named})")
+        raise ArgumentError("together", "must name no mode twice", named)
     for group in together:
         if not 2 <= len(group) < n_sensors:
-            raise ValueError(
-                f"together: a group must be of 2 modes or more, and fewer than the {n_sensors} sensors "
-                f"(got {list(group)})"
+            raise ArgumentError(
+                "together",
+                f"a group must be of 2 modes or more, and fewer than the {n_sensors} sensors",
+                list(group),
             )
     return tuple(tuple(list(labels).index(str(name)) for name in group) for group in together)
 

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fmu.arguments import ArgumentError
 from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.pairing.prediction import Candidates, ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
@@ -86,9 +87,8 @@ class MixtureLikelihood(ModalLikelihood):
     def __init__(self, model: PairedStructure, data: ModalData, errors: Sequence[ErrorModel]) -> None:
         super().__init__(model, data, errors)
         if any(term.couples_modes for term in self.terms_of):
-            raise ValueError(
-                "pairing: soft needs errors that are independent from mode to mode "
-                "(got covariance_hz2 or together)"
+            raise ArgumentError(
+                "pairing", "soft needs errors that are independent from mode to mode", "covariance_hz2 or together"
             )
         self.softness = model.softness
         # only the model gives the terms, and not the frequencies of the modes paired one to one

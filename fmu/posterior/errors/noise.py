@@ -10,7 +10,7 @@ import numpy as np
 from annotated_types import Gt
 from numpy.typing import ArrayLike
 
-from fmu.arguments import Numbers, require
+from fmu.arguments import ArgumentError, Numbers, require
 from fmu.numbers import typed
 from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray, IntArray
@@ -99,21 +99,22 @@ def spread(
     inferred = [p for p in (sd, discrepancy) if isinstance(p, Parameter)]
     for parameter in inferred:
         if parameter.lower < 0:
-            raise ValueError(
-                f"{name}: {parameter.name} must have a lower bound of at least 0, as a standard deviation "
-                f"(got {typed(parameter.lower)})"
+            raise ArgumentError(
+                name,
+                f"{parameter.name} must have a lower bound of at least 0, as a standard deviation",
+                typed(parameter.lower),
             )
     fixed = np.zeros(size.shape)
     if sd is not None and not isinstance(sd, Parameter):
         given = np.asarray(sd, dtype=float)
         if not np.all(np.isfinite(given) & (given > 0)):
-            raise ValueError(f"{name}: sd must be positive and finite (got {given.tolist()})")
+            raise ArgumentError(name, "sd must be positive and finite", given.tolist())
         try:
             fixed = np.broadcast_to(given, size.shape) * size
         except ValueError:
-            raise ValueError(f"{name}: sd must be a number or of shape {size.shape} (got {given.shape})") from None
+            raise ArgumentError(name, f"sd must be a number or of shape {size.shape}", given.shape) from None
     elif not inferred:
-        raise ValueError(f"{name}: needs sd, a number or a Parameter, as the data have none (got None)")
+        raise ArgumentError(name, "needs sd, a number or a Parameter, as the data have none", "None")
     sizes: dict[int, FloatArray] = {}
     for parameter in inferred:
         sizes[index(parameter)] = size

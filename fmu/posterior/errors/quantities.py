@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.static import MassMoments, StaticDisplacement
 from fmu.posterior.data.modal_data import ModalData
@@ -70,7 +70,7 @@ class QuantityErrors:
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
         """Raise ValueError: these errors are of the structure, see `bind_structure`."""
-        raise ValueError(f"error: {type(self).__name__} must be given to a problem of a SeparableModel")
+        raise ArgumentError("error", f"{type(self).__name__} must be given to a problem of a SeparableModel")
 
     def n_errors(self, data: ModalData) -> int:
         """Return 0: no errors of modes."""
@@ -133,11 +133,11 @@ class MassErrors(QuantityErrors):
     def __post_init__(self) -> None:
         if not 0.0 <= self.at_supports < self.mass:
             rule = f"must be at least 0 and less than the mass, {self.mass} kg"
-            raise ValueError(f"at_supports: {rule} (got {self.at_supports})")
+            raise ArgumentError("at_supports", rule, self.at_supports)
         if (self.centre is None) != (self.centre_sd is None):
-            raise ValueError("centre_sd: must be given together with centre")
+            raise ArgumentError("centre_sd", "must be given together with centre")
         if self.centre is not None and not (len(self.centre) == 3 and np.all(np.isfinite(self.centre))):
-            raise ValueError(f"centre: must be three finite coordinates (got {list(self.centre)})")
+            raise ArgumentError("centre", "must be three finite coordinates", list(self.centre))
 
     def bind_structure(self, model: SeparableModel, parameters: Sequence[Parameter]) -> QuantityTerm:
         """Return mass and centre of a structure, see `QuantityErrors`."""
@@ -190,7 +190,7 @@ class StaticErrors(QuantityErrors):
         for name in ("load", "displacement"):
             value = getattr(self, name)
             if not np.isfinite(value) or (name == "load" and value == 0.0):
-                raise ValueError(f"{name}: must be a finite number{', not 0' * (name == 'load')} (got {value})")
+                raise ArgumentError(name, f"must be a finite number{', not 0' * (name == 'load')}", value)
 
     def at_places(self, places: Mapping[str, Any]) -> StaticErrors:
         """Return the same with nodes of the model in place of the names that a file has for them."""
@@ -205,9 +205,7 @@ class StaticErrors(QuantityErrors):
         at = self.force if self.at is None else self.at
         for key, sensor in (("force", self.force), ("at", at)):
             if not model.sees(sensor):
-                raise ValueError(
-                    f"{key}: must be a place and a direction that are free to move (got {list(sensor)})"
-                )
+                raise ArgumentError(key, "must be a place and a direction that are free to move", list(sensor))
         prior, rng = JointPrior(parameters), np.random.default_rng(0)
         lower, upper = (np.array([getattr(p, end) for p in parameters]) for end in ("lower", "upper"))
 

@@ -8,6 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.arguments import ArgumentError
 from fmu.fem.condensation import SingularCondensationError, StaticCondensation
 from fmu.fem.modes.modal import CoefficientMap
 from fmu.fem.modes.separable import SeparableModel, Term, WeightedSum
@@ -54,7 +55,7 @@ class ModalResidual(Likelihood):
         self, model: SeparableModel, data: ModalData, reference: FloatArray, beta: ArrayLike = 1.0
     ) -> None:
         if data.shapes is None:
-            raise ValueError("data.shapes: the modal residual needs measured shapes at the sensors (got none)")
+            raise ArgumentError("data.shapes", "the modal residual needs measured shapes at the sensors", "none")
         self.beta: FloatArray = checked_beta(beta, data.n_modes)
         sensors = _masters(model.observation(data.sensors))
         part = np.sort(np.concatenate([dofs for dofs in model.blocks if np.isin(sensors, dofs).any()]))
@@ -71,7 +72,7 @@ class ModalResidual(Likelihood):
         try:
             K, _, condensed = self._at(reference[None])
         except SingularCondensationError as error:
-            raise ValueError("sensors: the structure can still move when they are held") from error
+            raise ArgumentError("sensors", "the structure can still move when they are held") from error
         elastic = condensed.transferred(K @ condensed.extended(self._shapes))
         self._scale = np.linalg.norm(elastic, axis=0)
 
@@ -138,5 +139,7 @@ class ModalResidual(Likelihood):
 def _masters(rows: Any) -> NDArray[np.intp]:
     """Return the degrees of freedom that the sensors are at, shape (n_sensors,)."""
     if not (np.all(np.diff(rows.indptr) == 1) and np.all(rows.data == 1.0)):
-        raise ValueError("sensors: for the modal residual they must be degrees of freedom, without arms or signs")
+        raise ArgumentError(
+            "sensors", "for the modal residual they must be degrees of freedom, without arms or signs"
+        )
     return np.asarray(rows.indices, dtype=np.intp)

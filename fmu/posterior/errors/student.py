@@ -10,7 +10,7 @@ from annotated_types import Ge
 from numpy.typing import ArrayLike as ArrayLike  # the inherited annotations are read here
 from scipy.special import digamma, gammaln, ndtri, polygamma, stdtr
 
-from fmu.arguments import check_arguments, require
+from fmu.arguments import ArgumentError, check_arguments, require
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.numbers import given
 from fmu.posterior.data.modal_data import ModalData
@@ -59,10 +59,10 @@ class StudentErrors(FrequencyErrors):
         """
         least = self.freedom.lower if isinstance(self.freedom, Parameter) else self.freedom
         if not least >= LEAST_FREEDOM:
-            raise ValueError(f"freedom: must be at least {given(LEAST_FREEDOM)} (got {least})")
+            raise ArgumentError("freedom", f"must be at least {given(LEAST_FREEDOM)}", least)
         gaussian = super().bind(data, index)
         if not isinstance(gaussian, FrequencyTerm):
-            raise ValueError("freedom: Student's errors are independent, and the data have a covariance")
+            raise ArgumentError("freedom", "Student's errors are independent, and the data have a covariance")
         freedom = index(self.freedom) if isinstance(self.freedom, Parameter) else float(self.freedom)
         return StudentTerm(gaussian, freedom)
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.numbers import typed
 from fmu.posterior.priors.base import GaussianForm, Normal, Prior
 from fmu.types import FloatArray, Positive
@@ -168,4 +168,4 @@ def _log(bound: float) -> float:
 def _require_width(name: str, value: float, sd: float, variance: float) -> None:
     """Raise ValueError where a log-normal prior is narrower than rounding."""
     if not variance > 0.0:
-        raise ValueError(f"sd: must be at least 1e-8 of the {name} {typed(value)} (got {typed(sd)})")
+        raise ArgumentError("sd", f"must be at least 1e-8 of the {name} {typed(value)}", typed(sd))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.special import betainc, betaincinv, betaln, xlogy
 
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.numbers import significant, typed
 from fmu.posterior.priors.base import Prior
 from fmu.types import FloatArray, Positive
@@ -100,12 +100,11 @@ class ScaledBeta(InvertedPrior):
         """
         _ordered(low, high)
         if not low < mean < high:
-            raise ValueError(f"mean: must lie between low {typed(low)} and high {typed(high)} (got {typed(mean)})")
+            raise ArgumentError("mean", f"must lie between low {typed(low)} and high {typed(high)}", typed(mean))
         m, largest = (mean - low) / (high - low), np.sqrt((mean - low) * (high - mean))
         if not sd < largest:
-            raise ValueError(
-                f"sd: must be below {significant(largest, 6)}, the limit for a beta with this mean "
-                f"(got {typed(sd)})"
+            raise ArgumentError(
+                "sd", f"must be below {significant(largest, 6)}, the limit for a beta with this mean", typed(sd)
             )
         total = (largest / sd) ** 2 - 1.0
         return cls(float(m * total), float((1.0 - m) * total), low, high)
@@ -191,10 +190,10 @@ class ScipyPrior(InvertedPrior):
 
         if not isinstance(getattr(self.distribution, "dist", None), rv_continuous):
             rule = "must be a continuous distribution of scipy.stats with its arguments, as gumbel_r(loc=2.0)"
-            raise ValueError(f"distribution: {rule} (got {self.distribution!r})")
+            raise ArgumentError("distribution", rule, repr(self.distribution))
         is_one = np.ndim(self.distribution.median()) == 0
         if not (is_one and np.all(np.isfinite(self._central)) and self._spread > 0.0):
-            raise ValueError(f"distribution: its arguments must be numbers in range (got {self!r})")
+            raise ArgumentError("distribution", "its arguments must be numbers in range", repr(self))
 
     def __repr__(self) -> str:
         settings = [*map(repr, self.distribution.args), *(f"{k}={v!r}" for k, v in self.distribution.kwds.items())]
@@ -263,7 +262,7 @@ class ScipyPrior(InvertedPrior):
 
 def _ordered(low: float, high: float) -> None:
     if not low < high:
-        raise ValueError(f"high: must exceed low {typed(low)} (got {typed(high)})")
+        raise ArgumentError("high", f"must exceed low {typed(low)}", typed(high))
 
 
 def _plain(value: Any) -> Any:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.special import expit, log_ndtr, logit, ndtr, ndtri
 
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.priors.scipy_distributions import InvertedPrior
 from fmu.types import FloatArray, Positive
@@ -48,9 +48,9 @@ class SpikeAndSlab(InvertedPrior):
 
     def __post_init__(self) -> None:
         if not 0.0 < self.share < 1.0:
-            raise ValueError(f"share: must lie between 0 and 1 (got {self.share})")
+            raise ArgumentError("share", "must lie between 0 and 1", self.share)
         if not self.spike < self.sd:
-            raise ValueError(f"spike: must be narrower than the slab, sd {self.sd} (got {self.spike})")
+            raise ArgumentError("spike", f"must be narrower than the slab, sd {self.sd}", self.spike)
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
         """Return the normalised log-density."""

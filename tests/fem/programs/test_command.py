@@ -278,7 +278,7 @@ def test_what_is_no_text_and_no_number(tmp_path):
 def test_all_mistakes_are_told_together(tmp_path):
     with pytest.raises(CommandError) as told:
         command_model(tmp_path, deck="k1 {k1}", command=["none"], inputs=["no", "nor"], retries=1000)
-    assert [mistake.partition(":")[0] for mistake in told.value.mistakes] == [
+    assert [mistake.key for mistake in told.value.mistakes] == [
         "retries", "template", "command.0", "inputs.0", "inputs.1"
     ]  # fmt: skip
 
