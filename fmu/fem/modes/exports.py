@@ -30,7 +30,6 @@ from fmu.formats.models.exported import ExportedModel
 from fmu.numbers import hertz, names_in_words, significant, typed
 from fmu.types import BoolArray, FloatArray
 
-
 POWERS = (1, 2, 3, -1)
 REPRODUCED = 1e-8
 """Largest error of an entry, relative to √(a_ii a_jj), in an export that was not used."""
