@@ -108,6 +108,8 @@ class ArgumentError(ValueError):
 class MissingFileError(ArgumentError, FileNotFoundError):
     """A file that does not exist or cannot be read, named by an argument or a key in a file."""
 
+    __new__ = FileNotFoundError.__new__  # type: ignore[assignment]  # its objects are larger than a ValueError's
+
 
 class Numbers:
     """The rule for ArrayLike and arrays: any value that NumPy turns into an array of numbers."""

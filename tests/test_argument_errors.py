@@ -51,6 +51,7 @@ def test_a_missing_file_is_an_error_of_the_system_and_of_an_argument():
     error = MissingFileError("path", "must be a file (no such file: a.csv)")
     assert isinstance(error, FileNotFoundError)
     assert isinstance(error, ValueError)
+    assert MissingFileError.__new__(MissingFileError).args == ()  # as workers of Dask make the copy
 
 
 def test_mistakes_of_a_file_are_copied_with_their_records():
