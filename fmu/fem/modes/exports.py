@@ -59,11 +59,11 @@ Powers = tuple[int, ...]
 Dof = tuple[Any, str]
 
 
-@check_arguments
 class NotSeparableError(ArgumentError):
     """Matrices that are no sum of products of powers of the parameters."""
 
 
+@check_arguments
 @dataclass(frozen=True, eq=False)
 class Export:
     """Matrices of another program, and the values of the parameters with which it made them.
