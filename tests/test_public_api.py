@@ -76,10 +76,11 @@ def members(cls: type) -> dict[str, FunctionType]:
 
 
 def raised(function: FunctionType) -> set[str]:
-    """The exceptions that a function raises in its own body, by name."""
+    """The exceptions that a function raises in its own body, by name; an ArgumentError is caught as a ValueError."""
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
     calls = [node.exc for node in ast.walk(tree) if isinstance(node, ast.Raise) and node.exc is not None]
-    return {call.func.id for call in calls if isinstance(call, ast.Call) and isinstance(call.func, ast.Name)}
+    names = {call.func.id for call in calls if isinstance(call, ast.Call) and isinstance(call.func, ast.Name)}
+    return {"ValueError" if name == "ArgumentError" else name for name in names}
 
 
 def faults(function: FunctionType) -> list[str]:
