@@ -76,7 +76,7 @@ def members(cls: type) -> dict[str, FunctionType]:
 
 
 def raised(function: FunctionType) -> set[str]:
-    """The exceptions that a function raises in its own body, by name; an ArgumentError is caught as a ValueError."""
+    """The exceptions that a function raises in its own body, by name: an ArgumentError is a ValueError."""
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
     calls = [node.exc for node in ast.walk(tree) if isinstance(node, ast.Raise) and node.exc is not None]
     names = {call.func.id for call in calls if isinstance(call, ast.Call) and isinstance(call.func, ast.Name)}
