@@ -325,8 +325,8 @@ IN_THE_MIXTURE = (
     Fault(
         "mixture: refits take all candidates for draws of the last mixture",
         "fmu/samplers/mixture/warmup/tuner.py",
-        "return np.asarray(logsumexp(of_stages, axis=0))",
-        "return np.asarray(of_stages[-1])",
+        "return sum_densities(of_stages, [n for n in self.counts if n])",
+        "return of_stages[-1]",
         MIXTURE,
     ),
     Fault(

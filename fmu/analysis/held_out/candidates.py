@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import logsumexp
 
 from fmu.analysis.maxima.mode_weights import log_shares
 from fmu.analysis.maxima.search import quadratic_at
 from fmu.posterior.maxima import local_maxima
 from fmu.posterior.scaled import ScaledDensity
+from fmu.samplers.mixture.importance import resample
 from fmu.samplers.mixture.quadratic import Quadratic, fit_quadratic
 from fmu.samplers.mixture.truncated_normal import SequentialNormal
 from fmu.types import FloatArray
@@ -81,7 +81,7 @@ def gaussians_of_groups(u: FloatArray, log_w: FloatArray, rng: np.random.Generat
     from scipy.cluster.vq import kmeans2
 
     n = u.shape[1]
-    chosen = u[rng.choice(len(u), _RESAMPLED, p=np.exp(log_w - logsumexp(log_w)))]
+    chosen = resample(rng, u, log_w, _RESAMPLED)
     around = np.cov(chosen.T).reshape(n, n) + 1e-12 * np.eye(n)
     standard = np.linalg.solve(np.linalg.cholesky(around), chosen.T).T
     count = min(_GROUPS, len(np.unique(chosen, axis=0)) // (_A_GROUP * n))

@@ -17,16 +17,13 @@ from fmu.analysis.held_out.candidates import (
     gaussians_of_groups,
     quadratics_at_maxima,
 )
-from fmu.analysis.maxima.mode_weights import (
-    TEMPERATURES,
-    Proposal,
-    mixture_draws,
-)
+from fmu.analysis.maxima.mode_weights import TEMPERATURES
 from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import by_parts
 from fmu.samplers.hmc import HamiltonianMonteCarlo
 from fmu.samplers.loop.run import Run
 from fmu.samplers.metropolis import MetropolisHastings
+from fmu.samplers.mixture.importance import Proposal, draw_mixture, effective_size, resample
 from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.types import FloatArray
 
@@ -97,7 +94,7 @@ class LeftOut:
     @property
     def effective(self) -> float:
         """Effective number of draws from the posterior without the mode (Kish)."""
-        return effective(self.log_weights[0])
+        return effective_size(self.log_weights[0])
 
     @property
     def predicts(self) -> bool:
@@ -108,11 +105,6 @@ class LeftOut:
     def is_known(self) -> bool:
         """Whether the elpd is known well enough."""
         return bool(np.all(self.pareto_k <= GOOD_K) and self.error <= ACCEPTED)
-
-
-def effective(log_w: FloatArray) -> float:
-    """Return the effective number of weighted draws (Kish), from the logarithms of the weights (n,)."""
-    return float(np.exp(2.0 * logsumexp(log_w) - logsumexp(2.0 * log_w)))
 
 
 def approximation(problem: UpdatingProblem, near: FloatArray, rng: np.random.Generator) -> Approximation:
@@ -135,15 +127,15 @@ def approximation(problem: UpdatingProblem, near: FloatArray, rng: np.random.Gen
     models, temperatures = quadratics_at_maxima(problem, scaled, near), TEMPERATURES
     u, log_p, log_q = np.empty((0, problem.ndim)), np.empty(0), np.empty(0)
     for _ in range(_FITS):
-        more, log_q = mixture_draws(gaussians(models, scaled, temperatures), rng, _PILOT)
+        proposals = gaussians(models, scaled, temperatures)
+        more, log_q = draw_mixture(proposals, [_PILOT] * len(proposals), rng)
         u = np.concatenate([u, more])
         log_p = np.concatenate([log_p, *by_parts("importance sampling", scaled.log_prob, more)])
         models, temperatures = fitted_to_draws(models, u, log_p), WIDER
     last = slice(len(u) - len(log_q), None)
     log_w = log_p[last] - log_q
     log_w = np.where(np.isfinite(log_w), log_w, -np.inf)
-    log_w -= logsumexp(log_w)
-    if np.exp(-logsumexp(2.0 * log_w)) >= _EVEN * len(log_w):
+    if effective_size(log_w) >= _EVEN * len(log_w):
         return Approximation(models, [])
     walked = _walked(cheaper(problem, u[last], log_p[last]), u[last], log_w, rng)
     return Approximation(models, gaussians_of_groups(walked, np.zeros(len(walked)), rng))
@@ -164,7 +156,7 @@ def cheaper(problem: UpdatingProblem, u: FloatArray, log_p: FloatArray) -> Updat
 def _walked(problem: UpdatingProblem, u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Return draws of short chains (n, ndim), scaled, that start at some of the weighted draws (n, ndim)."""
     scaled = ScaledDensity(problem)
-    start = u[rng.choice(len(u), _WALKERS, p=np.exp(log_w))]
+    start = resample(rng, u, log_w, _WALKERS)
     seed = int(rng.integers(2**31))
     sampler = HamiltonianMonteCarlo() if problem.solves_per_gradient == 1 else MetropolisHastings()
     run = Run(problem, sampler, warmup=_STEPS, chains=_WALKERS, seed=seed, init=scaled.to_theta(start))
@@ -229,7 +221,8 @@ def _drawn(
     def evaluated(u: FloatArray) -> FloatArray:
         return log_prob_of_all((without, whole), scaled.to_theta(u))
 
-    u, log_q = mixture_draws(proposals, rng, max(_FIRST, _FIRST_IN_ALL // len(proposals)))
+    n = len(proposals)
+    u, log_q = draw_mixture(proposals, [max(_FIRST, _FIRST_IN_ALL // n)] * n, rng)
     values = np.concatenate(by_parts("importance sampling", evaluated, u))
     while True:
         found = compare_posteriors(scaled.to_theta(u), values[:, :2].T, values[:, 2:], log_q)
@@ -239,7 +232,7 @@ def _drawn(
         is_hopeless = found.error > ACCEPTED * np.sqrt(more_times) and found.effective * more_times < _EFFECTIVE
         if is_done or (is_hopeless and len(u) >= _TELLING) or 2 * len(u) > most:
             return found, values[:, :2].T
-        more, more_q = mixture_draws(proposals, rng, len(u) // len(proposals))
+        more, more_q = draw_mixture(proposals, [len(u) // n] * n, rng)
         u, log_q = np.concatenate([u, more]), np.concatenate([log_q, more_q])
         values = np.concatenate([values, *by_parts("importance sampling", evaluated, more)])
 

@@ -1,9 +1,8 @@
 """The posteriors without each of several modes, from one set of candidates.
 
 A solve gives all frequencies, and with them the log-probability of the posterior with all modes and of those
-without one of them. All are weighted from the same draws of one mixture (multiple importance sampling with the
-balance heuristic: Veach & Guibas 1995, SIGGRAPH; Owen & Zhou 2000, *J. Am. Stat. Assoc.* 95, 135–143), so that
-leaving out ten modes takes about as many solves as leaving out one.
+without one of them. All are weighted from the same draws of one mixture, so that leaving out ten modes takes
+about as many solves as leaving out one.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import logsumexp
 
 from fmu.analysis.held_out.candidates import (
     PriorCandidates,
@@ -29,12 +27,12 @@ from fmu.analysis.held_out.refit import (
     LeftOut,
     cheaper,
     compare_posteriors,
-    effective,
     log_prob_of_all,
 )
-from fmu.analysis.maxima.mode_weights import TEMPERATURES, Proposal
+from fmu.analysis.maxima.mode_weights import TEMPERATURES
 from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import by_parts, phase
+from fmu.samplers.mixture.importance import Proposal, draw_mixture, effective_size, resample
 from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.types import FloatArray
 
@@ -118,15 +116,14 @@ def _first_models(
         models = [fitted_to_draws(of, u, log_p) for of, log_p in zip(models, values.T, strict=True)]
         temperatures = WIDER
     log_w = solved[:, :n].T - log_q
-    poor = [number for number in range(n) if effective(log_w[number]) < _EVEN * len(more) / n]
+    poor = [number for number in range(n) if effective_size(log_w[number]) < _EVEN * len(more) / n]
     starts = {number: _spread(more, log_w[number], rng) for number in poor}
     return models, starts, cheaper(whole, more, solved[:, n - 1])
 
 
 def _spread(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Return draws with flattened weights, (_WALKERS, ndim): the best draws alone may be a few."""
-    flat = np.exp(_FLAT * (log_w - log_w.max()))
-    return u[rng.choice(len(u), _WALKERS, p=flat / flat.sum())]
+    return resample(rng, u, _FLAT * log_w, _WALKERS)
 
 
 def _walk(
@@ -176,9 +173,8 @@ class _Mixture:
         share = n / (len(self.parts) + _OF_PRIOR)
         counted = [(proposal, -int(-share // len(part))) for part in self.parts for proposal in part]
         counted.append((self.prior, -int(-share * _OF_PRIOR // 1)))
-        u = np.concatenate([proposal.draw(rng, count) for proposal, count in counted])
-        log_q = [proposal.log_density(u) + np.log(count / len(u)) for proposal, count in counted]
-        return u, logsumexp(log_q, axis=0)
+        proposals, counts = zip(*counted, strict=True)
+        return draw_mixture(proposals, counts, rng)
 
 
 def _draws(

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from scipy.special import logsumexp
 
 from fmu.analysis.maxima.kinds import are_negligible
 from fmu.progress.phases import by_parts
+from fmu.samplers.mixture.importance import draw_mixture
 from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.types import FloatArray
 
@@ -56,8 +56,7 @@ def mode_weights(
     First the Laplace approximation within the box, ∫ exp(m) du. It is final for maxima with less than e⁻⁴⁰ of
     the largest mass; those so low that no width makes up for it have none. The others are found by importance
     sampling of P itself: `draws` from the Gaussian of each maximum and as many from one of twice its width, all
-    weighted by their mixture (Owen & Zhou 2000, JASA 95, 135-143), and divided among the maxima in proportion to
-    exp(m).
+    weighted by their mixture, and divided among the maxima in proportion to exp(m).
 
     Parameters
     ----------
@@ -102,27 +101,6 @@ def _laplace(
     return _weighted(u, maximum(u) - proposal.log_density(u), 0.0)
 
 
-class Proposal(Protocol):
-    """A density that can be drawn from."""
-
-    def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Return `n` draws, shape (n, ndim)."""
-        ...
-
-    def log_density(self, u: FloatArray) -> FloatArray:
-        """Return its logarithm at points u (n, ndim), shape (n,)."""
-        ...
-
-
-def mixture_draws(
-    proposals: Sequence[Proposal], rng: np.random.Generator, draws: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return `draws` of each proposal, (n, ndim), and the log-density of their mixture there, (n,)."""
-    u = np.concatenate([proposal.draw(rng, draws) for proposal in proposals])
-    log_q = logsumexp([proposal.log_density(u) for proposal in proposals], axis=0) - np.log(len(proposals))
-    return u, log_q
-
-
 def log_shares(maxima: Sequence[Quadratic], u: FloatArray) -> FloatArray:
     """Return the logarithm of the share of each maximum in Σ exp(m) at points u (n, ndim), shape (maxima, n)."""
     model = np.stack([m(u) for m in maxima])
@@ -139,7 +117,7 @@ def _importance(
 ) -> tuple[FloatArray, FloatArray]:
     """Return draws around the maxima (n, ndim), and the logarithms of their weights for P (n,)."""
     proposals = [m.proposal(lower, upper, t) for m in maxima for t in TEMPERATURES]
-    u, log_q = mixture_draws(proposals, rng, draws)
+    u, log_q = draw_mixture(proposals, [draws] * len(proposals), rng)
     return u, np.concatenate(by_parts("importance sampling", log_prob, u)) - log_q
 
 

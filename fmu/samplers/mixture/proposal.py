@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.special import logsumexp
 
+from fmu.samplers.mixture.importance import cut_largest, even_out
 from fmu.samplers.mixture.quadratic import (
     Quadratic,
     coefficients,
@@ -32,6 +33,8 @@ _LEAST = 1e-3
 """Share of the probability below which a component with too few points is left out."""
 _SURE = 6.0
 """Effective points per coefficient from which on a fit need not be tried on points that it was not made of."""
+_MILDER = 0.7
+"""Power of weights of which a few have nearly all."""
 _SWEEPS = 3
 _GAIN = 0.02
 _BEND = 0.1
@@ -208,17 +211,15 @@ class Points:
 
     @classmethod
     def weighted(cls, position: FloatArray, log_prob: FloatArray, log_density: FloatArray) -> Points:
-        """Return draws from a distribution of density q with weights P/q, the largest cut (Ionides 2008).
+        """Return draws from a distribution of density q with weights P/q, the largest cut.
 
         Where a few draws have nearly all the weight, the weights are evened out by an exponent below 1: what is
         fitted then is wider than P, and the next draws come nearer.
         """
         log_w = log_prob - log_density
         ok = np.isfinite(log_w)
-        log_w = np.minimum(log_w[ok], logsumexp(log_w[ok]) - 0.5 * np.log(max(ok.sum(), 1)))
-        least = min(_POINTS * (position.shape[1] + 1), 0.5 * len(log_w))
-        while 2.0 * logsumexp(log_w) - logsumexp(2.0 * log_w) < np.log(least):
-            log_w = 0.7 * log_w
+        log_w = cut_largest(log_w[ok])
+        log_w = even_out(log_w, min(_POINTS * (position.shape[1] + 1), 0.5 * len(log_w)), _MILDER)
         return cls(position[ok], log_prob[ok], np.exp(log_w - log_w.max()))
 
     @property

@@ -9,6 +9,7 @@ from scipy.special import logsumexp
 
 from fmu.samplers.kernel import Target
 from fmu.samplers.mixture.curved import CurvedMixture, fit_curved
+from fmu.samplers.mixture.importance import cut_largest, even_out, sum_densities
 from fmu.types import FloatArray
 
 PER_ROUND = 2000
@@ -66,10 +67,8 @@ class Rounds:
 
     @property
     def log_weight(self) -> FloatArray:
-        """Log-weights of the candidates, up to a constant; the largest cut (Ionides 2008)."""
-        log_q = logsumexp(self._by_mixture + np.log(self.counts)[:, None], axis=0)
-        log_w = self.log_prob - log_q
-        return np.asarray(np.minimum(log_w, logsumexp(log_w) - 0.5 * np.log(len(log_w))))
+        """Log-weights of the candidates, up to a constant; the largest cut."""
+        return cut_largest(self.log_prob - sum_densities(self._by_mixture, self.counts))
 
     def fit_mixture(self) -> CurvedMixture:
         """Return the mixture that fits all candidates; LinAlgError if they span no Gaussian.
@@ -78,9 +77,7 @@ class Rounds:
         the density, and the next round comes nearer.
         """
         log_w = self.log_weight
-        least = np.log(min(_LEAST_POINTS * self.target.ndim, _MOST_PART * len(log_w)))
-        while 2.0 * logsumexp(log_w) - logsumexp(2.0 * log_w) < least:
-            log_w = _MILDER * log_w
+        log_w = even_out(log_w, min(_LEAST_POINTS * self.target.ndim, _MOST_PART * len(log_w)), _MILDER)
         weight = np.exp(log_w - log_w.max())
         return fit_curved(self.position, weight, self.target.lower, self.target.upper)
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.special import logsumexp
 
 from fmu.samplers.kernel import Info, State, Target, Tree, Tuner
 from fmu.samplers.mixture.curve import fit_infinite_margins
 from fmu.samplers.mixture.curved import CurvedMixture
+from fmu.samplers.mixture.importance import sum_densities
 from fmu.samplers.mixture.kernel import MixtureKernel
 from fmu.samplers.mixture.proposal import GOOD, LESS_WIDE, WIDE, Mixture, Points, refit_mixture
 from fmu.samplers.mixture.quadratic import measure_kurtosis, n_coefficients
@@ -366,10 +366,8 @@ class MixtureTuner:
 
     def _log_density_so_far(self, u: FloatArray) -> FloatArray:
         """Return the logarithm of the density of all candidates so far at points u (n, ndim), up to a constant."""
-        of_stages = [
-            np.log(n) + stage.log_density(u) for stage, n in zip(self.stages, self.counts, strict=True) if n
-        ]
-        return np.asarray(logsumexp(of_stages, axis=0))
+        of_stages = [stage.log_density(u) for stage, n in zip(self.stages, self.counts, strict=True) if n]
+        return sum_densities(of_stages, [n for n in self.counts if n])
 
     def _take(self, mixture: Mixture | CurvedMixture) -> None:
         self.stages.append(mixture)

@@ -1,0 +1,67 @@
+"""Importance sampling: draws of several proposals as one mixture, and what their weights P/q are worth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from scipy.special import logsumexp
+
+from fmu.types import FloatArray
+
+
+class Proposal(Protocol):
+    """A density that can be drawn from."""
+
+    def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
+        """Return `n` draws, shape (n, ndim)."""
+        ...
+
+    def log_density(self, u: FloatArray) -> FloatArray:
+        """Return its logarithm at points u (n, ndim), shape (n,)."""
+        ...
+
+
+def draw_mixture(
+    proposals: Sequence[Proposal], counts: Sequence[int], rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Return `counts` draws of the proposals, (n, ndim), and the log-density of their mixture there, (n,).
+
+    All draws are weighted by the mixture, whichever proposal they come from: the balance heuristic (Veach & Guibas
+    1995, SIGGRAPH; Owen & Zhou 2000, JASA 95, 135-143).
+    """
+    u = np.concatenate([proposal.draw(rng, count) for proposal, count in zip(proposals, counts, strict=True)])
+    shares = np.asarray(counts) / max(counts)
+    log_q = sum_densities([proposal.log_density(u) for proposal in proposals], shares)
+    return u, log_q - np.log(np.sum(shares))
+
+
+def sum_densities(log_q: Sequence[FloatArray] | FloatArray, counts: Sequence[float] | FloatArray) -> FloatArray:
+    """Return log Σ_k n_k q_k, shape (n,), from the log-densities of the q_k (k, n) and counts n_k (k,)."""
+    return np.asarray(logsumexp(np.asarray(log_q) + np.log(counts)[:, None], axis=0))
+
+
+def cut_largest(log_w: FloatArray) -> FloatArray:
+    """Return log-weights (n,), none of them above √n times their mean.
+
+    Ionides (2008), J. Comput. Graph. Stat. 17, 295-311.
+    """
+    return np.minimum(log_w, logsumexp(log_w) - 0.5 * np.log(max(len(log_w), 1)))
+
+
+def even_out(log_w: FloatArray, least: float, power: float) -> FloatArray:
+    """Return log-weights (n,), taken to a power below 1 as often as their effective size is below `least`."""
+    while 2.0 * logsumexp(log_w) - logsumexp(2.0 * log_w) < np.log(least):
+        log_w = power * log_w
+    return log_w
+
+
+def effective_size(log_w: FloatArray) -> float:
+    """Return the effective number of draws (Kish) with log-weights (n,)."""
+    return float(np.exp(2.0 * logsumexp(log_w) - logsumexp(2.0 * log_w)))
+
+
+def resample(rng: np.random.Generator, u: FloatArray, log_w: FloatArray, n: int) -> FloatArray:
+    """Return `n` of the draws u, shape (n, ndim), each chosen with a probability in proportion to its weight."""
+    return np.asarray(u[rng.choice(len(u), n, p=np.exp(log_w - logsumexp(log_w)))])
