@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from fmu.numbers import fixed, whole
-from fmu.samplers.registry import named, planned
+from fmu.samplers.registry import make_sampler, plan_steps
 from fmu.samplers.settings import usual_costs
 
 if TYPE_CHECKING:
@@ -70,9 +70,9 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
         solves = (starts * _CLIMB + 6 * problem.ndim) * per_gradient + _WEIGHED
         found.append(Estimate("search", solves, solves * one_s / at_once))
     for name in orders["samplers"]:
-        settings = named(name)
+        settings = make_sampler(name)
         lines = orders["chains"] * settings.walkers
-        warmup, draws = planned(name, orders["warmup"], orders["draws"])
+        warmup, draws = plan_steps(name, orders["warmup"], orders["draws"])
         of_warmup, of_draw = usual_costs(settings, orders["chains"], per_gradient)
         solves = warmup * of_warmup + draws * of_draw
         if not is_slow:

@@ -202,9 +202,9 @@ def _asked(context: click.Context, case: str | None, pairing: str | None, orders
         raise click.UsageError("--exact is for the draws of a surrogate: leave out --no-surrogate, or --exact.")
     if orders["groups"] is not None:
         from fmu.samplers.loop.run import n_groups
-        from fmu.samplers.registry import named
+        from fmu.samplers.registry import make_sampler
 
-        for sampler in map(named, orders["samplers"] or (DEFAULT_SAMPLER,)):
+        for sampler in map(make_sampler, orders["samplers"] or (DEFAULT_SAMPLER,)):
             if sampler.walkers == 1:  # each ensemble is a group
                 n_groups(orders["groups"], orders["chains"], sampler)
     return replace(problem, orders=orders)

@@ -68,7 +68,7 @@ def sampled(
     from fmu.analysis.maxima.search import STARTS, default_starts, find_map, is_searchable
     from fmu.analysis.trace.conversion import load_trace
     from fmu.runs.maxima import keep_maxima, kept_maxima
-    from fmu.samplers.registry import planned
+    from fmu.samplers.registry import plan_steps
 
     with _explained(problem), _spread(problem, engine, asked.orders["groups"]) as workers:
         maxima = kept_maxima(running.folder)  # of another posterior: the checkpoints refuse that
@@ -96,7 +96,7 @@ def sampled(
             else:
                 checkpoint = Checkpoint(running.of_sampler(name), *every)
                 progress = report and labelled(report, name)
-                warmup, draws = planned(name, asked.orders["warmup"], asked.orders["draws"])
+                warmup, draws = plan_steps(name, asked.orders["warmup"], asked.orders["draws"])
                 arguments |= {"warmup": warmup, "draws": draws, "checkpoint": checkpoint, "progress": progress}
                 trace = _drawn(draw, name, problem, running, on_draws=tell_draws, **arguments)
             outcome.traces[name] = trace
@@ -173,10 +173,10 @@ def _drawn(
 ) -> xr.DataTree:
     """Draw with one sampler and write its trace; StoppedRun says which sampler was stopped."""
     from fmu.samplers.loop.run import TooManyFailuresError
-    from fmu.samplers.registry import named
+    from fmu.samplers.registry import make_sampler
 
     ledger, path = running.path / f"failures-{name}.csv", running.path / f"{name}.nc"
-    if named(name).walkers > 1:  # each ensemble is a group
+    if make_sampler(name).walkers > 1:  # each ensemble is a group
         del arguments["groups"]
     resume = f"To resume: fmu run --resume {running.path}"
     try:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from fmu.analysis.certificate import CertificateWarning
 from fmu.paper.published import EXPERIMENTS, N_SAMPLES
 from fmu.progress import Report
-from fmu.samplers import Ensemble, HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Slice, named
+from fmu.samplers import Ensemble, HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Slice, make_sampler
 from fmu.samplers.kernel import Sampler
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ def long_settings(name: str) -> Sampler:
 
     They mix about four times as fast here as emcee's default, the stretch move.
     """
-    return Ensemble(moves={"de": 0.8, "snooker": 0.2}) if name == "emcee" else named(name)
+    return Ensemble(moves={"de": 0.8, "snooker": 0.2}) if name == "emcee" else make_sampler(name)
 
 
 def long_start(name: str) -> str:

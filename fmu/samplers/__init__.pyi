@@ -19,6 +19,6 @@ from .metropolis import MetropolisHastings as MetropolisHastings
 from .metropolis import RandomWalk as RandomWalk
 from .mixture.mixture import MixtureSampler as MixtureSampler
 from .registry import SAMPLERS as SAMPLERS
-from .registry import named as named
+from .registry import make_sampler as make_sampler
 from .slice import Slice as Slice
 from .tempering.tempering import Tempering as Tempering

@@ -177,10 +177,10 @@ class Learner:
         """Whether the first part of the warm-up still runs."""
         return self.step < self.schedule.first
 
-    def pooled(self, value: FloatArray) -> FloatArray:
+    def average_arrived(self, value: FloatArray) -> FloatArray:
         """Return the mean over the chains that have arrived where most are."""
         assert self._log_prob is not None  # learn() comes first
-        return np.asarray(np.mean(value[keeping_up(self._log_prob, LAG + self.ndim)]))
+        return np.asarray(np.mean(value[find_arrived(self._log_prob, LAG + self.ndim)]))
 
     def state(self) -> Tree:
         """Return the state of the learner as plain data."""
@@ -224,7 +224,7 @@ def pooled_covariance(position: FloatArray, log_prob: FloatArray, acceptance: Fl
         return None
     ndim = position.shape[-1]
     mean = log_prob.mean(axis=0)
-    included = keeping_up(mean, WINDOW_LAG + 0.5 * ndim, np.mean(acceptance, axis=0))
+    included = find_arrived(mean, WINDOW_LAG + 0.5 * ndim, np.mean(acceptance, axis=0))
     near = log_prob >= _level(mean) - (LAG + ndim)
     draws = position[included & near]
     n = len(draws)
@@ -240,7 +240,7 @@ def pooled_covariance(position: FloatArray, log_prob: FloatArray, acceptance: Fl
     return covariance if np.all(np.linalg.eigvalsh(correlation) > 0) else None
 
 
-def keeping_up(log_prob: FloatArray, allowance: float, acceptance: FloatArray | None = None) -> BoolArray:
+def find_arrived(log_prob: FloatArray, allowance: float, acceptance: FloatArray | None = None) -> BoolArray:
     """Return which chains have reached the region where most chains are, shape (chains,).
 
     This is judged by their (average) log-density, which scatters by only √(ndim/2) within one mode. A chain far

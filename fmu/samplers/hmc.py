@@ -157,21 +157,21 @@ class HamiltonianTuner:
         window_closed = self.learner.learn(state, info)
         acceptance = info.extra["acceptance_rate"]
         pooling = self.averaging.log_value.ndim == 0
-        self.averaging.update(self.learner.pooled(acceptance) if pooling else acceptance)
+        self.averaging.update(self.learner.average_arrived(acceptance) if pooling else acceptance)
         if not pooling and not self.learner.searching:
             # from here on one step size for all: the mean over the chains that have arrived
-            self.averaging = self._restarted(self.learner.pooled(self.averaging.averaged))
+            self.averaging = self._restart_averaging(self.learner.average_arrived(self.averaging.averaged))
         if window_closed and self.sampler.inverse_mass is None:
             # the new metric makes the target's standard deviations 1, so that a step size of order one fits
             self._take_metric()
-            self.averaging = self._restarted(np.log(0.5))
+            self.averaging = self._restart_averaging(np.log(0.5))
         elif self._has_settled and self.averaging.target < SHORT_STEPS and info.extra["diverging"].any():
             # the step size may be right on average and too long somewhere
             settled = self.averaging.averaged
             self.averaging = DualAveraging(settled, SHORT_STEPS, centre=settled)
         self._take_step_size()
 
-    def finished(self) -> HamiltonianMonteCarlo:
+    def finish_learning(self) -> HamiltonianMonteCarlo:
         """Return the settings learnt."""
         step_size = float(self._limit_step(np.mean(self.averaging.averaged)))
         inverse_mass = self.sampler.inverse_mass
@@ -206,7 +206,7 @@ class HamiltonianTuner:
         step_size = self._limit_step(self.averaging.log_value)
         self.kernel = replace(self.kernel, step_size=step_size, n_steps=self._n_steps(step_size))
 
-    def _restarted(self, log_step_size: Any) -> DualAveraging:
+    def _restart_averaging(self, log_step_size: Any) -> DualAveraging:
         return DualAveraging(np.asarray(log_step_size, dtype=float), self.sampler.target_accept)
 
     @property

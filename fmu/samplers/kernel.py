@@ -167,7 +167,7 @@ class Tuner(Protocol):
         """
         ...
 
-    def finished(self) -> Sampler:
+    def finish_learning(self) -> Sampler:
         """Return the settings learnt, with adaptation off."""
         ...
 

@@ -276,7 +276,7 @@ class MetropolisTuner:
         if not searching:
             # log s ← log s + γ_t (α_t − α*), with γ_t ~ t^−0.6: the steps add up to infinity, their squares do not
             self.count += 1
-            rate = float(learner.pooled(info.extra["acceptance_rate"]))
+            rate = float(learner.average_arrived(info.extra["acceptance_rate"]))
             self.log_scale += 3.0 / (self.count + 10) ** 0.6 * (rate - self.target)
             if self.count > _SETTLING:
                 self.sum += self.log_scale
@@ -284,7 +284,7 @@ class MetropolisTuner:
             self._restart(float(np.log(2.38 / np.sqrt(self.density.ndim))))  # best for a Gaussian of covariance S
         self._take_settings()
 
-    def finished(self) -> MetropolisHastings:
+    def finish_learning(self) -> MetropolisHastings:
         """Return the settings learnt, with the scale averaged over the last steps."""
         averaged = self.sum / (self.count - _SETTLING) if self.count > 2 * _SETTLING else self.log_scale
         return self._settings(averaged)

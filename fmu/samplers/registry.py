@@ -37,7 +37,7 @@ def local_samplers() -> tuple[str, ...]:
     return tuple(name for name in SAMPLERS if sampler_class(name).is_local)
 
 
-def planned(name: str, warmup: int | None, draws: int | None) -> tuple[int, int]:
+def plan_steps(name: str, warmup: int | None, draws: int | None) -> tuple[int, int]:
     """Return the warm-up steps and draws of a run; without `draws`, those until it is first judged."""
     from fmu.samplers.kernel import Sampler
 
@@ -45,6 +45,6 @@ def planned(name: str, warmup: int | None, draws: int | None) -> tuple[int, int]
     return usual if warmup is None else warmup, first if draws is None else draws
 
 
-def named(name: str) -> Sampler:
+def make_sampler(name: str) -> Sampler:
     """Return a sampler with its default settings; ValueError, with the known names, if there is none."""
     return sampler_class(name)()

@@ -238,7 +238,7 @@ class SliceTuner:
         if self.window_closed:
             self._take_covariance()
 
-    def finished(self) -> Slice:
+    def finish_learning(self) -> Slice:
         """Return the settings learnt."""
         return self.settings
 

@@ -231,14 +231,14 @@ def drift(
         free = time >= remaining[moving]
         end = moving[free]
         # no wall is met before the end, so the clip only undoes rounding
-        q[end] = _clipped(q[end] + remaining[end, None] * v[end], lower, upper)
+        q[end] = _clip_to_box(q[end] + remaining[end, None] * v[end], lower, upper)
         arrived[end] = True
         if len(end) == len(moving):
             break
         under_cap = n_bounces[moving] < max_bounces[moving]
         bounce = ~free & under_cap
         moving, time, wall = moving[bounce], time[bounce], wall[bounce]
-        q[moving] = _clipped(q[moving] + time[:, None] * v[moving], lower, upper)
+        q[moving] = _clip_to_box(q[moving] + time[:, None] * v[moving], lower, upper)
         normal_velocity = v[moving, wall]
         q[moving, wall] = np.where(normal_velocity > 0, upper[wall], lower[wall])  # exactly on the wall
         # n = e_i, so n·v = v_i and n·M⁻¹n = (M⁻¹)_ii: Δp = −2 v_i/(M⁻¹)_ii e_i and Δv = M⁻¹ Δp, a multiple of the
@@ -395,6 +395,6 @@ def _rows(x: FloatArray, matrix: FloatArray) -> FloatArray:
     return x @ matrix if matrix.ndim == 2 else np.einsum("ni,nij->nj", x, matrix)
 
 
-def _clipped(q: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+def _clip_to_box(q: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
     """Return `q` clipped to the box; for a few points three times as fast as `np.clip`."""
     return np.minimum(np.maximum(q, lower), upper)

@@ -195,10 +195,10 @@ DEFAULTS: Mapping[str, Any] = {
 def _settings_of(sampler: str | Sampler) -> Sampler:
     """Return the settings of a sampler; ValueError if it is neither a name nor a settings object."""
     from fmu.samplers.kernel import Sampler
-    from fmu.samplers.registry import named
+    from fmu.samplers.registry import make_sampler
 
     if isinstance(sampler, str):
-        return named(sampler)
+        return make_sampler(sampler)
     if not isinstance(sampler, Sampler):
         raise ValueError(
             f"sampler: must be one of {', '.join(SAMPLERS)}, or a settings object derived from "

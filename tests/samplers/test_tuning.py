@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fmu.posterior.scaled import ScaledDensity
-from fmu.samplers import HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Run, Slice, named, run
+from fmu.samplers import HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Run, Slice, make_sampler, run
 from fmu.samplers.hmc import SHORT_STEPS
 from fmu.samplers.settings import describe
 from tests import plain_densities
@@ -54,7 +54,7 @@ def warmed(target, sampler, warmup=600, draws=200, chains=4, init="prior", seed=
 def test_default_settings_find_and_learn_a_narrow_target(name, init):
     target = Canyon()
     draws = {"mh": 2500, "slice": 800, "hmc": 300}[name]
-    result = warmed(target, named(name), warmup=800, draws=draws, chains=8, init=init)
+    result = warmed(target, make_sampler(name), warmup=800, draws=draws, chains=8, init=init)
     assert_right(target, result, least=300)
 
 
@@ -160,14 +160,14 @@ class TestGivenByHand:
 def test_nothing_is_learnt_after_warm_up(name):
     """Carried on, a run is made with the settings frozen at its end of warm-up: a fresh kernel of them agrees."""
     target = SkewedGumbel()
-    begun = Run(target, named(name), warmup=200, chains=3, seed=2, init="prior")
+    begun = Run(target, make_sampler(name), warmup=200, chains=3, seed=2, init="prior")
     first = begun.extend(50)
     scaled = ScaledDensity(target)
     held = begun._groups[0].state
-    tuner = named(name).tuner(scaled, 3, 200)
+    tuner = make_sampler(name).tuner(scaled, 3, 200)
     tuner.restore(held.tuner)
-    assert describe(tuner.finished()) == first.learnt == held.learnt
-    kernel, state, copy = tuner.finished().bind(scaled), held.state, np.random.default_rng(0)
+    assert describe(tuner.finish_learning()) == first.learnt == held.learnt
+    kernel, state, copy = tuner.finish_learning().bind(scaled), held.state, np.random.default_rng(0)
     copy.bit_generator.state = held.generator
     position = []
     for _ in range(50):
@@ -209,7 +209,7 @@ class Trap(Target):
 def test_a_trapped_chain_does_not_spoil_what_the_others_learn(name):
     target = Trap()
     start = np.vstack([0.5 * np.random.default_rng(1).standard_normal((3, 2)), target.spike[None]])
-    result = warmed(target, named(name), init=start)
+    result = warmed(target, make_sampler(name), init=start)
     x = result.posterior.position
     np.testing.assert_allclose(x[3], 50.0, atol=0.1)  # the trap holds
     scale = {

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fmu.samplers.adaptation import SHRINKAGE, DualAveraging, Schedule, keeping_up, pooled_covariance
+from fmu.samplers.adaptation import SHRINKAGE, DualAveraging, Schedule, find_arrived, pooled_covariance
 
 COVARIANCE = np.array([[1.0, 0.6, 0.0], [0.6, 0.8, -0.2], [0.0, -0.2, 0.5]])
 
@@ -138,11 +138,11 @@ class TestPooledCovariance:
 
     def test_most_chains_on_the_way_teach_nothing_of_the_one_that_has_arrived(self):
         """One of four chains in the bulk, or in a spike: nobody can tell, and the many decide."""
-        assert keeping_up(np.array([0.0, -80.0, -81.0, -79.0]), 10.0).tolist() == [False, True, True, True]
+        assert find_arrived(np.array([0.0, -80.0, -81.0, -79.0]), 10.0).tolist() == [False, True, True, True]
 
     def test_the_best_half_decides(self):
-        assert keeping_up(np.array([0.0, -1.0, -80.0, -200.0]), 10.0).tolist() == [True, True, False, False]
-        assert keeping_up(np.array([0.0, -80.0]), 10.0).tolist() == [True, False]
+        assert find_arrived(np.array([0.0, -1.0, -80.0, -200.0]), 10.0).tolist() == [True, True, False, False]
+        assert find_arrived(np.array([0.0, -80.0]), 10.0).tolist() == [True, False]
 
     def test_too_few_draws(self):
         assert Window(0).covariance() is None

@@ -244,9 +244,9 @@ def test_the_last_report_has_the_numbers_of_the_verdict(problem):
 
 
 def test_names_are_those_of_the_samplers():
-    assert [samplers.named(name).name for name in SAMPLERS] == list(SAMPLERS)
+    assert [samplers.make_sampler(name).name for name in SAMPLERS] == list(SAMPLERS)
     with pytest.raises(ValueError, match=", ".join(SAMPLERS)):
-        samplers.named("nuts")
+        samplers.make_sampler("nuts")
 
 
 @pytest.mark.parametrize("sampler", ["nuts", 3, ""])

@@ -27,7 +27,7 @@ import fmu
 from fmu.analysis.maxima.search import is_searchable
 from fmu.analysis.maxima.starts import choose_starts, components
 from fmu.samplers.loop.run import Run
-from fmu.samplers.registry import COMPARED, named
+from fmu.samplers.registry import COMPARED, make_sampler
 
 WARMUP, DRAWS, CHAINS, SEED = 200, 200, 4, 1
 RESUMED = ("shear-2dof", "hmc")
@@ -80,7 +80,7 @@ def digests() -> Iterator[tuple[str, str]]:
         if maxima is not None:
             yield f"{name}: maxima", digest(*(value for one in maxima for value in (one.theta, one.log_prob)))
         for sampler in COMPARED:
-            settings = named(sampler).starting_from(*components(problem, maxima))
+            settings = make_sampler(sampler).starting_from(*components(problem, maxima))
             if settings.walkers > 1:
                 settings = replace(settings, walkers=max(settings.walkers, 2 * problem.ndim))
             start = choose_starts(problem, "maxima", maxima, CHAINS, settings.walkers, SEED).position

@@ -318,8 +318,8 @@ IN_THE_MIXTURE = (
     Fault(
         "mixture: refits without the weights of the mixtures before",
         "fmu/samplers/mixture/warmup/tuner.py",
-        "Points.weighted(u[old], log_prob[old], seen.log_q[:n][old])",
-        "Points.weighted(u[old], log_prob[old], log_prob[old])",
+        "Points.weigh_draws(u[old], log_prob[old], seen.log_q[:n][old])",
+        "Points.weigh_draws(u[old], log_prob[old], log_prob[old])",
         MIXTURE,
     ),
     Fault(

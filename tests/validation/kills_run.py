@@ -22,7 +22,7 @@ import fmu
 from fmu.runs import Checkpoint
 from fmu.runs.identity import Identity
 from fmu.runs.store import Store
-from fmu.samplers import Run, named
+from fmu.samplers import Run, make_sampler
 
 LOSS_STEPS, LOSS_S = 100, 0.5
 """What a group of chains may lose."""
@@ -68,7 +68,7 @@ def drawn(
             identity = Identity.of({"problem": problem.configuration(), "sampler": name})
             store = stack.enter_context(Store(where, identity, problem.names, problem.units))
         settings = {"warmup": size.warmup, "chains": size.chains, "groups": size.groups, "seed": 1}
-        begun = Run(problem, named(name), **settings, init="prior", progress=tell, checkpointer=store)  # type: ignore[arg-type]
+        begun = Run(problem, make_sampler(name), **settings, init="prior", progress=tell, checkpointer=store)  # type: ignore[arg-type]
         result = begun.extend(size.draws)
     found = {}
     for phase in ("warmup", "posterior"):

@@ -33,7 +33,7 @@ from fmu.analysis.maxima.starts import choose_starts, components
 from fmu.analysis.trace.conversion import to_trace
 from fmu.analysis.trace.reading import parameter_draws
 from fmu.samplers.loop.run import run
-from fmu.samplers.registry import named
+from fmu.samplers.registry import make_sampler
 from fmu.surrogates.error_limits import ErrorLimits
 from fmu.surrogates.learning import CHECKS
 from fmu.surrogates.selection import error_variances, stratified
@@ -370,7 +370,7 @@ def corrected(case: PoorCase) -> dict[str, Any]:
         warnings.simplefilter("ignore")
         surrogate = fmu.surrogate(case.problem(), seed=case.seed, max_solves=22, tolerance=1e-6)
     maxima = find_map(surrogate, 32)
-    settings = named("mixture").starting_from(*components(surrogate, maxima))
+    settings = make_sampler("mixture").starting_from(*components(surrogate, maxima))
     off: dict[str, list[Any]] = {"first": [], "second": []}
     records = []
     for seed in range(SEEDS):

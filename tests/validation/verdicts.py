@@ -29,7 +29,7 @@ from fmu.analysis.evidence import OF_MIXTURE, has_candidates
 from fmu.analysis.maxima.missed import nearest_maxima
 from fmu.analysis.maxima.results import Maxima
 from fmu.analysis.trace.reading import parameter_draws, walkers_of
-from fmu.samplers.registry import SAMPLERS, named
+from fmu.samplers.registry import SAMPLERS, make_sampler
 from fmu.types import FloatArray
 from tests.validation.kept import completed, kept_lines
 from tests.validation.known import FURTHER, KNOWN, Known
@@ -220,7 +220,7 @@ def _been_everywhere(trace: Any, maxima: Maxima | None) -> bool:
 def _at(job: Job) -> FloatArray:
     """Return starts within a hundredth of the box around one maximum."""
     known = job.known
-    walkers = named(job.sampler.removesuffix(JUMPS)).walkers
+    walkers = make_sampler(job.sampler.removesuffix(JUMPS)).walkers
     shape = (CHAINS, known.density.ndim) if walkers == 1 else (CHAINS, walkers, known.density.ndim)
     lower, upper = known.box or (known.density.lower, known.density.upper)
     away = np.random.default_rng(job.seed).uniform(-0.01, 0.01, shape)

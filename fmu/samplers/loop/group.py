@@ -159,7 +159,7 @@ def advance(context: RunContext, chunk: Chunk, report: Report | None = None) -> 
     return ChunkResult(record.steps(0, done), group.group_state(), list(take()))
 
 
-def evaluated_again(context: RunContext, group: GroupState) -> tuple[FloatArray, FloatArray]:
+def evaluate_again(context: RunContext, group: GroupState) -> tuple[FloatArray, FloatArray]:
     """Return the log-density at the positions of a group's chains: as the group has it, and evaluated again."""
     held = _GroupRunner(context, group)
     return held.state.log_prob, held.kernel.init(held.state.position)[0].log_prob
@@ -254,7 +254,7 @@ class _GroupRunner:
         if self.done[WARMUP] < self.context.warmup:
             self.kernel = self.tuner.kernel
         else:
-            self.learnt = self.tuner.finished()
+            self.learnt = self.tuner.finish_learning()
             self.kernel = self.learnt.bind(self.context.scaled)
 
 

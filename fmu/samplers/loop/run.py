@@ -22,7 +22,7 @@ from fmu.samplers.loop.group import (
     GroupState,
     RunContext,
     advance,
-    evaluated_again,
+    evaluate_again,
 )
 from fmu.samplers.loop.record import Draws, Record, RunResult, Steps
 from fmu.samplers.loop.starts import starting_points
@@ -228,7 +228,7 @@ class Run:
         self._records = {phase: Record(self.chains, walkers, ndim) for phase in (WARMUP, DRAWS)}
         self._elapsed_s = {WARMUP: 0.0, DRAWS: 0.0}
         self._drawn = 0
-        self._groups = self._begun(init)
+        self._groups = self._begin_groups(init)
         if checkpointer is not None:
             for group in self._groups:
                 self._restore(group, checkpointer)
@@ -259,7 +259,7 @@ class Run:
         if self._watch is not None:
             self._watch.end(self._common(DRAWS))
 
-    def _begun(self, init: Any) -> list[_RunningGroup]:
+    def _begin_groups(self, init: Any) -> list[_RunningGroup]:
         """Return the groups before their first step."""
         context, walkers = self._context, self.sampler.walkers
         seeds = np.random.SeedSequence(self.seed).spawn(self.groups)
@@ -374,7 +374,7 @@ class Run:
             posterior=kept,
             sampler=self.sampler.name,
             settings=describe(self.sampler),
-            learnt=_merged([group.state.learnt for group in self._groups]),
+            learnt=_merge_learnt([group.state.learnt for group in self._groups]),
             seed=self.seed,
             walkers=self.sampler.walkers,
             draws=draws,
@@ -426,7 +426,7 @@ def n_groups(groups: int | None, chains: int, sampler: Sampler) -> int:
 
 def _check_same(context: RunContext, group: GroupState) -> None:
     """Raise ValueError unless the density has the values that were saved with the chains."""
-    then, now = evaluated_again(context, group)
+    then, now = evaluate_again(context, group)
     if not np.allclose(now, then, rtol=1e-6, atol=1e-6):
         worst = np.unravel_index(np.nanargmax(np.abs(now - then)), then.shape)
         was, is_now = apart(float(then[worst]), float(now[worst]), sd=1.0)
@@ -436,7 +436,7 @@ def _check_same(context: RunContext, group: GroupState) -> None:
         )
 
 
-def _merged(learnt: list[dict[str, Any]]) -> dict[str, Any]:
+def _merge_learnt(learnt: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the settings learnt; of several groups, each setting as a list over the groups."""
     if len(learnt) == 1:
         return learnt[0]

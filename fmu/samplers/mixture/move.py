@@ -110,7 +110,7 @@ class MixtureMove(Move):
         q : ndarray, shape (n, ndim)
         factor : ndarray, shape (n,)
         """
-        proposal = self.frozen or Proposal.fitted(c, log_prob, self.lower, self.upper)
+        proposal = self.frozen or Proposal.fit_points(c, log_prob, self.lower, self.upper)
         if proposal is None:  # the other half spans no ellipsoid
             found: tuple[FloatArray, FloatArray] = self._otherwise.get_proposal(s, [c], random)
             return found
@@ -127,7 +127,7 @@ class MixtureMove(Move):
             later = self._seen[steps // 2 :]
             x, log_prob = (np.concatenate(each) for each in zip(*later, strict=True))
             every = -(-len(x) // _MOST_POINTS)
-            found = Proposal.fitted(x[::every], log_prob[::every], self.lower, self.upper)
+            found = Proposal.fit_points(x[::every], log_prob[::every], self.lower, self.upper)
             self.frozen = self.frozen if found is None else found
 
 
@@ -146,7 +146,7 @@ class Proposal:
     scale: FloatArray
 
     @classmethod
-    def fitted(
+    def fit_points(
         cls, position: FloatArray, log_prob: FloatArray, lower: FloatArray, upper: FloatArray
     ) -> Proposal | None:
         """Return the mixture that fits the log-density at points, None where they are too few or lie in a plane.

@@ -16,7 +16,7 @@ from fmu.samplers.mixture.quadratic import (
     fit_quadratic,
     n_coefficients,
     of_moments,
-    standardised,
+    standardise,
 )
 from fmu.types import BoolArray, FloatArray
 
@@ -93,7 +93,7 @@ class Warp:
             None if of_u.covariance is None else of_u.covariance / np.outer(away, away),
         )
 
-    def straightened(self, of_x: Quadratic) -> Quadratic:
+    def straighten(self, of_x: Quadratic) -> Quadratic:
         """Return the log-density of u to second order, from that of x at the same point: `quadratic` undone."""
         u = self.to_u(of_x.position)
         away = self.stretch(u)
@@ -210,7 +210,7 @@ class Points:
     gradient: FloatArray | None = None
 
     @classmethod
-    def weighted(cls, position: FloatArray, log_prob: FloatArray, log_density: FloatArray) -> Points:
+    def weigh_draws(cls, position: FloatArray, log_prob: FloatArray, log_density: FloatArray) -> Points:
         """Return draws from a distribution of density q with weights P/q, the largest cut.
 
         Where a few draws have nearly all the weight, the weights are evened out by an exponent below 1: what is
@@ -260,22 +260,22 @@ def fit_mixture(points: Points, start: Mixture) -> Mixture:
     covariance of their points instead.
     """
     responsibility = start.responsibilities(points.position)
-    warp = _straightened(points, responsibility, start.warp)
+    warp = _choose_warp(points, responsibility, start.warp)
     before: Sequence[Quadratic] = start.quadratics
     if not np.array_equal(warp.bent, start.warp.bent):  # components are in the coordinates of the warp
-        before = [warp.quadratic(start.warp.straightened(one)) for one in before]
-    best, share = _settled(points, responsibility, warp, before)
+        before = [warp.quadratic(start.warp.straighten(one)) for one in before]
+    best, share = _settle_components(points, responsibility, warp, before)
     while share < GOOD and len(best.quadratics) < MOST:
-        split = _split(points, best)
+        split = _split_component(points, best)
         if split is None:
             break
-        candidate, reached = _settled(points, split[0], warp, split[1])
+        candidate, reached = _settle_components(points, split[0], warp, split[1])
         if reached < share + _GAIN:
             break
         best, share = candidate, reached
     if share < POOR:
-        for responsibility in _halved(points, warp):
-            candidate, reached = _settled(points, responsibility, warp, by_moments=True)
+        for responsibility in _halve_points(points, warp):
+            candidate, reached = _settle_components(points, responsibility, warp, by_moments=True)
             if reached > share + _GAIN:
                 best, share = candidate, reached
     return best
@@ -310,36 +310,36 @@ def _gain_elsewhere(points: Points, start: Mixture) -> float:
     return gain
 
 
-def _straightened(points: Points, responsibility: FloatArray, warp: Warp) -> Warp:
+def _choose_warp(points: Points, responsibility: FloatArray, warp: Warp) -> Warp:
     """Return the warp with every coordinate bent or straight, whichever is closer to a quadratic log-density."""
     weights = responsibility * points.weight
     weights = weights[_effective_size(weights) > len(warp.lower) + 1]
     if len(points.log_prob) < _POINTS * n_coefficients(len(warp.lower)):
         return warp
-    least = _unexplained(*points.under(warp), weights)
+    least = _measure_misfit(*points.under(warp), weights)
     for k in np.flatnonzero(np.isfinite(warp.lower)):
         bent = warp.bent.copy()
         bent[k] = not bent[k]
         tried = Warp(warp.lower, warp.upper, bent)
-        left = _unexplained(*points.under(tried), weights)
+        left = _measure_misfit(*points.under(tried), weights)
         if left < _STRAIGHTER * least:
             warp, least = tried, left
     return warp
 
 
-def _unexplained(
+def _measure_misfit(
     x: FloatArray, value: FloatArray, slope: FloatArray | None, weights: Iterable[FloatArray]
 ) -> float:
     """Return the sum of squares that quadratics, one for each of the `weights`, leave of a log-density."""
     total = 0.0
     for w in weights:
         if w.sum() > 0:
-            z, _, L = standardised(x, w)
+            z, _, L = standardise(x, w)
             total += w.sum() * coefficients(z, value, w, None if slope is None else slope @ L)[1]
     return total
 
 
-def _settled(
+def _settle_components(
     points: Points,
     responsibility: FloatArray,
     warp: Warp,
@@ -380,7 +380,7 @@ def _settled(
     return found
 
 
-def _halved(points: Points, warp: Warp) -> list[FloatArray]:
+def _halve_points(points: Points, warp: Warp) -> list[FloatArray]:
     """Return responsibilities of 2, 4 and 8 groups: the points halved again and again along the longest axis."""
     x, found = warp.to_x(points.position), list[FloatArray]()
     groups = [np.ones(len(points.weight), dtype=bool)]
@@ -400,7 +400,7 @@ def _halved(points: Points, warp: Warp) -> list[FloatArray]:
     return found
 
 
-def _split(points: Points, mixture: Mixture) -> tuple[FloatArray, list[Quadratic | None]] | None:
+def _split_component(points: Points, mixture: Mixture) -> tuple[FloatArray, list[Quadratic | None]] | None:
     """Return responsibilities in which the component that fits worst is cut in two; None if it has too few points.
 
     It is cut across the principal axis where two quadratics leave least unexplained. Beside them, the other
@@ -415,12 +415,12 @@ def _split(points: Points, mixture: Mixture) -> tuple[FloatArray, list[Quadratic
     if w.sum() ** 2 < needed * np.sum(w**2):
         return None
     x, value, slope = points.under(mixture.warp)
-    z, _, L = standardised(x, w)
+    z, _, L = standardise(x, w)
     _, _, axes = np.linalg.svd(L)  # L = U S Vᵀ: along the columns of V in z lie the principal axes in x
     best, least = None, np.inf
     for axis in axes:
         side = 1.0 / (1.0 + np.exp(-4.0 * np.clip(z @ axis, -50, 50)))
-        left = _unexplained(x, value, slope, (w * side, w * (1.0 - side)))
+        left = _measure_misfit(x, value, slope, (w * side, w * (1.0 - side)))
         if left < least:
             parts = [responsibility[worst] * side, responsibility[worst] * (1.0 - side)]
             best, least = np.concatenate([np.delete(responsibility, worst, axis=0), parts]), left

@@ -91,7 +91,7 @@ def _temperature(ndim: int) -> float:
 
 def measure_kurtosis(x: FloatArray, weight: FloatArray) -> float:
     """Return the kurtosis of points x (n, ndim) with weights (n,), relative to a Gaussian (Mardia 1970)."""
-    n, z = x.shape[1], standardised(x, weight)[0]
+    n, z = x.shape[1], standardise(x, weight)[0]
     return float(weight @ np.sum(z**2, axis=1) ** 2 / weight.sum() / (n * (n + 2)))
 
 
@@ -118,7 +118,7 @@ def fit_quadratic(
     slope : ndarray, shape (n, ndim), optional
         Gradients of the log-density. In these coordinates they count as much as the log-densities.
     """
-    z, mean, L = standardised(u, weight)
+    z, mean, L = standardise(u, weight)
     c = coefficients(z, log_prob, weight, None if slope is None else slope @ L)[0]
     H = _symmetric(c[1 + len(mean) :], len(mean))
     back = np.linalg.inv(L)
@@ -161,11 +161,11 @@ def climb(log_prob: Callable[[FloatArray], FloatArray], start: FloatArray, like:
 
 def of_moments(u: FloatArray, weight: FloatArray) -> Quadratic:
     """Return the log-density of a Gaussian with the mean and covariance of weighted points (n, ndim)."""
-    _, mean, L = standardised(u, weight)
+    _, mean, L = standardise(u, weight)
     return Quadratic(mean, 0.0, np.zeros_like(mean), np.linalg.inv(L @ L.T), L @ L.T)
 
 
-def standardised(u: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def standardise(u: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return z with u = mean + Lz, in which the weighted points have unit covariance; the mean; and L."""
     w = weight / weight.sum()
     mean = w @ u

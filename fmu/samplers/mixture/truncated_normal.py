@@ -41,7 +41,7 @@ class SequentialNormal:
         if is_free:  # any order is as good, and nothing is to be tilted
             self.order, expected = np.arange(len(mean)), np.zeros(len(mean))
         else:
-            self.order, expected = _ordered(mean, covariance, lower, upper)
+            self.order, expected = _order_coordinates(mean, covariance, lower, upper)
         self.L = np.linalg.cholesky(covariance[np.ix_(self.order, self.order)])
         self.mean, self.lower, self.upper = mean[self.order], lower[self.order], upper[self.order]
         self.tilt = expected if is_free else self._minimax(expected)
@@ -84,7 +84,7 @@ class SequentialNormal:
         unit = self.L / np.diag(self.L)[:, None]
         lower, upper = ((limit - self.mean) / np.diag(self.L) for limit in (self.lower, self.upper))
 
-        def tilted(z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        def tilt_coordinates(z: FloatArray) -> tuple[FloatArray, FloatArray]:
             """Return μ that makes z stationary, and the mean of each truncated normal relative to its μ."""
             before = unit @ z - z
             a, b = lower - before, upper - before
@@ -94,11 +94,11 @@ class SequentialNormal:
                 excess[i] = _mean_of_cut_normal(a[i] - tilt[i], b[i] - tilt[i])
             return tilt, excess
 
-        found = root(lambda z: z - np.sum(tilted(z), axis=0), start, method="hybr")
-        return tilted(found.x)[0] if found.success else np.zeros(n)
+        found = root(lambda z: z - np.sum(tilt_coordinates(z), axis=0), start, method="hybr")
+        return tilt_coordinates(found.x)[0] if found.success else np.zeros(n)
 
 
-def _ordered(
+def _order_coordinates(
     mean: FloatArray, covariance: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> tuple[np.ndarray, FloatArray]:
     """Return the order of the coordinates, and the expected z of each given those before it."""

@@ -84,11 +84,13 @@ class PriorAndLikelihood:
         """Evaluate prior and likelihood at u, shape (n, ndim), in one batch, and the gradients if need be."""
         theta = u if self.scaled is None else self.scaled.to_theta(u)
         if not self.with_gradients:
-            return Points(u, self.density.log_prior(theta), _known(self.density.log_likelihood(theta)))
+            return Points(u, self.density.log_prior(theta), _replace_failures(self.density.log_likelihood(theta)))
         scale = 1.0 if self.scaled is None else self.scaled.scale
         prior, prior_gradient = self.density.log_prior_and_grad(theta)
         value, gradient = self.density.log_prob_and_grad(theta)
-        return Points(u, prior, _known(value - prior), prior_gradient * scale, (gradient - prior_gradient) * scale)
+        return Points(
+            u, prior, _replace_failures(value - prior), prior_gradient * scale, (gradient - prior_gradient) * scale
+        )
 
     def sample_prior(self, rng: np.random.Generator, n: int) -> FloatArray:
         """Draw from the prior, shape (n, ndim)."""
@@ -147,6 +149,6 @@ class TemperedTarget(ExactGradient):
         return points
 
 
-def _known(log_likelihood: FloatArray) -> FloatArray:
+def _replace_failures(log_likelihood: FloatArray) -> FloatArray:
     """Return the log-likelihood with −inf where the model failed."""
     return np.where(np.isfinite(log_likelihood), log_likelihood, -np.inf)

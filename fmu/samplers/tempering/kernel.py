@@ -63,8 +63,8 @@ class TemperingKernel:
         replicas = prior.each(lambda at_prior, above: np.concatenate([at_prior[None], above]), moved)
         if n_steps % self.swap_every == 0:
             order = self._order_after_swaps(rng, replicas.log_likelihood, n_steps // self.swap_every % 2)
-            replicas, heading = replicas.each(lambda a: _taken(a, order)), _taken(heading, order)
-        heading, round_trips = _turned(heading)
+            replicas, heading = replicas.each(lambda a: _take_in_order(a, order)), _take_in_order(heading, order)
+        heading, round_trips = _update_headings(heading)
         new = self._state(replicas, heading, n_steps)
 
         def total(of_replicas: NDArray[Any]) -> NDArray[Any]:
@@ -117,12 +117,12 @@ class TemperingKernel:
         return order
 
 
-def _taken(values: Any, order: IntArray) -> Any:
+def _take_in_order(values: Any, order: IntArray) -> Any:
     """Return values (rungs, chains, ...) in an order of rungs that differs between chains."""
     return values[order, np.arange(order.shape[1])]
 
 
-def _turned(heading: IntArray) -> tuple[IntArray, IntArray]:
+def _update_headings(heading: IntArray) -> tuple[IntArray, IntArray]:
     """Update the headings at the ends of the ladder, and count the round trips completed, shape (chains,)."""
     heading = heading.copy()
     heading[0] = np.where(heading[0] == 1, 2, heading[0])

@@ -17,7 +17,7 @@ import numpy as np
 from fmu.arguments import check_arguments
 from fmu.samplers.kernel import Info, Sampler, State, Tree
 from fmu.samplers.local import LocalSampler
-from fmu.samplers.registry import SAMPLERS, local_samplers, named
+from fmu.samplers.registry import SAMPLERS, local_samplers, make_sampler
 from fmu.samplers.settings import vector, whole_number
 from fmu.samplers.tempering.density import PriorAndLikelihood
 from fmu.samplers.tempering.kernel import TemperingKernel, replicas_of
@@ -83,7 +83,7 @@ class Tempering(Sampler):
     def __post_init__(self) -> None:
         given = self.kernel
         if isinstance(given, str) and given in SAMPLERS:
-            object.__setattr__(self, "kernel", named(given))
+            object.__setattr__(self, "kernel", make_sampler(given))
         if self.temperatures is not None:
             object.__setattr__(self, "temperatures", ladder("temperatures", self.temperatures))
         if self.rungs is not None:
@@ -150,13 +150,13 @@ class LadderTuner:
             del self.lengths[0]
             settled = np.array(self.log_likelihood[len(self.log_likelihood) // 2 :]).swapaxes(0, 1)
             rejection = rejections(settled, self.temperatures).mean(axis=0)
-            self._begin(adapted(self.temperatures, rejection, self.sampler.rungs))
+            self._begin(adapt_ladder(self.temperatures, rejection, self.sampler.rungs))
         elif self.tuners:
             self._take_kernels([tuner.kernel for tuner in self.tuners])
 
-    def finished(self) -> Tempering:
+    def finish_learning(self) -> Tempering:
         """Return the settings learnt."""
-        kernel = tuple(tuner.finished() for tuner in self.tuners) or self.sampler.kernel
+        kernel = tuple(tuner.finish_learning() for tuner in self.tuners) or self.sampler.kernel
         return replace(self.sampler, kernel=kernel, temperatures=self.temperatures, rungs=len(self.temperatures))
 
     def state(self) -> Tree:
@@ -245,7 +245,7 @@ def rejections(log_likelihood: FloatArray, temperatures: FloatArray) -> FloatArr
     return np.mean(1.0 - np.exp(np.minimum(gain, 0.0)), axis=-2)
 
 
-def adapted(temperatures: FloatArray, rejection: FloatArray, rungs: int | None) -> FloatArray:
+def adapt_ladder(temperatures: FloatArray, rejection: FloatArray, rungs: int | None) -> FloatArray:
     """Return the ladder on which all swaps are expected to be rejected equally often.
 
     The barrier from 0 to each rung, Λ(t_k) = r_0 + … + r_{k−1}, is interpolated monotonically and cut into equal

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from fmu.analysis.estimate import gradient_cost
-from fmu.samplers import named, run
+from fmu.samplers import make_sampler, run
 from tests.benchmarks.peers.outcome import Cost, Length, Outcome, Stopwatch
 from tests.benchmarks.peers.target import Target
 
@@ -19,7 +19,7 @@ def sampler(name: str, target: Target, length: Length) -> Callable[[int], Outcom
     Evaluations are gradients for HMC, else log-probabilities; the few gradients of the mixture's local steps count
     as what they cost.
     """
-    settings = named(name)
+    settings = make_sampler(name)
     cost = gradient_cost(target.problem, target.starts(0, CHAINS))
 
     def booked(time: Cost, stats: Any) -> Cost:

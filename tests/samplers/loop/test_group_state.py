@@ -47,7 +47,7 @@ class Shortening:
     def update(self, state, info):
         self.restore({"width": 0.99 * self.width})
 
-    def finished(self):
+    def finish_learning(self):
         return MetropolisHastings(Jumps(float(self.width)))
 
     def state(self):
@@ -55,7 +55,7 @@ class Shortening:
 
     def restore(self, state):
         self.width = state["width"]
-        self.kernel = self.finished().bind(self.density)
+        self.kernel = self.finish_learning().bind(self.density)
 
 
 class OwnSampler(MetropolisHastings):

@@ -239,7 +239,7 @@ class Narrowing:
         self.steps += 1
         self.kernel = MetropolisHastings(RandomWalk(0.3 / self.steps**0.25)).bind(self.density)
 
-    def finished(self):
+    def finish_learning(self):
         return MetropolisHastings(RandomWalk(0.3 / self.steps**0.25))
 
     def state(self):

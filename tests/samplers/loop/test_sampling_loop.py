@@ -12,7 +12,7 @@ from fmu.samplers import (
     RandomWalk,
     Run,
     Slice,
-    named,
+    make_sampler,
     run,
 )
 from tests.gradients import assert_gradient
@@ -28,13 +28,13 @@ class TestNames:
         [("mh", MetropolisHastings), ("slice", Slice), ("hmc", HamiltonianMonteCarlo), ("emcee", Ensemble)],
     )
     def test_defaults(self, name, kind):
-        assert named(name) == kind()
-        assert named(name).name == name
+        assert make_sampler(name) == kind()
+        assert make_sampler(name).name == name
 
     def test_an_unknown_name_lists_the_known_ones(self):
         known = "mh, slice, hmc, emcee, mixture, tempering"
         with pytest.raises(ValueError, match=rf"sampler: must be one of {known} \(got 'nuts'\)"):
-            named("nuts")
+            make_sampler("nuts")
 
 
 class TestResult:

@@ -199,7 +199,10 @@ def test_a_curved_mixture_is_kept_in_the_settings_and_the_state_of_the_tuner():
     u = exact_draws(density, 50)[1]
     assert isinstance(tuner.mixture, CurvedMixture)
     np.testing.assert_array_equal(again.mixture.log_density(u), tuner.mixture.log_density(u))
-    assert (again.finished().jumps, again.finished().local_steps) == (learnt["jumps"], learnt["local_steps"])
+    assert (again.finish_learning().jumps, again.finish_learning().local_steps) == (
+        learnt["jumps"],
+        learnt["local_steps"],
+    )
 
 
 class Ratios(Funnel):

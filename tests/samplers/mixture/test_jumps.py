@@ -7,14 +7,14 @@ import pytest
 
 import fmu
 from fmu.samplers.mixture.mixture import with_jumps
-from fmu.samplers.registry import named
+from fmu.samplers.registry import make_sampler
 from tests.samplers.mixture.test_mixture import Apart, drawn
 
 
 @pytest.mark.parametrize("name", ["mh", "slice", "hmc"])
 def test_chains_cross_in_the_right_proportion(name):
     target = Apart()
-    sampler = with_jumps(named(name)).starting_from(target.components(), np.array([0.5, 0.5]))
+    sampler = with_jumps(make_sampler(name)).starting_from(target.components(), np.array([0.5, 0.5]))
     assert sampler.name == name
     result = drawn(target, sampler, init=np.repeat(target.centres[1:], 8, axis=0), draws=750)
     left = result.posterior.position[..., 0] < 0

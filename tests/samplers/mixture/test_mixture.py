@@ -95,7 +95,7 @@ def test_a_quadratic_keeps_its_value_and_slope_under_a_warp():
         u = (FLAT.position + d)[None]
         exact = FLAT(u) + warp.log_stretch(u)
         assert of_x(warp.to_x(u)) == pytest.approx(exact, abs=3e-7)
-    back = warp.straightened(of_x)
+    back = warp.straighten(of_x)
     assert back.log_prob == pytest.approx(FLAT.log_prob, abs=1e-12)
     for name in ("position", "gradient", "hessian"):
         assert getattr(back, name) == pytest.approx(getattr(FLAT, name), rel=1e-12, abs=1e-12)
@@ -139,7 +139,7 @@ def test_a_few_points_with_all_the_weight_are_fitted_all_the_same():
     box = np.full(ndim, np.inf)
     u = rng.standard_normal((200, ndim))
     log_p = -0.5 * np.sum((u / 1e-3) ** 2, axis=1)
-    points = Points.weighted(u, log_p, -0.5 * np.sum(u**2, axis=1))
+    points = Points.weigh_draws(u, log_p, -0.5 * np.sum(u**2, axis=1))
     assert points.weight.sum() ** 2 / np.sum(points.weight**2) > 3 * ndim
     warp = Warp(-box, box, np.zeros(ndim, dtype=bool))
     wide = Quadratic(np.zeros(ndim), 0.0, np.zeros(ndim), np.eye(ndim))
@@ -379,7 +379,7 @@ def test_a_maximum_that_a_fit_loses_is_found_again():
     u = tuner.density.to_scaled(target.centres[[0] * 200] + np.random.default_rng(5).standard_normal((200, 2)))
     tuner.drawn = tuner.drawn.with_more(u, tuner.density.log_prob(u))
     tuner.counts[-1] = 200
-    before = refit_mixture(Points.weighted(*tuner.drawn[:2], tuner.mixture.log_density(u)), tuner.mixture)
+    before = refit_mixture(Points.weigh_draws(*tuner.drawn[:2], tuner.mixture.log_density(u)), tuner.mixture)
     assert len(before.quadratics) == 1
     tuner._fit(at(tuner, target.centres))
     assert len(tuner.mixture.quadratics) == 2
@@ -408,7 +408,7 @@ def test_components_with_hardly_more_points_than_coordinates_stay_as_they_were()
     centres = rng.uniform(0.3, 0.7, (5, ndim))
     start = Mixture([Quadratic(c, 0.0, np.zeros(ndim), 2e3 * np.eye(ndim)) for c in centres], np.ones(5), warp)
     u = start.draw(rng, 40)
-    fit = fit_mixture(Points.weighted(u, start.log_density(u), start.log_density(u)), start)
+    fit = fit_mixture(Points.weigh_draws(u, start.log_density(u), start.log_density(u)), start)
     assert [q.position.tolist() for q in fit.quadratics] == [q.position.tolist() for q in start.quadratics]
 
 
@@ -421,7 +421,7 @@ def test_a_fit_to_few_points_is_kept_only_if_it_suits_others():
     def points(n):
         u = rng.standard_normal((n, ndim))
         log_p = -0.5 * np.sum(u**2, axis=1) - 0.3 * np.sum(np.abs(u) ** 1.5, axis=1)
-        return Points.weighted(u, log_p, start.log_density(u))
+        return Points.weigh_draws(u, log_p, start.log_density(u))
 
     assert refit_mixture(points(40), start) is start
     many, fresh = points(1000), points(1000)
@@ -589,7 +589,7 @@ def test_a_component_with_a_single_point_bends_no_coordinate():
     start = Mixture(ones, [0.5, 0.5], warp)
     u = np.concatenate([0.1 * rng.standard_normal((300, ndim)), np.full((1, ndim), 3.0)])
     log_p = np.append(ones[0](u[:-1]), -66.0)
-    found = fit_mixture(Points.weighted(u, log_p, start.log_density(u)), start)
+    found = fit_mixture(Points.weigh_draws(u, log_p, start.log_density(u)), start)
     assert not found.warp.bent.any()
 
 

@@ -64,9 +64,11 @@ def test_without_the_ratio_of_the_densities_the_moments_are_wrong(target, tune):
 
 def test_a_mixture_is_fitted_to_the_other_half_alone(monkeypatch):
     target, given, moved = CorrelatedGaussian(), [], []
-    fitted, candidates = Proposal.fitted.__func__, MixtureMove.candidates
+    fit, candidates = Proposal.fit_points.__func__, MixtureMove.candidates
     monkeypatch.setattr(
-        Proposal, "fitted", classmethod(lambda cls, *a: given.append([x.copy() for x in a[:2]]) or fitted(cls, *a))
+        Proposal,
+        "fit_points",
+        classmethod(lambda cls, *a: given.append([x.copy() for x in a[:2]]) or fit(cls, *a)),
     )
     monkeypatch.setattr(
         MixtureMove, "candidates", lambda self, s, *a: moved.append(s.copy()) or candidates(self, s, *a)

@@ -15,7 +15,7 @@ from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers import run
 from fmu.samplers.tempering.density import PriorAndLikelihood, TemperedTarget
 from fmu.samplers.tempering.kernel import LOG_LIKELIHOOD, replicas_of, side_by_side
-from fmu.samplers.tempering.tempering import Tempering, adapted, rejections, stages
+from fmu.samplers.tempering.tempering import Tempering, adapt_ladder, rejections, stages
 from tests.samplers.moments import assert_right
 from tests.samplers.targets import BoundedBeta, CorrelatedGaussian, TruncatedGaussian
 from tests.samplers.tempered_targets import Failing, FarModes, InBox, LinearGaussian
@@ -223,19 +223,19 @@ def test_stages_double_and_fill_the_warm_up():
 
 def test_a_ladder_is_cut_into_equal_parts_of_the_barrier():
     t = np.array([0.0, 0.1, 0.5, 1.0])
-    found = adapted(t, np.array([0.9, 0.3, 0.3]), 6)  # barrier 0.9 at 0.1, 1.5 in all: 0.3 a step
+    found = adapt_ladder(t, np.array([0.9, 0.3, 0.3]), 6)  # barrier 0.9 at 0.1, 1.5 in all: 0.3 a step
     assert found[[0, -1]].tolist() == [0.0, 1.0]
     assert found[3] == pytest.approx(0.1)
     assert np.all(np.diff(found) > 0)
-    assert len(adapted(t, np.full(3, 0.9), None)) == 8
-    assert len(adapted(np.linspace(0, 1, 12), np.full(11, 1.0), None)) == 23
+    assert len(adapt_ladder(t, np.full(3, 0.9), None)) == 8
+    assert len(adapt_ladder(np.linspace(0, 1, 12), np.full(11, 1.0), None)) == 23
 
 
 def test_round_trips_are_counted_at_both_ends():
-    from fmu.samplers.tempering.kernel import _turned
+    from fmu.samplers.tempering.kernel import _update_headings
 
     heading = np.array([[0, 1], [2, 0], [2, 1]])  # of two chains with three rungs
-    turned, trips = _turned(heading)
+    turned, trips = _update_headings(heading)
     assert turned.tolist() == [[0, 2], [2, 0], [1, 1]]
     assert trips.tolist() == [1, 0]
 

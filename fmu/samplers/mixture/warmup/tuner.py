@@ -136,12 +136,12 @@ class MixtureTuner:
         self._take_kernel()
         return spent
 
-    def finished(self) -> Any:
+    def finish_learning(self) -> Any:
         """Return the settings learnt."""
         if self.mixture is None:
             self._fit_to_draws()
         assert self.mixture is not None
-        local: Any = self.local_settings if self.local is None else self.local.finished()
+        local: Any = self.local_settings if self.local is None else self.local.finish_learning()
         if isinstance(self.mixture, CurvedMixture):
             steps, jumps = self._cycle(WIDE)
             return replace(
@@ -235,7 +235,7 @@ class MixtureTuner:
         mixture = self.mixture
         if np.count_nonzero(old) > n_coefficients(self.density.ndim):
             with suppress(np.linalg.LinAlgError):  # go on with the mixture that there is
-                mixture = refit_mixture(Points.weighted(u[old], log_prob[old], seen.log_q[:n][old]), mixture)
+                mixture = refit_mixture(Points.weigh_draws(u[old], log_prob[old], seen.log_q[:n][old]), mixture)
         mixture = add_maxima(mixture, new)
         if len(self.walked.log_prob) > _ENOUGH_JUMPS * self.chains:
             with suppress(np.linalg.LinAlgError):
@@ -245,7 +245,7 @@ class MixtureTuner:
             mixture = add_maxima(mixture, lost)
             spent += more
         if self.done == self.steps:
-            mixture = self._at_last(mixture, Points.weighted(u, log_prob, seen.log_q[:n]))
+            mixture = self._at_last(mixture, Points.weigh_draws(u, log_prob, seen.log_q[:n]))
         if mixture is not self.mixture:
             self._take(mixture)
         return spent
@@ -298,7 +298,7 @@ class MixtureTuner:
         known = np.isfinite(log_prob)
         if isinstance(self.mixture, CurvedMixture) or not known.any():
             return None
-        return Points.weighted(u[known], log_prob[known], self._log_density_so_far(u[known]))
+        return Points.weigh_draws(u[known], log_prob[known], self._log_density_so_far(u[known]))
 
     def _is_infinite(self, points: Points | None) -> bool:
         """Say whether the density is infinite at a wall, by the candidates so far; no Gaussian is."""

@@ -15,7 +15,7 @@ from fmu.analysis.convergence.effective import ess_bulk, mcse_mean
 from fmu.analysis.estimate import gradient_cost
 from fmu.analysis.trace.reading import parameter_draws, walkers_of
 from fmu.posterior.train_reduced import plausible_points
-from fmu.samplers.registry import planned
+from fmu.samplers.registry import plan_steps
 from tests.benchmarks.peers.outcome import Cost, Stopwatch
 from tests.benchmarks.peers.target import Target
 
@@ -138,7 +138,7 @@ def fmu_whole(target: Target, name: str) -> Callable[[int], WholeRun]:
                 costs[phase] += meter.read()
 
         density = WithoutModel(target.problem)
-        warmup, draws = planned(name, None, None)
+        warmup, draws = plan_steps(name, None, None)
         steps = {"warmup": warmup, "draws": draws, "max_draws": MOST_DRAWS}
         trace = fmu.sample(density, name, maxima=maxima, seed=seed, until_ess=ENOUGH, progress=progress, **steps)
         walkers, columns = walkers_of(trace), np.moveaxis(parameter_draws(trace), 2, 0)
