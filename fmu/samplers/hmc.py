@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fmu.arguments import check_arguments
 from fmu.samplers.adaptation import DualAveraging, Learner, Schedule
 from fmu.samplers.kernel import Info, State, Tree
 from fmu.samplers.local import LocalSampler
-from fmu.samplers.mixture.quadratic import definite
+from fmu.samplers.mixture.quadratic import Quadratic, definite
 from fmu.samplers.settings import fits, one_of, positive_number, positive_scale, whole_number
 from fmu.samplers.trajectory import CentralDifference, ExactGradient, HamiltonianKernel, Metric, WithGradient
 from fmu.types import FloatArray, LogDensity, Positive
@@ -78,9 +79,9 @@ class HamiltonianMonteCarlo(LocalSampler):
     step_size: Positive | None = None
     n_steps: int | None = None
     jitter: float = 0.2
-    inverse_mass: Any = None
+    inverse_mass: ArrayLike | None = None
     gradient: str = "exact"
-    delta: Any = 1.0
+    delta: ArrayLike = 1.0
     h: float = 1e-5
     max_bounces: int = 200
     target_accept: float = 0.8
@@ -122,7 +123,7 @@ class HamiltonianMonteCarlo(LocalSampler):
         step_size, n_steps = np.asarray(self.step_size or START_STEP_SIZE), self.n_steps or START_STEPS
         return HamiltonianKernel(target, metric, step_size, n_steps, self.jitter, self.max_bounces)
 
-    def starting_from(self, components: Sequence[Any], weights: FloatArray) -> HamiltonianMonteCarlo:
+    def starting_from(self, components: Sequence[Quadratic], weights: FloatArray) -> HamiltonianMonteCarlo:
         """Return the settings with M⁻¹ from the curvature at the largest maximum, if warm-up cannot learn it."""
         curvature = components[int(np.argmax(weights))].hessian
         if len(curvature) <= _LEARNABLE or self.inverse_mass is not None or self.step_size is not None:
@@ -206,7 +207,7 @@ class HamiltonianTuner:
         step_size = self._limit_step(self.averaging.log_value)
         self.kernel = replace(self.kernel, step_size=step_size, n_steps=self._n_steps(step_size))
 
-    def _restart_averaging(self, log_step_size: Any) -> DualAveraging:
+    def _restart_averaging(self, log_step_size: ArrayLike) -> DualAveraging:
         return DualAveraging(np.asarray(log_step_size, dtype=float), self.sampler.target_accept)
 
     @property
@@ -220,12 +221,12 @@ class HamiltonianTuner:
         """Whether a metric gives the length of a trajectory a meaning."""
         return self.learner.covariance is not None or self.sampler.inverse_mass is not None
 
-    def _limit_step(self, log_step_size: Any) -> FloatArray:
+    def _limit_step(self, log_step_size: ArrayLike) -> FloatArray:
         """Return the step size, at most `_LONGEST` trajectories: on a flat density every step is accepted."""
         step_size: FloatArray = np.exp(log_step_size)
         return np.minimum(step_size, _LONGEST * self.sampler.length) if self._has_metric else step_size
 
-    def _n_steps(self, step_size: Any) -> int:
+    def _n_steps(self, step_size: FloatArray | float) -> int:
         """Return the steps of a trajectory of the length aimed at."""
         if self.sampler.n_steps is not None or not self._has_metric:
             return self.kernel.n_steps

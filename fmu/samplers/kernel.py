@@ -13,11 +13,12 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fmu.types import BoolArray, FloatArray, IntArray
+from fmu.types import AnyArray, BoolArray, FloatArray, IntArray
 from fmu.types import LogDensity as LogDensity
 
+Index = IntArray | BoolArray | slice
+"""Which chains."""
 Tree = Mapping[str, Any]
 """Plain data for a file: arrays, numbers, texts, None, and lists of numbers, by name; or trees again."""
 
@@ -39,7 +40,7 @@ class State:
     position: FloatArray
     log_prob: FloatArray
     gradient: FloatArray | None = None
-    extra: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    extra: Mapping[str, AnyArray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ class Info:
     log_prob: FloatArray
     n_solves: IntArray
     n_gradients: IntArray
-    extra: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    extra: Mapping[str, AnyArray] = field(default_factory=dict)
     parts: Info | None = None
 
 
@@ -211,7 +212,7 @@ class Target:
         self.ndim, self.lower, self.upper = density.ndim, density.lower, density.upper
         self.solves_per_gradient = int(getattr(density, "solves_per_gradient", 1))
 
-    def log_prob(self, position: FloatArray, chain: Any) -> FloatArray:
+    def log_prob(self, position: FloatArray, chain: Index) -> FloatArray:
         """Return the log-densities at `position`, shape (n, ndim), inside the box.
 
         `chain` is an index that picks the chains whose points they are; a subclass may have another density for

@@ -8,7 +8,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -56,7 +56,7 @@ class LocalKernel(ABC):
         """Advance every chain by one draw."""
 
     @abstractmethod
-    def join(self, kernels: Sequence[Any], chains: int) -> Self:
+    def join(self, kernels: Sequence[Self], chains: int) -> Self:
         """Return one kernel that moves the chains of several, as one array.
 
         Parameters

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fmu.arguments import check_arguments
 from fmu.samplers.kernel import Info, State, Target, Tree
@@ -107,8 +108,8 @@ class LogNormalWalk:
         If `scale` is not positive and finite, or a position is not above `origin`.
     """
 
-    scale: Any = 0.2
-    origin: Any = 0.0
+    scale: ArrayLike = 0.2
+    origin: ArrayLike = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scale", positive_scale("scale", self.scale, matrix=False))
@@ -117,7 +118,8 @@ class LogNormalWalk:
 
     def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:
         """Multiply the distance from the origin by a log-normal factor."""
-        scale, origin = (fits(name, getattr(self, name), position.shape[-1]) for name in ("scale", "origin"))
+        ndim = position.shape[-1]
+        scale, origin = fits("scale", self.scale, ndim), fits("origin", self.origin, ndim)
         if np.any(position <= origin):
             raise ValueError(f"origin: must be below every position (got {self.origin} and a position at it)")
         return origin + (position - origin) * np.exp(scale * rng.standard_normal(position.shape))
@@ -144,15 +146,15 @@ class Independence:
         If `mean` is not finite or `covariance` not symmetric positive definite of the same size.
     """
 
-    mean: Any
-    covariance: Any
+    mean: ArrayLike
+    covariance: ArrayLike
     _factor: FloatArray = field(init=False, repr=False, compare=False)
     _inverse_factor: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mean", vector("mean", self.mean))
         factor = cholesky_factor("covariance", np.asarray(self.covariance, dtype=float))
-        fits("covariance", factor, len(self.mean))
+        fits("covariance", factor, np.size(self.mean))
         object.__setattr__(self, "covariance", positive_scale("covariance", self.covariance, matrix=True))
         object.__setattr__(self, "_factor", factor)
         object.__setattr__(self, "_inverse_factor", np.linalg.inv(factor))
@@ -229,7 +231,7 @@ class MetropolisKernel(LocalKernel):
         extra = {"acceptance_rate": np.exp(np.minimum(0.0, log_ratio)), "n_nonfinite": new.n_nonfinite}
         return end, Info(accepted, end.log_prob, new.n_solves, np.zeros_like(new.n_solves), extra)
 
-    def join(self, kernels: Sequence[MetropolisKernel], chains: int) -> MetropolisKernel:
+    def join(self, kernels: Sequence[Self], chains: int) -> Self:
         """Return one kernel of several, whose proposals are Gaussian random walks."""
         ndim, factors = self.target.ndim, list[FloatArray]()
         for kernel in kernels:

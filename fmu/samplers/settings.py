@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from annotated_types import Ge
+from numpy.typing import ArrayLike
 
 from fmu.arguments import Numbers, require
 from fmu.types import FloatArray, Positive
@@ -20,13 +21,13 @@ _FEW = 100
 """Entries of a matrix that a message shows."""
 
 
-def positive_number(name: str, value: Any) -> float:
+def positive_number(name: str, value: float) -> float:
     """Return `value` as a float; ValueError unless it is a positive finite number."""
     require(name, value, Positive)
     return float(value)
 
 
-def whole_number(name: str, value: Any, minimum: int) -> int:
+def whole_number(name: str, value: int, minimum: int) -> int:
     """Return `value` as an int; ValueError unless it is a whole number of at least `minimum`."""
     require(name, value, Annotated[int, Ge(minimum)])
     return int(value)
@@ -39,7 +40,7 @@ def one_of(name: str, value: Any, known: tuple[str, ...]) -> str:
     return str(value)
 
 
-def vector(name: str, value: Any) -> tuple[float, ...]:
+def vector(name: str, value: ArrayLike) -> tuple[float, ...]:
     """Return a vector as a tuple; ValueError unless it is finite and one-dimensional."""
     array = _as_floats(name, value)
     if array.ndim != 1 or array.size == 0 or not np.all(np.isfinite(array)):
@@ -47,7 +48,7 @@ def vector(name: str, value: Any) -> tuple[float, ...]:
     return tuple(array.tolist())
 
 
-def positive_scale(name: str, value: Any, *, matrix: bool) -> Scale:
+def positive_scale(name: str, value: ArrayLike, *, matrix: bool) -> Scale:
     """Return a positive number, a vector of them or a positive definite matrix in hashable form.
 
     Parameters
@@ -91,7 +92,7 @@ def cholesky_factor(name: str, matrix: FloatArray) -> FloatArray:
     raise ValueError(f"{name}: must be a symmetric positive definite matrix (got {got})")
 
 
-def orthonormal(name: str, value: Any) -> tuple[tuple[float, ...], ...]:
+def orthonormal(name: str, value: ArrayLike) -> tuple[tuple[float, ...], ...]:
     """Return a matrix in hashable form; ValueError unless its columns are orthonormal."""
     array = _as_floats(name, value)
     if array.ndim != 2 or array.shape[0] != array.shape[1]:
@@ -101,7 +102,7 @@ def orthonormal(name: str, value: Any) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(row) for row in array.tolist())
 
 
-def fits(name: str, value: Any, ndim: int) -> FloatArray:
+def fits(name: str, value: ArrayLike, ndim: int) -> FloatArray:
     """Return `value` as an array; ValueError unless its length, if it has one, is `ndim`."""
     array = np.asarray(value, dtype=float)
     if array.ndim and array.shape[0] != ndim:
@@ -129,7 +130,7 @@ def _plain(value: Any) -> Any:
     return repr(value)
 
 
-def _as_floats(name: str, value: Any) -> FloatArray:
+def _as_floats(name: str, value: ArrayLike) -> FloatArray:
     require(name, value, Numbers)
     return np.asarray(value, dtype=float)
 

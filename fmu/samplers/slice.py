@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fmu.arguments import check_arguments
 from fmu.samplers.adaptation import Learner, Schedule
@@ -56,10 +57,10 @@ class Slice(LocalSampler):
     """
 
     scheme: str = "hyperrectangle"
-    width: Any = None
+    width: ArrayLike | None = None
     max_steps_out: int = 10
     max_shrinks: int = 1000
-    axes: Any = None
+    axes: ArrayLike | None = None
     spread: float = 3.0
 
     name: ClassVar[str] = "slice"
@@ -125,7 +126,7 @@ class SliceKernel(LocalKernel):
         moved, n_solves = np.any(x != state.position, axis=1), account.pop("n_solves")
         return State(x, log_prob), Info(moved, log_prob, n_solves, np.zeros_like(n_solves), account)
 
-    def join(self, kernels: Sequence[SliceKernel], chains: int) -> Self:
+    def join(self, kernels: Sequence[Self], chains: int) -> Self:
         """Return one kernel of several, with intervals and axes for every chain."""
         width, axes = [kernel.width for kernel in kernels], [kernel.axes for kernel in kernels]
         return replace(self, width=np.repeat(width, chains, axis=0), axes=np.repeat(axes, chains, axis=0))

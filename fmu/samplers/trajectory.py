@@ -5,12 +5,13 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fmu.differences import both_sides
-from fmu.samplers.kernel import Info, State, Target
+from fmu.samplers.kernel import Index, Info, State, Target
 from fmu.samplers.local import LocalKernel, accept_or_reject
 from fmu.samplers.settings import cholesky_factor, fits
 from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
@@ -37,7 +38,7 @@ class Metric:
     inverse_factor: FloatArray
 
     @classmethod
-    def of(cls, inverse_mass: Any, ndim: int) -> Metric:
+    def of(cls, inverse_mass: ArrayLike | None, ndim: int) -> Metric:
         """Return the metric for an inverse mass: the identity if None, a diagonal matrix if a number or vector.
 
         Raises
@@ -95,7 +96,7 @@ class WithGradient(Target):
     """A density as kernels evaluate it that use its gradient."""
 
     @abstractmethod
-    def slope(self, position: FloatArray, *, with_log_prob: bool, chain: Any = slice(None)) -> Slope:
+    def slope(self, position: FloatArray, *, with_log_prob: bool, chain: Index = slice(None)) -> Slope:
         """Evaluate at `position`, shape (n, ndim), in one batch; `chain` is an index to whose points they are."""
 
     def start(self, positions: FloatArray) -> tuple[State, Info]:
@@ -124,13 +125,13 @@ def require_finite_gradient(log_prob: FloatArray, finite: BoolArray) -> None:
 class ExactGradient(WithGradient):
     """A density with its own gradient: one solve per point, or the density's `solves_per_gradient`."""
 
-    def slope(self, position: FloatArray, *, with_log_prob: bool, chain: Any = slice(None)) -> Slope:
+    def slope(self, position: FloatArray, *, with_log_prob: bool, chain: Index = slice(None)) -> Slope:
         """Evaluate at `position`, shape (n, ndim), in one batch; `chain` is an index to whose points they are."""
         log_prob, gradient = self.log_prob_and_grad(position, chain)
         finite = np.isfinite(log_prob) & np.all(np.isfinite(gradient), axis=1)
         return Slope(log_prob, gradient, finite, np.full(len(position), self.solves_per_gradient, dtype=np.int64))
 
-    def log_prob_and_grad(self, position: FloatArray, chain: Any) -> tuple[FloatArray, FloatArray]:
+    def log_prob_and_grad(self, position: FloatArray, chain: Index) -> tuple[FloatArray, FloatArray]:
         """Return the log-density and its gradient; `chain` as in `log_prob`."""
         found: tuple[FloatArray, FloatArray] = self.density.log_prob_and_grad(position)
         return found
@@ -155,7 +156,7 @@ class CentralDifference(WithGradient):
         super().__init__(density)
         self.delta, self.h = delta, h
 
-    def slope(self, position: FloatArray, *, with_log_prob: bool, chain: Any = slice(None)) -> Slope:
+    def slope(self, position: FloatArray, *, with_log_prob: bool, chain: Index = slice(None)) -> Slope:
         """Evaluate all perturbed points in one batch; the density is the same for all chains."""
         n, ndim = position.shape
         ends, distance = both_sides(position, self.h * self.delta, self.lower, self.upper)
@@ -312,7 +313,7 @@ class HamiltonianKernel(LocalKernel):
         }
         return new, Info(accepted, new.log_prob, end.n_solves, end.n_steps, extra)
 
-    def join(self, kernels: Sequence[HamiltonianKernel], chains: int) -> HamiltonianKernel:
+    def join(self, kernels: Sequence[Self], chains: int) -> Self:
         """Return one kernel of several: metric and step size of each, and their median number of steps."""
         inverse, factor = [k.metric.inverse for k in kernels], [k.metric.inverse_factor for k in kernels]
         return replace(

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fmu.types import FloatArray
+from fmu.types import AnyArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -27,7 +26,7 @@ class Draws:
     """
 
     position: FloatArray
-    stats: dict[str, NDArray[Any]]
+    stats: dict[str, AnyArray]
 
 
 @dataclass(frozen=True)
@@ -82,7 +81,7 @@ class Steps:
     """
 
     position: FloatArray
-    stats: Mapping[str, NDArray[Any]]
+    stats: Mapping[str, AnyArray]
 
     def __len__(self) -> int:
         return int(self.position.shape[1])
@@ -100,7 +99,7 @@ class Record:
         self._chains, self._walkers, self._ndim = chains, walkers, ndim
         self._capacity = 0
         self._position = np.empty((chains, 0, walkers, ndim))
-        self._stats: dict[str, NDArray[Any]] = {}
+        self._stats: dict[str, AnyArray] = {}
 
     def reserve(self, steps: int) -> None:
         """Make room for so many steps in all. Arrays returned earlier do not change."""
@@ -132,7 +131,7 @@ class Record:
         stats = {name: x.reshape(self._chains, length, *x.shape[3:]) for name, x in steps.stats.items()}
         return Draws(steps.position.reshape(self._chains, length, self._ndim), stats)
 
-    def _longer(self, array: NDArray[Any]) -> NDArray[Any]:
+    def _longer(self, array: AnyArray) -> AnyArray:
         longer = np.zeros((len(array), self._capacity, *array.shape[2:]), dtype=array.dtype)
         longer[:, : array.shape[1]] = array
         return longer

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.special import gammaln, logsumexp
 
+from fmu.samplers.kernel import Tree
 from fmu.samplers.mixture.bent import PENALTY, BentGaussians, fit_gaussians
 from fmu.samplers.mixture.curve import Curve, fit_curve, thin_points
 from fmu.types import FloatArray
@@ -51,6 +50,11 @@ class CurvedMixture:
         return self.parts.weights
 
     @property
+    def wide(self) -> float:
+        """Share of the wider copies."""
+        return _WIDE
+
+    @property
     def _copies(self) -> tuple[FloatArray, FloatArray]:
         """Factors by which the copies of a Gaussian are wider, and their shares."""
         return np.array([1.0, np.exp(0.5 * min(5.0 / len(self.mean), 2.5))]), np.array([1.0 - _WIDE, _WIDE])
@@ -91,13 +95,17 @@ class CurvedMixture:
         ndim = len(self.mean)
         return np.asarray(1e-12 * np.eye(ndim) + np.cov(u.T).reshape(ndim, ndim))
 
+    def settings(self) -> Tree:
+        """Return the settings of a `MixtureSampler` that make this mixture, by name."""
+        return {"components": self}
+
     def arrays(self) -> dict[str, FloatArray]:
         """Return the mixture as arrays by name."""
         fields = {**vars(self.curve), **vars(self.parts), "mean": self.mean, "factor": self.factor}
         return {name: value.astype(float) for name, value in fields.items()}
 
     @classmethod
-    def of_arrays(cls, arrays: Mapping[str, Any]) -> CurvedMixture:
+    def of_arrays(cls, arrays: Tree) -> CurvedMixture:
         """Return the mixture that `arrays` describes."""
         of_curve, of_parts = (
             {name: np.asarray(arrays[name]) for name in kind.__dataclass_fields__}

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.samplers.kernel import Info, State, Target
 from fmu.samplers.local import LocalKernel, accept_or_reject
 from fmu.samplers.mixture.curved import CurvedMixture
 from fmu.samplers.mixture.proposal import Mixture
-from fmu.types import FloatArray
+from fmu.types import AnyArray, FloatArray
 
 BLOCK = 25
 """Candidates of a chain that are evaluated in one batch: they do not depend on where the chain is."""
@@ -132,7 +130,7 @@ class MixtureKernel:
             log_ratio = np.where(is_far & (value >= usual), np.inf, log_ratio)
         end, accepted = accept_or_reject(rng, state, State(candidate, value), log_ratio)
         extra |= {"next": np.array(k + 1), LOG_WEIGHT: np.where(accepted, weight, extra[LOG_WEIGHT])}
-        stats: dict[str, NDArray[Any]] = {
+        stats: dict[str, AnyArray] = {
             name.removeprefix(_LOCAL): _nothing(value) for name, value in extra.items() if name.startswith(_LOCAL)
         }
         stats |= {
@@ -145,6 +143,6 @@ class MixtureKernel:
         return replace(end, extra=extra), info
 
 
-def _nothing(value: NDArray[Any]) -> NDArray[Any]:
+def _nothing(value: AnyArray) -> AnyArray:
     """Return what a statistic of local steps is at a jump: NaN, or zero if it is a count, or False."""
     return np.full_like(value, np.nan if value.dtype.kind == "f" else 0)

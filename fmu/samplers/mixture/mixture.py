@@ -134,7 +134,7 @@ class MixtureSampler(Sampler):
         """Return the kernel that samples `density`."""
         local = self.local_of(density).bind(density)
         mixture = self.mixture(density)
-        jumps = self.jumps_with(mixture.wide if isinstance(mixture, Mixture) else WIDE)
+        jumps = self.jumps_with(WIDE if mixture is None else mixture.wide)
         return MixtureKernel(Target(density), mixture, local, self.local_steps, jumps)
 
     def jumps_with(self, wide: float) -> int:
@@ -162,8 +162,7 @@ class MixtureSampler(Sampler):
         """Return the settings of the local steps."""
         if self.local is not None:
             return self.local
-        exact = getattr(density, "solves_per_gradient", 1) == 1
-        return HamiltonianMonteCarlo() if exact else Slice()
+        return HamiltonianMonteCarlo() if Target(density).solves_per_gradient == 1 else Slice()
 
 
 def with_jumps(sampler: Any) -> MixtureSampler:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
 
+from fmu.samplers.kernel import Tree
 from fmu.samplers.mixture.importance import cut_largest, even_out
 from fmu.samplers.mixture.quadratic import (
     Quadratic,
@@ -139,7 +139,7 @@ class Mixture:
         )
 
     @classmethod
-    def of_arrays(cls, arrays: Mapping[str, Any], lower: FloatArray, upper: FloatArray) -> Mixture:
+    def of_arrays(cls, arrays: Tree, lower: FloatArray, upper: FloatArray) -> Mixture:
         """Return the mixture that `arrays` describes."""
         quadratics = [Quadratic(*one) for one in zip(*(arrays[name] for name in _FIELDS), strict=True)]
         covariances = [None if np.isnan(c).any() else c for c in arrays["covariance"]]
@@ -149,11 +149,16 @@ class Mixture:
 
     def arrays(self) -> dict[str, FloatArray]:
         """Return the mixture as arrays, with a row per component; NaN for a covariance that it has not."""
-        found = {name: np.array([getattr(q, name) for q in self.quadratics]) for name in _FIELDS}
+        found = {name: np.array([vars(q)[name] for q in self.quadratics]) for name in _FIELDS}
         none = np.full(self.quadratics[0].hessian.shape, np.nan)
         found["covariance"] = np.array([none if q.covariance is None else q.covariance for q in self.quadratics])
         # normalised a second time, the weights would differ in their last bits
         return found | {"weights": self._given, "bent": self.warp.bent.astype(float), "wide": np.array(self.wide)}
+
+    def settings(self) -> Tree:
+        """Return the settings of a `MixtureSampler` that make this mixture, by name."""
+        weights, bent = tuple(self.weights.tolist()), tuple(self.warp.bent.tolist())
+        return {"components": self.quadratics, "weights": weights, "bent": bent, "wide": self.wide}
 
     def with_wide(self, wide: float) -> Mixture:
         """Return the mixture with another share of the wider copies."""

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fmu.posterior.scaled import ScaledDensity
-from fmu.samplers.kernel import Target
+from fmu.samplers.kernel import Index, Target
 from fmu.samplers.trajectory import ExactGradient
 from fmu.types import FloatArray, IntArray, LogDensity
 
@@ -36,7 +36,7 @@ class Points(NamedTuple):
         changed: Any = (None if a is None else change(a, *b) for a, *b in zip(self, *others, strict=True))
         return Points(*changed)
 
-    def put(self, where: Any, others: Points) -> None:
+    def put(self, where: Index, others: Points) -> None:
         """Overwrite the points at the index `where`."""
         for array, values in zip(self, others, strict=True):
             if array is not None:
@@ -116,11 +116,11 @@ class TemperedTarget(ExactGradient):
         self.parts, self.t, self.start_points = parts, t, start
         self.last = start.each(np.copy)
 
-    def log_prob(self, position: FloatArray, chain: Any) -> FloatArray:
+    def log_prob(self, position: FloatArray, chain: Index) -> FloatArray:
         """Return the log-densities at points, shape (n, ndim), of the replicas that the index `chain` picks."""
         return self._evaluated(position, chain).log_prob(self.t[chain])
 
-    def log_prob_and_grad(self, position: FloatArray, chain: Any) -> tuple[FloatArray, FloatArray]:
+    def log_prob_and_grad(self, position: FloatArray, chain: Index) -> tuple[FloatArray, FloatArray]:
         """Return `log_prob` and its gradient."""
         points, t = self._evaluated(position, chain), self.t[chain]
         gradient = points.gradient(t)
@@ -143,7 +143,7 @@ class TemperedTarget(ExactGradient):
             n_solves[unknown] = self.parts.solves_each
         return points, n_solves
 
-    def _evaluated(self, position: FloatArray, chain: Any) -> Points:
+    def _evaluated(self, position: FloatArray, chain: Index) -> Points:
         points = self.parts.points(position)
         self.last.put(chain, points)
         return points

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.samplers.kernel import Info, State
 from fmu.samplers.local import LocalKernel, accept
 from fmu.samplers.tempering.density import Points, PriorAndLikelihood, TemperedTarget
 from fmu.samplers.trajectory import require_finite_gradient
-from fmu.types import FloatArray, IntArray
+from fmu.types import AnyArray, FloatArray, IntArray
 
 LOG_LIKELIHOOD = "rung_log_likelihood"
 """Statistic of a run: the log-likelihood at every rung, from the prior to the posterior."""
@@ -67,7 +65,7 @@ class TemperingKernel:
         heading, round_trips = _update_headings(heading)
         new = self._state(replicas, heading, n_steps)
 
-        def total(of_replicas: NDArray[Any]) -> NDArray[Any]:
+        def total(of_replicas: AnyArray) -> AnyArray:
             return np.sum(of_replicas.reshape(-1, chains), axis=0)
 
         extra = {"n_nonfinite": total(local.extra["n_nonfinite"]), "round_trips": round_trips}
@@ -117,7 +115,7 @@ class TemperingKernel:
         return order
 
 
-def _take_in_order(values: Any, order: IntArray) -> Any:
+def _take_in_order(values: AnyArray, order: IntArray) -> AnyArray:
     """Return values (rungs, chains, ...) in an order of rungs that differs between chains."""
     return values[order, np.arange(order.shape[1])]
 

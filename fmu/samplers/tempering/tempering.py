@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fmu.arguments import check_arguments
 from fmu.samplers.kernel import Info, Sampler, State, Tree
-from fmu.samplers.local import LocalSampler
+from fmu.samplers.local import LocalKernel, LocalSampler
 from fmu.samplers.registry import SAMPLERS, local_samplers, make_sampler
 from fmu.samplers.settings import vector, whole_number
 from fmu.samplers.tempering.density import PriorAndLikelihood
@@ -70,7 +71,7 @@ class Tempering(Sampler):
     """
 
     kernel: Any = "slice"
-    temperatures: Any = None
+    temperatures: ArrayLike | None = None
     rungs: int | None = None
     swap_every: int = 1
 
@@ -88,11 +89,10 @@ class Tempering(Sampler):
             object.__setattr__(self, "temperatures", ladder("temperatures", self.temperatures))
         if self.rungs is not None:
             whole_number("rungs", self.rungs, 2)
-            if self.temperatures is not None and len(self.temperatures) != self.rungs:
+            if self.temperatures is not None and np.size(self.temperatures) != self.rungs:
                 raise ValueError(f"rungs: must be the number of temperatures if both are given (got {self.rungs})")
         whole_number("swap_every", self.swap_every, 1)
-        several = isinstance(self.kernel, tuple)
-        if several and (self.temperatures is None or len(self.kernel) != len(self.temperatures) - 1):
+        if self._is_by_rung and (self.temperatures is None or len(self.kernel) != np.size(self.temperatures) - 1):
             raise ValueError(f"kernel: must be one per temperature above 0 (got {len(self.kernel)})")
         kinds = {type(kernel) for kernel in self._kernels(1)}
         if len(kinds) != 1 or not issubclass(kinds.pop(), LocalSampler):
@@ -119,12 +119,17 @@ class Tempering(Sampler):
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> LadderTuner | None:
         """Return a tuner that learns ladder and kernels in `steps` warm-up steps; None if none is needed."""
-        learns = not isinstance(self.kernel, tuple) and self.kernel.tuner(density, chains, steps) is not None
+        learns = not self._is_by_rung and self.kernel.tuner(density, chains, steps) is not None
         return LadderTuner(self, density, chains, steps) if learns or self.temperatures is None else None
 
-    def _kernels(self, rungs: int) -> tuple[Any, ...]:
+    @property
+    def _is_by_rung(self) -> bool:
+        """Whether every rung has settings of its own."""
+        return isinstance(self.kernel, tuple)
+
+    def _kernels(self, rungs: int) -> tuple[LocalSampler, ...]:
         """Return the settings at the rungs above the prior."""
-        return self.kernel if isinstance(self.kernel, tuple) else (self.kernel,) * rungs
+        return self.kernel if self._is_by_rung else (self.kernel,) * rungs
 
 
 class LadderTuner:
@@ -188,7 +193,7 @@ class LadderTuner:
         self.tuners = [tuner for tuner in tuners if tuner is not None]
         self._take_kernels([tuner.kernel for tuner in self.tuners] or [self.bound.kernels[0]] * above)
 
-    def _take_kernels(self, kernels: Sequence[Any]) -> None:
+    def _take_kernels(self, kernels: Sequence[LocalKernel]) -> None:
         self.kernel: TemperingKernel = replace(self.bound, temperatures=self.temperatures, kernels=tuple(kernels))
 
     def _tell_the_tuners(self, state: State, info: Info) -> None:
@@ -209,7 +214,7 @@ class LadderTuner:
             tuner.update(State(above.position[k], log_prob[k], None if gradient is None else gradient[k]), local)
 
 
-def ladder(name: str, value: Any) -> tuple[float, ...]:
+def ladder(name: str, value: ArrayLike) -> tuple[float, ...]:
     """Return inverse temperatures in ascending order; ValueError unless they are distinct, from 0 to 1."""
     t = tuple(sorted(vector(name, value)))
     if len(t) < 2 or t[0] != 0.0 or t[-1] != 1.0 or len(set(t)) < len(t):

@@ -99,6 +99,11 @@ class MixtureTuner:
         return self.stages[-1] if self.stages else None
 
     @property
+    def gaussians(self) -> Mixture | None:
+        """The mixture in use if it is one of Gaussians, which further fits improve; else None."""
+        return self.mixture if isinstance(self.mixture, Mixture) else None
+
+    @property
     def fit_at(self) -> list[int]:
         """Steps after which the mixture is fitted again."""
         return [self.first + int(part * (self.steps - self.first)) for part in _FITS]
@@ -141,24 +146,10 @@ class MixtureTuner:
         if self.mixture is None:
             self._fit_to_draws()
         assert self.mixture is not None
-        local: Any = self.local_settings if self.local is None else self.local.finish_learning()
-        if isinstance(self.mixture, CurvedMixture):
-            steps, jumps = self._cycle(WIDE)
-            return replace(
-                self.sampler, components=self.mixture, local_steps=steps, jumps=jumps, local=local, adapt=False
-            )
+        local = self.local_settings if self.local is None else self.local.finish_learning()
         steps, jumps = self._cycle(self.mixture.wide)
-        return replace(
-            self.sampler,
-            components=self.mixture.quadratics,
-            weights=tuple(self.mixture.weights.tolist()),
-            bent=tuple(self.mixture.warp.bent.tolist()),
-            wide=self.mixture.wide,
-            local_steps=steps,
-            jumps=jumps,
-            local=local,
-            adapt=False,
-        )
+        learnt = self.mixture.settings()
+        return replace(self.sampler, **learnt, local_steps=steps, jumps=jumps, local=local, adapt=False)
 
     def state(self) -> Tree:
         """Return the state of the tuner as plain data."""
@@ -218,21 +209,17 @@ class MixtureTuner:
         Maxima that it does not know are looked for before, since their candidates would spoil the fit, and after,
         since a fit may lose one. Return the evaluations of each chain that this took.
         """
-        assert self.mixture is not None
-        if isinstance(self.mixture, CurvedMixture):
-            return None
         u, log_prob, _ = self.drawn
         known = np.isfinite(log_prob)
         u, log_prob = u[known], log_prob[known]
-        if not len(u):
+        n, mixture = len(u), self.gaussians
+        if mixture is None or not n:
             return None
-        n = len(u)
         seen_u = np.concatenate([u, state.position, self.visited.position])
         seen_log_prob = np.concatenate([log_prob, state.log_prob, self.visited.log_prob])
         seen = Seen(seen_u, seen_log_prob, self._log_density_so_far(seen_u), n, self.chains)
-        new, spent = find_unknown_maxima(self.mixture, seen, self.target)
-        old = add_maxima(self.mixture, new).responsibilities(u)[: len(self.mixture.quadratics)].sum(axis=0) > 0.5
-        mixture = self.mixture
+        new, spent = find_unknown_maxima(mixture, seen, self.target)
+        old = add_maxima(mixture, new).responsibilities(u)[: len(mixture.quadratics)].sum(axis=0) > 0.5
         if np.count_nonzero(old) > n_coefficients(self.density.ndim):
             with suppress(np.linalg.LinAlgError):  # go on with the mixture that there is
                 mixture = refit_mixture(Points.weigh_draws(u[old], log_prob[old], seen.log_q[:n][old]), mixture)
@@ -296,7 +283,7 @@ class MixtureTuner:
         """Return the candidates so far with their weights; None if there are none, or the mixture is curved."""
         u, log_prob, _ = self.drawn
         known = np.isfinite(log_prob)
-        if isinstance(self.mixture, CurvedMixture) or not known.any():
+        if self.gaussians is None or not known.any():
             return None
         return Points.weigh_draws(u[known], log_prob[known], self._log_density_so_far(u[known]))
 
@@ -312,15 +299,13 @@ class MixtureTuner:
 
         The weights P/q of Gaussian candidates then have no bound, and an evidence from them has a wrong error.
         """
-        if points is None or not isinstance(self.mixture, Mixture) or not len(self.visited.log_prob):
+        mixture = self.gaussians
+        if points is None or mixture is None or not len(self.visited.log_prob):
             return False
         if groups_of_chains(self.visited.position.reshape(-1, self.chains, self.density.ndim)).any():
             return False
-        share = points.effective_share(self.mixture.log_density(points.position))
-        return (
-            not share >= _FITS_BADLY
-            and measure_kurtosis(points.under(self.mixture.warp)[0], points.weight) > _HEAVY
-        )
+        share = points.effective_share(mixture.log_density(points.position))
+        return not share >= _FITS_BADLY and measure_kurtosis(points.under(mixture.warp)[0], points.weight) > _HEAVY
 
     def _learn_curved(self, state: State) -> IntArray:
         """Learn a curved mixture from where local steps were; return the evaluations that this took.
@@ -353,7 +338,7 @@ class MixtureTuner:
         """Return so many local steps, then so many candidates."""
         if self.switched >= 0:
             return _LOCAL_STEPS, 1
-        if isinstance(self.mixture, CurvedMixture):
+        if self.gaussians is None:
             return _CURVED_CYCLE
         return self.sampler.local_steps, self.sampler.jumps_with(wide)
 
@@ -378,7 +363,7 @@ class MixtureTuner:
         cycle = self.sampler.local_steps + self.sampler.jumps_with(WIDE)
         remaining = max((self.steps - self.first) * self.sampler.local_steps // cycle, 1)
         local = self.sampler.local_of(self.density)
-        if isinstance(self.mixture, CurvedMixture) and self.sampler.local is None:
+        if self.gaussians is None and self.sampler.local is None:
             local = Slice()  # the gradients of such a density say little of what is a standard deviation away
         self.local_settings = local.take_covariance(covariance)
         self.local = self.local_settings.tuner(self.density, self.chains, remaining)
