@@ -15,6 +15,7 @@ import click
 import pytest
 from pydantic import TypeAdapter
 
+import fmu
 from fmu.cli import main
 from fmu.config.problem import ProblemFile
 from fmu.config.template import template
@@ -77,7 +78,19 @@ def test_tables_of_problem_files_are_valid(page):
 IN_ONE_PROCESS = [p for p in with_blocks("python") if p.name not in ("CONTRIBUTING.md", "cluster.md")]
 
 
-# Several seconds each: they are the examples that users repeat, with draws enough to show something.
+@pytest.fixture(params=[True, pytest.param(False, marks=pytest.mark.validate)], ids=["short", "whole"])
+def _length(request, monkeypatch):
+    """Leave the runs of the examples their lengths, or shorten them to some hundred steps."""
+    sample = fmu.sample
+
+    def shortened(*given, draws=1000, warmup=1000, **options):
+        return sample(*given, draws=min(draws, 200), warmup=min(warmup, 100), **options)
+
+    if request.param:
+        monkeypatch.setattr(fmu, "sample", shortened)
+
+
+@pytest.mark.usefixtures("_length")
 @pytest.mark.parametrize("page", IN_ONE_PROCESS, ids=lambda page: page.name)
 def test_python_examples_run(page, tmp_path, monkeypatch):
     write_files(page, tmp_path)

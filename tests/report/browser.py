@@ -5,7 +5,6 @@ import shutil
 import pytest
 
 import fmu
-from fmu.config import read
 from fmu.report.pages import render, sampler_page
 from fmu.report.run import runs_of
 
@@ -35,10 +34,10 @@ def started(profile):
 
 
 def short_run(case, directory):
-    """Write the page of a short run on a case, with the full model, and return the directory."""
-    path = fmu.cases.path(case)
-    problem = read(path).model_copy(update={"reduction": False}).build(case, path.parent, None)
-    runs = runs_of({"mh": fmu.sample(problem, "mh", draws=12, warmup=4, chains=2, init="prior")})
+    """Write the page of a short run on a case, and return the directory."""
+    problem = fmu.cases.load(case)
+    maxima = fmu.find_map(problem, starts=4)
+    runs = runs_of({"mh": fmu.sample(problem, "mh", draws=12, warmup=4, chains=2, init="prior", maxima=maxima)})
     page = sampler_page(runs["mh"], {"mh": "mh.html"}, runs)
     (directory / "mh.html").write_text(render(page), encoding="utf-8")
     return directory

@@ -13,7 +13,7 @@ from fmu.config import ConfigurationError, load
 from fmu.config.kept import KeptProblem
 from fmu.formats.decks import columns, number
 from fmu.report.export import export
-from tests.config.models.test_command_table import folder_of
+from tests.config.models.test_command_table import find_maxima, folder_of
 from tests.report.exported import run
 from tests.report.test_export_function import MODULE, PYTHON
 
@@ -101,7 +101,9 @@ def test_broken_templates_are_told_before_a_run(templates, text, rule, tmp_path)
 
 def test_the_deck_of_a_command_is_the_answer(tmp_path):
     path, out = folder_of(tmp_path / "springs"), tmp_path / "out"
-    trace = fmu.sample(load(path, "index"), "mh", draws=4, warmup=4, chains=2, init="start")
+    problem = load(path, "index")
+    maxima = find_maxima(problem)
+    trace = fmu.sample(problem, "mh", draws=4, warmup=4, chains=2, init="start", maxima=maxima)
     out.mkdir()
     KeptProblem(path, path.parent, "index").save(out)
     save_trace(trace, out / "mh.nc")
