@@ -163,7 +163,8 @@ def test_every_sampler_and_length_is_in_the_study():
     assert len({job.key for job in jobs}) == len(jobs)
 
 
-def test_the_page_shows_every_posterior(tmp_path):
+def test_the_page_shows_every_posterior(tmp_path, monkeypatch):
+    monkeypatch.setattr(verdicts_page, "jobs", lambda: iter(()))  # to count them makes every density
     alone = replace(runs(1)[0], name="two maxima, far", of_means=(40.0, 30.0))
     assert alone.sampler == "mh"
     bad = replace(runs(1)[0], seed=900, converged=False, of_means=(9.0, 9.0))
