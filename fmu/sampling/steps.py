@@ -7,8 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from fmu.samplers.settings import usual_costs
-
 if TYPE_CHECKING:
     import xarray as xr
 
@@ -87,6 +85,7 @@ class Task(NamedTuple):
         from fmu.analysis.maxima.search import is_updating
         from fmu.analysis.trace.failure_ledger import failure_rate_exceeded
         from fmu.runs import Checkpoint
+        from fmu.samplers.settings import usual_costs
 
         failure_rate_exceeded(0, 0, max_failure_rate)  # which says if it is no rate
         getattr(problem, "take_failures", list)()
