@@ -31,14 +31,12 @@ _IN_WORDS = {
     "wall_s": "time, s", "ess_per_solve": "ESS per solve", "ess_per_s": "ESS per second",
 }  # fmt: skip
 """Columns of `fmu.summary` and `fmu.compare` as they are printed; others are printed as they are called."""
-_MOST_ROWS = 40
-"""Of the table of maxima."""
 
 
-def echo_maxima(maxima: Maxima) -> None:
-    """Print the maxima of the posterior; of many parameters and modes only how probable they are."""
-    click.echo(f"Posterior maxima\n{maxima.as_text(_MOST_ROWS)}")
-    if len(maxima.side_by_side()) > _MOST_ROWS:
+def echo_maxima(maxima: Maxima, most_rows: int = 40) -> None:
+    """Print the maxima of the posterior; if the table has more rows, only how probable they are."""
+    click.echo(f"Posterior maxima\n{maxima.as_text(most_rows)}")
+    if len(maxima.side_by_side()) > most_rows:
         click.echo("Parameters and frequencies at the maxima are in map.csv.")
     click.echo()
 

@@ -28,7 +28,6 @@ from fmu.progress import Report
 _ADDRESS = re.compile(r"tcp://[^\s/]+:\d+")
 # loggers with handlers of their own in Dask
 _LOGGERS = ("distributed", "distributed.client", "tornado.application")
-_CONNECT_TIMEOUT_S = 10.0
 _CHECK_INTERVAL_S = 1.0
 _limit_blas_threads_once = cache(limit_blas_threads)
 
@@ -42,11 +41,13 @@ class DaskCluster(RemoteEngine):
     ----------
     address : str
         Address of the scheduler, ``"tcp://host:port"``.
+    answer_s : float
+        Seconds in which it must answer.
 
     Raises
     ------
     ValueError
-        If `address` has another form, or no scheduler answers within ten seconds.
+        If `address` has another form, or no scheduler answers in time.
 
     Notes
     -----
@@ -54,7 +55,7 @@ class DaskCluster(RemoteEngine):
     runs a task again after its worker died is a setting of its own (``distributed.scheduler.allowed-failures``).
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, answer_s: float = 10.0) -> None:
         super().__init__()
         if _ADDRESS.fullmatch(address) is None:
             raise ValueError(f"--cluster: must be tcp://host:port (got {address})")
@@ -62,8 +63,8 @@ class DaskCluster(RemoteEngine):
         self._levels = {name: logging.getLogger(name).level for name in _LOGGERS}
         _set_levels(dict.fromkeys(_LOGGERS, logging.CRITICAL))
         try:
-            _check_scheduler(address)
-            self._client = distributed.Client(address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False)
+            _check_scheduler(address, answer_s)
+            self._client = distributed.Client(address, timeout=answer_s, set_as_default=False)
         except BaseException:
             _set_levels(self._levels)
             raise
@@ -221,15 +222,15 @@ def _set_levels(levels: Mapping[str, int]) -> None:
         logging.getLogger(name).setLevel(level)
 
 
-def _check_scheduler(address: str) -> None:
-    """Raise a ValueError if there is no scheduler at an address.
+def _check_scheduler(address: str, answer_s: float) -> None:
+    """Raise a ValueError if no scheduler answers at an address in so many seconds.
 
     A client that cannot connect prints a second error when it is garbage-collected, so it is not created then.
     """
 
     async def identity() -> Any:
-        async with distributed.rpc(address, timeout=_CONNECT_TIMEOUT_S) as scheduler:
-            return await asyncio.wait_for(scheduler.identity(), _CONNECT_TIMEOUT_S)
+        async with distributed.rpc(address, timeout=answer_s) as scheduler:
+            return await asyncio.wait_for(scheduler.identity(), answer_s)
 
     try:
         with ThreadPoolExecutor(1) as thread:  # the calling thread may have a running event loop, as in a notebook

@@ -18,7 +18,6 @@ from fmu.progress.words import Info, Report, bar_name, duration, in_words
 FIRST_S = 0.5
 """A stage has its first line after so long: most stages take no time."""
 EVERY_S = 30.0
-_LOOK_S = 0.1
 
 
 class ProgressLines:
@@ -32,9 +31,12 @@ class ProgressLines:
     stream : text stream
     stage : str
         What is done until a phase begins.
+    look_s : float
+        Seconds between two looks at the clock.
     """
 
-    def __init__(self, stream: TextIO, stage: str) -> None:
+    def __init__(self, stream: TextIO, stage: str, look_s: float = 0.1) -> None:
+        self._look_s = look_s
         self._stream: TextIO | None = stream
         self._outer = stage
         self._began = self._last = time.monotonic()
@@ -84,7 +86,7 @@ class ProgressLines:
         self._paces[stage].add(time.monotonic(), done, total)
 
     def _watch(self) -> None:
-        while not self._over.wait(_LOOK_S):
+        while not self._over.wait(self._look_s):
             now = time.monotonic()
             with self._lock:
                 is_first = self._stage not in self._told

@@ -21,15 +21,21 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_MOST = 7_000
+MOST_ORDINATES = 7_000
 """Ordinates that a page keeps of a figure; of longer paths only every second point, every third …"""
 _MOST_DRAWN = 12_000
 """Numbers of the draws that a page keeps beside their pairs."""
 _POINTS = 72.0
 
 
-def figure_data(figure: Figure) -> dict[str, Any]:
+def figure_data(figure: Figure, most: int = MOST_ORDINATES) -> dict[str, Any]:
     """Return the panels of a figure whose axes are placed for good.
+
+    Parameters
+    ----------
+    figure : Figure
+    most : int
+        About so many ordinates of paths are kept.
 
     Returns
     -------
@@ -49,7 +55,7 @@ def figure_data(figure: Figure) -> dict[str, Any]:
         if isinstance(handle, Line2D)
     }
     n = sum(len(np.asarray(line.get_xdata())) for axes in figure.axes for line in _paths(axes))
-    every = max(1, -(-n // _MOST))
+    every = max(1, -(-n // most))
     found = (
         (axes, _series(axes, names, every)) for axes in figure.axes if axes.axison
     )  # drawings have no numbers

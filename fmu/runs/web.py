@@ -34,9 +34,6 @@ _IDLE_S = 10.0
 """How long a connection may be silent within its request."""
 _PATIENCE = 0.5
 """Seconds that a stop waits for a reading under way."""
-_REQUEST_S = 10.0
-"""Seconds for the headers of a request."""
-_MOST_CONNECTIONS = 32
 
 
 class WatchServer(ThreadingHTTPServer):
@@ -52,6 +49,10 @@ class WatchServer(ThreadingHTTPServer):
         Address to listen at.
     port : int
         0 for any that is free.
+    most_connections : int
+        Further ones are closed.
+    request_s : float
+        Seconds for the headers of a request.
 
     Attributes
     ----------
@@ -68,11 +69,20 @@ class WatchServer(ThreadingHTTPServer):
 
     daemon_threads = True
 
-    def __init__(self, directory: Path, every: float, host: str = LOOPBACK, port: int = 0) -> None:
-        self.every, self.host, self.closing = every, host, threading.Event()
+    def __init__(
+        self,
+        directory: Path,
+        every: float,
+        host: str = LOOPBACK,
+        port: int = 0,
+        *,
+        most_connections: int = 32,
+        request_s: float = 10.0,
+    ) -> None:
+        self.every, self.host, self.closing, self.request_s = every, host, threading.Event(), request_s
         self._reader, self._lock, self._read_at = RunReader(directory), threading.Lock(), -float("inf")
         self._reading = self._reader.read()
-        self._open = threading.BoundedSemaphore(_MOST_CONNECTIONS)
+        self._open = threading.BoundedSemaphore(most_connections)
         self._token = secrets.token_urlsafe(32)
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         try:
@@ -197,7 +207,7 @@ class _Handler(BaseHTTPRequestHandler):
     def setup(self) -> None:
         """Close the connection unless its request is complete in time, however slowly it comes in."""
         super().setup()
-        self._deadline = threading.Timer(_REQUEST_S, self._close)
+        self._deadline = threading.Timer(self.server.request_s, self._close)
         self._deadline.daemon = True
         self._deadline.start()
 

@@ -63,12 +63,11 @@ def test_the_summary_leaves_losses_to_their_own_table(capsys):
 
 
 @pytest.mark.parametrize("most", [5, 40])
-def test_of_many_rows_only_the_probabilities_of_the_maxima_are_printed(most, monkeypatch, capsys):
-    monkeypatch.setattr("fmu.cli.tables._MOST_ROWS", most)
+def test_of_many_rows_only_the_probabilities_of_the_maxima_are_printed(most, capsys):
     problem = fmu.cases.load("shear-2dof")
     maxima = fmu.find_map(problem, starts=4)
     assert isinstance(maxima, Maxima)
-    echo_maxima(maxima)
+    echo_maxima(maxima, most)
     said = capsys.readouterr().out
     assert "share of probability" in said
     assert ("map.csv" in said) == (most == 5)

@@ -54,8 +54,8 @@ def out(stopped, tmp_path, monkeypatch):
 
 
 @contextmanager
-def served(directory, every=0.02):
-    with WatchServer(directory, every) as server:
+def served(directory, every=0.02, **options):
+    with WatchServer(directory, every, **options) as server:
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
         thread.start()
         yield server
@@ -135,9 +135,8 @@ def test_only_who_has_the_address_is_answered(out):
         assert ask(server, "DELETE", "OWN")[0] == 501
 
 
-def test_too_many_connections_are_closed(out, monkeypatch):
-    monkeypatch.setattr(web, "_MOST_CONNECTIONS", 2)
-    with served(out) as server:
+def test_too_many_connections_are_closed(out):
+    with served(out, most_connections=2) as server:
         silent = [socket.create_connection(server.server_address[:2]) for _ in range(2)]
         time.sleep(0.2)  # until both are accepted
         with socket.create_connection(server.server_address[:2]) as third:
@@ -147,9 +146,8 @@ def test_too_many_connections_are_closed(out, monkeypatch):
             one.close()
 
 
-def test_a_request_that_comes_in_byte_by_byte_is_closed(out, monkeypatch):
-    monkeypatch.setattr(web, "_REQUEST_S", 0.3)
-    with served(out) as server, socket.create_connection(server.server_address[:2]) as slow:
+def test_a_request_that_comes_in_byte_by_byte_is_closed(out):
+    with served(out, request_s=0.3) as server, socket.create_connection(server.server_address[:2]) as slow:
         slow.settimeout(5.0)
         slow.sendall(b"GET / HT")
         time.sleep(0.15)

@@ -156,15 +156,16 @@ def test_addresses_of_a_wrong_form(address):
 
 
 @pytest.mark.parametrize("listens", [False, True])
-def test_an_address_that_does_not_answer(listens, monkeypatch, capfd):
-    monkeypatch.setattr("fmu.engines.dask_cluster._CONNECT_TIMEOUT_S", 0.5)
+def test_an_address_that_does_not_answer(listens, capfd):
+    from fmu.engines.dask_cluster import DaskCluster
+
     with socket.socket() as silent:
         silent.bind(("127.0.0.1", 0))
         if listens:
             silent.listen()
         address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         with pytest.raises(ValueError, match=f"--cluster: no scheduler answers .got {address}.") as error:
-            engine(cluster=address)
+            DaskCluster(address, answer_s=0.5)
     assert "\n" not in str(error.value)
     assert capfd.readouterr() == ("", "")
 

@@ -15,7 +15,6 @@ from fmu.progress.phases import phase, tell_fact, told_to
 def quick(monkeypatch):
     monkeypatch.setattr(lines, "FIRST_S", 0.0)
     monkeypatch.setattr(lines, "EVERY_S", 0.02)
-    monkeypatch.setattr(lines, "_LOOK_S", 0.005)
 
 
 def wait_for(stream, words):
@@ -30,7 +29,7 @@ def wait_for(stream, words):
 @pytest.mark.usefixtures("quick")
 def test_a_stage_that_reports_nothing_is_not_silent():
     stream = io.StringIO()
-    with ProgressLines(stream, "checking beam.toml"):
+    with ProgressLines(stream, "checking beam.toml", look_s=0.005):
         wait_for(stream, "checking beam.toml: 0:01 so far\nchecking beam.toml: 0:01 so far\n")
 
 
@@ -38,7 +37,7 @@ def test_a_stage_that_reports_nothing_is_not_silent():
 def test_every_stage_says_how_far_it_is_and_how_large_the_model_is():
     stream = io.StringIO()
     with (
-        ProgressLines(stream, "preparing") as log,
+        ProgressLines(stream, "preparing", look_s=0.005) as log,
         told_to(log.report, log.note, log.tell),
     ):
         tell_fact("941 degrees of freedom, 17 parameters")
@@ -69,7 +68,7 @@ def test_what_takes_no_time_is_not_told():
 def test_a_broken_stream_stops_nothing():
     stream = io.StringIO()
     stream.close()
-    with ProgressLines(stream, "checking"):
+    with ProgressLines(stream, "checking", look_s=0.005):
         time.sleep(0.05)
 
 

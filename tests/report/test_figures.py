@@ -37,10 +37,9 @@ def test_the_data_are_what_is_drawn(beam_traces):
         assert (top, height) == pytest.approx(((1 - place.y1) * size[1], place.height * size[1]))
 
 
-def test_long_paths_are_thinned_and_it_is_said(beam_traces, monkeypatch):
-    monkeypatch.setattr("fmu.report.figure_data._MOST", 200)
+def test_long_paths_are_thinned_and_it_is_said(beam_traces):
     axes = plots.plot_traces({"": beam_traces["hmc"]})
-    found = figure_data(axes[0, 0].figure)
+    found = figure_data(axes[0, 0].figure, most=200)
     assert found["every"] == 6  # 5 parameters, 2 chains, 120 steps
     series = found["panels"][0]["series"][0]
     np.testing.assert_array_equal(series["x"], np.arange(1, 121, 6))

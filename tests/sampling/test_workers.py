@@ -109,5 +109,5 @@ def test_failures_of_workers_are_counted_against_the_limit(processes):
     start = np.zeros((4, 2))
     with pytest.raises(RuntimeError, match=r"solves failed .* more than the limit of 10 %; most often: "):
         fmu.sample(
-            problem, walk, draws=2000, init=start, warmup=0, groups=2, workers=processes, max_failure_rate=0.1
+            problem, walk, draws=500, init=start, warmup=0, groups=2, workers=processes, max_failure_rate=0.1
         )

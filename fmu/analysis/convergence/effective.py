@@ -335,7 +335,8 @@ def _rank_normalised(x: FloatArray) -> FloatArray:
 
 LENGTHS = 20
 _FEWEST = 20
-_MOST_RANKED = 1500
+MOST_RANKED = 1500
+"""Draws of a chain that R-hat of a growing run ranks."""
 
 
 def lengths(steps: int, n: int = LENGTHS) -> IntArray:
@@ -365,14 +366,16 @@ def running_means(trace: xr.DataTree, at: IntArray | None = None) -> tuple[IntAr
     return at, np.moveaxis(sums / (at * walkers)[None, :, None], 1, 0)
 
 
-def running_rhat(trace: xr.DataTree) -> tuple[IntArray, FloatArray]:
+def running_rhat(trace: xr.DataTree, most: int = MOST_RANKED) -> tuple[IntArray, FloatArray]:
     """Return R-hat of the first draws of a run, for increasing numbers of them.
 
-    For long runs every k-th draw is ranked, at most 1500 a chain; this changes R-hat by less than its own error.
+    For long runs every k-th draw is ranked; at 1500 a chain this changes R-hat by less than its own error.
 
     Parameters
     ----------
     trace : xarray.DataTree
+    most : int
+        Draws of a chain that are ranked.
 
     Returns
     -------
@@ -386,7 +389,7 @@ def running_rhat(trace: xr.DataTree) -> tuple[IntArray, FloatArray]:
     at = lengths(draws.shape[1] // walkers)
     values = np.empty((len(at), draws.shape[2]))
     for row, steps in zip(values, at, strict=True):
-        distance = apart(steps * walkers, _MOST_RANKED, walkers)
+        distance = apart(steps * walkers, most, walkers)
         first = draws[:, : steps * walkers : distance]
         row[:] = [rhat(x) for x in np.moveaxis(first, -1, 0)]
     return at, values

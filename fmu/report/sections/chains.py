@@ -25,7 +25,7 @@ from fmu.report.plots.corner import plot_corner
 from fmu.report.plots.style import NARROW, height_of_row, new_figure
 from fmu.report.run import ReportedRun
 
-_MOST_PAIRS, _FEWEST = 8, 50
+_FEWEST = 50
 LOOK_AT_PATHS = (
     "Paths of the chains. Shaded: warm-up. Dashed: bounds. Look for chains that stay apart, drift, or stand still."
 )
@@ -171,12 +171,12 @@ def _running_rhat(run: ReportedRun) -> Picture:
     return picture(axes, "rhat", alt, LOOK_AT_RHAT)
 
 
-def pairs(run: ReportedRun) -> PageSection | Omitted:
-    """Return the posterior in pairs of parameters."""
+def pairs(run: ReportedRun, most: int = 8) -> PageSection | Omitted:
+    """Return the posterior in pairs of parameters, of those at most that are correlated most strongly."""
     title = "Pairs of parameters"
     if _has_few_draws(run):
         return Omitted(title, TOO_FEW)
-    names, words = _strongest_correlations(run)
+    names, words = _strongest_correlations(run, most)
     parts: list[Part] = []
     if left := [name for name in run.names if name not in names]:
         parts.append(
@@ -196,17 +196,17 @@ def pairs(run: ReportedRun) -> PageSection | Omitted:
     return PageSection("pairs", title, (*parts, drawing))
 
 
-def _strongest_correlations(run: ReportedRun) -> tuple[tuple[str, ...], str]:
-    """Return the parameters most correlated with another one, at most eight, and a sentence on the first pair."""
+def _strongest_correlations(run: ReportedRun, most: int) -> tuple[tuple[str, ...], str]:
+    """Return the parameters most correlated with another one, and a sentence on the first pair."""
     draws, n = parameter_draws(run.trace).reshape(-1, len(run.names)), len(run.names)
     moving = np.flatnonzero(np.ptp(draws, axis=0) > 0)
     if len(moving) < 2:
-        return run.names[:_MOST_PAIRS], ""
+        return run.names[:most], ""
     correlation = np.zeros((n, n))
     correlation[np.ix_(moving, moving)] = np.corrcoef(draws[:, moving].T)
     np.fill_diagonal(correlation, 0.0)
     strength = np.abs(correlation).max(axis=0)
-    shown = np.sort(np.argsort(-strength, kind="stable")[:_MOST_PAIRS])
+    shown = np.sort(np.argsort(-strength, kind="stable")[:most])
     i, j = np.unravel_index(np.argmax(np.triu(np.abs(correlation))), correlation.shape)
     r = fixed(float(correlation[i, j]), 2)
     words = f"Strongest correlation: {r}, of {run.names[i]} and {run.names[j]}."

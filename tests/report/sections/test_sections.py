@@ -345,10 +345,9 @@ def test_fit_cannot_be_said_without_a_prediction(plain_traces, hostile_traces):
     assert (model_fit(fitted).is_good, model_fit(fitted).answer) == (True, "Not contradicted")
 
 
-def test_pairs_are_those_of_the_strongest_correlations(hmc, monkeypatch):
+def test_pairs_are_those_of_the_strongest_correlations(hmc):
     """The two of the caption are among those drawn, and the text names the others."""
-    monkeypatch.setattr(chains, "_MOST_PAIRS", 2)
-    text, drawn = chains.pairs(hmc).parts
+    text, drawn = chains.pairs(hmc, most=2).parts
     draws = np.stack([hmc.trace["posterior"][name].to_numpy().ravel() for name in hmc.names])
     correlation = np.abs(np.corrcoef(draws)) - np.eye(len(draws))
     i, j = sorted(np.unravel_index(np.argmax(correlation), correlation.shape))
