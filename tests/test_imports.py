@@ -12,7 +12,7 @@ import fmu
 HOUSE = Path(fmu.__file__).parent
 FLOORS = (
     {"types", "numbers", "interruption", "durable_files"},
-    {"arguments", "differences"},
+    {"arguments", "box", "differences"},
     {"tables", "formats", "progress"},
     {"engines"},
     {"fem"},

@@ -17,6 +17,7 @@ from fmu.analysis.maxima.search import is_updating
 from fmu.analysis.trace.modal_states import MAXIMUM, START
 from fmu.analysis.trace.reading import has, with_group
 from fmu.arguments import ArgumentError, check_arguments
+from fmu.box import find_inside
 from fmu.numbers import fixed, names_in_words, share, significant
 from fmu.progress.phases import phase
 from fmu.tables import data_frame, distinct, text_table, wrapped
@@ -186,7 +187,7 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
     if not (is_updating(problem) and problem.likelihood.of_modes):
         raise ArgumentError("problem", "must be an UpdatingProblem with errors in the modes")
     point = problem.start if theta is None else np.asarray(theta, dtype=float)
-    if point.shape != (problem.ndim,) or not np.all((point >= problem.lower) & (point <= problem.upper)):
+    if point.shape != (problem.ndim,) or not find_inside(point, problem.lower, problem.upper)[1]:
         raise ArgumentError("theta", f"must be {problem.ndim} numbers within the bounds", point.tolist())
     n = problem.n_structural
     prior_sd = np.array([truncated_sd(parameter) for parameter in problem.parameters[:n]])

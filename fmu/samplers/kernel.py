@@ -14,6 +14,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, Self
 
 import numpy as np
 
+from fmu.box import find_inside
 from fmu.types import AnyArray, BoolArray, FloatArray, IntArray
 from fmu.types import LogDensity as LogDensity
 
@@ -229,9 +230,11 @@ class Target:
         Points outside are never evaluated; a NaN coordinate is outside. A value that is not finite (a failed
         eigensolve) counts as ``-inf``, so that only this point is rejected.
         """
-        inside = np.all((position >= self.lower) & (position <= self.upper), axis=-1)
+        inside, all_inside = find_inside(position, self.lower, self.upper)
         log_prob = np.full(inside.shape, -np.inf)
-        if inside.any():
+        if all_inside and inside.ndim == 1:  # it saves the copies
+            log_prob[:] = self.log_prob(position, slice(None) if chain is None else chain)
+        elif inside.any():
             log_prob[inside] = self.log_prob(position[inside], inside if chain is None else chain[inside])
         failed = inside & ~np.isfinite(log_prob)
         log_prob[failed] = -np.inf

@@ -11,6 +11,7 @@ from emcee.state import State
 from numpy.typing import ArrayLike
 
 from fmu.arguments import check_arguments, shown
+from fmu.box import find_inside
 from fmu.samplers.local import accept
 from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fit_mixture
 from fmu.samplers.mixture.quadratic import of_moments
@@ -181,7 +182,7 @@ class Proposal:
     def log_density(self, theta: FloatArray) -> FloatArray:
         """Return the logarithm of the density at points (n, ndim) up to a constant, shape (n,); -inf outside."""
         u, warp = (theta - self.offset) / self.scale, self.mixture.warp
-        inside = np.all((u >= warp.lower) & (u <= warp.upper), axis=1)
+        inside, _ = find_inside(u, warp.lower, warp.upper)
         found = np.full(len(u), -np.inf)
         found[inside] = self.mixture.log_density(u[inside])
         return found
