@@ -8,7 +8,8 @@ quarter of all climbs leads.
 import numpy as np
 
 import fmu
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.paired_structure import PairedStructure
+from fmu.fem.reduced.reduced_structure import train
 from tests.shear_building import frequencies_hz, shear_building
 
 STOREYS, STIFFNESS, MASS = 4, 2e8, 1e5  # N/m, kg
@@ -27,9 +28,9 @@ def four_storeys():
     paired = PairedStructure.of(
         model, pairing="index", numbers=numbers, sensors=sensors, reference=np.ones(STOREYS), shapes=None
     )
-    paired.train(np.full(STOREYS, LOWER), np.full(STOREYS, UPPER))
+    reduced, _ = train(paired, np.full(STOREYS, LOWER), np.full(STOREYS, UPPER))
     return fmu.UpdatingProblem(
-        paired,
+        reduced,
         fmu.ModalData(frequencies_hz(model, TRUTH)[0], numbers),
         [fmu.Parameter(name, start=1.0, lower=LOWER, upper=UPPER) for name in names],
         error=fmu.FrequencyErrors("relative", sd=SD),

@@ -24,7 +24,8 @@ from fmu.fem.frame.drawing import changed_elements, drawn, is_drawable, paramete
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.static import TRANSLATIONS, rigid_translation
 from fmu.fem.pairing.correlation import LOOK_AT_SENSORS
-from fmu.fem.pairing.paired_model import elsewhere
+from fmu.fem.pairing.paired_structure import structure_of
+from fmu.fem.reduced.reduced_structure import largest_tolerance_elsewhere
 from fmu.numbers import fixed, given, listed, names_in_words, shown, significant, with_sd
 from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions, assumptions
 from fmu.posterior.joint.joint_problem import JointProblem
@@ -48,9 +49,9 @@ _SAME_MASS = 1.1
 
 def model_in_words(problem: UpdatingProblem) -> list[str]:
     """Describe the model of a problem: its size, decoupled blocks, mass and reduced model."""
-    model = problem.model.as_structure()
+    model = structure_of(problem.model)
     if isinstance(problem, JointProblem):
-        n, unknowns = len(problem.model.configurations), " + ".join(map(str, problem.model.reduced_sizes))
+        n, unknowns = len(problem.model.configurations), " + ".join(map(str, problem.model.sizes))
         many = "" if n == 1 else f" in {n} configurations, each with matrices of its own"
         reduced = f" The reduced models have {unknowns} unknowns." if unknowns else ""
         return [f"{len(problem.tests)} tests of one structure{many}.{reduced}"]
@@ -63,8 +64,8 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
         parts += f" of {names_in_words(sizes)}"
     said = [f"The model has {structure.n_dof} free degrees of freedom, {parts}."]
     said += [*structure.notes, *_masses(problem, structure)]
-    if model.reduced_sizes:
-        said.append(f"Its reduced model has {' + '.join(map(str, model.reduced_sizes))} unknowns.")
+    if problem.model.sizes:
+        said.append(f"Its reduced model has {' + '.join(map(str, problem.model.sizes))} unknowns.")
     said += [model.why_full] if model.why_full else []
     said.append(f"Its matrices are factorised by {model.solver}.")
     return said
@@ -94,7 +95,7 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
 
 def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
     """Return the structure as SVG, and a colour for each parameter; an empty text and None if it is not drawn."""
-    structure = problem.model.structure
+    structure = problem.model.parts[0].structure
     if structure is None or not is_drawable(structure, _MOST_ELEMENTS):
         return "", [None] * problem.ndim
     found = sketch(structure, problem.data.sensors)
@@ -402,7 +403,7 @@ def check(
         tests=() if tests is None else tuple(repeatability(tests.frequencies_hz, labels).doubts()),
         shapes=modal_states(problem, {START: problem.start}) if drawing else None,
         assumptions=assumptions(
-            problem.configuration(), _tolerance(problem), elsewhere=elsewhere(problem.model.structures())
+            problem.configuration(), _tolerance(problem), elsewhere=largest_tolerance_elsewhere(problem.model)
         ),
         priors=tuple(prior_doubts(problem.parameters)),
         points=problem.data.points,

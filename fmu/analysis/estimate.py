@@ -91,8 +91,8 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
         if is_slow and not is_function:
             predicted = lines * draws * settings.cost[2]
             found.append(Estimate(f"predictions of {name}", predicted, predicted * one_s))
-    if problem.model.reduced_sizes:
-        full_s = _timed(lambda: problem.model.full_frequencies(problem.start[None, : problem.n_structural]))
+    if problem.model.sizes:
+        full_s = _timed(lambda: problem.model.truth.frequencies(problem.start[None, : problem.n_structural]))
         of_each = Estimate("certificate", _CERTIFIED, _CERTIFIED * full_s)
         found += [of_each] * len(orders["samplers"])
     if sum(part.seconds for part in found) < _WORTH_S:

@@ -14,7 +14,7 @@ from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.modal import frequency_hz, is_rigid, mac, single_thread
 from fmu.fem.modes.separable import selection
 from fmu.fem.pairing.correlation import ALIKE, CLOSE, Correlation, close_groups
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
 from fmu.fem.pairing.rules import assign
 from fmu.numbers import MISSING, apart, change, fixed, given, hertz, share
 from fmu.types import BoolArray, FloatArray
@@ -253,11 +253,11 @@ def initial_modes(problem: UpdatingProblem, theta: ArrayLike | None = None) -> I
     labels = tuple(map(str, problem.data.labels))
     measured = np.asarray(problem.data.frequencies_hz, dtype=float)
     structural = point[: problem.model.n_parameters]  # behind them, what is uncertain of the errors
-    structure, function = problem.model.as_structure(), problem.model.black_box
+    structure, functions = structure_of(problem.model), problem.model.functions
     if structure is not None:
         return _of_structure(problem, structure, structural, labels, measured)
-    if function is not None:
-        return _of_function(problem, function, structural, labels, measured)
+    if functions and problem.model.n_tests == 1:
+        return _of_function(problem, functions[0], structural, labels, measured)
     frequencies = problem.frequencies(point)
     found = tuple(ComputedMode(None, float(frequencies[k]), int(k)) for k in range(len(frequencies)))
     note = "The model itself pairs its modes with the measured ones."
@@ -274,7 +274,7 @@ def _of_structure(
     spectrum, paired = _spectrum(model, point)
     frequencies = frequency_hz(spectrum.eigenvalues[0])
     with single_thread():
-        shapes = model.full.shapes(point[None], spectrum)
+        shapes = model.blocks.shapes(point[None], spectrum)
     observation = model.structure.observation(problem.data.sensors) if problem.data.sensors else None
     seen = _seen(model, shapes, observation, spectrum.eigenvalues[0])
     moves = _moves(model, point, shapes)
@@ -345,13 +345,13 @@ def _compared(found: InitialModes, problem: UpdatingProblem) -> InitialModes:
 
 def _spectrum(model: PairedStructure, point: FloatArray) -> tuple[Any, list[int]]:
     """Return the lowest modes, up to two beyond the last paired one, and the columns of the paired ones."""
-    pairs = model.full_modes(point[None])
+    pairs = model.modes(point[None])
     wanted = list(zip(pairs.block[0].tolist(), pairs.rank[0].tolist(), strict=True))
-    total = model.full.n_modes
+    total = model.blocks.n_modes
     count = min(total, 2 * model.n_modes + _BEYOND)
     while True:
         with single_thread():
-            spectrum = model.full.spectrum(point[None], count)
+            spectrum = model.blocks.spectrum(point[None], count)
         column = {
             key: i for i, key in enumerate(zip(spectrum.block[0].tolist(), spectrum.rank[0].tolist(), strict=True))
         }

@@ -13,6 +13,8 @@ from fmu.analysis.trace.modal_states import START
 from fmu.analysis.trace.reading import array_of, check_trace, has, parameter_draws, with_group
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.fem.modes.modal import frequency_hz
+from fmu.fem.pairing.paired_structure import structure_of
+from fmu.fem.reduced.reduced_structure import reduced_structures
 from fmu.numbers import share, significant
 from fmu.progress.phases import by_parts
 from fmu.tables import data_frame
@@ -22,7 +24,6 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-    from fmu.fem.pairing.paired_model import PairedStructure
     from fmu.posterior.problem import UpdatingProblem
 
 
@@ -214,13 +215,13 @@ def with_pairing(trace: xr.DataTree, problem: UpdatingProblem) -> xr.DataTree:
     """
     import xarray as xr
 
-    structure = problem.model.as_structure()
-    if structure is None:
+    if structure_of(problem.model) is None:
         return trace
+    structure: Any = problem.model
     draws = parameter_draws(trace)[..., : problem.n_structural]
     theta = draws.reshape(-1, draws.shape[-1])
     highest = int(np.argmax(array_of(trace, "sample_stats", "lp")))
-    constant = structure.pairing.is_constant and bool(structure.within(theta).all())
+    constant = any(of.pairing.is_constant and of.within(theta).all() for of in reduced_structures(structure))
     picked = np.unique(np.linspace(0, len(theta) - 1, min(len(theta), MOST_DRAWS)).astype(int))
     picked = np.array([highest]) if constant else np.union1d(picked, highest)
     distinct, inverse = np.unique(theta[picked], axis=0, return_inverse=True)
@@ -244,12 +245,12 @@ def with_pairing(trace: xr.DataTree, problem: UpdatingProblem) -> xr.DataTree:
     return with_group(trace, GROUP, xr.Dataset(variables, coords=coordinates, attrs=attributes))
 
 
-def nearest_other(structure: PairedStructure, theta: FloatArray, block: IntArray, rank: IntArray) -> FloatArray:
+def nearest_other(structure: Any, theta: FloatArray, block: IntArray, rank: IntArray) -> FloatArray:
     """Return the relative distance in frequency of each mode to the nearest other candidate, shape (n, n_modes).
 
     Parameters
     ----------
-    structure : PairedStructure
+    structure : PairedStructure or ReducedStructure
     theta : ndarray, shape (n, n_parameters)
     block, rank : ndarray of int, shape (n, n_modes)
         Blocks and ranks of the modes.

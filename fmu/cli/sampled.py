@@ -150,10 +150,8 @@ def _tell_draws(
 
 def _is_certified(problem: UpdatingProblem, orders: Mapping[str, Any]) -> bool:
     """Say whether no surrogate stands for the model, or one that keeps its tolerance, or draws are made exact."""
-    record = problem.model.record if problem.model.is_uncertain else {}
-    if not record or orders.get("exact"):
-        return True
-    return bool(record["certificate_shift"] <= record["certificate_shift_tolerance"])
+    certificate = problem.model.certificate
+    return certificate is None or bool(orders.get("exact")) or certificate.ok
 
 
 def _until(orders: Mapping[str, Any]) -> dict[str, Any]:
@@ -215,7 +213,7 @@ def _write_csv(table: pd.DataFrame, path: Path) -> None:
 
 def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Mapping[str, Any]) -> int:
     """Print what is known after the draws have been told, and write the comparison; return the exit code."""
-    from fmu.analysis.certificate import exact_in_words, surrogate_in_words
+    from fmu.analysis.certificate import exact_in_words
     from fmu.analysis.convergence.diagnosis import choose_run, is_enough
     from fmu.analysis.evidence import found_evidences
     from fmu.analysis.trace.damage import GROUP as LOSSES
@@ -232,11 +230,11 @@ def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Ma
         click.echo(f"A picture, and other limits: fmu damage {directory}")
     echo_evidences(found_evidences(traces, verdicts, outcome.maxima))
     is_certified = _is_certified(problem, orders)
-    if problem.model.is_uncertain and problem.model.record:
-        record = problem.model.record
-        click.echo("\nCertificate of the surrogate\n" + "\n".join(surrogate_in_words(record)))
+    certificate: Any = problem.model.certificate
+    if certificate is not None:
+        click.echo("\nCertificate of the surrogate\n" + "\n".join(certificate.sentences()))
         if not is_certified and may_learn_more(problem, orders):
-            more = 2 * record["surrogate_solves"]
+            more = 2 * certificate.solves
             click.echo(f"To learn from more solves: fmu run --resume {directory} --max-solves {more}")
     for name, trace in traces.items() if orders.get("exact") else ():
         click.echo("\n" + " ".join([f"{name}:", *exact_in_words(trace.attrs)]))

@@ -57,10 +57,9 @@ def with_surrogate(
     problem: UpdatingProblem, orders: Mapping[str, Any], engine: Engine, speaks: bool
 ) -> UpdatingProblem:
     """Learn the surrogate; say before what it will cost, and after what it is worth."""
-    from fmu.analysis.certificate import surrogate_in_words
     from fmu.analysis.estimate import seconds_of_a_solve, time_in_words
     from fmu.surrogates.delayed_acceptance import proposals
-    from fmu.surrogates.learning import expected_solves, surrogate
+    from fmu.surrogates.learning import certificate_of, expected_solves, surrogate
 
     if speaks:
         one_s, n = seconds_of_a_solve(problem), expected_solves(problem)
@@ -79,7 +78,7 @@ def with_surrogate(
             )
     found = surrogate(problem, seed=orders["seed"], engine=engine, max_solves=_budget(problem, orders))
     if speaks:
-        for sentence in surrogate_in_words(found.model.record):
+        for sentence in certificate_of(found).sentences():
             click.echo(sentence, err=True)
     return found
 
@@ -94,9 +93,9 @@ def _budget(problem: UpdatingProblem, orders: Mapping[str, Any]) -> int:
 
 def may_learn_more(problem: UpdatingProblem, orders: Mapping[str, Any]) -> bool:
     """Return whether a surrogate ended because it had no solves left for another certificate."""
-    from fmu.surrogates.learning import CHECKS
+    from fmu.surrogates.learning import CHECKS, certificate_of
 
-    return bool(_budget(problem, orders) - problem.model.record["surrogate_solves"] < CHECKS)
+    return _budget(problem, orders) - certificate_of(problem).solves < CHECKS
 
 
 def of_its_surrogate(asked: KeptProblem, problem: UpdatingProblem, running: RunDirectory) -> KeptProblem:
@@ -136,14 +135,14 @@ def exact_draws(
     """
     from fmu.sampling import sample
     from fmu.surrogates.delayed_acceptance import delayed_acceptance, proposals
+    from fmu.surrogates.learning import certificate_of
 
-    chains, record = arguments["chains"], problem.model.record
+    chains, learnt = arguments["chains"], certificate_of(problem).solves
     first = proposals(until_ess, chains)
-    left = _MOST * first if most is None else most - record["surrogate_solves"]
+    left = _MOST * first if most is None else most - learnt
     if left < chains:
         raise ValueError(
-            f"max_solves: must leave some for exact draws (got {most}, and the surrogate took "
-            f"{record['surrogate_solves']})"
+            f"max_solves: must leave some for exact draws (got {most}, and the surrogate took {learnt})"
         )
     enough = _THINNED * first
     tell_draws = arguments.pop("on_draws", None)  # of the model's draws, not of the surrogate's

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fmu.fem.modes.modal import frequency_hz
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
 from fmu.types import FloatArray, StrArray
 
 if TYPE_CHECKING:
     from fmu.fem.modes.modal import ModalSolution
-    from fmu.fem.pairing.paired_model import PairedStructure
     from fmu.posterior.problem import UpdatingProblem
 
 
@@ -22,9 +21,9 @@ _PLANE_OF = {"z": "W", "ry": "W", "y": "S", "rz": "S", "rx": "T", "x": "A"}
 _BATCH = 4096
 
 
-def structure_of(problem: UpdatingProblem) -> PairedStructure:
+def _structure(problem: UpdatingProblem) -> PairedStructure:
     """Return the structure of a problem; ValueError if it has none."""
-    structure = problem.model.as_structure()
+    structure = structure_of(problem.model)
     if structure is None:
         raise ValueError(f"problem: must have a structure of beam elements (got {problem.model.name})")
     return structure
@@ -37,15 +36,16 @@ def paired_names(problem: UpdatingProblem, theta: FloatArray) -> StrArray:
     ----------
     theta : ndarray, shape (n, ndim)
     """
-    structure = structure_of(problem)
-    parts = [structure.modes(theta[i : i + _BATCH]) for i in range(0, len(theta), _BATCH)]
+    structure = _structure(problem)
+    model: Any = problem.model
+    parts = [model.modes(theta[i : i + _BATCH]) for i in range(0, len(theta), _BATCH)]
     return np.concatenate([_names(structure, modes) for modes in parts])
 
 
 def lowest_modes(problem: UpdatingProblem, theta: FloatArray, count: int) -> list[tuple[str, float]]:
     """Return name and frequency (Hz) of the lowest modes of the whole structure at one theta, ascending."""
-    structure = structure_of(problem)
-    modes = structure.full.spectrum(theta[np.newaxis], count)
+    structure = _structure(problem)
+    modes = structure.blocks.spectrum(theta[np.newaxis], count)
     return list(
         zip(_names(structure, modes)[0].tolist(), frequency_hz(modes.eigenvalues)[0].tolist(), strict=True)
     )
@@ -77,7 +77,7 @@ def shares_over_the_box(problem: UpdatingProblem, points: int, seed: int = 0) ->
 def _names(structure: PairedStructure, modes: ModalSolution) -> StrArray:
     """Return plane and number of modes; the blocks of a straight beam are its four planes of motion."""
     planes = []
-    for block in structure.full.blocks:
+    for block in structure.blocks:
         letters = {_PLANE_OF[structure.structure.dofs[dof][1]] for dof in block.dofs}
         if len(letters) != 1:
             raise ValueError(f"structure: its planes of motion must not couple (got {sorted(letters)} coupled)")

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 from fmu.arguments import ArgumentError, shown
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.pairing.modal_model import ModalModel, as_modal_model
 from fmu.fem.pairing.paired_black_box import PairedBlackBox
-from fmu.fem.pairing.paired_model import SOFT, ModalModel, PairedStructure, as_modal_model
+from fmu.fem.pairing.paired_structure import SOFT, PairedStructure
 from fmu.fem.pairing.rules import SOFTNESS
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import ErrorModel, Likelihood

@@ -19,7 +19,7 @@ def problem_card(problem: Problem) -> str:
     """Return the HTML of a problem: a drawing of its structure, its parameters, and measured and initial modes."""
     parts = [f"<h4>{html.escape(problem.name)}</h4>"]
     colours: list[str | None] = [None] * problem.ndim
-    structure = problem.model.structure
+    structure = problem.model.parts[0].structure
     if structure is not None and is_drawable(structure, _MOST_DRAWN):
         drawing = sketch(structure, problem.data.sensors)
         parts.append(f"<div>{drawn(drawing)}</div>")
@@ -29,15 +29,15 @@ def problem_card(problem: Problem) -> str:
 
 
 def _in_words(problem: Problem) -> str:
-    model = problem.model
-    if model.structure is None:
+    model, structure = problem.model, problem.model.parts[0].structure
+    if structure is None:
         return f"Model: {model.name}, {model.n_modes} modes."
     pairing = "shape (MAC)" if model.by_shape else "number in the spectrum"
-    blocks = len(model.structure.blocks)
-    sizes = " + ".join(map(str, model.reduced_sizes))
+    blocks = len(structure.blocks)
+    sizes = " + ".join(map(str, model.sizes))
     reduced = f" A reduced model with {sizes} unknowns is used within the bounds." if sizes else ""
     return (
-        f"Model: {model.structure.n_dof} degrees of freedom in {blocks} decoupled "
+        f"Model: {structure.n_dof} degrees of freedom in {blocks} decoupled "
         f"{'block' if blocks == 1 else 'blocks'}; modes are paired by {pairing}.{reduced}"
     )
 

@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from copy import copy
 from dataclasses import replace
 from importlib import import_module
-from typing import Annotated, Any, cast
+from typing import Annotated, Any, Self
 
 import numpy as np
 from annotated_types import Gt, Interval
@@ -16,7 +16,7 @@ from fmu.arguments import Numbers, OwnRule, check_arguments, require
 from fmu.engines.base import Engine
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.pairing.paired_model import ModalModel
+from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.rules import SOFTNESS
 from fmu.posterior.build import check_names, likelihood_of, paired_model
 from fmu.posterior.data.modal_data import ModalData
@@ -24,7 +24,7 @@ from fmu.posterior.errors.base import ErrorModel
 from fmu.posterior.failures import Failure, FailureRecord
 from fmu.posterior.parameters import JointPrior, Parameter
 from fmu.posterior.rounding import require_digits
-from fmu.posterior.train_reduced import Tolerance, reduce_model
+from fmu.posterior.train_reduced import Tolerance, reduced_model
 from fmu.types import BoolArray, FloatArray, Positive
 
 _LEAST_NOISE = 1e-150
@@ -99,23 +99,8 @@ class UpdatingProblem:
 
     is_hierarchical = False
 
-    def __init__(
-        self,
-        model: SeparableModel | BlackBoxModel | ModalModel,
-        data: ModalData,
-        parameters: Sequence[Parameter],
-        *,
-        pairing: str = "shape",
-        softness: Positive = SOFTNESS,
-        beta: Annotated[ArrayLike, Gt(0.0)] | None = None,
-        error: str | ErrorModel | Sequence[ErrorModel] = "frequency",
-        name: str = "problem",
-    ) -> None:
-        self._pose(model, data, parameters, pairing=pairing, softness=softness, beta=beta, error=error, name=name)
-        require_digits(self)
-
     @check_arguments
-    def _pose(
+    def __init__(
         self,
         model: Annotated[SeparableModel | BlackBoxModel | ModalModel, OwnRule()],
         data: ModalData,
@@ -127,7 +112,6 @@ class UpdatingProblem:
         error: str | ErrorModel | Sequence[ErrorModel] = "frequency",
         name: str = "problem",
     ) -> None:
-        """Set all attributes; whether the matrices have enough digits is left to the caller."""
         self.data = data
         self.parameters = tuple(parameters)
         self.n_structural = len(self.parameters)
@@ -154,6 +138,7 @@ class UpdatingProblem:
         self.scale = np.array([scale for _, scale in scales])
         self._failed = FailureRecord()
         self.prior = JointPrior(self.parameters)
+        require_digits(self)
 
     @classmethod
     @check_arguments
@@ -190,15 +175,16 @@ class UpdatingProblem:
             If training ended before the tolerance was reached.
         """
         tolerance = Tolerance.of(reduction)
-        problem = cls.__new__(cls)
-        problem._pose(*args, **options)
-        structure = problem.model.as_structure()
-        if tolerance is not None and structure is not None:
-            problem.tolerance = tolerance
-            problem.tolerance = reduce_model(problem, structure, tolerance, engine)
-            problem._failed = FailureRecord()  # failures of training are not those of the user's evaluations
-        require_digits(problem)  # after training, as the reduced model adds rounding of its own
-        return problem
+        problem = cls(*args, **options)
+        if tolerance is None:
+            return problem
+        problem.tolerance = tolerance
+        model, tolerance = reduced_model(problem, tolerance, engine)
+        reduced = problem.with_model(model)
+        reduced.tolerance = tolerance
+        if model.sizes:
+            require_digits(reduced)  # the reduced model adds rounding of its own
+        return reduced
 
     @check_arguments
     def using(self, labels: Collection[str]) -> UpdatingProblem:
@@ -231,13 +217,12 @@ class UpdatingProblem:
 
         A solve takes less time and is less accurate: for what may be approximate, such as proposals.
         """
-        return self.of_model(self.model.coarser(share))
+        return self.with_model(self.model.coarser(share))
 
-    def of_model(self, model: ModalModel) -> UpdatingProblem:
+    def with_model(self, model: ModalModel) -> Self:
         """Return the same problem with another model of the same parameters and modes."""
-        other, likelihood = copy(self), cast("Any", self.likelihood)
-        other.model = model
-        other.likelihood = likelihood.of_model(model)
+        other = copy(self)
+        other.model, other.likelihood = model, self.likelihood.with_model(model)
         other._failed = FailureRecord()
         return other
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 from numpy.typing import ArrayLike
 
-from fmu.fem.pairing.paired_model import ModalModel
+from fmu.fem.pairing.modal_model import ModalModel
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import Likelihood
 from fmu.posterior.parameters import JointPrior, Parameter
@@ -28,6 +28,10 @@ class Problem(Protocol):
     start: FloatArray
     offset: FloatArray
     scale: FloatArray
+
+    def with_model(self, model: ModalModel) -> Self:
+        """Return the same problem with another model of the same parameters and modes."""
+        ...
 
     def log_prob(self, theta: ArrayLike) -> Any:
         """Return the log-probability."""

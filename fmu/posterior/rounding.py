@@ -26,7 +26,9 @@ from numpy.typing import NDArray
 
 from fmu.fem.modes.modal import RIGID, ModalSolution
 from fmu.fem.modes.separable import Term, coefficients
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.modal_model import ModalModel
+from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
+from fmu.fem.reduced.reduced_structure import ReducedStructure
 from fmu.numbers import share, significant
 from fmu.posterior.protocol import Problem
 from fmu.types import FloatArray
@@ -96,13 +98,13 @@ def rounding(problem: Problem) -> Rounding | None:
     ValueError
         If the solve at the start fails, or the stiffness of a soft part is lost in rounding beside a stiff one.
     """
-    model, likelihood = problem.model.as_structure(), problem.likelihood
+    model, likelihood = structure_of(problem.model), problem.likelihood
     if model is None or not likelihood.of_modes:
         return None
     theta = problem.start[: model.n_parameters]
     if model not in _SOLVED or not np.array_equal(_SOLVED[model][0], theta):
-        shapes = model.full_shapes(theta)
-        modes = model.full_modes(theta[None])
+        shapes = model.shapes(theta)
+        modes = model.modes(theta[None])
         if not (np.all(np.isfinite(shapes)) and np.all(np.isfinite(modes.eigenvalues))):
             raise ValueError(_without_density(problem))
         _require_no_term_lost(problem, model, theta, max(float(modes.eigenvalues.max()), 0.0))
@@ -111,7 +113,11 @@ def rounding(problem: Problem) -> Rounding | None:
     lam = np.maximum(modes.eigenvalues[0], 0.0)
     K, M = (_sizes(terms, theta) for terms in (model.structure.K_terms, model.structure.M_terms))
     stiff, heavy = _energies(K, shapes), _energies(M, shapes)
-    error = np.sqrt(stiff.sum(axis=0)) + lam * np.sqrt(heavy.sum(axis=0)) + _reduced(model, modes.block[0], theta)
+    error = (
+        np.sqrt(stiff.sum(axis=0))
+        + lam * np.sqrt(heavy.sum(axis=0))
+        + _reduced(problem.model, modes.block[0], theta)
+    )
     frequencies = np.sqrt(lam) / (2.0 * np.pi)
     off = np.sqrt(lam + _ROUNDINGS * UNIT * error) / (2.0 * np.pi) - frequencies
     relative = np.divide(off, frequencies, out=np.full_like(off, np.inf), where=frequencies > 0.0)
@@ -140,11 +146,14 @@ def require_digits(problem: Problem) -> None:
     -----
     RoundingWarning
     """
-    if problem.model.structures() and not np.isfinite(problem.log_prob(problem.start)):
+    if any(map(structure_of, problem.model.parts)) and not np.isfinite(problem.log_prob(problem.start)):
         raise ValueError(_without_density(problem))
     found = bounded_rounding(problem)
     if found is None or np.max(found.of_sd) <= WARN:
         return
+    model = problem.model
+    if model.truth is not model and np.max(rounding(problem.with_model(model.truth)).of_sd) > WARN:  # type: ignore[union-attr]
+        return  # it was said of the full model
     warnings.warn(found.sentence(), RoundingWarning, skip_file_prefixes=(f"{Path(__file__).parents[1]}{os.sep}",))
 
 
@@ -161,8 +170,8 @@ def _require_no_term_lost(problem: Problem, model: PairedStructure, theta: Float
     energy in it, that is wrong: the term was lost in the sum, or nearly.
     """
     structure = model.structure
-    counts = model.rule.counts(model.full)  # so many were solved for
-    for b, block in enumerate(model.full.blocks):
+    counts = model.rule.counts(model.blocks)  # so many were solved for
+    for b, block in enumerate(model.blocks):
         lam, shapes = block.modes(theta[None], max(counts.get(b, 0), min(_RIGID_AT_MOST, block.n_modes)))
         rigid = lam[0] <= RIGID * top
         N = np.zeros((structure.n_dof, int(np.sum(rigid))))
@@ -218,13 +227,13 @@ def _energies(sizes: Any, shapes: FloatArray) -> FloatArray:
     return np.asarray(shapes**2 * (squares @ shapes**2))
 
 
-def _reduced(model: PairedStructure, owners: NDArray[np.int64], theta: FloatArray) -> FloatArray:
+def _reduced(model: ModalModel, owners: NDArray[np.int64], theta: FloatArray) -> FloatArray:
     """Return the highest eigenvalue of the reduced block of each mode, 0 where the full model is used."""
-    if model.reduced is None:
+    if not isinstance(model, ReducedStructure):
         return np.zeros(len(owners))
     highest = {}
     for b in set(owners.tolist()):
-        block = model.reduced.blocks[b]
+        block = model.cheap.blocks[b]
         if block.is_reduced and not block.massless:
             highest[b] = float(np.max(block.eigenvalues(theta[None], block.size)))
     return np.array([highest.get(b, 0.0) for b in owners.tolist()])

@@ -14,9 +14,11 @@ from scipy.special import chdtri
 from fmu.engines.base import Engine
 from fmu.fem.modes.modal import ModalSolution, is_rigid
 from fmu.fem.modes.solver import LAPACK
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.modal_model import ModalModel
+from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
 from fmu.fem.reduced.anchors import SingularAnchorError
 from fmu.fem.reduced.cache import load_basis, store_basis
+from fmu.fem.reduced.reduced_structure import ReducedStructure, restore, train, train_at
 from fmu.fem.reduced.training import BUDGET, box_points
 from fmu.numbers import apart, significant, typed
 from fmu.posterior.errors.likelihood import ModalLikelihood
@@ -98,10 +100,10 @@ class Tolerance:
         return cls(frequency, min(LOG_PROB_TOLERANCE * (frequency / FREQUENCY_TOLERANCE), LOOSEST_LOG_PROB))
 
 
-def reduce_model(
-    problem: Problem, structure: PairedStructure, tolerance: Tolerance, engine: Engine | None = None
-) -> Tolerance | None:
-    """Train the reduced model of `structure`, or read it from the cache; return the tolerance that it is to keep.
+def reduced_model(
+    problem: Problem, tolerance: Tolerance, engine: Engine | None = None
+) -> tuple[ModalModel, Tolerance | None]:
+    """Return a reduced model, trained or read from the cache, and the tolerance that it is to keep.
 
     At every point tested, frequencies meet their tolerance over the whole box, and the log-probability meets its
     own wherever it is within `PLAUSIBLE` of its maximum. Points at a jump, where modes swap and the two models may
@@ -111,7 +113,8 @@ def reduce_model(
     wide that a basis for it would not pay, frequencies keep 1e-3 in it, and their tolerance where the
     log-probability is within `PLAUSIBLE` of its maximum, if that basis pays. If it does not pay either, a basis of
     modes at draws of prior and posterior is taken, where errors of the log-probability stay below
-    `LOOSEST_LOG_PROB`; if they do not, the full model answers and None is returned. An engine solves the full
+    `LOOSEST_LOG_PROB`; if they do not, the full model is returned, with None for the tolerance. A model that is
+    not given by its matrices is returned as it is. An engine solves the full
     model at several points at once. What is compared with the full model counts against a budget
     (`fmu.fem.reduced.training.BUDGET`).
 
@@ -126,53 +129,53 @@ def reduce_model(
     ReductionWarning
         If training ended before the tolerances were met, from the cache too.
     """
+    structure = structure_of(problem.model)
+    if structure is None:
+        return problem.model, None
     tolerances = (tolerance.frequency, tolerance.log_prob, PLAUSIBLE)
     key = {"problem": problem.configuration(), "tolerances": tolerances, "solver": structure.solver}
     state = load_basis(key)
     if state is not None:
-        structure.restore(state)
-        return _find_tolerance(problem, structure, tolerance, state)
+        model = restore(structure, state)
+        return model, _find_tolerance(problem, model, tolerance, state)
     bounded_rounding(problem)  # before the time for training is spent
     n = structure.n_parameters
-    lower, upper = training_box(problem.parameters[:n])
+    bounds = problem.lower[:n], problem.upper[:n]
+    trained = np.stack(training_box(problem.parameters[:n]))
     rng = np.random.default_rng(0)
     likelihood = problem.likelihood
 
     differences: list[float] = []
     compared: list[int] = []
-    trained = np.stack([lower, upper])
 
-    def some_points() -> FloatArray:
+    def some_points(model: ReducedStructure) -> FloatArray:
         """Return plausible points; of a large structure within the trained box, where no full model is needed."""
         if structure.solver == LAPACK:
-            return plausible_points(problem, 64, rng)
-        with structure.extrapolating(problem.lower[:n], problem.upper[:n]):
-            points = plausible_points(problem, 64, rng)
+            return plausible_points(problem.with_model(model), 64, rng)
+        points = plausible_points(problem.with_model(model.extended(*bounds)), 64, rng)
         return np.concatenate([np.clip(points[:, :n], *trained), points[:, n:]], axis=1)
 
-    def wider_box() -> tuple[FloatArray, FloatArray] | None:
-        with structure.extrapolating(problem.lower[:n], problem.upper[:n]):
-            found = _box_of_the_posterior(problem, trained)
+    def wider_box(model: ReducedStructure) -> tuple[FloatArray, FloatArray] | None:
+        found = _box_of_the_posterior(problem.with_model(model.extended(*bounds)), trained)
         if found is not None:
             trained[:] = found
         return found
 
-    def inaccurate_points() -> tuple[FloatArray, float] | None:
-        points = some_points()
+    def inaccurate_points(model: ReducedStructure) -> tuple[FloatArray, float] | None:
+        points = some_points(model)
         by_bound = structure.solver != LAPACK and not (structure.is_soft or likelihood.needs_shapes)
         if by_bound and isinstance(likelihood, ModalLikelihood):  # cheaper than full solves, and blind to jumps
-            difference = _log_prob_bound(structure, likelihood, points)
+            difference = _log_prob_bound(model, likelihood, points)
         else:
             left = BUDGET - sum(compared)
             if left <= 0:
                 return None
             points = points[:: -(-len(points) // left)]  # some of every maximum
             compared.append(len(points))
-            exact = np.concatenate(by_parts("training", likelihood.full_terms, points, _AT_ONCE))
-            difference = np.sum(likelihood.terms(points) - exact, axis=1)
+            difference = _log_prob_errors(problem, model, points)
         wrong = ~(np.abs(difference) <= _TUNED * tolerance.log_prob)
         if not (structure.is_soft or by_bound):
-            wrong[wrong] = ~on_a_jump(structure, points[wrong, :n], tolerance.frequency)
+            wrong[wrong] = ~on_a_jump(model, points[wrong, :n], tolerance.frequency)
         differences.append(np.max(np.abs(difference[wrong]), initial=0.0))
         if not wrong.any() or has_stalled(differences):
             return None
@@ -182,49 +185,50 @@ def reduce_model(
 
     # a pseudo-likelihood without computed modes has no log-probability to compare
     try:
-        state = structure.train(
-            lower,
-            upper,
+        model, state = train(
+            structure,
+            trained[0].copy(),
+            trained[1].copy(),
             tolerance.frequency,
             inaccurate_points if likelihood.of_modes else None,
             engine,
-            (lambda: some_points()[:, :n]) if likelihood.of_modes else None,
+            (lambda model: some_points(model)[:, :n]) if likelihood.of_modes else None,
             wider_box if likelihood.of_modes and _is_narrower(problem, trained) else None,
         )
     except SingularAnchorError as singular:
         raise ValueError(_singular(problem, singular)) from singular
-    if structure.reduced is None:
+    if not isinstance(model, ReducedStructure):
         if likelihood.of_modes:
-            state = _train_at_draws(problem, structure, trained, tolerance.frequency) or state
+            model, state = _trained_at_draws(problem, structure, trained, tolerance.frequency) or (model, state)
         store_basis(key, state)
-        return _find_tolerance(problem, structure, tolerance, state)
-    error = 0.0 if structure.confirmed else _paired_error(structure, trained[0], trained[1], tolerance.frequency)
+        return model, _find_tolerance(problem, model, tolerance, state)
+    error = 0.0 if model.confirmed else _paired_error(model, trained[0], trained[1], tolerance.frequency)
     reached = np.array([error, differences[-1] if differences else 0.0])
     if not (reached[0] <= tolerance.frequency and reached[1] <= tolerance.log_prob):
         state["reached"] = reached
     store_basis(key, state)
-    return _find_tolerance(problem, structure, tolerance, state)
+    return model, _find_tolerance(problem, model, tolerance, state)
 
 
 def _find_tolerance(
-    problem: Problem, structure: PairedStructure, tolerance: Tolerance, state: dict[str, FloatArray]
+    problem: Problem, model: ModalModel, tolerance: Tolerance, state: dict[str, FloatArray]
 ) -> Tolerance | None:
     """Return the tolerance that a reduced model keeps, None without one; warn where it is not what was asked."""
-    if structure.reduced is None:
+    if model is model.truth:
         return None
-    _warn_if_missed(problem, structure, tolerance, state)
+    _warn_if_missed(problem, model, tolerance, state)
     return Tolerance(*state["loosened"].tolist()) if "loosened" in state else tolerance
 
 
-def _train_at_draws(
+def _trained_at_draws(
     problem: Problem, structure: PairedStructure, trained: FloatArray, frequency: float
-) -> dict[str, FloatArray] | None:
-    """Have a reduced model answer that is trained where prior and posterior have their mass; return its state.
+) -> tuple[ReducedStructure, dict[str, FloatArray]] | None:
+    """Return a reduced model that is trained where prior and posterior have their mass, and its state.
 
-    None if the log-probability is off by more than `LOOSEST_LOG_PROB` at fresh points of the posterior: the full
-    model then answers again. `trained` (2, n_parameters) is the box, `frequency` the error that was asked for.
+    None if the log-probability is off by more than `LOOSEST_LOG_PROB` at fresh points of the posterior. `trained`
+    (2, n_parameters) is the box, `frequency` the error that was asked for.
     """
-    n, rng, likelihood = structure.n_parameters, np.random.default_rng(0), problem.likelihood
+    n, rng = structure.n_parameters, np.random.default_rng(0)
     depth = 0.5 * float(chdtri(problem.ndim, _BEYOND))  # of all but that share of a Gaussian posterior
 
     def within(points: FloatArray) -> FloatArray:
@@ -232,26 +236,30 @@ def _train_at_draws(
 
     prior = within(problem.prior.draw(rng, 2 * _SNAPSHOTS))
     try:
-        structure.train_at(prior[: _SNAPSHOTS // 2], *trained)  # for a first look at the posterior
-        points = rng.permutation(plausible_points(problem, _SNAPSHOTS + _CHECKED, rng, depth))
-        state = structure.train_at(np.concatenate([prior[:_SNAPSHOTS], within(points[:_SNAPSHOTS])]), *trained)
+        model, _ = train_at(structure, prior[: _SNAPSHOTS // 2], *trained)  # for a first look at the posterior
+        points = plausible_points(problem.with_model(model), _SNAPSHOTS + _CHECKED, rng, depth)
+        points = rng.permutation(points)
+        at = np.concatenate([prior[:_SNAPSHOTS], within(points[:_SNAPSHOTS])])
+        model, state = train_at(structure, at, *trained)
     except SingularAnchorError:  # at the draws a mechanism loses its stiffness
-        structure.restore({"full": np.array(float(sum(structure.reduced_sizes)))})
         return None
     points = points[_SNAPSHOTS:][:_CHECKED]
-    exact = np.concatenate(by_parts("training", likelihood.full_terms, points, _AT_ONCE))
-    difference = np.sum(likelihood.terms(points) - exact, axis=1)
-    wrong = ~(np.abs(difference) <= _TUNED * LOOSEST_LOG_PROB)
+    wrong = ~(np.abs(_log_prob_errors(problem, model, points)) <= _TUNED * LOOSEST_LOG_PROB)
     if not structure.is_soft:
-        wrong[wrong] = ~on_a_jump(structure, points[wrong, :n], LOOSEST_FREQUENCY)
-    off = _error_at(structure, points[:, :n], frequency)
+        wrong[wrong] = ~on_a_jump(model, points[wrong, :n], LOOSEST_FREQUENCY)
+    off = _error_at(model, points[:, :n], frequency)
     if wrong.any() or not 2.0 * off <= LOOSEST_FREQUENCY:
-        structure.restore({"full": np.array(float(sum(structure.reduced_sizes)))})
         return None
-    errors = np.maximum([off, _error_at(structure, prior[_SNAPSHOTS:][:_CHECKED], frequency)], frequency)
+    errors = np.maximum([off, _error_at(model, prior[_SNAPSHOTS:][:_CHECKED], frequency)], frequency)
     kept, elsewhere = 10.0 ** np.ceil(np.log10(2.0 * np.maximum.accumulate(errors)))
-    state["elsewhere"], structure.elsewhere = np.array(elsewhere), float(elsewhere)
-    return state | {"loosened": np.array([kept, LOOSEST_LOG_PROB])}
+    state |= {"elsewhere": np.array(elsewhere), "loosened": np.array([kept, LOOSEST_LOG_PROB])}
+    return model.keeping(float(elsewhere)), state
+
+
+def _log_prob_errors(problem: Problem, model: ReducedStructure, points: FloatArray) -> FloatArray:
+    """Return the errors of a reduced model's log-probability at points (n, ndim), shape (n,)."""
+    exact = np.concatenate(by_parts("training", problem.likelihood.terms, points, _AT_ONCE))
+    return np.asarray(np.sum(problem.with_model(model).likelihood.terms(points) - exact, axis=1))
 
 
 def training_box(parameters: Sequence[Parameter]) -> tuple[FloatArray, FloatArray]:
@@ -270,16 +278,16 @@ def training_box(parameters: Sequence[Parameter]) -> tuple[FloatArray, FloatArra
     return lower, upper
 
 
-def _log_prob_bound(structure: PairedStructure, likelihood: ModalLikelihood, points: FloatArray) -> FloatArray:
+def _log_prob_bound(model: ReducedStructure, likelihood: ModalLikelihood, points: FloatArray) -> FloatArray:
     """Return how far the log-probability may be off at points (n, ndim), shape (n,), by bounds of the frequencies.
 
     The sum of what each frequency changes by itself: to first order no error of all of them changes more.
     """
-    theta = points[:, : structure.n_parameters]
-    bound = np.concatenate(by_parts("training", structure.frequency_bound, theta, _AT_ONCE, _AT_ONCE))
-    reduced = structure.frequencies(theta)
+    theta = points[:, : model.n_parameters]
+    bound = np.concatenate(by_parts("training", model.frequency_bound, theta, _AT_ONCE, _AT_ONCE))
+    reduced = model.frequencies(theta)
     terms, off = np.sum(likelihood.terms_of_frequencies(reduced, points), axis=1), np.zeros(len(points))
-    for i in range(structure.n_modes):
+    for i in range(model.n_modes):
         moved = reduced.copy()
         moved[:, i] /= 1.0 + bound[:, i]
         off += np.abs(np.sum(likelihood.terms_of_frequencies(moved, points), axis=1) - terms)
@@ -293,24 +301,26 @@ def _singular(problem: Problem, error: SingularAnchorError) -> str:
     return f"parameters: {name} must not reach zero: there {error}; raise its lower bound, or give the motion mass"
 
 
-def _paired_error(structure: PairedStructure, lower: FloatArray, upper: FloatArray, tolerance: float) -> float:
+def _paired_error(model: ReducedStructure, lower: FloatArray, upper: FloatArray, tolerance: float) -> float:
     """Return the largest relative error of the measured modes' frequencies at fresh points of the box."""
     theta = box_points(lower, upper, _CHECKED, _CHECK_SEED)
-    if structure.solver != LAPACK:  # where solves are dear, so many of the points inside, on faces and at corners
+    if (
+        model.truth.solver != LAPACK
+    ):  # where solves are dear, so many of the points inside, on faces and at corners
         theta = theta[:: -(-len(theta) // _CHECKED)]
-    return _error_at(structure, theta, tolerance)
+    return _error_at(model, theta, tolerance)
 
 
-def _error_at(structure: PairedStructure, theta: FloatArray, tolerance: float) -> float:
+def _error_at(model: ReducedStructure, theta: FloatArray, tolerance: float) -> float:
     """Return the largest relative error of the measured modes' frequencies at theta (n, p) but for jumps."""
-    full = structure.full_modes(theta)
-    exact, reduced = full.eigenvalues, structure.modes(theta).eigenvalues
+    full = model.truth.modes(theta)
+    exact, reduced = full.eigenvalues, model.modes(theta).eigenvalues
     elastic = ~is_rigid(exact)
     # of a frequency, half as much
     error = np.max(np.where(elastic, 0.5 * np.abs(reduced / np.where(elastic, exact, 1.0) - 1.0), 0.0), axis=1)
     wrong = ~(error <= tolerance) & np.isfinite(exact).all(axis=1)
     if wrong.any():
-        wrong &= ~on_a_jump(structure, theta, tolerance, full)
+        wrong &= ~on_a_jump(model, theta, tolerance, full)
     return float(np.max(error[wrong], initial=0.0))
 
 
@@ -319,7 +329,7 @@ def _off(found: float, tolerance: float) -> str:
 
 
 def _warn_if_missed(
-    problem: Problem, structure: PairedStructure, tolerance: Tolerance, state: dict[str, FloatArray]
+    problem: Problem, model: ModalModel, tolerance: Tolerance, state: dict[str, FloatArray]
 ) -> None:
     if "far" in state:
         j, value, is_above, is_negative = state["far"]
@@ -330,7 +340,7 @@ def _warn_if_missed(
             else f"errors of the reduced model are not bounded well where {there}, far from every point at which "
             "K was factorised; narrow the bounds of this parameter, or let fewer stiffnesses vanish at once"
         )
-    sizes = " + ".join(map(str, structure.reduced_sizes))
+    sizes = " + ".join(map(str, model.sizes))
     if "reached" not in state:
         if "elsewhere" in state:
             keeps = f"keeps {typed(float(state['loosened'][0]))}" if "loosened" in state else "keeps it"
@@ -374,24 +384,23 @@ def has_stalled(differences: Sequence[float]) -> bool:
 
 
 def on_a_jump(
-    structure: PairedStructure, theta: FloatArray, tolerance: float, full: ModalSolution | None = None
+    model: ReducedStructure, theta: FloatArray, tolerance: float, full: ModalSolution | None = None
 ) -> BoolArray:
     """Return where the reduced model has the full model's modes but pairs others, as where two swap, shape (n,).
 
     Parameters
     ----------
-    structure : PairedStructure
-        Trained.
+    model : ReducedStructure
     theta : ndarray, shape (n, n_parameters)
     tolerance : float
         Largest relative difference between frequencies that are the same.
     full : ModalSolution, optional
         The full model's modes there, if they are at hand.
     """
-    reduced, full = structure.modes(theta), full or structure.full_modes(theta)
+    reduced, full = model.modes(theta), full or model.truth.modes(theta)
     answers = np.full(full.eigenvalues.shape, np.nan)
     for b in np.unique(full.block):
-        block = structure.reduced.blocks[b] if structure.reduced is not None else structure.full.blocks[b]
+        block = model.cheap.blocks[b]
         row, column = np.nonzero(full.block == b)
         rank = full.rank[row, column]
         known = rank < block.n_trained

@@ -10,6 +10,7 @@ import numpy as np
 
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.expansion import Expanded, expand
+from fmu.fem.pairing.paired_structure import structure_of
 from fmu.formats.decks import MEASURED_MODES, MESH_MODES, UPDATED_MODES
 from fmu.formats.modes.uff import write_uff
 from fmu.formats.modes.vtu import cells, write_vtu
@@ -37,12 +38,12 @@ def write_modes(problem: UpdatingProblem, theta: FloatArray, folder: Path) -> li
     list of str
         Warnings about the files, a sentence each.
     """
-    paired = problem.model.as_structure()
+    paired = structure_of(problem.model)
     if paired is None or paired.structure.geometry is None:
         return []
     model, geometry, data = paired.structure, paired.structure.geometry, problem.data
     structural = theta[: problem.n_structural]
-    shapes, hz = paired.full_shapes(structural), problem.frequencies(theta)
+    shapes, hz = paired.shapes(structural), problem.frequencies(theta)
     vectors = {f"updated {label}: {hertz(f)[0]} Hz": _moved(model, x)
                for label, f, x in zip(data.labels, hz, shapes.T, strict=True)}  # fmt: skip
     found, remarks = _expanded(problem, model, structural, shapes)

@@ -215,8 +215,8 @@ def convert(task: Task, beginning: Beginning, result: RunResult, limit: str) -> 
         trace.attrs["limit"] = limit
         trace.attrs["beyond_limit"] = task.limits.describe_excess(result, task.numbers["warmup"])
     trace.attrs["complete"] = 1
-    if is_updating(problem) and problem.model.is_uncertain:
-        trace.attrs.update(problem.model.record)  # no verdict before the certificate
+    if is_updating(problem) and problem.model.certificate is not None:
+        trace.attrs.update(problem.model.certificate.attributes())  # no verdict before the certificate
     return trace
 
 
@@ -232,7 +232,8 @@ def examine(task: Task, beginning: Beginning, trace: xr.DataTree) -> xr.DataTree
     problem, maxima = task.problem, beginning.maxima
     if not is_updating(problem):
         return trace
-    trace.attrs.update(certify(trace, problem, full_solves=task.full_solves))
+    certificate = certify(trace, problem, full_solves=task.full_solves)
+    trace.attrs.update({} if certificate is None else certificate.attributes())
     trace = with_pairing(with_modes(trace, problem, maxima), problem)
     if problem.is_hierarchical or not problem.likelihood.of_modes:
         return trace

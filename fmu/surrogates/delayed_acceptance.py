@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.analysis.certificate import certify
 from fmu.analysis.convergence.diagnosis import draws_missing, maxima_of, with_maxima
 from fmu.analysis.convergence.remedies import ESS_LIMIT, required_ess
 from fmu.analysis.held_out.modes import with_left_out
@@ -20,6 +19,7 @@ from fmu.arguments import Count, check_arguments
 from fmu.numbers import whole
 from fmu.progress.phases import phase, solves
 from fmu.samplers.settings import positive_number, whole_number
+from fmu.surrogates.learning import certificate_of
 from fmu.surrogates.second_stage import SecondStage
 
 if TYPE_CHECKING:
@@ -114,8 +114,9 @@ def delayed_acceptance(
                 n += missing
         solved_before = solves()
         found = _with_model(to_trace(result, stage.truth), stage)
-    found.attrs |= {**certify(trace, problem), **stage.record(), "complete": 1}
-    found.attrs |= {"warmup_n_solves": problem.model.record["surrogate_solves"]}
+    certificate = certificate_of(problem)
+    found.attrs |= {**certificate.attributes(), **stage.record(), "complete": 1}
+    found.attrs |= {"warmup_n_solves": certificate.solves}
     found.attrs |= {"after_n_solves": solves() - solved_before} | ({"limit": limit} if limit else {})
     return found
 

@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmu.arguments import Seed, check_arguments
+from fmu.fem.approximation import Approximation
 from fmu.fem.black_box import solves_of_a_surrogate
+from fmu.fem.certificates import SurrogateCertificate
+from fmu.fem.pairing.paired_structure import structure_of
 from fmu.fem.surrogate.coordinates import Coordinates
 from fmu.fem.surrogate.feasibility import EDGE, failed_region
 from fmu.fem.surrogate.surrogate_model import Design, SurrogateModel, oriented, solved
@@ -78,7 +81,8 @@ def surrogate(
     Returns
     -------
     UpdatingProblem
-        ``model.record`` has the certificate and the number of solves, see `fmu.analysis.certificate.certify`.
+        ``model.certificate`` says how far it may be off, and how many solves it took
+        (`fmu.fem.certificates.SurrogateCertificate`).
 
     Raises
     ------
@@ -97,9 +101,9 @@ def surrogate(
     with problem.model.spread_over(engine), phase("surrogate", expected_solves(problem)) as under_way:
         learner.begin(under_way)
         limits = _learnt(learner, tolerance, batch, checks, under_way)
-    learner.model.record = learner.record(limits, tolerance)
     _tell(learner, limits, tolerance)
-    return learner.problem
+    certificate = learner.certificate(limits, tolerance)
+    return problem.with_model(Approximation(problem.model, learner.model, certificate))
 
 
 def _learnt(learner: _Learner, tolerance: float, batch: int, checks: int, under_way: Phase) -> ErrorLimits:
@@ -154,7 +158,7 @@ class _Learner:
 
     @property
     def model(self) -> SurrogateModel:
-        return self.problem.model  # type: ignore[return-value]
+        return self.surrogate
 
     @property
     def likelihood(self) -> Any:
@@ -227,7 +231,7 @@ class _Learner:
         self.checks = answers.theta
         expected = self.model.frequencies(draws[:, : self.n])
         with np.errstate(invalid="ignore"):
-            errors = np.sum(self.likelihood.full_terms(draws) - self.likelihood.terms(draws), axis=1)
+            errors = np.sum(self.given.likelihood.terms(draws) - self.likelihood.terms(draws), axis=1)
         good = ~answers.failed
         off = np.abs(expected[good] / answers.frequencies[good] - 1.0)
         self.frequency_error = float(np.max(off, initial=0.0))
@@ -240,27 +244,27 @@ class _Learner:
         self.design = self.design.joined(answers)
         self._fit(self.model)
 
-    def record(self, limits: ErrorLimits, tolerance: float) -> dict[str, Any]:
-        """Return the attributes of a trace, see `fmu.analysis.certificate.certify`."""
+    def certificate(self, limits: ErrorLimits, tolerance: float) -> SurrogateCertificate:
+        """Return how far the surrogate may be off."""
         assert self.design is not None  # narrowed for the type checker: `begin` comes first
         failed = self.design.failed
         estimated = 0.5 * float(np.max(self.model.pairs.of_eigenvalues(self.model.scatter)))
         where = failed_region(self.design.theta, failed, self.problem.names) if failed.any() else ""
-        return {
-            "surrogate_solves": self.solves,
-            "surrogate_design": len(self.design.theta),
-            "surrogate_failed": int(np.sum(failed)) + limits.n_failed,
-            "surrogate_failed_where": where,
-            "surrogate_doubts": self._doubts(),
-            "surrogate_scatter": min(estimated, self.most_scatter),  # unseen solves would scatter as much
-            "certificate_draws": limits.n,
-            "certificate_frequency_error": self.frequency_error,
-            "certificate_log_prob_error": limits.largest,
-            "certificate_share": limits.share,
-            "certificate_log_prob_sd": limits.sd,
-            "certificate_shift": limits.shift,
-            "certificate_shift_tolerance": tolerance,
-        }
+        return SurrogateCertificate(
+            solves=self.solves,
+            design=len(self.design.theta),
+            failed=int(np.sum(failed)) + limits.n_failed,
+            failed_where=where,
+            doubts=self._doubts(),
+            scatter=min(estimated, self.most_scatter),  # unseen solves would scatter as much
+            draws=limits.n,
+            frequency_error=self.frequency_error,
+            log_prob_error=limits.largest,
+            share=limits.share,
+            log_prob_sd=limits.sd,
+            shift=limits.shift,
+            shift_tolerance=tolerance,
+        )
 
     def _doubts(self) -> str:
         """Return in words which modes could not be followed where the posterior is; empty if all could."""
@@ -289,16 +293,23 @@ class _Learner:
         model = SurrogateModel(self.truth, self.design, self.coordinates, self.reference, before)
         if self.previous is not None:
             model.limit_variance(self.previous)
-        self.problem = self.given.of_model(model)
+        self.surrogate, self.problem = model, self.given.with_model(Approximation(self.truth, model))
+
+
+def certificate_of(problem: UpdatingProblem) -> SurrogateCertificate:
+    """Return the certificate of a problem with a surrogate."""
+    found = problem.model.certificate
+    assert isinstance(found, SurrogateCertificate)
+    return found
 
 
 def can_learn(problem: UpdatingProblem) -> str:
     """Return why a problem can have no surrogate; empty if it can."""
     if problem.model.is_uncertain:
         return "the model is a surrogate already"
-    if problem.model.structures():
+    if any(map(structure_of, problem.model.parts)):
         return "a surrogate is for a function or a command; a model with matrices has a reduced model"
-    if problem.model.n_tests > 1 or problem.is_hierarchical or not hasattr(problem.likelihood, "of_model"):
+    if problem.model.n_tests > 1 or problem.is_hierarchical or not problem.likelihood.of_modes:
         return "a surrogate is for a problem of one test with errors of modes"
     return ""
 

@@ -85,7 +85,7 @@ class SecondStage:
         # a power of two, so that a longer run has the same proposals and more
         self.thinning = 2 ** int(np.ceil(np.log2(_APART * times)))
         self.theta = draws.reshape(chains, -1, walkers, ndim)[:, :: self.thinning].reshape(chains, -1, ndim)
-        self.problem, self.truth, self.trace = problem, problem.of_model(model.truth), trace
+        self.problem, self.truth, self.trace = problem, problem.with_model(model.truth), trace
         # a theta that was proposed before is not solved again
         in_order = self.theta.swapaxes(0, 1).reshape(-1, ndim)
         self._distinct, first, which = np.unique(in_order, axis=0, return_index=True, return_inverse=True)

@@ -24,14 +24,16 @@ def problem():
 
 @pytest.mark.parametrize("name", ["mh", "slice", pytest.param("emcee", marks=pytest.mark.validate)])
 def test_solves_within_a_factor_of_two(problem, name, monkeypatch):
-    monkeypatch.setattr(problem.model.black_box, "seconds_at", lambda theta: 1.0)
+    monkeypatch.setattr(problem.model.functions[0], "seconds_at", lambda theta: 1.0)
     (said,) = [part for part in estimates(problem, ORDERS | {"samplers": [name]}, 16, 1) if part.name == name]
     trace = fmu.sample(problem, name, draws=150, warmup=150)
     assert 0.5 < said.solves / (trace.attrs["n_solves"] + trace.attrs["warmup_n_solves"]) < 2.0
 
 
 def test_a_function_is_timed_and_its_workers_share(problem, monkeypatch):
-    monkeypatch.setattr(problem.model.black_box, "seconds_at", lambda theta: 0.02 if theta.shape == (2,) else None)
+    monkeypatch.setattr(
+        problem.model.functions[0], "seconds_at", lambda theta: 0.02 if theta.shape == (2,) else None
+    )
     one = estimates(problem, ORDERS | {"samplers": ["mh", "hmc"]}, 16, 1)
     two = estimates(problem, ORDERS | {"samplers": ["mh", "hmc"]}, 16, 2)
     assert [part.name for part in one] == ["search", "mh", "hmc"]

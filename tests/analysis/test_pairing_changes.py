@@ -35,7 +35,7 @@ def veering():
 def test_jumps_are_those_of_the_model(veering):
     problem, trace = veering
     theta = parameter_draws(trace).reshape(-1, 2)
-    rank = problem.model.full_modes(theta).rank
+    rank = problem.model.truth.modes(theta).rank
     best = rank[np.argmax(trace["sample_stats"]["lp"].to_numpy())]
     found = fmu.pairing_changes(trace)
     assert found.rule == "shape"

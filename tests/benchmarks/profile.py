@@ -113,7 +113,7 @@ def main(out: str) -> None:
 def layers() -> str:
     """Return what each layer of a log-probability takes."""
     problem = fmu.cases.load(CASE, PAIRING)
-    block = problem.model.reduced.blocks[problem.model.pairing.block[0]]
+    block = problem.model.cheap.blocks[problem.model.pairing.block[0]]
     count = problem.data.n_modes
 
     def reduced_stiffness(theta: FloatArray) -> FloatArray:

@@ -22,7 +22,7 @@ class ByAssignment:
 
     def __init__(self, structure):
         self.n_parameters, self.n_modes = structure.n_parameters, structure.n_modes
-        self._solve = structure.rule.bind(structure.reduced)
+        self._solve = structure.rule.bind(structure.cheap.blocks)
 
     def frequencies(self, theta):
         with single_thread():

@@ -13,7 +13,7 @@ CASES = [(case, pairing) for case in ("cantilever-young", "cantilever-section") 
 
 
 def reduced_blocks(problem):
-    return [block for block in problem.model.reduced.blocks if isinstance(block, ReducedBlock)]
+    return [block for block in problem.model.cheap.blocks if isinstance(block, ReducedBlock)]
 
 
 def relative_slopes(problem, modes):
@@ -43,7 +43,7 @@ def test_accuracy(load, benchmark, note, within, case, pairing):
     inside = problem.lower + problem.scale * np.random.default_rng(2).uniform(size=(1000, problem.ndim))
     theta = np.concatenate([inside, corners.reshape(problem.ndim, -1).T])
     reduced = benchmark.pedantic(structure.modes, (theta, True), rounds=3)
-    exact = structure.rule.bind(structure.full)(theta, gradient=True)
+    exact = structure.truth.solve(theta, gradient=True)
 
     sizes = " + ".join(str(block.size) for block in reduced_blocks(problem))
     name = f"{case} by {pairing} (basis {sizes} of 300)"
@@ -57,7 +57,7 @@ def test_accuracy(load, benchmark, note, within, case, pairing):
     note("accuracy", f"points where the pairing differs, {name}, {box}", int(other), "0", bool(other == 0))
 
     draws = posterior_draws(problem, 1000)
-    full = problem.likelihood.error.log_prob_terms(frequency_hz(structure.full_modes(draws).eigenvalues))
+    full = problem.likelihood.error.log_prob_terms(frequency_hz(structure.truth.modes(draws).eigenvalues))
     error = np.max(np.abs(problem.log_likelihood(draws) - full.sum(axis=1)))
     within("accuracy", f"log_prob, {name}, 1000 posterior draws", error, 1e-3)
 

@@ -26,7 +26,7 @@ def test_tower(monkeypatch, note, within, against):
     problem = tower_problem()
     wall, cpu = time.perf_counter() - began, time.process_time() - busy
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    (block,) = (block for block in problem.model.reduced.blocks if isinstance(block, ReducedBlock))
+    (block,) = (block for block in problem.model.cheap.blocks if isinstance(block, ReducedBlock))
     structure = f"{problem.model.structure.n_dof} DOF, {problem.ndim} parameters, {problem.data.n_modes} modes"
     note("tower", f"basis, {structure}", f"{block.size} vectors")
     note("tower", "offline, processor time", f"{cpu:.0f} s", f"≤ {OFFLINE_SECONDS} s", cpu <= OFFLINE_SECONDS)
@@ -34,7 +34,7 @@ def test_tower(monkeypatch, note, within, against):
     note("tower", "peak memory of the process", f"{peak:.2f} GiB", f"≤ {OFFLINE_GIB} GiB", peak <= OFFLINE_GIB)
 
     points = plausible_points(problem, 20, np.random.default_rng(6))[:20]
-    exact = frequency_hz(problem.model.full_modes(points).eigenvalues)
+    exact = frequency_hz(problem.model.truth.modes(points).eigenvalues)
     within(
         "tower", "frequency, 20 plausible points", np.max(np.abs(problem.frequencies(points) / exact - 1)), 1e-6
     )
@@ -66,9 +66,9 @@ def beam_of_size(size):
     ]
     data = fmu.ModalData([31.9, 190.0, 197.9, 540.0, 553.0, 1082.2])
     problem = fmu.UpdatingProblem.reduced(model, data, parameters)
-    (b,) = (i for i, block in enumerate(problem.model.reduced.blocks) if isinstance(block, ReducedBlock))
-    full, trained = problem.model.full.blocks[b], problem.model.reduced.blocks[b].n_trained
+    (b,) = (i for i, block in enumerate(problem.model.cheap.blocks) if isinstance(block, ReducedBlock))
+    full, trained = problem.model.truth.blocks[b], problem.model.cheap.blocks[b].n_trained
     blown_up = ReducedBlock(full, full.modes(problem.start[None], size)[1][0], trained)
-    blocks = tuple(blown_up if i == b else other for i, other in enumerate(problem.model.reduced.blocks))
-    problem.model._solve_reduced = problem.model.pairing.bind(BlockModel(blocks, 8))
+    blocks = tuple(blown_up if i == b else other for i, other in enumerate(problem.model.cheap.blocks))
+    problem.model.cheap.solve = problem.model.pairing.bind(BlockModel(blocks, 8))
     return problem

@@ -92,7 +92,7 @@ def test_a_look_at_it_before_updating_takes_the_order_as_given(problem):
 
 def kind(problem, theta, k):
     model = problem.model.structure
-    nodes, shape = model.geometry.nodes, problem.model.full_shapes(theta)[:, k]
+    nodes, shape = model.geometry.nodes, problem.model.truth.shapes(theta)[:, k]
     forces = model.M(theta) @ shape
     energy, moved = np.zeros((2, len(nodes), 6))
     for (node, direction), i in model.dof_of.items():

@@ -28,7 +28,7 @@ def test_the_reduced_model_is_trained_with_a_few_full_solves(bar):
     _, problem, work = bar
     for name, most in WORK.items():
         assert getattr(work, name) <= most, name
-    assert problem.model.reduced_sizes == (10,)
+    assert problem.model.sizes == (10,)
     assert problem.model.full_solves == 0
 
 

@@ -25,8 +25,8 @@ def test_loading_takes_a_few_factorisations(loaded):
     _, problem, work = loaded
     assert work.factorisations <= 300
     assert work.solves <= 20_000
-    assert problem.model.reduced_sizes
-    assert max(problem.model.reduced_sizes) <= 80
+    assert problem.model.sizes
+    assert max(problem.model.sizes) <= 80
 
 
 def test_frequencies_are_those_of_a_dense_solver_where_nothing_was_solved_before(loaded):

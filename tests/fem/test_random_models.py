@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.paired_structure import PairedStructure
 from tests.models.extended_precision import HAS_DIGITS, LONG, elastic_modes
 from tests.models.random_models import random_model
 from tests.validation import random_models
@@ -39,8 +39,8 @@ def test_some_small_models(seed, monkeypatch):
 
 def test_a_frequency_that_is_wrong_is_found(monkeypatch):
     monkeypatch.setenv("FMU_CACHE_DIR", "")
-    whole = PairedStructure.full_frequencies
-    monkeypatch.setattr(PairedStructure, "full_frequencies", lambda *given: 1.0001 * whole(*given))
+    whole = PairedStructure.frequencies
+    monkeypatch.setattr(PairedStructure, "frequencies", lambda *given: 1.0001 * whole(*given))
     assert any(fault.startswith("full model: ") for fault in examined(102, 700).faults)
 
 

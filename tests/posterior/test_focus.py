@@ -10,9 +10,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from fmu import cases
 from fmu.fem.modes.modal import BlockModel, frequency_gradient, frequency_hz
 from fmu.fem.modes.separable import SeparableModel, Term
-from fmu.fem.pairing.paired_model import PairedStructure
 from fmu.fem.reduced import training
 from fmu.fem.reduced.basis import ReducedBlock
+from fmu.fem.reduced.reduced_structure import ReducedStructure
 from fmu.fem.reduced.training import Trained, Training
 from fmu.posterior import train_reduced as focus
 from fmu.posterior.data.modal_data import ModalData
@@ -48,7 +48,7 @@ def over_the_box(problem):
     solves = structure.full_solves
     reduced = structure.modes(theta, gradient=True)
     assert structure.full_solves == solves
-    return theta, reduced, structure.rule.bind(structure.full)(theta, gradient=True)
+    return theta, reduced, structure.truth.solve(theta, gradient=True)
 
 
 def test_frequencies_are_within_a_millionth_over_the_box(over_the_box):
@@ -78,7 +78,7 @@ def test_gradients_are_within_a_hundred_thousandth_over_the_box(problem, over_th
 
 def test_log_prob_is_within_its_tolerance_at_plausible_points(problem):
     theta = plausible_points(problem, 100, np.random.default_rng(314))
-    full = frequency_hz(problem.model.full_modes(theta).eigenvalues)
+    full = frequency_hz(problem.model.truth.modes(theta).eigenvalues)
     exact = problem.likelihood.error.log_prob_terms(full).sum(axis=1)
     assert_allclose(problem.log_likelihood(theta), exact, rtol=0, atol=LOG_PROB_TOLERANCE)
 
@@ -94,7 +94,7 @@ def test_log_prob_is_within_its_tolerance_where_a_posterior_lives(problem):
         accepted = np.log(rng.uniform(size=len(theta))) < proposed - value
         theta, value = np.where(accepted[:, None], proposal, theta), np.where(accepted, proposed, value)
     assert np.max(value) - np.min(value) < 50
-    full = frequency_hz(problem.model.full_modes(theta).eigenvalues)
+    full = frequency_hz(problem.model.truth.modes(theta).eigenvalues)
     exact = problem.likelihood.error.log_prob_terms(full).sum(axis=1) + problem.log_prior(theta)
     assert_allclose(value, exact, rtol=0, atol=LOG_PROB_TOLERANCE)
 
@@ -123,7 +123,7 @@ def test_a_theta_outside_the_bounds_gets_the_full_models_frequencies_and_is_coun
     before = problem.model.full_solves
     frequencies = problem.frequencies(theta)
     assert problem.model.full_solves == before + 2
-    assert_array_equal(frequencies[1:3], frequency_hz(problem.model.full_modes(theta[1:3]).eigenvalues))
+    assert_array_equal(frequencies[1:3], frequency_hz(problem.model.truth.modes(theta[1:3]).eigenvalues))
     assert_array_equal(frequencies[[0, 3]], [problem.frequencies(problem.start)] * 2)
     problem.log_prob(theta)  # outside the bounds there is nothing to solve
     assert problem.model.full_solves == before + 2
@@ -150,13 +150,13 @@ def oscillators(chain, **changes):
 @pytest.fixture
 def trainings(monkeypatch):
     """Return a list that grows by one whenever a structure is trained."""
-    calls, train = [], PairedStructure.train
+    calls, train = [], focus.train
 
-    def counted(self, *arguments, **options):
-        calls.append(self)
-        return train(self, *arguments, **options)
+    def counted(structure, *arguments, **options):
+        calls.append(structure)
+        return train(structure, *arguments, **options)
 
-    monkeypatch.setattr(PairedStructure, "train", counted)
+    monkeypatch.setattr(focus, "train", counted)
     return calls
 
 
@@ -225,7 +225,7 @@ def test_training_goes_on_until_the_log_probability_is_right(load_case, bases, m
 
     problem = build()
     theta = plausible_points(problem, 100, np.random.default_rng(9))
-    full = frequency_hz(problem.model.full_modes(theta).eigenvalues)
+    full = frequency_hz(problem.model.truth.modes(theta).eigenvalues)
     exact = problem.likelihood.error.log_prob_terms(full).sum(axis=1)
     assert_allclose(problem.log_likelihood(theta), exact, rtol=0, atol=LOG_PROB_TOLERANCE)
     promise(monkeypatch, 1e-6, 1e9)
@@ -265,7 +265,7 @@ def test_training_ends_where_the_best_fit_is_on_a_jump_of_the_pairing(bases, mon
     apart = np.concatenate([10.0 ** -np.arange(4.0, 16.0, 0.25), -(10.0 ** -np.arange(4.0, 16.0, 0.25))])
     tried = plausible_points(problem, 64, np.random.default_rng(0))
     theta = np.concatenate([tried, np.stack([1.0 + apart / 2, 1.0 - apart / 2], axis=1)])
-    full = frequency_hz(structure.full_modes(theta).eigenvalues)
+    full = frequency_hz(structure.truth.modes(theta).eigenvalues)
     exact = problem.likelihood.error.log_prob_terms(full).sum(axis=1)
     differ = np.abs(problem.log_likelihood(theta) - exact) > LOG_PROB_TOLERANCE
     assert differ.any()
@@ -276,11 +276,11 @@ def test_training_ends_where_the_best_fit_is_on_a_jump_of_the_pairing(bases, mon
 def test_a_reduced_model_without_the_modes_is_not_on_a_jump(bases):
     structure = two_chains().model
     theta = np.array([[0.8, 1.2], [1.2, 0.8]])
-    poor = structure.reduced.blocks[0]
+    poor = structure.cheap.blocks[0]
     half = poor.basis[:, : poor.basis.shape[1] // 2]
-    changed = ReducedBlock(structure.full.blocks[0], half, poor.n_trained)
-    structure._install(Trained(BlockModel((changed,), 2), structure.pairing, np.full(2, 0.7), np.full(2, 1.3)))
-    assert not focus.on_a_jump(structure, theta, focus.FREQUENCY_TOLERANCE).any()
+    changed = ReducedBlock(structure.truth.blocks[0], half, poor.n_trained)
+    trained = Trained(BlockModel((changed,), 2), structure.pairing, np.full(2, 0.7), np.full(2, 1.3))
+    assert not focus.on_a_jump(ReducedStructure(structure.truth, trained), theta, focus.FREQUENCY_TOLERANCE).any()
 
 
 def test_training_stalls_when_three_rounds_halve_nothing():
@@ -334,7 +334,7 @@ def test_a_looser_tolerance_is_another_configuration_another_file_and_a_smaller_
     young = load_case("cantilever-young", "shape")
     sizes, errors = [], []
     theta = young.sample_prior(np.random.default_rng(2), 100)
-    exact = frequency_hz(young.model.full_modes(theta).eigenvalues)
+    exact = frequency_hz(young.model.truth.modes(theta).eigenvalues)
     for reduction in (1e-6, 1e-4, 1e-2):
         settings = {"beta": young.likelihood.beta, "reduction": reduction}
         problem = (
@@ -342,7 +342,7 @@ def test_a_looser_tolerance_is_another_configuration_another_file_and_a_smaller_
             if reduction == 1e-6
             else UpdatingProblem.reduced(young.model.structure, young.data, young.parameters, **settings)
         )
-        sizes.append(sum(b.size for b in problem.model.reduced.blocks if isinstance(b, ReducedBlock)))
+        sizes.append(sum(b.size for b in problem.model.cheap.blocks if isinstance(b, ReducedBlock)))
         errors.append(np.max(np.abs(problem.frequencies(theta) / exact - 1.0)) / reduction)
         full = problem.likelihood.error.log_prob_terms(exact).sum(axis=1)
         near = full > full.max() - focus.PLAUSIBLE
@@ -369,6 +369,6 @@ def test_what_training_did_not_reach_is_said_again_when_it_comes_from_the_cache(
     assert_array_equal(second.log_prob(theta), first.log_prob(theta))
     reached = float(str(said[0].message).split("by up to ")[1].split()[0])
     error = np.max(
-        np.abs(first.frequencies(theta) / frequency_hz(first.model.full_modes(theta).eigenvalues) - 1.0)
+        np.abs(first.frequencies(theta) / frequency_hz(first.model.truth.modes(theta).eigenvalues) - 1.0)
     )
     assert 0.1 * reached < error < 3.0 * reached

@@ -46,13 +46,13 @@ def test_the_bound_of_the_log_probability_follows_from_those_of_the_frequencies(
     points = plausible_points(problem, 32, np.random.default_rng(4))
     bound = train_reduced._log_prob_bound(structure, problem.likelihood, points)
     assert np.max(bound) <= 0.7 * problem.tolerance.log_prob
-    full, reduced = structure.full_modes(points), structure.modes(points)
+    full, reduced = structure.truth.modes(points), structure.modes(points)
     points = points[np.all(full.rank == reduced.rank, axis=1)]  # the others are on a jump of the pairing
     assert len(points) > 16
-    errors = structure.frequencies(points) / structure.full_frequencies(points) - 1.0
+    errors = structure.frequencies(points) / structure.truth.frequencies(points) - 1.0
     monkeypatch.setattr(structure, "frequency_bound", lambda theta: errors[np.isin(points, theta).all(axis=1)])
     bound = train_reduced._log_prob_bound(structure, problem.likelihood, points)
-    exact = np.sum(problem.likelihood.full_terms(points), axis=1)
+    exact = np.sum(problem.with_model(problem.model.truth).likelihood.terms(points), axis=1)
     true = np.abs(np.sum(problem.likelihood.terms(points), axis=1) - exact)
     assert np.all(true <= bound + 1e-8)
     assert np.any(true >= 0.99 * bound)
@@ -73,7 +73,7 @@ def test_the_factors_of_training_serve_the_bound(made, monkeypatch):
 
 def test_a_solve_at_one_theta_is_remembered_as_it_was(made):
     problem, _ = made
-    (block,) = problem.model.full.blocks
+    (block,) = problem.model.truth.blocks
     theta = problem.start[None]
     lam, phi = block.modes(theta, 4)
     phi[:] = 0.0  # the caller's own

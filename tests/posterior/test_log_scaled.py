@@ -78,5 +78,5 @@ def test_a_parameter_has_no_effect_on_a_surrogate_far_outside_its_box():
 
 def test_a_surrogate_learns_springs_of_four_decades(two_springs):
     learnt = fmu.surrogate(two_springs)
-    assert learnt.model.record["certificate_shift"] <= learnt.model.record["certificate_shift_tolerance"]
-    assert learnt.model.record["surrogate_solves"] <= 100
+    assert learnt.model.certificate.shift <= learnt.model.certificate.shift_tolerance
+    assert learnt.model.certificate.solves <= 100

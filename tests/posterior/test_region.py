@@ -40,7 +40,7 @@ def made(tmp_path_factory, certified):
 
 
 def off(problem, theta):
-    return np.max(np.abs(problem.frequencies(theta) / problem.model.full_frequencies(theta) - 1.0), axis=1)
+    return np.max(np.abs(problem.frequencies(theta) / problem.model.truth.frequencies(theta) - 1.0), axis=1)
 
 
 def test_it_is_told_and_again_when_it_comes_from_the_cache(made):
@@ -59,7 +59,7 @@ def test_it_is_told_and_again_when_it_comes_from_the_cache(made):
 
 def test_the_box_keeps_a_thousandth_and_the_region_the_tolerance(made):
     problem, *_ = made
-    (size,) = problem.model.reduced_sizes
+    (size,) = problem.model.sizes
     assert size < PAYS
     theta = problem.sample_prior(np.random.default_rng(2), 60)
     assert 1e-5 < off(problem, theta).max() <= 1e-3
@@ -70,7 +70,7 @@ def test_the_box_keeps_a_thousandth_and_the_region_the_tolerance(made):
 def test_the_posterior_is_that_of_the_full_model(made):
     problem, trace, _ = made
     draws = np.concatenate(np.stack([trace["posterior"][name] for name in problem.names], axis=-1))[::4]
-    exact = np.sum(problem.likelihood.full_terms(draws), axis=1)
+    exact = np.sum(problem.with_model(problem.model.truth).likelihood.terms(draws), axis=1)
     found = np.sum(problem.likelihood.terms(draws), axis=1)
     plausible = exact > exact.max() - PLAUSIBLE
     assert np.all(plausible)
@@ -93,9 +93,9 @@ def test_the_certificate_says_when_draws_leave_the_region(made):
         far["posterior"][name].values[0, :2] = value
     with pytest.warns(CertificateWarning, match="outside its tolerance"):
         certificate = certify(far, problem)
-    assert certificate["certificate_bound"] > 1e-5
-    assert certificate["certificate_frequency_error"] > 1e-5
-    assert certificate["certificate_bound_exceeded"] == 0
+    assert certificate.bound > 1e-5
+    assert certificate.frequency_error > 1e-5
+    assert certificate.bound_exceeded == 0
 
 
 @pytest.mark.validate

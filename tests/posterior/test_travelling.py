@@ -125,7 +125,7 @@ def test_a_reduced_problem_is_sent_without_what_is_prepared_when_needed():
 
 def test_a_function_of_a_file_travels_by_its_place(tmp_path):
     problem = from_file(tmp_path)
-    function = problem.model.black_box.function
+    function = problem.model.functions[0].function
     again = pickle.loads(pickle.dumps(function))
     np.testing.assert_array_equal(again(np.array([1.2])), function(np.array([1.2])))
     assert repr(again) == "Imported('storeys:modes')"

@@ -135,6 +135,6 @@ def test_by_command(tmp_path):
     by_command, by_exports = (fmu.load(write_template(kind, tmp_path / kind)) for kind in ("nastran", "exports"))
     theta = np.array([1.9e11, 2.2e11])
     assert_allclose(by_command.frequencies(theta), by_exports.frequencies(theta), rtol=1e-6)
-    solves = list(by_command.model.black_box.solves)
+    solves = list(by_command.model.functions[0].solves)
     assert len(solves) == 2  # at the start, and here
     assert all(solve.shapes.shape == (4, 6) for solve in solves)

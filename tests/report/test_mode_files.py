@@ -39,7 +39,7 @@ def portal(folder, noise=0.01):
     node = {"corner": 3, "other": 4}
     sensors = [(node.get(place, place), direction) for place, direction in SENSORS]
     model = plain.model.structure
-    full = plain.model.as_structure().full_shapes(plain.start[: plain.n_structural])
+    full = plain.model.truth.truth.shapes(plain.start[: plain.n_structural])
     seen = model.observation(sensors) @ full * [2.0, -3.0]
     seen = seen + noise * np.abs(seen).max() * np.random.default_rng(1).normal(size=seen.shape)
     rows = ", ".join(str(column.tolist()) for column in seen.T)
@@ -74,7 +74,7 @@ def arrays(path):
 
 def expected(problem, k):
     model = problem.model.structure
-    shape = problem.model.as_structure().full_shapes(problem.start[: problem.n_structural])[:, k]
+    shape = problem.model.truth.truth.shapes(problem.start[: problem.n_structural])[:, k]
     moved = np.zeros((len(model.geometry.nodes), 3))
     for (node, direction), i in model.dof_of.items():
         if direction in "xyz":

@@ -1,12 +1,11 @@
 """Delayed acceptance: the model's posterior from a surrogate that is off, few solves, failures rejected."""
 
-from copy import copy
-
 import numpy as np
 import pytest
 
 import fmu
 from fmu.analysis.certificate import exact_in_words
+from fmu.fem.approximation import Approximation
 from fmu.surrogates.delayed_acceptance import proposals
 from fmu.surrogates.second_stage import independence_chain
 from tests.shear_building import two_frequencies_hz
@@ -52,10 +51,8 @@ def moments(most=np.inf):
 
 def of_another(surrogate, function):
     """The problem of a surrogate that was learnt from one function, and now stands for another."""
-    problem = copy(surrogate)
-    problem.model = copy(surrogate.model)
-    problem.model.truth = posed(function).model
-    return problem
+    model = surrogate.model
+    return surrogate.with_model(Approximation(posed(function).model, model.cheap, model.certificate))
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +123,7 @@ def test_solves_are_those_of_the_proposals_and_counted(first_stage, exact):
     attrs = trace.attrs
     assert attrs["second_stage_proposals"] == trace["posterior"].sizes["chain"] * trace["posterior"].sizes["draw"]
     assert attrs["n_solves"] == attrs["second_stage_solves"] <= attrs["second_stage_proposals"]
-    assert attrs["warmup_n_solves"] == first_stage[1].model.record["surrogate_solves"]
+    assert attrs["warmup_n_solves"] == first_stage[1].model.certificate.solves
     assert calls <= attrs["second_stage_solves"] + 3  # the states that a report shows
     assert 0 < attrs["second_stage_accepted"] < attrs["second_stage_proposals"]
     assert float(trace["sample_stats"]["accepted"].mean()) == pytest.approx(
@@ -190,7 +187,7 @@ def test_draws_at_which_the_model_fails_are_rejected(first_stage):
     assert np.max(np.abs(summary["mean"] - mean) / summary["mcse_mean"]) < 4
     assert "the solve failed; they were rejected" in exact_in_words(found.attrs)[1]
     broken = of_another(surrogate, Storeys())
-    broken.model.truth.black_box.function.edge = 0.0
+    broken.model.truth.functions[0].function.edge = 0.0
     with pytest.raises(ValueError, match="must be solved at draws of the surrogate"):
         fmu.delayed_acceptance(broken, trace)
 

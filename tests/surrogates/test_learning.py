@@ -1,12 +1,13 @@
 """Surrogates learnt from few solves: right, certified by unseen solves, and told where they are not."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import fmu
-from fmu.analysis.certificate import surrogate_in_words
+from fmu.fem.approximation import Approximation
 from fmu.surrogates.learning import SurrogateWarning
 from tests.gradients import assert_gradient
 from tests.shear_building import two_frequencies_hz as storeys
@@ -57,29 +58,30 @@ def learnt():
 def test_the_posterior_is_that_of_the_model(learnt):
     mean, sd = moments(problem())
     found_mean, found_sd = moments(learnt[0])
-    record = learnt[0].model.record
-    assert np.max(np.abs(found_mean - mean) / sd) <= record["certificate_shift"] <= 0.05
+    record = learnt[0].model.certificate
+    assert np.max(np.abs(found_mean - mean) / sd) <= record.shift <= 0.05
     np.testing.assert_allclose(found_sd, sd, rtol=0.05)
 
 
 def test_solves_are_few_and_counted(learnt):
     surrogate, solved = learnt
-    record = surrogate.model.record
-    assert len(solved) == record["surrogate_solves"] <= 40
-    assert record["surrogate_solves"] == record["surrogate_design"] + record["certificate_draws"]
+    record = surrogate.model.certificate
+    assert len(solved) == record.solves <= 40
+    assert record.solves == record.design + record.draws
 
 
 def test_the_certificate_is_from_solves_that_the_surrogate_has_not_seen(learnt):
     surrogate, solved = learnt
-    checks, design = solved[-surrogate.model.record["certificate_draws"] :], surrogate.model.design.theta
+    checks, design = solved[-surrogate.model.certificate.draws :], surrogate.model.cheap.design.theta
     assert not {theta.tobytes() for theta in checks} & {theta.tobytes() for theta in design}
-    error = surrogate.likelihood.full_terms(checks).sum(axis=1) - surrogate.likelihood.terms(checks).sum(axis=1)
-    assert surrogate.model.record["certificate_log_prob_sd"] == pytest.approx(np.std(error, ddof=1))
+    exact = surrogate.with_model(surrogate.model.truth).log_likelihood(checks)
+    error = exact - surrogate.log_likelihood(checks)
+    assert surrogate.model.certificate.log_prob_sd == pytest.approx(np.std(error, ddof=1))
 
 
 def test_its_gradient_is_that_of_its_value(learnt):
     surrogate = learnt[0]
-    theta = surrogate.model.design.theta[5:10]
+    theta = surrogate.model.cheap.design.theta[5:10]
     gradient = surrogate.log_prob_and_grad(theta)[1]
     assert_gradient(gradient, surrogate.log_prob, theta, 1e-6 * theta, rtol=1e-3, of_largest=1e-5)
 
@@ -96,8 +98,8 @@ def test_workers_and_batched_functions_change_nothing(learnt):
     with fmu.engine(workers=2) as engine:
         spread = fmu.surrogate(problem(), engine=engine)
     for other in (batched, spread):
-        assert np.array_equal(other.model.design.theta, learnt[0].model.design.theta)
-        assert other.model.record == learnt[0].model.record
+        assert np.array_equal(other.model.cheap.design.theta, learnt[0].model.cheap.design.theta)
+        assert other.model.certificate == learnt[0].model.certificate
 
 
 def test_a_corner_that_fails_is_learnt_and_told():
@@ -110,10 +112,10 @@ def test_a_corner_that_fails_is_learnt_and_told():
         return storeys(theta)
 
     found = fmu.surrogate(problem(failing))
-    record = found.model.record
-    assert record["surrogate_failed"] > 0
-    assert "k1 is above" in record["surrogate_failed_where"]
-    assert any("which the certificate does not contain" in said for said in surrogate_in_words(record))
+    record = found.model.certificate
+    assert record.failed > 0
+    assert "k1 is above" in record.failed_where
+    assert any("which the certificate does not contain" in said for said in record.sentences())
     assert found.log_prob(np.array([8.5e7, 3e7])) == -np.inf
     assert np.isfinite(found.log_prob(mean - 0.5 * sd))
 
@@ -134,17 +136,17 @@ def test_a_mode_that_may_have_been_taken_for_another_is_told():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SurrogateWarning)  # the frequencies jump where the pairing changes
         found = fmu.surrogate(turned, max_solves=26)
-    assert "has a MAC below 0.6" in found.model.record["surrogate_doubts"]
+    assert "has a MAC below 0.6" in found.model.certificate.doubts
 
 
 def test_scatter_of_the_answers_is_estimated_and_told():
     rng = np.random.default_rng(1)
     with pytest.warns(SurrogateWarning, match="answers scatter"):
         found = fmu.surrogate(problem(lambda theta: storeys(theta) * (1.0 + 1e-4 * rng.standard_normal(2))))
-    record = found.model.record
-    assert record["surrogate_scatter"] == pytest.approx(1e-4, rel=0.6)
+    record = found.model.certificate
+    assert record.scatter == pytest.approx(1e-4, rel=0.6)
     mean, sd = moments(problem())
-    assert np.max(np.abs(moments(found)[0] - mean) / sd) <= record["certificate_shift"]
+    assert np.max(np.abs(moments(found)[0] - mean) / sd) <= record.shift
 
 
 def test_no_verdict_without_the_certificate(learnt):
@@ -161,19 +163,18 @@ def test_no_verdict_without_the_certificate(learnt):
     )
     trace.attrs["second_stage_proposals"] = 400
     assert fmu.diagnose(trace).converged
-    record = dict(found.model.record)
-    found.model.record = record | {"certificate_shift": np.inf}
-    fmu.sample(found, draws=400, warmup=300, on_draws=lambda trace: seen.append(fmu.diagnose(trace)))
-    found.model.record = record
+    uncertain = replace(found.model.certificate, shift=np.inf)
+    unknown = found.with_model(Approximation(found.model.truth, found.model.cheap, uncertain))
+    fmu.sample(unknown, draws=400, warmup=300, on_draws=lambda trace: seen.append(fmu.diagnose(trace)))
     assert "may be off by any amount" in seen[-1].reasons[-1]
 
 
 def test_a_small_budget_is_told_and_its_limit_holds():
     with pytest.warns(SurrogateWarning, match="misses its tolerance"):
         found = fmu.surrogate(problem(sd=0.02 * SD), tolerance=1e-4, max_solves=22)
-    record = found.model.record
-    assert record["surrogate_solves"] <= 22
-    assert record["certificate_shift"] > 1e-4
+    record = found.model.certificate
+    assert record.solves <= 22
+    assert record.shift > 1e-4
 
 
 @pytest.mark.parametrize(

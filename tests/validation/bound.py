@@ -17,8 +17,9 @@ import numpy as np
 import fmu
 from fmu import cases
 from fmu.fem.modes.modal import ModalSolution, is_rigid
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.reduced.basis import ReducedBlock
+from fmu.fem.reduced.reduced_structure import ReducedStructure, reduced_structures, train
 from fmu.fem.reduced.residuals import FrequencyBound
 from fmu.fem.reduced.training import box_points
 from fmu.numbers import MISSING, significant, whole
@@ -42,7 +43,7 @@ class Case(NamedTuple):
     """A trained structure, its box, and how many points of it are solved."""
 
     name: str
-    structure: PairedStructure
+    structure: ReducedStructure
     lower: FloatArray
     upper: FloatArray
     points: int
@@ -84,8 +85,7 @@ class Found:
 
 def examined(case: Case) -> Found:
     """Compare errors and bounds of all modes that the case was trained for, at points, faces and corners."""
-    full, reduced = case.structure.full, case.structure.reduced
-    assert reduced is not None  # narrowed for the type checker: it was trained
+    full, reduced = case.structure.truth.blocks, case.structure.cheap.blocks
     points = box_points(case.lower, case.upper, 2 ** int(np.ceil(np.log2(case.points))), SEED)
     theta = points[np.random.default_rng(SEED).permutation(len(points))[: case.points]]
     bound = FrequencyBound(full, reduced, case.lower, case.upper, {})
@@ -110,7 +110,7 @@ def examined(case: Case) -> Found:
         case.name,
         sum(len(block.dofs) for block in full.blocks),
         len(case.lower),
-        sum(case.structure.reduced_sizes),
+        sum(case.structure.sizes),
         len(theta),
         len(errors),
         int(np.sum(errors > limits + lost)),
@@ -149,16 +149,17 @@ def chains() -> Iterator[Case]:
 
 def _of_problem(name: str, problem: fmu.UpdatingProblem | fmu.JointProblem, points: int) -> Iterator[Case]:
     """Yield the structure of a problem, or those of its tests, each over the box that it was trained for."""
-    for structure in problem.model.structures():
-        yield Case(name, structure, structure._lower[0], structure._upper[0], points)
+    for structure in reduced_structures(problem.model):
+        yield Case(name, structure, structure.lower[0], structure.upper[0], points)
 
 
 def _of_chain(built: Callable[[], Any]) -> Case:
     model, lower, upper = box(built)
     middle = 0.5 * (lower + upper)
     paired = PairedStructure.of(model, pairing="index", numbers=(2, 3, 4, 5), sensors=(), reference=middle)
-    paired.train(lower, upper, 1e-6)
-    return Case(f"chain, {built.__name__}", paired, lower, upper, POINTS)
+    reduced, _ = train(paired, lower, upper, 1e-6)
+    assert isinstance(reduced, ReducedStructure)  # narrowed for the type checker
+    return Case(f"chain, {built.__name__}", reduced, lower, upper, POINTS)
 
 
 def page(found: list[Found]) -> str:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fmu.analysis.convergence.effective import ess_mean
 from fmu.engines.base import Engine, InProcess
-from fmu.fem.pairing.paired_model import ModalModel
+from fmu.fem.pairing.modal_model import ModalModel
 from fmu.posterior.problem import UpdatingProblem
 from fmu.progress import Report
 from fmu.samplers import Run

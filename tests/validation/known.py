@@ -15,7 +15,8 @@ import fmu
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 from fmu.analysis.maxima.search import is_updating
 from fmu.analysis.trace.conversion import names_of
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.paired_structure import PairedStructure
+from fmu.fem.reduced.reduced_structure import train
 from fmu.types import FloatArray
 from tests.samplers.targets import Banana, BoundedBeta, Funnel, SkewedGumbel, Target, TruncatedGaussian, TwoModes
 from tests.samplers.tempered_targets import Tempered
@@ -383,11 +384,11 @@ def _three_frequencies() -> fmu.UpdatingProblem:
         model, pairing="index", numbers=numbers, sensors=sensors, reference=np.ones(3), shapes=None
     )
     lower, upper = np.full(3, 0.2), np.full(3, 5.0)
-    paired.train(lower, upper)
+    reduced, _ = train(paired, lower, upper)
     f = frequencies_hz(model, (1.5, 1.0, 1.6))[0]
     parameters = [fmu.Parameter(name, start=1.0, lower=0.2, upper=5.0) for name in names]
     error = fmu.FrequencyErrors("relative", sd=0.04)
-    return fmu.UpdatingProblem(paired, fmu.ModalData(f, numbers), parameters, error=error)
+    return fmu.UpdatingProblem(reduced, fmu.ModalData(f, numbers), parameters, error=error)
 
 
 KNOWN = (

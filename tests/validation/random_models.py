@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import fmu
+from fmu.fem.reduced.reduced_structure import largest_tolerance_elsewhere
 from fmu.fem.reduced.training import BUDGET
 from fmu.numbers import MISSING, significant, whole
 from fmu.posterior.rounding import WARN, RoundingWarning
@@ -88,7 +89,7 @@ def examined(seed: int, most_dofs: int = MOST_DOFS) -> Found:
             found.refused = str(error)
             found.faults += refused_wrongly(random, start, found.refused)
             return found
-        full, answered = problem.model.full_frequencies(theta), problem.frequencies(theta)
+        full, answered = problem.model.truth.frequencies(theta), problem.frequencies(theta)
         if not np.isfinite(problem.log_prob_and_grad(theta)[0]).all():
             found.faults.append("the log-probability is not finite")
     found.said = tuple(str(w.message) for w in caught if w.category in (RoundingWarning, ReductionWarning))
@@ -96,7 +97,7 @@ def examined(seed: int, most_dofs: int = MOST_DOFS) -> Found:
     for name in ("factorisations", "eigenproblems", "solves"):
         if getattr(found.work, name) > getattr(MOST, name):
             found.faults.append(f"{getattr(found.work, name)} {name}, at most {getattr(MOST, name)}")
-    found.basis = sum(problem.model.reduced_sizes) or None
+    found.basis = sum(problem.model.sizes) or None
     _compare(found, problem.model, theta, full, answered)
     if found.error > WARN * SD and not any(said.startswith("rounding: ") for said in found.said):
         found.faults.append(f"no word about a rounding error of {found.error:.1e}")
@@ -106,7 +107,7 @@ def examined(seed: int, most_dofs: int = MOST_DOFS) -> Found:
 def _compare(found: Found, model: object, theta: FloatArray, full: FloatArray, answered: FloatArray) -> None:
     """Compare frequencies (n, MODES) of the full model and of the one that answers with extended precision."""
     told = re.search(r"frequencies are off by up to ([^ ;]+)", " ".join(found.said))
-    allowed = BEYOND * float(told[1]) if told else model.elsewhere or TRUSTED
+    allowed = BEYOND * float(told[1]) if told else largest_tolerance_elsewhere(model) or TRUSTED
     for point, of_full, of_answer in zip(theta, full, answered, strict=True):
         frequencies, rounding = exact(found.random, point)
         error, reduced = np.abs(of_full / frequencies - 1.0), np.abs(of_answer / frequencies - 1.0)

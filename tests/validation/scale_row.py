@@ -122,12 +122,12 @@ def measured(row: Row) -> dict[str, Any]:
     }
     structure: Any = problem.model
     theta = problem.sample_prior(np.random.default_rng(3), row.chains)
-    found["basis"] = sum(b.size for b in structure.reduced.blocks if isinstance(b, ReducedBlock))
+    found["basis"] = sum(b.size for b in structure.cheap.blocks if isinstance(b, ReducedBlock))
     found["value_s"] = seconds(lambda: problem.log_prob(theta)) / row.chains
     found["gradient_s"] = seconds(lambda: problem.log_prob_and_grad(theta)) / row.chains
     found["online_gib"] = peak_gib()
     some = problem.sample_prior(np.random.default_rng(4), CHECKED_LARGE if row.size.n_dof > LARGE else CHECKED)
-    exact, reduced, busy = structure.full_modes(some), structure.modes(some), time.process_time()
+    exact, reduced, busy = structure.truth.modes(some), structure.modes(some), time.process_time()
     bound = structure.frequency_bound(some)
     found["bound_s"] = (time.process_time() - busy) / len(some)
     same = (exact.rank == reduced.rank).all(axis=1)
@@ -136,7 +136,7 @@ def measured(row: Row) -> dict[str, Any]:
     found["frequency_bound"] = float(np.max(bound[same]))
     # a theta of its own: the last one is remembered
     points = iter(problem.sample_prior(np.random.default_rng(5), REPEATS))
-    found["full_s"] = seconds(lambda: structure.full_modes(next(points)[None]))
+    found["full_s"] = seconds(lambda: structure.truth.modes(next(points)[None]))
     return asdict(row) | found | {"peak_gib": peak_gib(), "finished": time.strftime("%Y-%m-%d %H:%M")}
 
 

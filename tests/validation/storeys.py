@@ -12,7 +12,7 @@ import scipy.sparse as sp
 
 import fmu
 from fmu.fem.modes.separable import Term
-from fmu.fem.pairing.paired_model import ModalModel
+from fmu.fem.pairing.modal_model import ModalModel
 from fmu.posterior.priors.base import Normal
 from fmu.types import FloatArray
 

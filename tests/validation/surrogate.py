@@ -118,8 +118,8 @@ def known_posterior(number: int) -> dict[str, Any]:
         "name": case.name,
         "parameters": case.exact.ndim,
         "most": case.most,
-        "solves": surrogate.model.record["surrogate_solves"],
-        "shift": surrogate.model.record["certificate_shift"],
+        "solves": surrogate.model.certificate.solves,
+        "shift": surrogate.model.certificate.shift,
         "mean": of_mean,
         "sd": of_sd,
         "log_prob_sd": float(error.std()),
@@ -172,7 +172,7 @@ def small_budgets() -> dict[str, Any]:
         best = fmu.find_map(problem, 16)[0]
         mean, width = grid_moments(problem, best.mean, best.sd)
         shifted, _ = grid_moments(surrogate, mean, width)
-        reported.append(float(surrogate.model.record["certificate_shift"]))
+        reported.append(float(surrogate.model.certificate.shift))
         real.append(float(np.max(np.abs(shifted - mean) / width)))
     return {"reported": reported, "real": real}
 
@@ -205,7 +205,7 @@ def held() -> list[dict[str, Any]]:
             found.append(
                 {
                     "name": case.name,
-                    "solves": surrogate.model.record["surrogate_solves"],
+                    "solves": surrogate.model.certificate.solves,
                     "sd": float(error.std()),
                     "real": real,
                     "limit": float(np.median(limits)),
@@ -309,14 +309,14 @@ def awkward() -> dict[str, Any]:
     def compared(surrogate: Any, reference: Any = None) -> dict[str, Any]:
         true_mean, true_sd = (mean, sd) if reference is None else reference
         found_mean, found_sd = grid_moments(surrogate, true_mean, true_sd)
-        record = surrogate.model.record
+        record = surrogate.model.certificate
         return {
             "mean": float(np.max(np.abs(found_mean - true_mean) / true_sd)),
             "sd": float(np.max(np.abs(found_sd / true_sd - 1.0))),
-            "solves": record["surrogate_solves"],
-            "shift": record["certificate_shift"],
-            "told": record["surrogate_failed_where"],
-            "scatter": record["surrogate_scatter"],
+            "solves": record.solves,
+            "shift": record.shift,
+            "told": record.failed_where,
+            "scatter": record.scatter,
         }
 
     found = {"as it is": compared(fmu.surrogate(plain))}
@@ -393,7 +393,7 @@ def corrected(case: PoorCase) -> dict[str, Any]:
     return {
         "name": case.name,
         "seeds": SEEDS,
-        "learnt": surrogate.model.record["surrogate_solves"],
+        "learnt": surrogate.model.certificate.solves,
         "surrogate": first_off.mean(axis=0).tolist(),
         "exact": second_off.mean(axis=0).tolist(),
         "error": error.tolist(),

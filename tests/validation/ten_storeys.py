@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 import fmu
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.paired_structure import PairedStructure
+from fmu.fem.reduced.reduced_structure import ReducedStructure, train
 from fmu.formats.matrices.read import write_matrix
 from fmu.posterior.parameters import box
 from fmu.types import FloatArray
@@ -59,7 +60,7 @@ def storey(j: int, storeys: int = STOREYS, stiffness: float = STIFFNESS) -> Floa
     return stiffness * shear_building.storey(j - 1, storeys)
 
 
-def structure() -> PairedStructure:
+def structure() -> ReducedStructure:
     """Return the first modes at the sensors as functions of the ten factors, by fmu's reduced model.
 
     Its basis spans all ten degrees of freedom: the reduction is exact. Modes are paired by number, which is right
@@ -73,11 +74,12 @@ def structure() -> PairedStructure:
     paired = PairedStructure.of(
         model, pairing="index", numbers=NUMBERS, sensors=SENSORS, reference=np.ones(STOREYS), shapes=None
     )
-    paired.train(*box(PARAMETERS))
-    return paired
+    reduced, _ = train(paired, *box(PARAMETERS))
+    assert isinstance(reduced, ReducedStructure)  # narrowed for the type checker
+    return reduced
 
 
-def problem(paired: PairedStructure, data: fmu.ModalData) -> fmu.UpdatingProblem:
+def problem(paired: ReducedStructure, data: fmu.ModalData) -> fmu.UpdatingProblem:
     """Return the updating problem for the given measurement."""
     return fmu.UpdatingProblem(paired, data, PARAMETERS, error=ERRORS)
 
@@ -87,7 +89,7 @@ def nothing_measured() -> fmu.ModalData:
     return fmu.ModalData(np.ones(MODES), NUMBERS, SENSORS, shapes=np.ones((len(FLOORS), MODES)))
 
 
-def simulated(rng: np.random.Generator, paired: PairedStructure, theta: FloatArray) -> fmu.ModalData:
+def simulated(rng: np.random.Generator, paired: ReducedStructure, theta: FloatArray) -> fmu.ModalData:
     """Return a measurement at theta (12,): relative errors f/f^m − 1, and errors of the components of unit shapes.
 
     As a density of f^m, and of the direction of a shape, the likelihood is normalised up to terms of the order of
@@ -101,7 +103,7 @@ def simulated(rng: np.random.Generator, paired: PairedStructure, theta: FloatArr
     return fmu.ModalData(f, NUMBERS, SENSORS, shapes=shapes)
 
 
-def drawn(rng: np.random.Generator, paired: PairedStructure) -> tuple[FloatArray, fmu.ModalData]:
+def drawn(rng: np.random.Generator, paired: ReducedStructure) -> tuple[FloatArray, fmu.ModalData]:
     """Return a truth from the prior, shape (12,), and a measurement of it."""
     truth = problem(paired, nothing_measured()).sample_prior(rng, 1)[0]
     return truth, simulated(rng, paired, truth)

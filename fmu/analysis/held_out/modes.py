@@ -29,6 +29,7 @@ from fmu.analysis.trace.reading import (
 )
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
+from fmu.fem.pairing.paired_structure import structure_of
 from fmu.numbers import names_in_words
 from fmu.progress.phases import phase
 from fmu.tables import data_frame
@@ -394,12 +395,12 @@ def _seconds_of_a_solve(problem: UpdatingProblem, theta: FloatArray) -> float:
 
     A run that is repeated or resumed thus has the same table, whatever else the machine does.
     """
-    full: Any = getattr(problem.model, "full", None)
-    if full is not None:
-        reduced = problem.model.reduced_sizes  # solved many at a time
+    structure = structure_of(problem.model)
+    if structure is not None:
+        reduced = problem.model.sizes  # solved many at a time
         if reduced:
             return float(sum(max(1e-5, 6e-8 * n**2) for n in reduced))
-        sizes = [block.size for block in full.blocks]
+        sizes = [block.size for block in structure.blocks]
         return float(sum(1.7e-4 + 1.2e-7 * n**2 if n <= DENSE_LIMIT else 3e-5 * n for n in sizes))
     began = time.perf_counter()
     problem.log_prob(theta[:_TIMED])

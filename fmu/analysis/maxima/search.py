@@ -17,6 +17,7 @@ from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 from fmu.arguments import Seed, check_arguments
 from fmu.differences import both_sides
 from fmu.fem.black_box import solves_of_a_surrogate
+from fmu.fem.pairing.paired_structure import structure_of
 from fmu.fem.programs.solves import SLOW_S
 from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import gradients, phase, solves
@@ -61,8 +62,8 @@ def default_starts(problem: UpdatingProblem | PlainDensity) -> int:
 
 def _is_slow(problem: UpdatingProblem) -> bool:
     """Say whether a large model is not reduced, or to many unknowns."""
-    structure = problem.model.as_structure()
-    return structure is not None and (bool(structure.why_full) or max(structure.reduced_sizes, default=0) >= _MANY)
+    structure = structure_of(problem.model)
+    return structure is not None and (bool(structure.why_full) or max(problem.model.sizes, default=0) >= _MANY)
 
 
 def is_updating(problem: Any) -> bool:

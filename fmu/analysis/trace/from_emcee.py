@@ -364,7 +364,8 @@ def _dataset(blobs: Mapping[str, NDArray[Any]], trace: xr.DataTree) -> xr.Datase
 
 def _with_structure(trace: xr.DataTree, problem: Any, maxima: Maxima | None) -> xr.DataTree:
     """Add to a trace what the model says at the draws."""
-    trace.attrs |= certify(trace, problem, full_solves=problem.model.full_solves)
+    certificate = certify(trace, problem, full_solves=problem.model.full_solves)
+    trace.attrs |= {} if certificate is None else certificate.attributes()
     trace = with_pairing(with_modes(trace, problem, maxima), problem)
     if problem.is_hierarchical or not problem.likelihood.of_modes:
         return trace

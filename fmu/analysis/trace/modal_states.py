@@ -14,6 +14,7 @@ from fmu.analysis.trace.reading import has, parameter_draws, with_group
 from fmu.fem.frame.drawing import Sketch, sketch
 from fmu.fem.modes.modal import mac
 from fmu.fem.pairing.expansion import serep
+from fmu.fem.pairing.paired_structure import structure_of
 from fmu.progress.phases import advanced, phase
 from fmu.types import FloatArray
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from fmu.fem.modes.separable import SeparableModel
-    from fmu.fem.pairing.paired_model import PairedStructure
+    from fmu.fem.pairing.paired_structure import PairedStructure
     from fmu.posterior.data.modal_data import ModalData
     from fmu.posterior.joint.joint_problem import JointProblem
     from fmu.posterior.problem import UpdatingProblem
@@ -90,7 +91,7 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
         "theta": (("state", "parameter"), theta),
         "frequency": (("state", "mode"), problem.frequencies(theta), {"units": "Hz"}),
     }
-    model = problem.model.as_structure()
+    model = structure_of(problem.model)
     if model is not None:
         shapes = _aligned(np.array([_shapes(model, point) for point in theta[:, : problem.n_structural]]))
         variables |= _shape_variables(problem, model.structure, shapes)
@@ -102,7 +103,7 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
 
 def _shapes(model: PairedStructure, theta: FloatArray) -> FloatArray:
     """Return the shapes of the modes, (n_dof, n_modes), at one theta."""
-    shapes = model.full_shapes(theta)
+    shapes = model.shapes(theta)
     advanced()
     return shapes
 
@@ -214,7 +215,7 @@ def drawn_structure(problem: JointProblem) -> dict[str, xr.Dataset]:
     import xarray as xr
 
     first = next(part for part in problem.model.configurations if 0 in part.tests)
-    model = first.model.as_structure()
+    model = structure_of(first.model)
     if model is None or (model.structure.geometry is None and model.structure.picture is None):
         return {}
     found = sketch(model.structure, problem.tests[0].data.sensors)

@@ -81,8 +81,11 @@ def versions() -> dict[str, str]:
 
 def _solver(density: LogDensity) -> str:
     """Return what factorises the matrices of the full model; empty for a density without any."""
-    structure = getattr(getattr(density, "model", None), "structure", None)
-    return density.model.solver if structure is not None else ""  # type: ignore[attr-defined]
+    from fmu.fem.pairing.paired_structure import structure_of
+
+    model = getattr(density, "model", None)
+    structure = None if model is None else structure_of(model.parts[0])
+    return "" if structure is None else structure.solver
 
 
 def attributes(result: RunResult, density: LogDensity, start: Any = None) -> dict[str, Any]:

@@ -1,4 +1,5 @@
 """Which computed mode answers to a measured one.
 
-Reading order: rules, prediction, paired_model; paired_black_box for a user's function, failed_solves for reasons.
+Reading order: rules, prediction, modal_model, paired_structure; paired_black_box for a user's function,
+failed_solves for reasons.
 """

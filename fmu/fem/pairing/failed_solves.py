@@ -13,7 +13,8 @@ from fmu.fem.modes.eigensolver import SingularMassError, eigen
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import NEGATIVE, single_thread
 from fmu.fem.modes.separable import coefficients, weighted_sum
-from fmu.fem.pairing.paired_model import ModalModel, PairedStructure
+from fmu.fem.pairing.modal_model import ModalModel
+from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
 from fmu.numbers import significant, typed
 from fmu.types import FloatArray
 
@@ -31,7 +32,7 @@ def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
     theta : ndarray, shape (n_parameters,)
         Where it has just failed.
     """
-    if model.black_box is not None:
+    if model.functions and model.n_tests == 1:
         return model.reason_at(theta)
     if model.is_uncertain:
         first = f" ({model.reasons[0].reason})" if model.reasons else ""
@@ -44,7 +45,7 @@ def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
     if model.n_tests > 1:
         return None
     with np.errstate(all="ignore"):
-        structure = model.as_structure()
+        structure = structure_of(model)
         if structure is not None:
             with single_thread():
                 found = _of_structure(structure, theta)
@@ -59,8 +60,8 @@ def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
 def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:
     """Return why the full model fails; it is used where a reduced one fails."""
     structure = model.structure
-    for b, count in model.rule.counts(model.full).items():
-        block: Any = model.full.blocks[b]
+    for b, count in model.rule.counts(model.blocks).items():
+        block: Any = model.blocks[b]
         found = _of_block(block, theta, count)
         if found is not None:
             reason, dof = found

@@ -10,7 +10,8 @@ import numpy as np
 from fmu.differences import both_sides
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.modal import mac
-from fmu.fem.pairing.paired_model import PAIRINGS, ModalModel
+from fmu.fem.pairing.modal_model import ModalModel
+from fmu.fem.pairing.paired_structure import PAIRINGS
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.pairing.rules import assign
 from fmu.fem.programs.answers import Answer, AnswerError
@@ -59,7 +60,7 @@ class PairedBlackBox(ModalModel):
         upper: FloatArray,
         scale: FloatArray,
     ) -> None:
-        self.black_box: BlackBoxModel = black_box
+        self.black_box, self.functions = black_box, (black_box,)
         self.name = black_box.name
         self.n_parameters, self.n_modes = black_box.n_parameters, len(numbers)
         self.numbers = numbers

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from fmu.fem.modes.modal import single_thread
-from fmu.fem.pairing.paired_model import ModalModel
+from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
-from fmu.fem.programs.solves import Failure
 from fmu.fem.surrogate.close_pairs import ClosePairs
 from fmu.fem.surrogate.coordinates import Coordinates
 from fmu.fem.surrogate.feasibility import Feasibility
@@ -76,8 +75,6 @@ class SurrogateModel(ModalModel):
     ----------
     is_uncertain : bool
         True: `observed` gives variances.
-    record : mapping of str to number or str
-        The certificate and the number of solves, once it is learnt (`fmu.surrogates.learning`).
     """
 
     is_uncertain = True
@@ -90,11 +87,11 @@ class SurrogateModel(ModalModel):
         reference: FloatArray | None = None,
         before: SurrogateModel | None = None,
     ) -> None:
-        self.truth, self.design, self.coordinates, self._reference = truth, design, coordinates, reference
+        self.design, self.coordinates, self._reference = design, coordinates, reference
         self.n_parameters, self.n_modes = truth.n_parameters, truth.n_modes
         self.name, self.by_shape = f"surrogate of {truth.name}", truth.by_shape
         self.gives_shapes = reference is not None
-        self.record: Mapping[str, Any] = {}
+        self._of = truth.configuration()
         good = ~design.failed
         x = coordinates.to_x(design.theta)
         self.feasibility = Feasibility(x, design.failed)
@@ -116,12 +113,7 @@ class SurrogateModel(ModalModel):
                 self.of_shapes.append(Process(x[good], shapes[:, :, i], earlier, bool(search)))  # type: ignore[index]
 
     def __repr__(self) -> str:
-        return f"SurrogateModel({self.truth!r}, {len(self.design.theta)} solves)"
-
-    @property
-    def reasons(self) -> Sequence[Failure]:
-        """The first points at which the slow model failed, and why."""
-        return self.truth.reasons
+        return f"{self.name}, {len(self.design.theta)} solves"
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
         """Return expected frequencies in Hz, shape (n, n_modes); NaN where solves fail, as far as is known."""
@@ -191,20 +183,12 @@ class SurrogateModel(ModalModel):
         """Standard deviations of the scatter of what was learnt of frequencies, shape (n_modes,)."""
         return np.concatenate([p.scatter for p in self.of_frequencies])
 
-    def full_frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return frequencies by the slow model."""
-        return self.truth.frequencies(theta)
-
-    def full_observed(self, theta: FloatArray) -> ModalPrediction:
-        """Return frequencies and shapes by the slow model."""
-        return self.truth.observed(theta)
-
     def configuration(self) -> dict[str, Any]:
         """Return the data that identify the model: the slow one, and what was solved."""
         digest = hashlib.sha256()
         for part in (self.design.theta, self.design.frequencies, self.design.shapes):
             digest.update(np.ascontiguousarray(part).tobytes())
-        return {"surrogate of": self.truth.configuration(), "design": digest.hexdigest()}
+        return {"surrogate of": self._of, "design": digest.hexdigest()}
 
     def _learnt(self, x: FloatArray, limited: bool = True) -> tuple[FloatArray, FloatArray]:
         """Return what was learnt of frequencies and its variance, (n, n_modes) each."""

@@ -209,7 +209,7 @@ class Likelihood:
     Attributes
     ----------
     of_modes : bool
-        Whether the errors are those of computed modes: then `full_terms`, `quadratic`, `sensitivity`, `labels` and
+        Whether the errors are those of computed modes: then `quadratic`, `sensitivity`, `labels` and
         `in_standard_deviations` exist.
     needs_shapes : bool
         Whether errors of mode shapes are among them.
@@ -254,6 +254,10 @@ class Likelihood:
         other.used = used
         return other
 
+    def with_model(self, model: Any) -> Self:
+        """Return the likelihood with another model of the same parameters and modes; itself if it has none."""
+        return self
+
     def of_used[Values: np.generic](self, values: NDArray[Values], axis: int = -1) -> NDArray[Values]:
         """Return the values of the used modes, of an array with one for each measured mode along an axis."""
         return values if self.used is None else np.take(values, self.used, axis)
@@ -269,10 +273,6 @@ class Likelihood:
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the terms and their gradients, shape (n, n_used, ndim)."""
-        raise NotImplementedError
-
-    def full_terms(self, theta: FloatArray) -> FloatArray:
-        """Return `terms` by the full model, where a reduced one would be used otherwise."""
         raise NotImplementedError
 
     def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from fmu.fem.pairing.failed_solves import why_no_frequencies
-from fmu.fem.pairing.paired_model import ModalModel
+from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.numbers import names_in_words
 from fmu.posterior.data.modal_data import ModalData
@@ -91,7 +91,7 @@ class ModalLikelihood(Likelihood):
             other.error = other.terms_of[0]
         return other
 
-    def of_model(self, model: ModalModel) -> Self:
+    def with_model(self, model: ModalModel) -> Self:
         """Return the likelihood with another model of the same parameters and modes, as a surrogate."""
         other = copy(self)
         other.model = model
@@ -148,13 +148,6 @@ class ModalLikelihood(Likelihood):
             part = self.error.evaluate(view, theta[:, self.n_structural :], gradient=True)
             slopes = part.by_frequency[..., None] * view.frequency_slopes
         return self._with_quantities_and_slopes(self.of_used(part.terms), self.of_used(slopes, 1), theta)
-
-    def full_terms(self, theta: FloatArray) -> FloatArray:
-        """Return `terms` by the full model, where a reduced one would be used otherwise."""
-        structural = theta[:, : self.n_structural]
-        if self.needs_shapes:
-            return self.terms_of_observed(self.model.full_observed(structural), theta)
-        return self.terms_of_frequencies(self.model.full_frequencies(structural), theta)
 
     def terms_of_frequencies(self, frequencies: FloatArray, theta: FloatArray) -> FloatArray:
         """Return the terms for computed frequencies (n, n_modes), Hz, where no errors are of shapes."""

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fmu.arguments import ArgumentError
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.pairing.prediction import Candidates, ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import ErrorModel, Evaluated, Likelihood
@@ -101,11 +101,6 @@ class MixtureLikelihood(ModalLikelihood):
     def terms(self, theta: FloatArray) -> FloatArray:
         """Return the log-likelihood of each used mode, shape (n, n_used), at theta (n, ndim)."""
         return self.of_used(self._pairs(self._candidates(theta, False), theta, False).terms)
-
-    def full_terms(self, theta: FloatArray) -> FloatArray:
-        """Return `terms` by the full model, where a reduced one answers otherwise."""
-        candidates = self.model.full_seen_candidates(theta[:, : self.n_structural])
-        return self.of_used(self._pairs(candidates, theta, False).terms)
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the terms and their gradients, shape (n, n_used, ndim)."""

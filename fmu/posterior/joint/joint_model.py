@@ -10,7 +10,7 @@ import numpy as np
 
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.pairing.paired_model import ModalModel, PairedStructure
+from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.programs.solves import Failure
 from fmu.posterior.joint.layout import Layout
@@ -81,7 +81,6 @@ class JointModel(ModalModel):
         self.layout, self.configurations = layout, tuple(configurations)
         self.n_parameters, self.n_modes, self.n_tests = len(layout.parameters), n_modes, layout.n_tests
         models = [part.model for part in self.configurations]
-        self.structure = models[0].structure
         self.gives_shapes = all(model.gives_shapes for model in models)
         self.by_shape = any(model.by_shape for model in models)
         self.solves_per_gradient = max(model.solves_per_gradient for model in models)
@@ -94,9 +93,15 @@ class JointModel(ModalModel):
         return f"JointModel({self.layout.n_tests} tests, {len(self.configurations)} configurations)"
 
     @property
-    def solver(self) -> str:
-        """What factorises the matrices, as `fmu.fem.pairing.paired_model.PairedStructure` has it."""
-        return str(getattr(self.configurations[0].model, "solver", ""))
+    def parts(self) -> tuple[ModalModel, ...]:
+        """The model of each configuration."""
+        return tuple(part.model for part in self.configurations)
+
+    @property
+    def truth(self) -> JointModel:
+        """The joint model of the true model of each configuration."""
+        truths = [part.model.truth for part in self.configurations]
+        return self if list(self.parts) == truths else self._with(truths)
 
     @property
     def full_solves(self) -> int:  # type: ignore[override]
@@ -104,9 +109,9 @@ class JointModel(ModalModel):
         return sum(part.model.full_solves for part in self.configurations)
 
     @property
-    def reduced_sizes(self) -> tuple[int, ...]:
+    def sizes(self) -> tuple[int, ...]:  # type: ignore[override]
         """Unknowns of each block of the reduced models."""
-        return tuple(size for part in self.configurations for size in part.model.reduced_sizes)
+        return tuple(size for part in self.configurations for size in part.model.sizes)
 
     @property
     def reasons(self) -> Sequence[Failure]:
@@ -114,7 +119,7 @@ class JointModel(ModalModel):
         return tuple(reason for part in self.configurations for reason in part.model.reasons)
 
     @property
-    def functions(self) -> tuple[BlackBoxModel, ...]:
+    def functions(self) -> tuple[BlackBoxModel, ...]:  # type: ignore[override]
         """Return the users' functions that answer, each once."""
         return tuple(dict.fromkeys(function for part in self.configurations for function in part.model.functions))
 
@@ -128,14 +133,12 @@ class JointModel(ModalModel):
 
     def coarser(self, share: float) -> Self:
         """Return the model with a coarser one of each configuration; itself if there is none."""
-        parts = [replace(part, model=part.model.coarser(share)) for part in self.configurations]
-        if all(part.model is known.model for part, known in zip(parts, self.configurations, strict=True)):
-            return self
-        return type(self)(self.layout, parts, self.n_modes)
+        coarse = [model.coarser(share) for model in self.parts]
+        return self if list(self.parts) == coarse else self._with(coarse)
 
-    def structures(self) -> tuple[PairedStructure, ...]:
-        """Return that of each configuration."""
-        return tuple(structure for part in self.configurations for structure in part.model.structures())
+    def _with(self, models: Sequence[ModalModel]) -> Self:
+        both = zip(self.configurations, models, strict=True)
+        return type(self)(self.layout, [replace(part, model=model) for part, model in both], self.n_modes)
 
     def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
         """Return the first matrices that parameter `k` of theta changes, and its number there, or None."""
@@ -150,7 +153,7 @@ class JointModel(ModalModel):
         values = self.layout.values(theta[None])
         for part in self.configurations:
             points = part.points(values)
-            if part.model.black_box is not None:  # not called again
+            if part.model.functions:  # not called again
                 failed = np.ones(len(points), dtype=bool)
             else:
                 failed = ~np.isfinite(part.model.frequencies(points)).all(axis=1)
@@ -170,10 +173,6 @@ class JointModel(ModalModel):
         """Return frequencies in Hz, shape (n, n_modes), at theta (n, n_parameters); NaN where a solve failed."""
         return self.of_modes(theta, lambda model, points: model.frequencies(points))
 
-    def full_frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return `frequencies` by the full models."""
-        return self.of_modes(theta, lambda model, points: model.full_frequencies(points))
-
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters)."""
         values = self.layout.values(theta)
@@ -187,26 +186,9 @@ class JointModel(ModalModel):
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
         """Return frequencies and shapes at the sensors, at theta (n, n_parameters), with derivatives if wanted."""
-        return self._observed(theta, gradient, lambda model, points: model.observed(points, gradient))
-
-    def full_observed(self, theta: FloatArray) -> ModalPrediction:
-        """Return `observed` by the full models."""
-        return self._observed(theta, False, lambda model, points: model.full_observed(points))
-
-    def configuration(self) -> dict[str, Any]:
-        """Return the data that identify the model, in plain Python types."""
-        return {
-            "configurations": [
-                {"tests": part.tests.tolist(), "model": part.model.configuration()} for part in self.configurations
-            ],
-        }
-
-    def _observed(
-        self, theta: FloatArray, gradient: bool, observe: Callable[[ModalModel, FloatArray], ModalPrediction]
-    ) -> ModalPrediction:
         values = self.layout.values(theta)
         n, m = len(theta), self.n_modes
-        seen = [observe(part.model, part.points(values)) for part in self.configurations]
+        seen = [part.model.observed(part.points(values), gradient) for part in self.configurations]
         q, p = seen[0].shapes.shape[1], values.shape[2]
         frequencies, shapes = np.empty((n, m)), np.empty((n, q, m))
         by_frequency, by_shape = np.zeros((n, m, p)), np.zeros((n, q, m, p))
@@ -222,6 +204,14 @@ class JointModel(ModalModel):
             return ModalPrediction(frequencies, shapes)
         chained = [self._chained(theta, by_shape[:, s]) for s in range(q)]
         return ModalPrediction(frequencies, shapes, self._chained(theta, by_frequency), np.stack(chained, axis=1))
+
+    def configuration(self) -> dict[str, Any]:
+        """Return the data that identify the model, in plain Python types."""
+        return {
+            "configurations": [
+                {"tests": part.tests.tolist(), "model": part.model.configuration()} for part in self.configurations
+            ],
+        }
 
     def _chained(self, theta: FloatArray, slopes: FloatArray) -> FloatArray:
         return self.layout.chained(theta, slopes, self.test)

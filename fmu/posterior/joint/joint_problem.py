@@ -137,7 +137,7 @@ class JointProblem(UpdatingProblem):
         options = {"pairing": pairing, "reduction": reduction, "engine": engine, **common}
         parts, tolerance = _configurations(model, self.tests, self.layout, options)
         joint = JointModel(self.layout, parts, data.n_modes)
-        self._pose(joint, data, self.layout.parameters, name=name, **common)
+        super().__init__(joint, data, self.layout.parameters, name=name, **common)
         self.likelihood.quantities = errors.bound(joint)
         self.tolerance = tolerance
         if self.is_hierarchical:

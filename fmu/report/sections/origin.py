@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
-from fmu.analysis.certificate import exact_in_words, surrogate_in_words
+from fmu.analysis.certificate import exact_in_words
 from fmu.analysis.trace.reading import is_imported
+from fmu.fem.certificates import ReductionCertificate, SurrogateCertificate
 from fmu.numbers import MISSING, apart, fixed, given, share, significant, whole
 from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions
 from fmu.posterior.assumptions import assumptions as assumed
-from fmu.posterior.train_reduced import Tolerance
 from fmu.report.document import Details, Items, Omitted, PageSection, PageTable, Part, Text
 from fmu.report.run import ReportedRun
 
@@ -44,80 +44,57 @@ def cost(run: ReportedRun) -> PageSection:
 def certificate(run: ReportedRun) -> PageSection | Omitted:
     """Return how far the reduced model is from the full one at the draws."""
     title, attrs = "Certificate of the reduced model", run.trace.attrs
-    if "surrogate_solves" in attrs:
-        return _of_surrogate(attrs)
-    if "certificate_draws" not in attrs:
+    of_surrogate = SurrogateCertificate.from_trace(attrs)
+    if of_surrogate is not None:
+        return _of_surrogate(of_surrogate, exact_in_words(attrs))
+    found = ReductionCertificate.from_trace(attrs)
+    if found is None:
         return Omitted(title, "no reduced model was used")
-    frequency, log_prob = (float(attrs[f"certificate_{name}_error"]) for name in ("frequency", "log_prob"))
-    changes = int(attrs["certificate_pairing_changes"])
-    usual = Tolerance()
-    allowed = Tolerance(
-        float(attrs.get("certificate_frequency_tolerance", usual.frequency)),
-        float(attrs.get("certificate_log_prob_tolerance", usual.log_prob)),
-    )
-    is_kept = frequency <= allowed.frequency and log_prob <= allowed.log_prob and not changes
-    said = f"{attrs['certificate_draws']} of the draws were solved again with the full model"
+    said = f"{found.draws} of the draws were solved again with the full model"
     bounds: tuple[tuple[str, str, str], ...] = ()
-    if "certificate_bound" in attrs:  # a trace of an earlier version has none
-        bound, exceeded = float(attrs["certificate_bound"]), int(attrs["certificate_bound_exceeded"])
-        is_kept = is_kept and not exceeded
-        n_bounded = int(attrs["certificate_bound_draws"])
+    if found.bound is not None and found.bound_median is not None:  # a trace of an earlier version has none
         said = (
-            f"At {n_bounded} of the draws the errors of the frequencies were bounded by their residuals. "
+            f"At {found.bound_draws} of the draws the errors of the frequencies were bounded by their residuals. "
             f"{said}, those with the largest bounds among them"
         )
         bounds = (
-            ("largest bound of a frequency's relative error", *_beside(bound, allowed.frequency)),
-            (
-                "the largest of each draw, median",
-                *_beside(float(attrs["certificate_bound_median"]), allowed.frequency),
-            ),
-            ("solved draws at which an error is above its bound", str(exceeded), "0"),
+            ("largest bound of a frequency's relative error", *_beside(found.bound, found.frequency_tolerance)),
+            ("the largest of each draw, median", *_beside(found.bound_median, found.frequency_tolerance)),
+            ("solved draws at which an error is above its bound", str(found.bound_exceeded), "0"),
         )
-    said += ". Reduced-model error " + ("within tolerance." if is_kept else "above tolerance.")
+    said += ". Reduced-model error " + ("within tolerance." if found.ok else "above tolerance.")
     by_full: tuple[tuple[str, str, str], ...] = ()
-    if "certificate_full_share" in attrs:
-        by_full = (
-            ("share of the draws answered by the full model", share(attrs["certificate_full_share"]), MISSING),
-        )
+    if found.full_share is not None:
+        by_full = (("share of the draws answered by the full model", share(found.full_share), MISSING),)
+    full_solves = "full solves during the run, outside the reduced model's box"
     rows = (
         *bounds,
-        ("largest relative error of a frequency", *_beside(frequency, allowed.frequency)),
-        ("largest error of the log-probability", *_beside(log_prob, allowed.log_prob)),
-        ("draws at which the pairing changed", str(changes), "0"),
-        (
-            "full solves during the run, outside the reduced model's box",
-            whole(attrs["certificate_full_solves"]),
-            MISSING,
-        ),
+        ("largest relative error of a frequency", *_beside(found.frequency_error, found.frequency_tolerance)),
+        ("largest error of the log-probability", *_beside(found.log_prob_error, found.log_prob_tolerance)),
+        ("draws at which the pairing changed", str(found.pairing_changes), "0"),
+        (full_solves, whole(found.full_solves), MISSING),
         *by_full,
     )
     table = PageTable("Reduced against full model", ("quantity", "found", "allowed"), rows)
     return PageSection("certificate", title, (Text(said), table))
 
 
-def _of_surrogate(attrs: Mapping[Any, Any]) -> PageSection:
+def _of_surrogate(found: SurrogateCertificate, exact: list[str]) -> PageSection:
     """Return how far the surrogate of a slow model is from it at draws of the posterior."""
-    shift, allowed = float(attrs["certificate_shift"]), float(attrs["certificate_shift_tolerance"])
-    exact = exact_in_words(attrs)
     if exact:
         exact.append("The rest of this section is about the surrogate; its errors are not those of the draws.")
-    sentences = exact + surrogate_in_words(attrs)
-    failed = int(attrs["surrogate_failed"])
-    scatter = float(attrs["surrogate_scatter"])
-    log_prob_sd, frequency = (float(attrs[f"certificate_{name}"]) for name in ("log_prob_sd", "frequency_error"))
     rows = (
-        ("posterior means may be off by, in posterior sd", *_beside(shift, allowed)),
-        ("posterior sds may be off by, relative", *_beside(shift, allowed)),
-        ("standard deviation of the log-probability's error", significant(log_prob_sd, 2), MISSING),
-        ("largest relative error of a frequency", significant(frequency, 2), MISSING),
-        ("solves from which the surrogate was learnt", whole(attrs["surrogate_design"]), MISSING),
-        ("solves in all", whole(attrs["surrogate_solves"]), MISSING),
-        ("solves that failed", whole(failed), MISSING),
-        ("scatter of the solver's frequencies, relative, as estimated", significant(scatter, 2), MISSING),
+        ("posterior means may be off by, in posterior sd", *_beside(found.shift, found.shift_tolerance)),
+        ("posterior sds may be off by, relative", *_beside(found.shift, found.shift_tolerance)),
+        ("standard deviation of the log-probability's error", significant(found.log_prob_sd, 2), MISSING),
+        ("largest relative error of a frequency", significant(found.frequency_error, 2), MISSING),
+        ("solves from which the surrogate was learnt", whole(found.design), MISSING),
+        ("solves in all", whole(found.solves), MISSING),
+        ("solves that failed", whole(found.failed), MISSING),
+        ("scatter of the solver's frequencies, relative, as estimated", significant(found.scatter, 2), MISSING),
     )
     table = PageTable("Surrogate against model", ("quantity", "found", "allowed"), rows)
-    return PageSection("certificate", "Certificate of the surrogate", (Items(tuple(sentences)), table))
+    return PageSection("certificate", "Certificate of the surrogate", (Items((*exact, *found.sentences())), table))
 
 
 def _beside(found: float, allowed: float) -> tuple[str, str]:
@@ -129,13 +106,14 @@ def _beside(found: float, allowed: float) -> tuple[str, str]:
 def assumptions(run: ReportedRun) -> tuple[Part, ...]:
     """Return what the verdicts on a run rest on; nothing for a density that is not an updating problem."""
     attrs, mean = run.trace.attrs, run.summary["mean"]
-    is_reduced = "certificate_draws" in attrs and "surrogate_solves" not in attrs
-    allowed = float(attrs.get("certificate_frequency_tolerance", Tolerance().frequency)) if is_reduced else None
-    error = float(attrs["certificate_frequency_error"]) if is_reduced else None
-    away = attrs.get("certificate_frequency_elsewhere")
+    reduced = ReductionCertificate.from_trace(attrs)
     noise = run.problem.get("likelihood", {}).get("noise", ())
     inferred = {name: (float(mean[name]), float(run.summary["sd"][name])) for name in noise}
-    found = assumed(run.problem, allowed, inferred, error, None if away is None else float(away))
+    known: tuple[float | None, ...] = (None, None, None)
+    if reduced is not None:
+        known = reduced.frequency_tolerance, reduced.frequency_error, reduced.frequency_elsewhere
+    allowed, error, away = known
+    found = assumed(run.problem, allowed, inferred, error, away)
     return () if found is None else assumption_parts(found, "σ at the posterior mean where it is inferred.")
 
 

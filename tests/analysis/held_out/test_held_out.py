@@ -195,7 +195,7 @@ def test_what_is_affordable_does_not_depend_on_the_clock():
     """By the sizes of the matrices: a run that is resumed on a busy machine has the same table."""
     young, section = (fmu.cases.load(f"cantilever-{name}") for name in ("young", "section"))
     nowhere = np.empty((0, 5))
-    assert modes._seconds_of_a_solve(young, nowhere) == pytest.approx(6e-8 * young.model.reduced_sizes[0] ** 2)
+    assert modes._seconds_of_a_solve(young, nowhere) == pytest.approx(6e-8 * young.model.sizes[0] ** 2)
     assert modes._seconds_of_a_solve(section, nowhere) == 1e-5  # the least, of small matrices
 
 
@@ -232,11 +232,11 @@ def test_modes_that_cannot_be_used(problem, labels, message):
 @pytest.mark.parametrize("pairing", ["shape", "index"])
 def test_chains_for_proposals_take_a_part_of_the_basis(pairing):
     problem = fmu.cases.load("cantilever-young", pairing=pairing)
-    theta, sizes = problem.sample_prior(np.random.default_rng(6), 256), problem.model.reduced_sizes
+    theta, sizes = problem.sample_prior(np.random.default_rng(6), 256), problem.model.sizes
     before, scaled = problem.log_prob(theta), ScaledDensity(problem)
     u = scaled.to_scaled(theta)
     coarse = cheaper(problem, u, scaled.log_prob(u))
-    assert sum(coarse.model.reduced_sizes) < 0.8 * sum(sizes)
+    assert sum(coarse.model.sizes) < 0.8 * sum(sizes)
     np.testing.assert_allclose(coarse.frequencies(theta), problem.frequencies(theta), rtol=1e-3)
     assert not np.array_equal(coarse.log_prob(theta), before)
     values, slopes = coarse.log_prob_and_grad(theta[:1])
@@ -244,7 +244,7 @@ def test_chains_for_proposals_take_a_part_of_the_basis(pairing):
     ahead, behind = coarse.log_prob(theta[:1] + step), coarse.log_prob(theta[:1] - step)
     assert slopes[0, 0] * 2 * step[0] == pytest.approx(ahead[0] - behind[0], rel=1e-3)
     assert values[0] == pytest.approx(coarse.log_prob(theta[0]), rel=1e-9)
-    assert problem.model.reduced_sizes == sizes  # the problem itself is as it was
+    assert problem.model.sizes == sizes  # the problem itself is as it was
     np.testing.assert_array_equal(problem.log_prob(theta), before)
 
 

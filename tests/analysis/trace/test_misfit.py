@@ -76,7 +76,7 @@ def test_it_takes_no_further_solves(shaped, monkeypatch):
 def test_the_modal_residual_is_not_an_error_of_a_measurement(shaped):
     assert shaped.likelihood.chi_square == shaped.likelihood.terms_of
     residual = fmu.UpdatingProblem(
-        shaped.model.as_structure().structure, shaped.data, shaped.parameters[:1], error="modal-residual"
+        shaped.model.truth.structure, shaped.data, shaped.parameters[:1], error="modal-residual"
     )
     terms, squares = residual.terms_and_misfit(np.ones((4, 1)))
     assert terms.shape == (4, 2)

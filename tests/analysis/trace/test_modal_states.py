@@ -61,7 +61,7 @@ def test_measured_shapes_are_the_reference(young):
     structure = young.model.structure
     sensors = [(node, "z") for node in (10, 20, 30, 40, 49)]
     at = [structure.dof(*sensor) for sensor in sensors]
-    shapes = -3.0 * young.model.full_shapes(young.start)[at]
+    shapes = -3.0 * young.model.truth.shapes(young.start)[at]
     data = fmu.ModalData([31.9, 197.9, 553.0, 1082.2, 1781.5], sensors=sensors, shapes=shapes)
     problem = fmu.UpdatingProblem(structure, data, young.parameters)
     found = modal_states(problem, {"start": young.start})

@@ -156,17 +156,17 @@ def _paired(target: Target, reduced: bool) -> Callable[[Any], Any]:
     """Return the eigenvalues of the measured modes as a function of theta over the bounds' width."""
     structure, pairing = target.structure, target.structure.pairing
     width = target.problem.scale
-    blocks = structure.reduced.blocks if reduced else structure.full.blocks
+    blocks = structure.cheap.blocks if reduced else structure.truth.blocks
     bases = [block.basis if reduced and hasattr(block, "basis") else None for block in blocks]
     if isinstance(pairing, RankPairing):
         (b,) = set(pairing.block)
         ranks = np.array(pairing.rank)
-        block = JaxBlock(structure.full.blocks[b], bases[b], width, int(ranks.max()) + 1)
+        block = JaxBlock(structure.truth.blocks[b], bases[b], width, int(ranks.max()) + 1)
         return lambda x: block(x)[ranks]
     picked = np.array(structure.rule.numbers) - 1
     parts = [
         JaxBlock(full, basis, width, min(block.n_trained, int(picked.max()) + 1))
-        for full, basis, block in zip(structure.full.blocks, bases, blocks, strict=True)
+        for full, basis, block in zip(structure.truth.blocks, bases, blocks, strict=True)
     ]
     return lambda x: jnp.sort(jnp.concatenate([part(x) for part in parts]))[picked]
 

@@ -12,7 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.special import expit, log_expit
 
 import fmu
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.pairing.rules import RankPairing
 from fmu.types import FloatArray
 

@@ -187,7 +187,7 @@ def test_calculix_gives_frequencies_and_shapes_of_its_own_run(tmp_path):
         subprocess.run(["ccx", "-i", "own"], cwd=tmp_path, check=True, stdout=subprocess.DEVNULL)
         lines = [line.split() for line in (tmp_path / "own.dat").read_text().splitlines()]
         own = [float(words[3]) for words in lines if len(words) == 5 and words[0].isdecimal()]
-        assert_array_equal(problem.model.black_box.at(theta).frequencies, own)
+        assert_array_equal(problem.model.functions[0].at(theta).frequencies, own)
         assert_array_equal(problem.frequencies(theta), np.array(own)[[0, 1, 2, 3]])
     scaled = problem.frequencies(2.0 * problem.start)
     assert_allclose(scaled, np.sqrt(2.0) * problem.frequencies(problem.start), rtol=1e-6)
@@ -213,7 +213,7 @@ def test_draws_by_calculix_are_about_the_planted_truth(tmp_path):
     draws = np.stack([trace["posterior"][name].values.ravel() for name in ("E1", "E2")])
     assert np.all(np.abs(draws.mean(axis=1) - truth) < 3.0 * draws.std(axis=1))
     assert np.all(draws.std(axis=1) < 0.05 * truth)
-    stored = list(problem.model.black_box.solves)
+    stored = list(problem.model.functions[0].solves)
     assert len(stored) > 20
     assert all(solve.shapes.shape == (6, 6) and solve.seconds > 0.0 for solve in stored)
 

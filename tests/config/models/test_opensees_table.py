@@ -30,7 +30,7 @@ def test_terms_and_solves_at_every_theta_agree(tmp_path):
     terms = load(changed(tmp_path / "terms"))
     anew = load(changed(tmp_path / "anew", ("#: per_theta = false ", "per_theta = true ")))
     theta = np.random.default_rng(1).uniform(terms.lower, terms.upper, (5, 2))
-    assert_allclose(anew.frequencies(theta), terms.model.full_frequencies(theta), rtol=1e-8)
+    assert_allclose(anew.frequencies(theta), terms.model.truth.frequencies(theta), rtol=1e-8)
     assert_allclose(anew.log_prob(theta), terms.log_prob(theta), atol=1e-2)  # of the reduced model
     assert terms.model.structure.notes[0] == "The stiffness is a sum of 3 terms: constant, k feet and E beam."
     assert anew.configuration()["model"]["sha256"]
@@ -40,12 +40,12 @@ def test_workers_build_their_own_models(tmp_path):
     problem = load(changed(tmp_path / "anew", ("#: per_theta = false ", "per_theta = true ")))
     theta = np.random.default_rng(2).uniform(problem.lower, problem.upper, (4, 2))
     other = load(tmp_path / "anew" / "opensees.toml")
-    with fmu.engine(workers=2) as engine, other.model.black_box.spread_over(engine):
+    with fmu.engine(workers=2) as engine, other.model.functions[0].spread_over(engine):
         assert_allclose(other.frequencies(theta), problem.frequencies(theta), rtol=1e-12)
 
 
 def test_a_run_has_the_planted_truth(tmp_path):
-    exact = load(changed(tmp_path / "a")).model.full_frequencies(TRUTH[None])[0]
+    exact = load(changed(tmp_path / "a")).model.truth.frequencies(TRUTH[None])[0]
     measured = (exact * (1.0 + 0.001 * np.array([1.0, -1.0, 0.5, -0.5]))).tolist()
     path = changed(
         tmp_path / "b",

@@ -128,7 +128,7 @@ def test_a_batched_function_in_a_class(folder):
     problem = loaded(folder, text)
     theta = problem.sample_prior(np.random.default_rng(1), 10)
     assert_allclose(problem.log_prob(theta), load(folder / "two.toml").log_prob(theta), rtol=1e-12)
-    assert problem.model.black_box.step == 1e-3
+    assert problem.model.functions[0].step == 1e-3
 
 
 def test_each_file_has_the_modules_of_its_own_folder(folder, tmp_path):

@@ -12,8 +12,9 @@ from fmu.fem.frame.stability import require_stable
 from fmu.fem.modes import eigensolver, full_block
 from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, eigen
 from fmu.fem.modes.separable import SeparableModel, Term
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.reduced.basis import ReducedBlock
+from fmu.fem.reduced.reduced_structure import train
 from tests.fem.modes.massless_bridge import LOWER, START, UPPER, bridge, condensed
 from tests.gradients import differences
 
@@ -28,10 +29,10 @@ def paired(model, count=6, pairing="index", sensors=()):
 def assert_same_modes(model, theta, count, rtol):
     lam, shapes, slopes = condensed(model, theta, count)
     posed = paired(model, count)
-    found = posed.rule.bind(posed.full)(theta[None], gradient=True)
+    found = posed.truth.solve(theta[None], gradient=True)
     assert_allclose(found.eigenvalues[0], lam, rtol=rtol)
     assert_allclose(found.gradient[0] * theta / lam[:, None], slopes * theta / lam[:, None], rtol=0, atol=rtol)
-    full = posed.full_shapes(theta)
+    full = posed.truth.shapes(theta)
     full *= np.sign(np.sum(full * shapes, axis=0))
     assert_allclose(full, shapes, rtol=0, atol=10 * rtol * np.abs(shapes).max())
 
@@ -41,7 +42,7 @@ def assert_same_modes(model, theta, count, rtol):
 def test_modes_and_their_gradients_are_those_of_the_condensed_model(stations):
     model = bridge(stations)
     (dofs,) = model.blocks
-    posed = paired(model).full.blocks[0]
+    posed = paired(model).truth.blocks[0]
     assert (len(dofs) > DENSE_LIMIT) == (stations == 40)
     assert posed.n_modes == int(np.sum(model.M(START).diagonal() > 0.0)) < 0.55 * len(dofs)
     assert_same_modes(model, START, 8, 1e-10)
@@ -68,10 +69,10 @@ def test_shapes_move_as_differences_say():
     posed = paired(bridge(7), sensors=ROTATIONS)
 
     def shapes(theta):
-        shapes = posed.full_observed(theta).shapes
+        shapes = posed.truth.observed(theta).shapes
         return shapes * np.sign(shapes[:, :1])
 
-    sign = np.sign(posed.full_observed(START[None]).shapes[0, 0])
+    sign = np.sign(posed.truth.observed(START[None]).shapes[0, 0])
     slopes = posed.observed(START[None], gradient=True).shape_slopes[0] * sign[:, None]
     (expected,) = differences(shapes, START[None], 1e-4 * START)
     largest = np.abs(expected).max(axis=(0, 1))
@@ -80,13 +81,11 @@ def test_shapes_move_as_differences_say():
 
 @pytest.fixture(scope="module", params=["index", "shape"])
 def trained(request):
-    posed = paired(bridge(7), pairing=request.param, sensors=ROTATIONS)
-    posed.train(LOWER, UPPER)
-    return posed
+    return train(paired(bridge(7), pairing=request.param, sensors=ROTATIONS), LOWER, UPPER)[0]
 
 
 def test_the_reduced_model_answers_for_it(trained):
-    (block,) = trained.reduced.blocks
+    (block,) = trained.cheap.blocks
     assert trained.confirmed
     assert block.size < 0.7 * trained.structure.n_dof
     theta = LOWER + (UPPER - LOWER) * np.random.default_rng(3).random((40, 3))
@@ -105,7 +104,7 @@ def test_the_reduced_model_answers_for_it(trained):
 
 def test_sensors_see_what_has_no_mass_in_the_reduced_model(trained):
     theta = np.array([START, 0.95 * START])
-    reduced, full = trained.observed(theta, gradient=True), trained.full_observed(theta)
+    reduced, full = trained.observed(theta, gradient=True), trained.truth.observed(theta)
     sign = np.sign(np.sum(reduced.shapes * full.shapes, axis=1, keepdims=True))
     assert_allclose(reduced.shapes * sign, full.shapes, rtol=0, atol=1e-3 * np.abs(full.shapes).max())
     fresh = paired(trained.structure, sensors=ROTATIONS)
@@ -117,7 +116,7 @@ def test_sensors_see_what_has_no_mass_in_the_reduced_model(trained):
 
 
 def test_the_few_lowest_modes_of_a_large_basis_are_those_of_all(monkeypatch):
-    block = paired(bridge(40)).full.blocks[0]
+    block = paired(bridge(40)).truth.blocks[0]
     rng = np.random.default_rng(4)
     reduced = ReducedBlock(block, np.linalg.qr(rng.standard_normal((block.size, 140)))[0], 6)
     theta = LOWER + (UPPER - LOWER) * rng.random((3, 3))

@@ -7,7 +7,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, PointMass, Section
 from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.separable import RigidArm
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.paired_structure import PairedStructure
+from fmu.fem.reduced.reduced_structure import train
 from tests.gradients import differences
 
 START = np.array([2.1e11, 2.0e11, 8e-4])
@@ -46,9 +47,7 @@ def full(request):
 
 @pytest.fixture(scope="module", params=["shape", "index"])
 def trained(request):
-    structure = paired(request.param)
-    structure.train(0.8 * START, 1.2 * START, tolerance=1e-9)
-    return structure
+    return train(paired(request.param), 0.8 * START, 1.2 * START, tolerance=1e-9)[0]
 
 
 def points(n):
@@ -92,8 +91,8 @@ def test_frequencies_are_those_of_the_model(full, trained):
 
 def test_reduced_shapes_are_close_to_the_full_ones(trained):
     theta = points(10)
-    seen, exact = trained.observed(theta, gradient=True), trained.full_observed(theta)
-    reference = trained._see_full(theta, gradient=True)
+    seen, exact = trained.observed(theta, gradient=True), trained.truth.observed(theta)
+    reference = trained.truth.observed(theta, gradient=True)
     size = np.abs(exact.shapes).max()
     assert_allclose(aligned(seen.shapes, exact.shapes), exact.shapes, rtol=0, atol=1e-4 * size)
     sign = np.sign(np.sum(seen.shapes * exact.shapes, axis=1))[:, None, :, None]
@@ -105,7 +104,7 @@ def test_reduced_shapes_are_close_to_the_full_ones(trained):
 def test_beyond_the_trained_box_the_full_model_answers(trained):
     theta = np.stack([START, 1.5 * START])
     before = trained.full_solves
-    seen, exact = trained.observed(theta, gradient=True), trained._see_full(theta, gradient=True)
+    seen, exact = trained.observed(theta, gradient=True), trained.truth.observed(theta, gradient=True)
     assert trained.full_solves == before + 1
     assert_array_equal(seen.shapes[1], exact.shapes[1])
     assert_array_equal(seen.shape_slopes[1], exact.shape_slopes[1])
@@ -147,9 +146,8 @@ def test_arms_and_signs():
 
 def test_in_one_block_a_number_is_a_rank(monkeypatch):
     """No further solve to sort the spectrum: there is nothing to sort it with."""
-    structure = paired("index")
-    structure.train(0.8 * START, 1.2 * START, tolerance=1e-9)
-    assert len(structure.reduced.blocks) == 1
+    structure, _ = train(paired("index"), 0.8 * START, 1.2 * START, tolerance=1e-9)
+    assert len(structure.cheap.blocks) == 1
     expected = structure.frequencies(points(4))
     monkeypatch.setattr("fmu.fem.modes.modal.BlockModel.spectrum", None)
     assert_allclose(structure.observed(points(4)).frequencies, expected, rtol=1e-9)

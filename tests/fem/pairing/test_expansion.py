@@ -17,7 +17,7 @@ def beam():
     problem = fmu.cases.load("cantilever-young")
     structure = problem.model.structure
     theta = problem.start
-    shapes = problem.model.as_structure().full_shapes(theta)
+    shapes = problem.model.truth.truth.shapes(theta)
     return structure, theta, shapes, problem.frequencies(theta)
 
 

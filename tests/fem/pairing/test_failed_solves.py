@@ -5,7 +5,8 @@ import pytest
 
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.failed_solves import why_no_frequencies
-from fmu.fem.pairing.paired_model import PairedStructure, as_modal_model
+from fmu.fem.pairing.modal_model import as_modal_model
+from fmu.fem.pairing.paired_structure import PairedStructure
 
 EYE = np.eye(3)
 COUPLED = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])

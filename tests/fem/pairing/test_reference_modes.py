@@ -10,7 +10,7 @@ from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, Section
 from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.full_block import full_model
 from fmu.fem.modes.separable import SeparableModel, Term, selection
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.pairing.rules import ShapePairing, count_rigid, reference_modes
 from tests import cantilever
 

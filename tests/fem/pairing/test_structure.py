@@ -6,7 +6,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, Section
 from fmu.fem.frame.frame import Frame
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.paired_structure import PairedStructure
+from fmu.fem.reduced.reduced_structure import restore, train
 from tests import cantilever
 
 LOWER = np.array([3.5e-9, 3.5e-9, 4.5e-4, 4.5e-4])
@@ -51,8 +52,7 @@ BUILD = {
 @pytest.fixture(scope="module", params=list(BUILD))
 def trained(request):
     build, pairing, lower, upper = BUILD[request.param]
-    structure = build(pairing)
-    state = structure.train(lower, upper)
+    structure, state = train(build(pairing), lower, upper)
     return structure, (build(pairing), state), lower, upper
 
 
@@ -71,13 +71,13 @@ def test_reduced_frequencies_are_within_the_tolerance_over_the_box(trained):
     structure, _, lower, upper = trained
     theta = box_sample(lower, upper, 90, seed=99)
     solves = structure.full_solves
-    reduced, full = structure.frequencies(theta), np.sqrt(structure.full_modes(theta).eigenvalues) / (2 * np.pi)
+    reduced, full = structure.frequencies(theta), np.sqrt(structure.truth.modes(theta).eigenvalues) / (2 * np.pi)
     # trained to 1e-6 at other points: a fresh one may exceed it, but not by much
     assert_allclose(reduced, full, rtol=2e-6)
     # Rayleigh: a subspace cannot lie below, save for the full solver's rounding in the lowest frequency
     assert np.all(reduced >= full * (1 - 1e-7))
     assert structure.full_solves - solves <= 0.1 * len(theta)
-    pairs = zip(structure.reduced.blocks, structure.full.blocks, strict=True)
+    pairs = zip(structure.cheap.blocks, structure.truth.blocks, strict=True)
     assert sum(r.size for r, f in pairs if r.size < f.size) < 0.5 * structure.structure.n_dof
 
 
@@ -86,7 +86,7 @@ def test_reduced_modes_carry_the_labels_of_the_full_ones(trained):
     theta = box_sample(lower, upper, 30, seed=5)[:20]
     reduced, exact = (
         structure.modes(theta, gradient=True),
-        structure.rule.bind(structure.full)(theta, gradient=True),
+        structure.truth.solve(theta, gradient=True),
     )
     assert_array_equal(reduced.block, exact.block)
     assert_array_equal(reduced.rank, exact.rank)
@@ -99,7 +99,7 @@ def test_outside_the_box_the_full_model_answers(trained):
     structure, _, lower, upper = trained
     theta = upper + 0.05 * (upper - lower) * np.arange(1, 4)[:, None]
     before = structure.full_solves
-    assert_array_equal(structure.modes(theta).eigenvalues, structure.full_modes(theta).eigenvalues)
+    assert_array_equal(structure.modes(theta).eigenvalues, structure.truth.modes(theta).eigenvalues)
     assert structure.full_solves == before + 3
     mixed = np.vstack([theta[:1], (lower + upper)[None] / 2, theta[1:]])
     together = structure.modes(mixed, gradient=True)
@@ -118,21 +118,20 @@ def test_batch_changes_no_bit(trained):
 
 
 def test_restored_structure_repeats_its_bits(trained):
-    structure, (again, state), lower, upper = trained
-    again.restore(state)
+    structure, (truth, state), lower, upper = trained
+    again = restore(truth, state)
     theta = box_sample(lower, upper, 20, seed=2)
     assert_array_equal(again.frequencies(theta), structure.frequencies(theta))
     assert repr(again) == repr(structure)
-    assert "reduced to" in repr(again)
+    assert " vectors" in repr(again)
 
 
 def test_where_the_reduced_model_cannot_be_sure_the_full_one_answers():
-    structure = beam_in_halves("index")
-    structure.train(LOWER, UPPER)
-    weak = max(structure.reduced.blocks, key=lambda block: block.n_trained)
+    structure, _ = train(beam_in_halves("index"), LOWER, UPPER)
+    weak = max(structure.cheap.blocks, key=lambda block: block.n_trained)
     weak.n_trained = 3  # of the five that the numbers ask for
     theta = box_sample(LOWER, UPPER, 6, seed=4)
-    assert_array_equal(structure.modes(theta).eigenvalues, structure.full_modes(theta).eigenvalues)
+    assert_array_equal(structure.modes(theta).eigenvalues, structure.truth.modes(theta).eigenvalues)
     assert structure.full_solves == 6
 
 
@@ -162,8 +161,8 @@ def test_unknown_pairing_and_sensor():
 def test_full_shapes_are_those_of_the_paired_modes(build, pairing):
     structure = build(pairing)
     theta = 0.95 * (START if build is beam_in_halves else np.array([2.1e11, 3e-3]))
-    shapes, K, M = structure.full_shapes(theta), structure.structure.K(theta), structure.structure.M(theta)
-    lam = structure.full_modes(theta[None]).eigenvalues[0]
+    shapes, K, M = structure.truth.shapes(theta), structure.structure.K(theta), structure.structure.M(theta)
+    lam = structure.truth.modes(theta[None]).eigenvalues[0]
     assert_allclose(shapes.T @ (M @ shapes), np.eye(len(lam)), atol=1e-9)
     assert_allclose(np.sum(shapes * (K @ shapes), axis=0), lam, rtol=1e-8)
     residual = K @ shapes - (M @ shapes) * lam
@@ -172,5 +171,5 @@ def test_full_shapes_are_those_of_the_paired_modes(build, pairing):
 
 def test_a_mode_of_one_plane_moves_nothing_out_of_it():
     structure = beam_in_halves("shape")
-    moved = np.any(structure.full_shapes(START) != 0.0, axis=1)
+    moved = np.any(structure.truth.shapes(START) != 0.0, axis=1)
     assert {d for (_, d), m in zip(structure.structure.dofs, moved, strict=True) if m} == {"z", "ry"}

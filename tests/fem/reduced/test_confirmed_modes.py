@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.reduced import confirming
+from fmu.fem.reduced.reduced_structure import train
 from fmu.fem.reduced.training import box_points
 from tests.fem.reduced.test_frequency_bound import BUILT, box, free
 
@@ -14,8 +15,7 @@ def paired(built, tolerance=1e-4):
     model, lower, upper = box(built)
     middle = 0.5 * (lower + upper)
     structure = PairedStructure.of(model, pairing="index", numbers=(2, 3, 4, 5), sensors=(), reference=middle)
-    structure.train(lower, upper, tolerance)
-    return structure, box_points(lower, upper, 8, seed=31)
+    return train(structure, lower, upper, tolerance)[0], box_points(lower, upper, 8, seed=31)
 
 
 @pytest.fixture(autouse=True)
@@ -41,11 +41,11 @@ def solved_anew(monkeypatch):
 def test_they_are_those_of_the_full_model(built, solved_anew):
     structure, theta = paired(built)
     solved_anew.clear()
-    exact, found = structure.full_modes(theta), structure.confirmed_modes(theta)
+    exact, found = structure.truth.modes(theta), structure.confirmed_modes(theta)
     assert_allclose(found.eigenvalues, exact.eigenvalues, rtol=1e-8, atol=1e-8 * exact.eigenvalues.max())
     assert_array_equal(found.rank, exact.rank)
     reduced = structure.modes(theta).eigenvalues
-    if not (structure.reduced.blocks[0].size == structure.full.blocks[0].size or built.__name__ == "gone"):
+    if not (structure.cheap.blocks[0].size == structure.truth.blocks[0].size or built.__name__ == "gone"):
         assert np.max(np.abs(reduced / exact.eigenvalues - 1.0)) > 1e-7  # there is something to correct
         assert len(solved_anew) < len(theta)
 
@@ -53,7 +53,7 @@ def test_they_are_those_of_the_full_model(built, solved_anew):
 def test_a_mode_that_is_missing_is_counted_and_solved_for(monkeypatch, solved_anew):
     """Without one direction, Ritz vectors and corrections never find the mode."""
     structure, theta = paired(free)
-    exact = structure.full_modes(theta)
+    exact = structure.truth.modes(theta)
     solved_anew.clear()
     whole = confirming.davidson
     monkeypatch.setattr(confirming, "davidson", lambda *args: tuple(np.delete(of, 2, -1) for of in whole(*args)))
@@ -68,7 +68,7 @@ def test_iterations_that_do_not_end_are_given_up(monkeypatch, solved_anew):
     solved_anew.clear()
     found = structure.confirmed_modes(theta[:3])
     assert len(solved_anew) == 3
-    assert_allclose(found.eigenvalues, structure.full_modes(theta[:3]).eigenvalues, rtol=1e-12)
+    assert_allclose(found.eigenvalues, structure.truth.modes(theta[:3]).eigenvalues, rtol=1e-12)
 
 
 def test_outside_the_trained_box_the_full_model_answers(solved_anew):
@@ -76,7 +76,7 @@ def test_outside_the_trained_box_the_full_model_answers(solved_anew):
     solved_anew.clear()
     theta = np.concatenate([theta[:2], 3.0 * theta[:1]])
     found = structure.confirmed_modes(theta)
-    assert_allclose(found.eigenvalues, structure.full_modes(theta).eigenvalues, rtol=1e-8)
+    assert_allclose(found.eigenvalues, structure.truth.modes(theta).eigenvalues, rtol=1e-8)
     assert_array_equal(
-        structure.confirmed_modes(theta[2:]).eigenvalues, structure.full_modes(theta[2:]).eigenvalues
+        structure.confirmed_modes(theta[2:]).eigenvalues, structure.truth.modes(theta[2:]).eigenvalues
     )

@@ -13,6 +13,7 @@ from fmu.fem.modes.full_block import full_model
 from fmu.fem.modes.solver import LAPACK
 from fmu.fem.reduced import training
 from fmu.fem.reduced.cost import Cost
+from fmu.fem.reduced.reduced_structure import largest_tolerance_elsewhere
 from fmu.posterior import train_reduced
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.train_reduced import ReductionWarning
@@ -45,7 +46,7 @@ def in_full(tmp_path_factory):
 
 def test_a_model_of_many_terms_in_wide_bounds_is_loaded_within_the_budget(deck):
     _, problem, work = deck
-    cost = problem.model.full.blocks[0]
+    cost = problem.model.truth.blocks[0]
     assert cost.size == 941
     assert cost.n_modes == 467  # the others have no mass
     assert work.factorisations <= training.BUDGET  # those of eigenproblems too
@@ -54,22 +55,22 @@ def test_a_model_of_many_terms_in_wide_bounds_is_loaded_within_the_budget(deck):
 
 def test_where_a_basis_for_the_box_would_not_pay_one_is_trained_where_the_posterior_is(deck):
     _, problem, _ = deck
-    (size,) = problem.model.reduced_sizes
+    (size,) = problem.model.sizes
     assert size <= 200
     assert problem.tolerance.log_prob == train_reduced.LOOSEST_LOG_PROB
     assert problem.model.elsewhere >= problem.tolerance.frequency
-    assert not problem.model.why_full
+    assert not problem.model.truth.why_full
     assert default_starts(problem) == STARTS_IF_SLOW < STARTS  # more than a millisecond a solve
     points = train_reduced.plausible_points(problem, 30, np.random.default_rng(7), 15.0)
-    full = problem.likelihood.full_terms(points)
+    full = problem.with_model(problem.model.truth).likelihood.terms(points)
     assert np.all(np.abs(np.sum(problem.likelihood.terms(points) - full, axis=1)) < problem.tolerance.log_prob)
-    reduced, exact = problem.frequencies(points), problem.model.full_frequencies(points)
+    reduced, exact = problem.frequencies(points), problem.model.truth.frequencies(points)
     assert np.all(np.abs(reduced / exact - 1.0) < problem.tolerance.frequency)
 
 
 def test_the_full_model_answers_where_no_basis_is_accurate(in_full):
     _, problem, work = in_full
-    assert problem.model.reduced_sizes == ()
+    assert problem.model.sizes == ()
     assert problem.tolerance is None
     assert default_starts(problem) == STARTS_IF_SLOW < STARTS
     said = " ".join(model_in_words(problem))
@@ -88,9 +89,9 @@ def test_the_decision_is_kept(how, request, monkeypatch):
     assert len(said) == (how == "deck")
     assert work.factorisations <= 20
     assert work.eigenproblems <= 5
-    assert again.model.why_full == problem.model.why_full
+    assert again.model.truth.why_full == problem.model.truth.why_full
     assert again.tolerance == problem.tolerance
-    assert again.model.elsewhere == problem.model.elsewhere
+    assert largest_tolerance_elsewhere(again.model) == largest_tolerance_elsewhere(problem.model)
     assert_array_equal(again.frequencies(problem.start[None]), problem.frequencies(problem.start[None]))
 
 
@@ -118,7 +119,7 @@ def test_a_spent_budget_ends_training_with_the_best_basis_so_far(tmp_path, monke
     monkeypatch.setenv("FMU_CACHE_DIR", "")
     problem = fmu.load(planted.path)
     assert not problem.model.confirmed
-    assert problem.model.reduced_sizes
+    assert problem.model.sizes
 
 
 def test_a_block_that_no_parameter_changes_is_solved_once():
@@ -139,18 +140,18 @@ def test_a_block_that_no_parameter_changes_is_solved_once():
 def test_comparisons_of_a_small_model_keep_to_the_budget(monkeypatch, budget):
     monkeypatch.setattr(train_reduced, "BUDGET", budget)
     monkeypatch.setenv("FMU_CACHE_DIR", "")
-    compared, whole = [], ModalLikelihood.full_terms
+    compared, whole = [], ModalLikelihood.terms
 
     def counting(self, points):
-        compared.append(len(points))
+        compared.append(len(points) if self.model is self.model.truth else 0)
         return whole(self, points)
 
-    monkeypatch.setattr(ModalLikelihood, "full_terms", counting)
+    monkeypatch.setattr(ModalLikelihood, "terms", counting)
     random = random_model(102, 300)
     measured = np.array([1.0, 1.1, 1.3]) * np.sqrt(random.modes(np.ones(5), 3)[0].astype(float)) / (2.0 * np.pi)
     data = fmu.ModalData(measured, sd_hz=1e-2 * measured)
     fmu.UpdatingProblem.reduced(random.model, data, random.parameters, pairing="index")
-    assert 0 < sum(compared) <= budget
+    assert 1 < sum(compared) <= budget + 1  # and the start
 
 
 def test_the_error_of_a_basis_that_missed_its_tolerance_takes_one_full_solve_a_point(monkeypatch):
@@ -160,7 +161,7 @@ def test_the_error_of_a_basis_that_missed_its_tolerance_takes_one_full_solve_a_p
     measured = np.sqrt(random.modes(start, 3)[0].astype(float)) / (2.0 * np.pi)
     data = fmu.ModalData(measured, sd_hz=1e-2 * measured)
     problem = fmu.UpdatingProblem.reduced(random.model, data, random.parameters, pairing="index")
-    assert problem.model.solver != LAPACK
+    assert problem.model.truth.solver != LAPACK
     with counted() as work:
         error = train_reduced._paired_error(problem.model, 0.7 * start, 1.3 * start, 1e-12)
     assert 1e-12 < error < 1e-6

@@ -10,11 +10,12 @@ from numpy.testing import assert_array_equal
 
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.separable import SeparableModel, Term
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.reduced import anchors as anchors_module
 from fmu.fem.reduced import residuals
 from fmu.fem.reduced.anchors import Anchors, SingularAnchorError, anchor_points, is_semidefinite
 from fmu.fem.reduced.learning import Learner
+from fmu.fem.reduced.reduced_structure import train
 from fmu.fem.reduced.residuals import bounded
 from fmu.fem.reduced.training import box_points
 from fmu.posterior.data.modal_data import ModalData
@@ -183,12 +184,10 @@ def test_a_residual_without_a_term_is_another(monkeypatch):
 
 def test_the_bound_of_a_paired_model_is_that_of_its_modes():
     model, lower, upper = box(twins)
-    paired = PairedStructure.of(model, pairing="shape", numbers=(1, 2, 3), sensors=(), reference=lower * 1.05)
-    with pytest.raises(ValueError, match=r"^frequency_bound: there is no reduced model"):
-        paired.frequency_bound(lower[None])
-    paired.train(lower, upper, 1e-6)
+    truth = PairedStructure.of(model, pairing="shape", numbers=(1, 2, 3), sensors=(), reference=lower * 1.05)
+    paired, _ = train(truth, lower, upper, 1e-6)
     theta = box_points(lower, upper, 64, seed=9)
-    exact, reduced = paired.full_modes(theta), paired.modes(theta)
+    exact, reduced = paired.truth.modes(theta), paired.modes(theta)
     same = np.all((exact.rank == reduced.rank) & (exact.block == reduced.block), axis=1)
     assert same.mean() > 0.9
     true = np.sqrt(reduced.eigenvalues / exact.eigenvalues) - 1.0
@@ -300,7 +299,7 @@ def test_a_coefficient_that_changes_its_sign_has_an_estimate_of_alpha():
     problem, said = posed(uncertain([springs([10]), springs([40])], 2), [-0.5, 0.5], [0.5, 1.5])
     assert not said
     theta = problem.sample_prior(np.random.default_rng(0), 100)
-    error = problem.frequencies(theta) / problem.model.full_frequencies(theta) - 1.0
+    error = problem.frequencies(theta) / problem.model.truth.frequencies(theta) - 1.0
     bound = problem.model.frequency_bound(theta)
     assert np.all(np.abs(error) <= bound + 1e-12)
     assert bound.max() <= 5e-6

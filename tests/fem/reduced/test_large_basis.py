@@ -7,10 +7,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, Section
 from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.pairing import paired_model as structure
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.reduced import basis as reduced_basis
-from fmu.fem.reduced import residuals, space, training
+from fmu.fem.reduced import reduced_structure, residuals, space, training
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.learning import Learner, _fewest, balance_directions
 from fmu.fem.reduced.training import Training, affordable, box_points, mass_orthonormal, most_trial_vectors
@@ -108,18 +107,14 @@ def test_the_few_lowest_modes_are_those_of_all(solved, monkeypatch):
 def paired(**options):
     model, lower, upper = cantilever()
     reference = 0.5 * (lower + upper)
-    structure_ = PairedStructure.of(model, pairing="index", numbers=(1, 2, 3, 4), sensors=(), reference=reference)
-    return structure_, structure_.train(lower, upper, **options), lower, upper
+    truth = PairedStructure.of(model, pairing="index", numbers=(1, 2, 3, 4), sensors=(), reference=reference)
+    return *reduced_structure.train(truth, lower, upper, **options), lower, upper
 
 
 def test_a_batch_in_parts_changes_no_bit(monkeypatch):
     whole, state, lower, upper = paired(tolerance=1e-3)
-    monkeypatch.setattr(structure, "_MOST_NUMBERS", 3 * max(b.size for b in whole.reduced.blocks) ** 2)
-    model, *_ = cantilever()
-    parts = PairedStructure.of(
-        model, pairing="index", numbers=(1, 2, 3, 4), sensors=(), reference=0.5 * (lower + upper)
-    )
-    parts.restore(state)
+    monkeypatch.setattr(reduced_structure, "_MOST_NUMBERS", 3 * max(b.size for b in whole.cheap.blocks) ** 2)
+    parts = reduced_structure.restore(whole.truth, state)
     assert 1 <= parts._at_once <= 3 < whole._at_once
     theta = box_points(lower, upper, 8, seed=5)
     for gradient in (False, True):
@@ -136,10 +131,10 @@ def test_training_ends_where_more_vectors_do_not_pay(monkeypatch):
     monkeypatch.setattr(Training, "_verified", lambda self, round_: checked.append(round_))
     monkeypatch.setattr(training, "DENSE_LIMIT", 10)
     monkeypatch.setattr(training, "affordable", lambda n_dof: 12)
-    cut, *_ = paired(inaccurate_points=lambda: (np.full((1, PARTS), 2e11), 3.0))
+    cut, *_ = paired(inaccurate_points=lambda _: (np.full((1, PARTS), 2e11), 3.0))
     assert not cut.confirmed
     assert checked == []
-    assert [b.size for b in cut.reduced.blocks] == [12]
+    assert [b.size for b in cut.cheap.blocks] == [12]
 
 
 def test_trial_vectors_keep_to_their_memory():

@@ -10,10 +10,11 @@ from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.full_block import full_model
 from fmu.fem.modes.modal import BlockModel, frequency_hz
 from fmu.fem.modes.separable import selection
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing, reference_modes
 from fmu.fem.reduced import training
 from fmu.fem.reduced.basis import ReducedBlock
+from fmu.fem.reduced.reduced_structure import restore, train
 from fmu.fem.reduced.training import EXACT_LIMIT, Training, box_points
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
@@ -163,18 +164,18 @@ def test_a_mode_that_a_reduced_block_does_not_show_makes_the_row_fall_back():
     structure = PairedStructure.of(
         model, pairing="index", numbers=(1, 2, 3, 5), sensors=(), reference=0.5 * (lower + upper)
     )
-    state = structure.train(lower, upper)
+    reduced, state = train(structure, lower, upper)
     theta = inside(lower, upper, 30)
-    exact = structure.full_modes(theta)
-    structure.modes(theta)
-    assert structure.full_solves == 0
-    blind = max(range(len(structure.full.blocks)), key=lambda b: np.sum(exact.block == b))
+    exact = structure.truth.modes(theta)
+    reduced.modes(theta)
+    assert reduced.full_solves == 0
+    blind = max(range(len(structure.truth.blocks)), key=lambda b: np.sum(exact.block == b))
     needed = int(np.max(exact.rank[exact.block == blind])) + 1
     state[f"n_trained{blind}"] = np.array(float(needed - 1))
-    structure.restore(state)
-    assert np.all(np.isnan(structure.reduced.spectrum(theta, 5).eigenvalues))
-    modes = structure.modes(theta, gradient=True)
-    assert structure.full_solves == 30
+    poor = restore(structure, state)
+    assert np.all(np.isnan(poor.cheap.blocks.spectrum(theta, 5).eigenvalues))
+    modes = poor.modes(theta, gradient=True)
+    assert poor.full_solves == 30
     assert_array_equal(modes.eigenvalues, exact.eigenvalues)
     assert_array_equal(modes.rank, exact.rank)
     assert np.all(np.isfinite(modes.gradient))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.surrogate.close_pairs import ClosePairs
 from fmu.fem.surrogate.coordinates import Coordinates
 from fmu.fem.surrogate.surrogate_model import Design, SurrogateModel
@@ -11,14 +12,16 @@ from tests.gradients import assert_gradient, differences
 LOWER, UPPER = np.array([0.5, 0.5]), np.array([2.0, 2.0])
 
 
-class Crossing:
+class Crossing(ModalModel):
     """Two modes of squared frequencies k1 and k2 with a weak coupling, and one far above, by number."""
 
     n_parameters, n_modes, by_shape, name = 2, 3, False, "crossing"
-    reasons = ()
 
     def __init__(self, coupling):
         self.coupling = coupling
+
+    def configuration(self):
+        return self.coupling
 
     def frequencies(self, theta):
         middle, half = theta.mean(axis=1), 0.5 * (theta[:, 0] - theta[:, 1])

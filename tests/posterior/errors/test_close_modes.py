@@ -16,8 +16,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import fmu
-from fmu.fem.pairing.paired_model import PairedStructure
+from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.fem.reduced.reduced_structure import train
 from fmu.posterior.errors.frequency import BetaFrequencyErrors
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.errors.residual import ModalResidual
@@ -97,7 +98,7 @@ def paired(gap, reduced, top=10.0):
         shapes=np.asarray(data.shapes),
     )
     if reduced:
-        structure.train(point(gap) - 0.3 * gap, point(gap) + 0.3 * gap)
+        return train(structure, point(gap) - 0.3 * gap, point(gap) + 0.3 * gap)[0], data
     return structure, data
 
 
@@ -179,8 +180,8 @@ def test_modes_repeated_to_the_last_bit():
     )
     full = structure.observed(point(0.0)[None], True)
     assert not np.all(np.abs(full.shape_slopes) < 1e6)  # or NaN
-    structure.train(point(0.0) - 1e-3, point(0.0) + 1e-3)
-    reduced = structure.observed(point(0.0)[None], True)
+    trained, _ = train(structure, point(0.0) - 1e-3, point(0.0) + 1e-3)
+    reduced = trained.observed(point(0.0)[None], True)
     assert np.abs(reduced.shape_slopes).max() < 1.0
     assert_allclose(reduced.frequencies, full.frequencies, rtol=1e-9)
     # the sum of both is what does not depend on the choice

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 import fmu
-from fmu.fem.pairing.paired_model import ModalModel
+from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from tests.gradients import assert_gradient
@@ -115,7 +115,7 @@ def test_errors_of_shapes_are_marginal_to_first_order(error):
                 shape_variance=np.full_like(one.shapes, small),
             )  # fmt: skip
 
-    found = of.of_model(Nearly()).terms(THETA) - plain
+    found = of.with_model(Nearly()).terms(THETA) - plain
     g = np.stack(
         [
             term.evaluate(

@@ -157,7 +157,7 @@ def test_a_coarser_model_of_all_tests():
     coarse = problem.coarser(0.5)
     assert coarse.ndim == 3
     assert coarse.model.layout is problem.layout
-    assert sum(coarse.model.reduced_sizes) < sum(problem.model.reduced_sizes)
+    assert sum(coarse.model.sizes) < sum(problem.model.sizes)
     assert coarse.log_prob(theta) != problem.log_prob(theta)
     np.testing.assert_allclose(coarse.frequencies(theta), problem.frequencies(theta), rtol=0.01)
     assert problem.coarser(1.0).model is problem.model

@@ -40,7 +40,7 @@ def chain(*priors, n=5, scale=1.0, **bounds):
 
 def full(problem, theta):
     """Frequencies by the full model."""
-    return frequency_hz(problem.model.full_modes(theta).eigenvalues)
+    return frequency_hz(problem.model.truth.modes(theta).eigenvalues)
 
 
 REDUCED = {
@@ -54,7 +54,7 @@ REDUCED = {
 @pytest.mark.parametrize("name", REDUCED)
 def test_a_reduced_model_is_good_in_the_box_of_the_prior_and_exact_beyond(name):
     problem = chain(*REDUCED[name], n=60)
-    sizes = [block.size for block in problem.model.reduced.blocks if isinstance(block, ReducedBlock)]
+    sizes = [block.size for block in problem.model.cheap.blocks if isinstance(block, ReducedBlock)]
     assert sum(sizes) <= 37  # of 60: where springs vanish, a cut is checked at points next to zero
     lower, upper = np.array([p.prior.box(p.lower, p.upper) for p in problem.parameters]).T
     assert np.all(np.isfinite(upper))

@@ -248,7 +248,7 @@ def measured_beam():
     """A cantilever whose modes were measured at six places, one accelerometer upside down."""
     young = fmu.cases.load("cantilever-young")
     sensors = [(20, "z"), (30, "-z"), (40, "z"), (49, "z")]
-    exact = young.model.structure.observation(sensors).toarray() @ young.model.full_shapes(young.start)
+    exact = young.model.structure.observation(sensors).toarray() @ young.model.truth.shapes(young.start)
     data = fmu.ModalData(young.data.frequencies_hz, sensors=sensors, shapes=-2.0 * exact)
     problem = fmu.UpdatingProblem(young.model.structure, data, young.parameters)
     maxima = fmu.find_map(problem, starts=1)

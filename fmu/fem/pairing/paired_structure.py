@@ -1,0 +1,311 @@
+"""A structure given by its matrices, paired with the measured modes."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from copy import copy
+from typing import Any
+
+import numpy as np
+
+from fmu.fem.modes.eigensolver import DENSE_LIMIT
+from fmu.fem.modes.full_block import full_model
+from fmu.fem.modes.modal import BlockModel, ModalSolution, frequency_gradient, frequency_hz, single_thread
+from fmu.fem.modes.separable import SeparableModel, selection
+from fmu.fem.modes.solver import LAPACK, sparse_solver
+from fmu.fem.pairing.modal_model import ModalModel
+from fmu.fem.pairing.prediction import Candidates, CandidateView, ModalPrediction, SensorView
+from fmu.fem.pairing.rules import (
+    SOFTNESS,
+    SPARE,
+    IndexPairing,
+    RankPairing,
+    ShapePairing,
+    SoftPairing,
+    count_rigid,
+    reference_modes,
+)
+from fmu.progress.phases import solved
+from fmu.types import FloatArray, IntArray
+
+PAIRINGS = ("shape", "index")
+SOFT = "soft"
+
+
+class PairedStructure(ModalModel):
+    """The modes of a structure that answer to the measured ones; `of` builds one.
+
+    Parameters
+    ----------
+    structure : SeparableModel
+    blocks : BlockModel
+        Its blocks, as they are solved: in full, or reduced.
+    rule : IndexPairing or ShapePairing
+    n_modes : int
+        Number of measured modes.
+    sensors : sparse, shape (n_sensors, n_dof)
+        From `SeparableModel.observation`.
+    at_sensors : bool
+        Whether the rule compares shapes at the sensors.
+    pairing : RankPairing, optional
+        Fixed ranks, where the rule is known to give the same ones everywhere; the rule by default.
+
+    Attributes
+    ----------
+    solve : callable
+        ``solve(theta, gradient=False)`` returns the paired modes (`ModalSolution`).
+    see : SensorView
+        ``see(theta, gradient=False)`` returns frequencies and shapes at the sensors.
+    choose : CandidateView or None
+        ``choose(theta, gradient=False)`` returns all modes that might answer, for a pairing by shape.
+    softness : float
+        Temperature of the weights of a soft pairing, else 0.
+    why_full : str
+        Why there is no reduced model although one was trained, a sentence; else empty.
+    """
+
+    gives_shapes = True
+
+    def __init__(
+        self,
+        structure: SeparableModel,
+        blocks: BlockModel,
+        rule: IndexPairing | ShapePairing,
+        n_modes: int,
+        sensors: Any,
+        at_sensors: bool,
+        pairing: RankPairing | None = None,
+    ) -> None:
+        self.structure: SeparableModel = structure
+        self.n_parameters, self.n_modes = structure.n_parameters, n_modes
+        self.blocks, self.rule = blocks, rule
+        self.by_shape, self.is_soft, self.softness = rule.by_shape, rule.is_soft, rule.softness
+        self.pairing: IndexPairing | ShapePairing | RankPairing = pairing or rule
+        self.why_full = ""
+        self._sensors, self._at_sensors = sensors, at_sensors
+        self.solve = self.pairing.bind(blocks)
+        self.see = SensorView(blocks, self.solve, sensors)
+        self.choose = CandidateView(blocks, rule, at_sensors) if rule.by_shape else None
+
+    @classmethod
+    def of(
+        cls,
+        model: SeparableModel,
+        *,
+        pairing: str,
+        numbers: tuple[int, ...],
+        elastic_from_hz: float | None = None,
+        sensors: tuple[tuple[Any, str], ...],
+        reference: FloatArray,
+        shapes: FloatArray | None = None,
+        counterparts: tuple[int, ...] = (),
+        softness: float = SOFTNESS,
+    ) -> PairedStructure:
+        """Return a model paired with a measurement; the reference modes are solved for.
+
+        Parameters
+        ----------
+        model : SeparableModel
+        pairing : {"shape", "index", "soft"}
+            ``"shape"``: one-to-one assignment by MAC, with the measured shapes at the sensors or, where none were
+            measured, at all translations with the modes of the model at `reference` that the sensors can see.
+            ``"index"``: by `numbers` in the sorted spectrum. ``"soft"``: as ``"shape"``, and `seen_candidates`
+            gives all modes that might have answered.
+        numbers : tuple of int
+            Number (from 1) of each measured mode.
+        elastic_from_hz : float, optional
+            The lowest measured frequency, where 1 is the number of the first elastic mode: modes at a vanishing
+            share of it are the rigid-body modes of a free structure. If not given, the numbers count these too.
+        sensors : tuple of (node, direction)
+            What was measured; all translations if empty.
+        reference : ndarray, shape (n_parameters,)
+            The model before updating.
+        shapes : ndarray, shape (n_sensors, n_modes), optional
+            Measured shapes.
+        counterparts : tuple of int, optional
+            Where no shapes were measured: which of the modes at `reference` that the sensors can see, from 1, each
+            measured one answers to; the lowest in ascending order if empty.
+        softness : float
+            Temperature of the weights of ``"soft"``: `fmu.fem.pairing.rules.SoftPairing`.
+
+        Raises
+        ------
+        ValueError
+            For an unknown pairing, a sensor off the model, or modes that the sensors cannot see.
+        """
+        if pairing not in (*PAIRINGS, SOFT):
+            raise ValueError(f"pairing: must be one of {(*PAIRINGS, SOFT)} (got {pairing!r})")
+        full, n_modes = full_model(model), len(numbers)
+        if full.n_modes < n_modes:
+            raise ValueError(
+                f"mass: the {n_modes} measured modes need as many of finite frequency: the mass matrix gives "
+                f"{full.n_modes}; give mass to more degrees of freedom"
+            )
+        seen = model.observation(sensors)
+        rule: IndexPairing | ShapePairing
+        if pairing == "index":
+            with single_thread():
+                n_rigid = 0
+                if elastic_from_hz is not None:
+                    n_rigid = count_rigid(full, reference, n_modes, elastic_from_hz)
+            numbers = tuple(number + n_rigid for number in numbers)
+            rule = IndexPairing(numbers, n_rigid)
+            if max(numbers) > full.n_modes:
+                raise ValueError(f"numbers: must lie in 1..{full.n_modes}, the modes of the model (got {numbers})")
+            return cls(model, full, rule, n_modes, seen, shapes is not None)
+        with single_thread():
+            if shapes is not None:
+                rule = ShapePairing(seen, shapes, SPARE + count_rigid(full, reference, n_modes))
+            else:
+                rows = selection(model.translations, model.n_dof)
+                visible = seen if sensors else rows
+                rule = reference_modes(full, reference, visible, rows, n_modes, counterparts)
+        if pairing == SOFT:
+            rule = SoftPairing(rule.rows, rule.shapes, rule.margin, softness)
+        return cls(model, full, rule, n_modes, seen, shapes is not None)
+
+    def __repr__(self) -> str:
+        return f"PairedStructure({self.structure!r}, {type(self.pairing).__name__})"
+
+    def solved_by(self, blocks: BlockModel, pairing: IndexPairing | ShapePairing | RankPairing) -> PairedStructure:
+        """Return the same structure and measured modes, solved by other blocks."""
+        fixed = None if pairing is self.rule else pairing
+        return PairedStructure(
+            self.structure,
+            blocks,
+            self.rule,
+            self.n_modes,
+            self._sensors,
+            self._at_sensors,
+            fixed,  # type: ignore[arg-type]
+        )
+
+    def kept_full(self, size: int) -> PairedStructure:
+        """Return the same model, which says that a reduced one of `size` vectors would be of no use."""
+        other = copy(self)
+        other.why_full = (
+            f"The full model answers: a reduced one of {size} unknowns is not accurate within these bounds, and "
+            "more unknowns would take as long as the full model."
+        )
+        return other
+
+    def modes(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
+        """Return the paired modes at theta (n, n_parameters), with the gradients of the eigenvalues if wanted."""
+        return _counted(self.solve, theta, gradient)
+
+    def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
+        """Return frequencies and shapes at the sensors, at theta (n, n_parameters), with derivatives if wanted."""
+        return _counted(self.see, theta, gradient)
+
+    def seen_candidates(self, theta: FloatArray, gradient: bool = False) -> Candidates:
+        """Return all modes that might answer to a measured one, at theta (n, n_parameters).
+
+        With derivatives if wanted; for a pairing by shape, soft or not.
+        """
+        assert self.choose is not None  # of a pairing by shape
+        return _counted(self.choose, theta, gradient)
+
+    def frequencies(self, theta: FloatArray) -> FloatArray:
+        """Return frequencies in Hz, shape (n, n_modes); NaN where a solve failed."""
+        return frequency_hz(self.modes(theta).eigenvalues)
+
+    def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters), exact."""
+        return frequencies_of(self.modes(theta, gradient=True))
+
+    def candidates(self, theta: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
+        """Return all modes that might have answered to a measured one, and one more a block.
+
+        Returns
+        -------
+        eigenvalues : ndarray, shape (n, n_candidates)
+            NaN where a solve failed, and for modes that a reduced model was not trained for.
+        block, rank : ndarray of int, shape (n_candidates,)
+        """
+        solved(len(theta))
+        counts = self.candidate_counts()
+        with single_thread():
+            found = self.spectra(theta, counts)
+        return found, *candidate_numbers(counts)
+
+    def candidate_counts(self) -> dict[int, int]:
+        """Return how many modes of which blocks `candidates` gives."""
+        counts = self.rule.counts(self.blocks)
+        return {b: min(count + 1, self.blocks[b].n_modes) for b, count in counts.items()}
+
+    def spectra(self, theta: FloatArray, counts: Mapping[int, int]) -> FloatArray:
+        """Return so many eigenvalues of each block, (n, n_candidates); NaN for modes it was not trained for."""
+        parts = []
+        for b, count in counts.items():
+            found = np.full((len(theta), count), np.nan)
+            n_trained = min(count, self.blocks[b].n_trained)
+            if len(theta):
+                found[:, :n_trained] = self.blocks[b].eigenvalues(theta, n_trained)
+            parts.append(found)
+        return np.concatenate(parts, axis=1)
+
+    @property
+    def solver(self) -> str:
+        """Name of what factorises the largest matrices."""
+        largest = max(block.size for block in self.blocks)
+        return sparse_solver() if largest > DENSE_LIMIT else LAPACK
+
+    def shapes(self, theta: FloatArray) -> FloatArray:
+        """Return the paired modes' shapes, shape (n_dof, n_modes), at theta (n_parameters,).
+
+        Mass-normalised; zero in the blocks that a mode does not move, NaN where a solve failed.
+        """
+        point = np.asarray(theta, dtype=float)[None]
+        modes = self.modes(point)
+        with single_thread():
+            return self.blocks.shapes(point, modes, self.rule.counts(self.blocks))
+
+    def fingerprint(self) -> str:
+        """Return a hash of everything that the frequencies depend on."""
+        digest = hashlib.sha256(repr((self.structure.dofs, type(self.rule).__name__)).encode())
+        matrices = [(term.powers, term.matrix) for term in (*self.structure.K_terms, *self.structure.M_terms)]
+        of_rule, its_matrices = self.rule.identity()
+        digest.update(of_rule)
+        for powers, matrix in (*matrices, *(((), matrix) for matrix in its_matrices)):
+            entries = matrix.tocsr()
+            digest.update(repr((powers, entries.shape)).encode())
+            for part in (entries.indptr, entries.indices, entries.data):
+                digest.update(np.ascontiguousarray(part).tobytes())
+        return digest.hexdigest()
+
+    def configuration(self) -> dict[str, Any]:
+        """Return the data that identify the model, in plain Python types."""
+        n_rigid = 0 if self.rule.by_shape else self.rule.n_rigid
+        return {
+            "structure": repr(self.structure),
+            "pairing": type(self.rule).__name__,
+            "sha256": self.fingerprint(),
+        } | ({"n_rigid": n_rigid} if n_rigid else {})
+
+
+def structure_of(model: ModalModel) -> PairedStructure | None:
+    """Return the structure, given by its matrices, that a model is or approximates; None if there is none."""
+    truth = model.truth
+    return truth if isinstance(truth, PairedStructure) else None
+
+
+def frequencies_of(modes: ModalSolution) -> tuple[FloatArray, FloatArray]:
+    """Return frequencies in Hz (n, n_modes) and their gradients (n, n_modes, n_parameters) of solved modes."""
+    assert modes.gradient is not None  # narrowed for the type checker: asked for by the caller
+    frequencies = frequency_hz(modes.eigenvalues)
+    return frequencies, frequency_gradient(frequencies, modes.gradient)
+
+
+def candidate_numbers(counts: Mapping[int, int]) -> tuple[IntArray, IntArray]:
+    """Return block and number within it of so many modes of each block."""
+    ranks = np.concatenate([np.arange(count) for count in counts.values()])
+    return np.repeat(list(counts), list(counts.values())), ranks
+
+
+def _counted[Solution](
+    solve: Callable[[FloatArray, bool], Solution], theta: FloatArray, gradient: bool
+) -> Solution:
+    solved(len(theta), with_gradients=gradient)
+    with single_thread():
+        return solve(theta, gradient)

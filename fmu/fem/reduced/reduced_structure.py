@@ -1,0 +1,326 @@
+"""A structure whose modes are solved for in a reduced basis, in a box, with a bound of the error."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from copy import copy
+from dataclasses import replace
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+
+from fmu.engines.base import Engine
+from fmu.fem.approximation import Approximation
+from fmu.fem.modes.modal import ModalSolution, frequency_hz, single_thread
+from fmu.fem.pairing.modal_model import ModalModel
+from fmu.fem.pairing.paired_structure import PairedStructure, candidate_numbers, frequencies_of
+from fmu.fem.pairing.prediction import Candidates, ModalPrediction, joined, with_rows
+from fmu.fem.reduced.confirming import confirmed_model
+from fmu.fem.reduced.residuals import FrequencyBound
+from fmu.fem.reduced.training import LOOSE, Trained, Training
+from fmu.progress.phases import solved
+from fmu.types import BoolArray, FloatArray, IntArray
+
+# Numbers of an array in a batch of reduced solves: 128 MiB.
+_MOST_NUMBERS = 2**24
+# How often the box of training may become larger.
+_WIDENED = 3
+
+
+class ReducedStructure(Approximation):
+    """A structure by its reduced basis inside a box, and by its full matrices elsewhere and on failure.
+
+    Parameters
+    ----------
+    truth : PairedStructure
+    trained : Trained
+
+    Attributes
+    ----------
+    cheap : PairedStructure
+        The same structure and measured modes, solved by the reduced blocks.
+    confirmed : bool
+        Whether training ended because fresh points of the box were within the tolerance.
+    elsewhere : float or None
+        The tolerance outside the part of the box that matters, if training kept that one there alone.
+    """
+
+    cheap: PairedStructure
+
+    def __init__(self, truth: PairedStructure, trained: Trained) -> None:
+        super().__init__(truth, truth.solved_by(trained.model, trained.pairing))
+        self.full, self.rule, self.pairing = truth, truth.rule, self.cheap.pairing
+        self.confirmed, self.elsewhere = trained.confirmed, trained.elsewhere
+        # of the box, as rows, like one theta: it spares NumPy's broadcasting
+        self.lower, self.upper = trained.lower[None], trained.upper[None]
+        self._corner = self.lower
+        self._bound = FrequencyBound(truth.blocks, trained.model, trained.lower, trained.upper, trained.anchors)
+        self._answer_by(self.cheap)
+
+    def _answer_by(self, cheap: PairedStructure) -> None:
+        self.cheap, self.full_solves = cheap, 0
+        self.sizes = tuple(block.size for block in cheap.blocks if block.is_reduced)
+        largest = max(self.sizes, default=1)
+        self._at_once = max(1, _MOST_NUMBERS // (largest * max(largest, self.n_modes * self.n_parameters)))
+
+    def __repr__(self) -> str:
+        sizes = " + ".join(map(str, self.sizes))
+        return f"ReducedStructure({self.structure!r}, {type(self.pairing).__name__}, {sizes} vectors)"
+
+    @property
+    def truth(self) -> PairedStructure:
+        """The structure by its full matrices."""
+        return self.full
+
+    def coarser(self, share: float) -> Self:
+        """Return the model with the leading vectors of each basis only, which carry most of the modes.
+
+        Parameters
+        ----------
+        share : float
+            The share of the vectors. A basis of as many vectors as its block has unknowns keeps all of them.
+
+        Returns
+        -------
+        ReducedStructure
+            This model itself, if nothing is left out.
+        """
+
+        def leading(block: Any, size: int) -> Any:
+            few = max(block.n_trained, math.ceil(share * block.size))
+            return block.truncated(few) if block.is_reduced and few < block.size < size else block
+
+        mine = self.cheap.blocks
+        sizes = [block.size for block in self.full.blocks]
+        blocks = tuple(leading(block, size) for block, size in zip(mine, sizes, strict=True))
+        if all(one is other for one, other in zip(blocks, mine, strict=True)):
+            return self
+        other = copy(self)
+        other._answer_by(self.full.solved_by(replace(self.cheap.blocks, blocks=blocks), self.pairing))
+        return other
+
+    def extended(self, lower: FloatArray, upper: FloatArray) -> Self:
+        """Return the model with an answer in a larger box than it was trained for: for a first look there."""
+        other = copy(self)
+        other.lower, other.upper = np.minimum(lower, self.lower), np.maximum(upper, self.upper)
+        return other
+
+    def keeping(self, elsewhere: float) -> Self:
+        """Return the model with another tolerance outside the part of the box that matters."""
+        other = copy(self)
+        other.elsewhere = elsewhere
+        return other
+
+    def within(self, theta: FloatArray) -> BoolArray:
+        """Say, shape (n,), at which theta (n, n_parameters) the reduced model answers."""
+        return np.asarray(np.all((theta >= self.lower) & (theta <= self.upper), axis=1))
+
+    def modes(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
+        """Return the paired modes at theta (n, n_parameters), with the gradients of the eigenvalues if wanted."""
+        return self._answered(self._solve, self.full.solve, theta, gradient)
+
+    def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
+        """Return frequencies and shapes at the sensors, at theta (n, n_parameters), with derivatives if wanted."""
+        return self._answered(self.cheap.see, self.full.see, theta, gradient)
+
+    def seen_candidates(self, theta: FloatArray, gradient: bool = False) -> Candidates:
+        """Return all modes that might answer to a measured one, at theta (n, n_parameters).
+
+        With derivatives if wanted; for a pairing by shape, soft or not.
+        """
+        assert self.cheap.choose is not None  # of a pairing by shape
+        assert self.full.choose is not None
+        return self._answered(self.cheap.choose, self.full.choose, theta, gradient)
+
+    def frequencies(self, theta: FloatArray) -> FloatArray:
+        """Return frequencies in Hz, shape (n, n_modes); NaN where a solve failed."""
+        return frequency_hz(self.modes(theta).eigenvalues)
+
+    def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters), exact."""
+        return frequencies_of(self.modes(theta, gradient=True))
+
+    def candidates(self, theta: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
+        """Return all modes that might have answered to a measured one, see `PairedStructure.candidates`."""
+        solved(len(theta))
+        counts, within = self.full.candidate_counts(), self.within(theta)
+        found = np.empty((len(theta), sum(counts.values())))
+        with single_thread():
+            for model, rows in ((self.full, ~within), (self.cheap, within)):
+                found[rows] = model.spectra(theta[rows], counts)
+        return found, *candidate_numbers(counts)
+
+    def confirmed_modes(self, theta: FloatArray) -> ModalSolution:
+        """Return the true modes at theta (n, n_parameters), of large structures by what training has factorised.
+
+        From `fmu.fem.reduced.confirming.LARGE` degrees of freedom on the reduced model's modes are where the
+        iterations begin. They end when the frequencies have ten digits and the eigenvalues have been counted.
+        """
+        within = self.within(theta)
+        if not within.any():
+            return self.full.modes(theta)
+        found = self._confirmed.modes(np.where(within[:, None], theta, self._corner))
+        return found if within.all() else with_rows(found, ~within, self.full.modes(theta[~within]))
+
+    @cached_property
+    def _confirmed(self) -> PairedStructure:
+        return self.full.solved_by(confirmed_model(self._bound), self.rule)
+
+    def frequency_bound(self, theta: FloatArray) -> FloatArray:
+        """Return how far the reduced model's frequencies may be off, relative, shape (n, n_modes).
+
+        By the residuals of its modes at theta (n, n_parameters), for the modes that it pairs: their number in
+        the spectrum is not examined. Infinite where there is no bound. What is proven of it and what is
+        estimated: `fmu.fem.reduced.residuals`. It costs a solve of linear equations a mode, not an eigenproblem;
+        the matrix is factorised at the first call.
+        """
+        with single_thread():
+            inside = self.within(theta)
+            bound = np.full((len(theta), self.n_modes), np.inf)
+            if inside.any():
+                bound[inside] = self._bound(theta[inside], self.cheap.solve(theta[inside]))
+        return bound
+
+    def configuration(self) -> dict[str, Any]:
+        """Return the data that identify the structure and its pairing, in plain Python types."""
+        return self.full.configuration()
+
+    def _solve(self, theta: FloatArray, gradient: bool) -> ModalSolution:
+        """Return the reduced model's modes, a few theta at a time where their matrices would take much memory."""
+        if len(theta) <= self._at_once:
+            return self.cheap.solve(theta, gradient)
+        starts = range(0, len(theta), self._at_once)
+        return joined([self.cheap.solve(theta[i : i + self._at_once], gradient) for i in starts])
+
+    def _answered[Solution: (ModalSolution, ModalPrediction, Candidates)](
+        self,
+        reduced: Callable[[FloatArray, bool], Solution],
+        full: Callable[[FloatArray, bool], Solution],
+        theta: FloatArray,
+        gradient: bool,
+    ) -> Solution:
+        """Return the reduced model's solution, and the full one's outside the trained box and on failure."""
+        solved(len(theta), with_gradients=gradient)
+        with single_thread():
+            within = (theta >= self.lower) & (theta <= self.upper)
+            everywhere = np.count_nonzero(within) == within.size  # a tenth of what `all` takes on a small array
+            # far outside its box the reduced model may overflow: a corner stands in for such points
+            inside = theta if everywhere else np.where(within.all(axis=1, keepdims=True), theta, self._corner)
+            found = reduced(inside, gradient)
+            failed = found.failed
+            if everywhere and np.count_nonzero(failed) == 0:
+                return found
+            rows = failed.any(axis=1) | ~within.all(axis=1)
+            self.full_solves += int(np.sum(rows))
+            return with_rows(found, rows, full(theta[rows], gradient))
+
+
+def reduced_structures(model: ModalModel) -> list[ReducedStructure]:
+    """Return the reduced models that a model consists of."""
+    return [part for part in model.parts if isinstance(part, ReducedStructure)]
+
+
+def largest_tolerance_elsewhere(model: ModalModel) -> float | None:
+    """Return the largest tolerance outside the part of the box that matters; None if there is only one."""
+    return max((of.elsewhere for of in reduced_structures(model) if of.elsewhere is not None), default=None)
+
+
+def train(
+    truth: PairedStructure,
+    lower: FloatArray,
+    upper: FloatArray,
+    tolerance: float = 1e-6,
+    inaccurate_points: Callable[[ReducedStructure], tuple[FloatArray, float] | None] | None = None,
+    engine: Engine | None = None,
+    region: Callable[[ReducedStructure], FloatArray] | None = None,
+    wider_box: Callable[[ReducedStructure], tuple[FloatArray, FloatArray] | None] | None = None,
+) -> tuple[ReducedStructure | PairedStructure, dict[str, FloatArray]]:
+    """Train a reduced model over a box; see `fmu.fem.reduced.training.Training.run`.
+
+    Parameters
+    ----------
+    truth : PairedStructure
+    lower, upper : ndarray, shape (n_parameters,)
+    tolerance : float
+        Largest relative error of a frequency at any point of the box that was tried.
+    inaccurate_points : callable, optional
+        Maps the reduced model, as trained so far, to points (n, n_parameters) at which it is not good enough for a
+        purpose of one's own, and the factor by which errors of frequencies there should be smaller; None where it
+        is good enough.
+    engine : Engine, optional
+        Solves the full model at several points at once.
+    region : callable, optional
+        Maps the reduced model, as trained so far, to fresh points (n, n_parameters) of the part of the box that
+        matters. Where a basis for the whole box would not pay, the tolerance is kept in that part, and elsewhere
+        1e-3.
+    wider_box : callable, optional
+        Maps the reduced model to the limits of a larger box, if it shows that much of what matters lies outside;
+        None if it does not.
+
+    Returns
+    -------
+    model : ReducedStructure or PairedStructure
+        The full model, which then says why, where a reduced one is not accurate and would save little.
+    state : dict of str to ndarray
+        What `restore` needs to have the same model again.
+    """
+    training = Training(truth.blocks, truth.rule, lower, upper, tolerance, engine=engine)
+    with single_thread():
+        model = ReducedStructure(truth, training.run())
+        for _ in range(_WIDENED if wider_box is not None else 0):
+            wider = wider_box(model)  # type: ignore[misc]
+            if wider is None:
+                break
+            lower, upper = wider
+            training = Training(truth.blocks, truth.rule, lower, upper, tolerance, engine=engine)
+            model = ReducedStructure(truth, training.run())
+        if training.is_cut() and region is not None and tolerance < LOOSE:
+            narrow = Training(truth.blocks, truth.rule, lower, upper, LOOSE, engine=engine)
+            narrow.run()
+            part = None if narrow.is_cut() else _narrowed(truth, narrow, tolerance, region)
+            if part is not None:
+                training, model = narrow, part
+        for _ in range(20 if inaccurate_points is not None and not training.prefers_full() else 0):
+            inaccurate = inaccurate_points(model)  # type: ignore[misc]
+            if inaccurate is None or not training.is_accurate:
+                break
+            model = ReducedStructure(truth, training.refined(*inaccurate))
+    if training.prefers_full():
+        size = sum(of.size for of in training.reduced.values())
+        return truth.kept_full(size), {"full": np.array(float(size))}
+    return model, training.state()
+
+
+def _narrowed(
+    truth: PairedStructure,
+    training: Training,
+    tolerance: float,
+    region: Callable[[ReducedStructure], FloatArray],
+) -> ReducedStructure | None:
+    """Continue a training in a region of its box; None if the basis would not pay."""
+    models: list[ReducedStructure] = []
+    for trained in training.narrowed(tolerance, lambda: region(models[-1])):
+        models.append(ReducedStructure(truth, trained))
+    return models[-1] if training.confirmed else None
+
+
+def train_at(
+    truth: PairedStructure, theta: FloatArray, lower: FloatArray, upper: FloatArray
+) -> tuple[ReducedStructure, dict[str, FloatArray]]:
+    """Return a reduced model for a box that was trained at points theta (n, n_parameters) of it alone.
+
+    Its errors elsewhere are for the caller to examine. Also returns what `restore` needs.
+    """
+    training = Training(truth.blocks, truth.rule, lower, upper, LOOSE)
+    with single_thread():
+        return ReducedStructure(truth, training.at(theta)), training.state()
+
+
+def restore(truth: PairedStructure, state: dict[str, FloatArray]) -> ReducedStructure | PairedStructure:
+    """Return the model that `train` returned earlier for the same structure and pairing."""
+    if "full" in state:
+        return truth.kept_full(int(state["full"]))
+    with single_thread():
+        return ReducedStructure(truth, Training.restored(truth.blocks, truth.rule, state))
