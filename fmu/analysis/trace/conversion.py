@@ -244,6 +244,11 @@ def _constants(density: Any, names: tuple[str, ...]) -> xr.Dataset:
         if hasattr(density, name)
     }
     coordinates: dict[str, Any] = {"parameter": list(names)}
+    if hasattr(density, "roles"):
+        of = ["" if role.of is None else density.layout.structural[role.of].name for role in density.roles]
+        variables["role"] = "parameter", np.array([role.kind for role in density.roles])
+        variables["role_of"] = "parameter", np.array(of)
+        variables["role_where"] = "parameter", np.array([role.where for role in density.roles])
     likelihood: Any = getattr(density, "likelihood", None)  # a user's density may have anything under that name
     if getattr(likelihood, "beta", None) is not None:
         variables["beta"] = ("mode", np.asarray(likelihood.beta, dtype=float))

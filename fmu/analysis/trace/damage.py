@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmu.analysis.trace.reading import has
+from fmu.analysis.trace.reading import has, roles_of
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.numbers import names_in_words, share, whole
 from fmu.tables import data_frame
@@ -75,7 +75,8 @@ def damage(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.Data
 
 def is_loss(trace: xr.DataTree, name: str) -> bool:
     """Return whether a parameter belongs to a later state: its loss, or its value there."""
-    return has(trace, GROUP) and name.endswith(tuple(f" [{state}]" for state in _later(trace)))
+    kind, _, where = roles_of(trace).get(name, ("", "", ""))
+    return kind in ("loss", "group") and has(trace, GROUP) and where in _later(trace)
 
 
 def before_and_after(trace: xr.DataTree) -> pd.DataFrame:

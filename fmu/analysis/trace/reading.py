@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.posterior.joint.layout import SCORE
 from fmu.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -64,8 +63,21 @@ def parameter_names(trace: xr.DataTree) -> tuple[str, ...]:
 def told_names(trace: xr.DataTree) -> tuple[str, ...]:
     """Return the parameters that tables and figures show: of many, those that are no scores of single tests."""
     names = parameter_names(trace)
-    chosen = tuple(name for name in names if SCORE not in name)
+    roles = roles_of(trace)
+    chosen = tuple(name for name in names if name not in roles or roles[name][0] != "score")
     return chosen if len(names) > MANY and chosen else names
+
+
+def roles_of(trace: xr.DataTree) -> dict[str, tuple[str, str, str]]:
+    """Return by name what each parameter of several tests is for; empty for a single test.
+
+    Kind, parameter of the structure, and test, group or covariate, see `fmu.posterior.joint.layout.Role`.
+    """
+    if not has(trace, "constant_data", "role"):
+        return {}
+    columns = (trace["constant_data"][name].to_numpy().astype(str) for name in ("role", "role_of", "role_where"))
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    return dict(zip(trace["constant_data"]["parameter"].to_numpy().astype(str).tolist(), rows, strict=True))
 
 
 def without_scores(trace: xr.DataTree) -> xr.DataTree:

@@ -142,7 +142,7 @@ class JointModel(ModalModel):
 
     def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
         """Return the first matrices that parameter `k` of theta changes, and its number there, or None."""
-        j = self.layout.owners[k] if k < self.n_parameters else None
+        j = self.layout.roles[k].of if k < self.n_parameters else None
         for part in self.configurations:
             if j is not None and j in part.parameters:
                 return part.model.matrices_of(int(np.flatnonzero(part.parameters == j)[0]))

@@ -22,7 +22,7 @@ from fmu.posterior.errors.mac import MACErrors
 from fmu.posterior.errors.shape import ShapeErrors
 from fmu.posterior.joint.damage import Damage
 from fmu.posterior.joint.joint_model import Configuration, JointModel, SlopesByTest
-from fmu.posterior.joint.layout import BY_GROUP, BY_TEST, VARIES, Layout, scattered
+from fmu.posterior.joint.layout import BY_GROUP, BY_TEST, VARIES, Layout, Role, scattered
 from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.population import Population
 from fmu.posterior.joint.quantities import Errors, over
@@ -185,6 +185,11 @@ class JointProblem(UpdatingProblem):
         """Let the scores refer to what `layout` says."""
         self.layout = self.model.layout = layout
         self.prior = ScoredPrior(self.parameters, layout)
+
+    @property
+    def roles(self) -> tuple[Role, ...]:
+        """What each parameter of theta is for."""
+        return (*self.layout.roles, *[Role("noise", None)] * (self.ndim - self.n_structural))
 
     @property
     def is_hierarchical(self) -> bool:  # type: ignore[override]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,11 +18,28 @@ from fmu.posterior.priors.base import Normal, Prior
 from fmu.types import BoolArray, FloatArray, IntArray
 
 SHARED, BY_TEST, BY_GROUP = "shared", "test", "group"
-SCORE = " score ["
-"""In the name of a score, between those of the parameter and the test."""
 VARIES = (SHARED, BY_TEST, BY_GROUP)
 _FAR = 4.0
 """Standard deviations of a population about its mean within which a reduced model is trained."""
+
+
+class Role(NamedTuple):
+    """What a parameter of theta is for.
+
+    Attributes
+    ----------
+    kind : {"shared", "test", "group", "mean", "sd", "score", "loss", "slope", "correlation"}
+        The value in all tests, in one, or in a group of them; mean or standard deviation of a population, or a
+        test's score in it; a share that a group has lost; a slope by a covariate.
+    of : int or None
+        The parameter of the structure, by its number in ``layout.structural``; None for correlations.
+    where : str
+        The test, group or covariate that it is of; else empty.
+    """
+
+    kind: str
+    of: int | None
+    where: str = ""
 
 
 class Slope(NamedTuple):
@@ -315,8 +333,8 @@ class Layout:
         Parameters that have a value of their own in each group of tests.
     correlation : Correlation, optional
         Of the populations; they are independent without one.
-    owners : tuple of int or None
-        Which parameter of the structure each of `parameters` is of; None for correlations.
+    roles : tuple of Role
+        What each of `parameters` is for.
     """
 
     structural: tuple[Parameter, ...]
@@ -327,7 +345,7 @@ class Layout:
     by_test: tuple[str, ...] = ()
     by_state: tuple[str, ...] = ()
     correlation: Correlation | None = None
-    owners: tuple[int | None, ...] = ()
+    roles: tuple[Role, ...] = ()
 
     @classmethod
     def of(
@@ -343,11 +361,12 @@ class Layout:
         main: list[Parameter] = []
         scores: list[Parameter] = []
         pending: list[Any] = []
-        owners: list[int | None] = []
-        of_scores: list[int | None] = []
+        roles: list[Role] = []
+        of_scores: list[Role] = []
 
-        def add(parameter: Parameter) -> int:
+        def add(parameter: Parameter, kind: str, of: int | None, where: str = "") -> int:
             main.append(parameter)
+            roles.append(Role(kind, of, where))
             return len(main) - 1
 
         for j, p in enumerate(structural):
@@ -356,18 +375,23 @@ class Layout:
             columns = np.zeros(len(tests), dtype=np.int64)
             base: Any
             if isinstance(how, Population):
-                centre, width = map(add, how.parameters(p))
+                mean, sd = how.parameters(p)
+                centre, width = add(mean, "mean", j), add(sd, "sd", j)
                 columns[here] = len(scores) + np.arange(len(here))
-                named = (f"{p.name}{SCORE}{tests[t].name}]" for t in here)
-                scores += [Parameter(name, 0.0, prior=Normal(1.0)) for name in named]
+                for t in here:
+                    scores.append(Parameter(f"{p.name} score [{tests[t].name}]", 0.0, prior=Normal(1.0)))
+                    of_scores.append(Role("score", j, tests[t].name))
                 scored, start = np.isin(range(len(tests)), here), (main[centre].start, main[width].start)
                 base = Drawn(how, centre, width, columns, scored, p.lower, p.upper, np.zeros(len(tests)), start)
             elif isinstance(how, Damage):
-                base = _lost(p, how, tests, reference, add)
+                base = _lost(p, how, tests, reference, partial(add, of=j))
             else:
-                names = [_name_of(p.name, how, test) for test in tests]
-                number = {name: add(_renamed(p, name)) for name in dict.fromkeys(names[t] for t in here)}
-                columns[here] = [number[names[t]] for t in here]
+                places = [_place_of(how, test) for test in tests]
+                number = {
+                    place: add(_renamed(p, f"{p.name} [{place}]" if how != SHARED else p.name), how, j, place)
+                    for place in dict.fromkeys(places[t] for t in here)
+                }
+                columns[here] = [number[places[t]] for t in here]
                 base = Taken(columns)
             of_slopes, away, means = [], [], []
             for covariate, prior in slopes.get(p.name, {}).items():
@@ -375,17 +399,16 @@ class Layout:
                 away.append(x - x.mean())
                 means.append(float(x.mean()))
                 at = float(np.clip(0.0, *prior.support))
-                of_slopes.append(add(Parameter(f"{p.name} per {covariate}", at, prior=prior)))
+                of_slope = Parameter(f"{p.name} per {covariate}", at, prior=prior)
+                of_slopes.append(add(of_slope, "slope", j, covariate))
             trend = (tuple(of_slopes), np.array(away), tuple(slopes.get(p.name, {})), tuple(means))
             pending.append((base, trend))
-            owners += [j] * (len(main) - len(owners))
-            of_scores += [j] * (len(scores) - len(of_scores))
 
         correlation = None
         if eta is not None:
-            columns_of = map(add, correlations([name for name, how in scattered(structural, varies)], eta))
+            of_both = correlations([name for name, _ in scattered(structural, varies)], eta)
             correlation = Correlation(
-                tuple(columns_of),
+                tuple(add(parameter, "correlation", None) for parameter in of_both),
                 np.stack([base.scored for base, _ in pending if isinstance(base, Drawn)], axis=1),
             )
         values_of = []
@@ -406,7 +429,7 @@ class Layout:
                 if varies.get(p.name) == BY_GROUP or isinstance(varies.get(p.name), Damage)
             ),
             correlation,
-            (*owners, *[None] * (len(main) - len(owners)), *of_scores),
+            (*roles, *of_scores),
         )
 
     def losses(self, theta: FloatArray, reference: IntArray, later: IntArray) -> FloatArray:
@@ -564,20 +587,19 @@ def _lost(
     how: Damage,
     tests: Sequence[Test],
     reference: str,
-    add: Callable[[Parameter], int],
+    add: Callable[..., int],
 ) -> Lost:
     """Return a parameter with losses, whose parameters are added to those of all tests."""
-    column = add(p)
+    column = add(p, "group", where=reference)
     states = dict.fromkeys(test.group for test in tests if test.group != reference)
-    numbers = {reference: column} | {state: add(how.loss(p, state)) for state in states}
+    numbers = {reference: column} | {state: add(how.loss(p, state), "loss", where=state) for state in states}
     is_lost = np.array([test.group != reference for test in tests])
     return Lost(column, np.array([numbers[test.group] for test in tests]), is_lost)
 
 
-def _name_of(name: str, how: str, test: Test) -> str:
-    if how == SHARED:
-        return name
-    return f"{name} [{test.name if how == BY_TEST else test.group}]"
+def _place_of(how: str, test: Test) -> str:
+    """Return the test or group that has a value of its own; empty where all share it."""
+    return {SHARED: "", BY_TEST: test.name, BY_GROUP: test.group}[how]
 
 
 def _renamed(p: Parameter, name: str) -> Parameter:

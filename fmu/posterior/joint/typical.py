@@ -103,13 +103,21 @@ def _searched(problem: Any) -> tuple[FloatArray, FloatArray]:
             tolerance=_ROUGH,
         )
         theta = scaled.to_theta(end.position[0])
-        variance = np.diag(np.linalg.inv(end.hessian[0])) * scaled.scale**2
+        variance = _variances(end.hessian[0]) * scaled.scale**2
         moved = [_most_probable(problem, one, theta, variance) for one in problem.layout.drawn]
         if problem.layout.correlation is not None:
             _correlate(problem.layout, theta, variance)
         if max(moved, default=0.0) < _SETTLED:
             break
     return scaled.to_scaled(theta), variance
+
+
+def _variances(hessian: FloatArray) -> FloatArray:
+    """Return the variances of a Gaussian, (ndim,); what neither data nor priors inform is as wide as its bounds."""
+    try:
+        return np.diag(np.linalg.inv(hessian))
+    except np.linalg.LinAlgError:
+        return np.diag(np.linalg.inv(hessian + np.eye(len(hessian))))
 
 
 def _holding(
