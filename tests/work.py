@@ -36,7 +36,7 @@ def counted():
 
     def factorised(*arguments, **options):
         work.factorisations += 1
-        found = solver.factorised(*arguments, **options)
+        found = solver.factorise(*arguments, **options)
         return found if isinstance(found, solver.DenseFactor) else _Counted(found, work)
 
     def eigen(*arguments, **options):

@@ -20,7 +20,7 @@ from fmu.analysis.prior_prediction import DRAWS, PriorPrediction, prior_predicti
 from fmu.analysis.repeatability import repeatability
 from fmu.analysis.trace.modal_states import START, modal_states
 from fmu.arguments import ArgumentError, Seed, check_arguments
-from fmu.fem.frame.drawing import changed_elements, drawn, is_drawable, parameter_colours, sketch
+from fmu.fem.frame.drawing import changed_elements, draw_svg, is_drawable, parameter_colours, sketch
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.static import TRANSLATIONS, rigid_translation
 from fmu.fem.pairing.correlation import LOOK_AT_SENSORS
@@ -101,7 +101,7 @@ def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
     found = sketch(structure, problem.data.sensors)
     colours = parameter_colours(found)
     changed = [problem.model.matrices_of(k) for k in range(problem.ndim)]
-    return drawn(found), [None if of is None or of[0] is not structure else colours[of[1]] for of in changed]
+    return draw_svg(found), [None if of is None or of[0] is not structure else colours[of[1]] for of in changed]
 
 
 def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:

@@ -19,7 +19,7 @@ from fmu.cli.tables import echo_comparison, echo_evidences, echo_maxima, echo_su
 from fmu.durable_files import write_durably
 from fmu.interruption import shielded
 from fmu.numbers import typed
-from fmu.progress import Report, end_bars, labelled
+from fmu.progress import Report, add_label, end_bars
 from fmu.runs import Checkpoint
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def sampled(
                 tell_draws(trace)
             else:
                 checkpoint = Checkpoint(running.of_sampler(name), *every)
-                progress = report and labelled(report, name)
+                progress = report and add_label(report, name)
                 warmup, draws = plan_steps(name, asked.orders["warmup"], asked.orders["draws"])
                 arguments |= {"warmup": warmup, "draws": draws, "checkpoint": checkpoint, "progress": progress}
                 trace = _drawn(draw, name, problem, running, on_draws=tell_draws, **arguments)

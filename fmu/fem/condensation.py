@@ -186,20 +186,20 @@ class StaticCondensation:
             if not np.min(np.abs(self._factor.U.diagonal())) > _PIVOT:
                 raise SingularCondensationError(_MOVES)
 
-    def extended(self, x: FloatArray) -> FloatArray:
+    def extend(self, x: FloatArray) -> FloatArray:
         """Return T x, shape (n_dof, m), for displacements x of the masters, shape (n_masters, m)."""
         u = np.zeros((self.n_dof, x.shape[1]))
         u[self.masters] = x
         u[self.slaves] = self._inner(-(self._coupling @ x))
         return u
 
-    def held(self, load: FloatArray) -> FloatArray:
+    def solve_held(self, load: FloatArray) -> FloatArray:
         """Return the displacement under a load, shape (n_dof, m), with the masters held."""
         u = np.zeros_like(load)
         u[self.slaves] = self._inner(load[self.slaves])
         return u
 
-    def transferred(self, load: FloatArray) -> FloatArray:
+    def transfer(self, load: FloatArray) -> FloatArray:
         """Return Tᵀ load, shape (n_masters, m): the equivalent load at the masters."""
         return np.asarray(load[self.masters] - self._coupling.T @ self._inner(load[self.slaves]))
 
@@ -208,7 +208,7 @@ class StaticCondensation:
 
 
 def _constraint_modes(K: Any, masters: IntArray) -> FloatArray:
-    return StaticCondensation(K, masters).extended(np.eye(len(masters)))
+    return StaticCondensation(K, masters).extend(np.eye(len(masters)))
 
 
 _MOVES = "masters: the structure can still move when they are held (singular K_ss)"

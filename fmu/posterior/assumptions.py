@@ -152,8 +152,8 @@ def _errors(
         spread = one.get("spread") or {}
         sizes = [noise[list(noise)[int(k)]] for k in spread.get("inferred", {})]
         fixed = np.asarray(spread.get("fixed", ()), dtype=float)
-        parts = [] if not np.any(fixed) else [f"a known σ of {_known(kind, fixed, data)}"]
-        parts += [_inferred(p, inferred) for p in sizes]
+        parts = [] if not np.any(fixed) else [f"a known σ of {_describe_known(kind, fixed, data)}"]
+        parts += [_describe_inferred(p, inferred) for p in sizes]
         said.append(f"{what}: {shape} and independent, with {' and '.join(parts) or 'a σ of its own'}.")
     for one in likelihood.get("quantities", ()):
         rows = zip(one["labels"], one["measured"], one["sd"], one["units"], strict=True)
@@ -165,14 +165,14 @@ def _errors(
     return said
 
 
-def _known(name: str, fixed: FloatArray, data: Mapping[str, Any]) -> str:
+def _describe_known(name: str, fixed: FloatArray, data: Mapping[str, Any]) -> str:
     """Return a known standard deviation in the unit in which it is constant."""
     if name == "relative frequency":
         return f"{_range(100.0 * fixed / np.asarray(data['frequencies_hz']))} %"
     return _range(fixed) + (" Hz" if name == "absolute frequency" else "")
 
 
-def _inferred(parameter: Mapping[str, Any], inferred: Inferred | None) -> str:
+def _describe_inferred(parameter: Mapping[str, Any], inferred: Inferred | None) -> str:
     prior = prior_in_words(parameter["prior"], parameter["unit"])
     text = f"a σ that is inferred, {parameter['name']} (prior: {prior}"
     if inferred and parameter["name"] in inferred:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from fmu.fem.frame.drawing import drawn, is_drawable, parameter_colours, sketch
+from fmu.fem.frame.drawing import draw_svg, is_drawable, parameter_colours, sketch
 from fmu.numbers import change, given, rounded, shown, significant
 from fmu.posterior.parameters import prior_in_words
 from fmu.posterior.protocol import Problem
@@ -22,7 +22,7 @@ def problem_card(problem: Problem) -> str:
     structure = problem.model.parts[0].structure
     if structure is not None and is_drawable(structure, _MOST_DRAWN):
         drawing = sketch(structure, problem.data.sensors)
-        parts.append(f"<div>{drawn(drawing)}</div>")
+        parts.append(f"<div>{draw_svg(drawing)}</div>")
         colours[: structure.n_parameters] = parameter_colours(drawing)  # errors follow
     parts += [f"<p>{html.escape(_in_words(problem))}</p>", _parameters(problem, colours), _modes(problem)]
     return f'<div class="fmu-problem">{"".join(parts)}</div>'

@@ -15,7 +15,7 @@ from fmu.numbers import names_in_words
 from fmu.posterior.parameters import box
 from fmu.posterior.protocol import Problem
 from fmu.posterior.scaled import ScaledDensity, ascent_coordinates
-from fmu.progress.phases import advanced, phase, solves
+from fmu.progress.phases import count_steps, phase, solves
 from fmu.types import BoolArray, FloatArray, IntArray
 
 STARTS = 256
@@ -111,13 +111,15 @@ def maxima_from(
     if not len(highest):
         raise ValueError(_nowhere(problem, len(points)))
     ends = ascend(quadratic, highest, scaled.lower, scaled.upper, tolerance=_TOLERANCE)
-    arrived = _merged(problem, _ended(scaled, ends.position[ends.stationary], starts[ends.stationary]))
+    arrived = _merge(problem, _collect_ends(scaled, ends.position[ends.stationary], starts[ends.stationary]))
     near: list[Maximum] = []
     lost: list[Maximum] = []
-    for stalled in _merged(problem, _ended(scaled, ends.position[~ends.stationary], starts[~ends.stationary])):
+    for stalled in _merge(
+        problem, _collect_ends(scaled, ends.position[~ends.stationary], starts[~ends.stationary])
+    ):
         (near if any(_is_same(problem, stalled, m) for m in arrived) else lost).append(stalled)
     polished = [_climb(scaled, scaled.to_scaled(m.theta), m.starts) for m in lost[:_MOST_POLISHED]]
-    return _merged(problem, [*arrived, *near, *polished])
+    return _merge(problem, [*arrived, *near, *polished])
 
 
 def _nowhere(problem: Problem, n: int) -> str:
@@ -165,7 +167,7 @@ def leaders(ends: Ascent) -> tuple[FloatArray, IntArray]:
     return ends.position[chosen], np.array(starts)
 
 
-def _ended(scaled: ScaledDensity, u: FloatArray, starts: IntArray) -> list[Maximum]:
+def _collect_ends(scaled: ScaledDensity, u: FloatArray, starts: IntArray) -> list[Maximum]:
     """Return the scaled points (n, ndim) with a finite log-probability as maxima; `starts` (n,) led to each."""
     theta = scaled.to_theta(u)
     values = scaled.density.log_prob(theta)
@@ -179,7 +181,7 @@ def _is_same(problem: Problem, one: Maximum, other: Maximum) -> bool:
     return bool(np.min(between) >= min(one.log_prob, other.log_prob) - _VALLEY)
 
 
-def _merged(problem: Problem, maxima: Iterable[Maximum]) -> tuple[Maximum, ...]:
+def _merge(problem: Problem, maxima: Iterable[Maximum]) -> tuple[Maximum, ...]:
     """Return the distinct maxima, the highest first, each with the starts of all that are equal to it."""
     distinct: list[Maximum] = []
     for maximum in sorted(maxima, key=lambda m: -m.log_prob):
@@ -194,7 +196,7 @@ def _merged(problem: Problem, maxima: Iterable[Maximum]) -> tuple[Maximum, ...]:
 
 def _distinct(problem: Problem, tops: Iterable[Maximum]) -> tuple[Maximum, ...]:
     """Return the distinct maxima of those with a finite log-probability, the highest first."""
-    return _merged(problem, [top for top in tops if np.isfinite(top.log_prob)])
+    return _merge(problem, [top for top in tops if np.isfinite(top.log_prob)])
 
 
 def _climb(scaled: ScaledDensity, start: FloatArray, starts: int = 1) -> Maximum:
@@ -216,7 +218,7 @@ def _climb(scaled: ScaledDensity, start: FloatArray, starts: int = 1) -> Maximum
         options={"ftol": 1e-13, "gtol": 1e-7, "maxiter": 500, "maxcor": 20},
     )
     theta = scaled.to_theta(result.x)
-    advanced(starts)
+    count_steps(starts)
     return Maximum(theta, float(scaled.density.log_prob(theta)), starts)
 
 
@@ -310,12 +312,12 @@ def ascend(
     stationary = np.zeros(len(u), dtype=bool)
     i = np.arange(u.shape[1])
     going = np.flatnonzero(np.isfinite(V))
-    advanced(len(u) - len(going))
+    count_steps(len(u) - len(going))
     step = 0
     for step in range(max_steps):  # noqa: B007
         stationary[going] = decrement(u[going], g[going], H[going], lower, upper) < tolerance
         on = going[~stationary[going] & (damping[going] < _MOST_DAMPING)]
-        advanced(len(going) - len(on))
+        count_steps(len(going) - len(on))
         going = on
         if not going.size:
             break
@@ -334,14 +336,14 @@ def ascend(
     return Ascent(np.clip(u, lower, upper), V, H, stationary, step)
 
 
-def pressed(u: FloatArray, g: FloatArray, lower: FloatArray, upper: FloatArray) -> BoolArray:
+def find_pressed(u: FloatArray, g: FloatArray, lower: FloatArray, upper: FloatArray) -> BoolArray:
     """Return which coordinates are at a bound with V decreasing outwards, shape (n, ndim)."""
     return ((u <= lower) & (g > 0)) | ((u >= upper) & (g < 0))
 
 
 def decrement(u: FloatArray, g: FloatArray, H: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
     """Return the decrease of V that an undamped step predicts, with the pressed coordinates held, shape (n,)."""
-    held = pressed(u, g, lower, upper)
+    held = find_pressed(u, g, lower, upper)
     s = _newton(g, _invertible(H), held, np.zeros_like(u))
     return -0.5 * np.sum(np.where(held, 0.0, g) * s, axis=1)
 
@@ -355,7 +357,7 @@ def _box_step(u: FloatArray, g: FloatArray, A: FloatArray, lower: FloatArray, up
     outside.
     """
     # coordinates at a bound that V pushes outwards do not move at all
-    held = pressed(u, g, lower, upper)
+    held = find_pressed(u, g, lower, upper)
     s = _newton(g, A, held, np.zeros_like(u))
     # the fraction of the step at which the first coordinate meets its bound
     with np.errstate(divide="ignore", invalid="ignore"):

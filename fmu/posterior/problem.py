@@ -289,7 +289,7 @@ class UpdatingProblem:
             Σ r² over the residuals r of a mode, by the error models of ``likelihood.chi_square``.
         """
         terms, squares = self.likelihood.terms_and_misfit(theta)
-        return self._recorded(terms, theta), squares
+        return self._record_failures(terms, theta), squares
 
     def log_prior(self, theta: ArrayLike) -> Any:
         """Return the log-density of the prior (6), normalised over the bounds; ``-inf`` outside them."""
@@ -442,13 +442,13 @@ class UpdatingProblem:
 
     def _posterior_and_gradient(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         terms, slopes = self.likelihood.terms_and_gradient(points)
-        value = self._recorded(terms, points).sum(axis=1) + self.prior.log_pdf(points)
+        value = self._record_failures(terms, points).sum(axis=1) + self.prior.log_pdf(points)
         return value, slopes.sum(axis=1) + self.prior.log_pdf_gradient(points)
 
     def _terms(self, points: FloatArray) -> FloatArray:
-        return self._recorded(self.likelihood.terms(points), points)
+        return self._record_failures(self.likelihood.terms(points), points)
 
-    def _recorded(self, terms: FloatArray, points: FloatArray) -> FloatArray:
+    def _record_failures(self, terms: FloatArray, points: FloatArray) -> FloatArray:
         """Return `terms` with -inf in place of non-finite values, after recording the points that failed."""
         finite = np.isfinite(terms)
         if np.count_nonzero(finite) == finite.size:

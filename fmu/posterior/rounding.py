@@ -116,7 +116,7 @@ def rounding(problem: Problem) -> Rounding | None:
     error = (
         np.sqrt(stiff.sum(axis=0))
         + lam * np.sqrt(heavy.sum(axis=0))
-        + _reduced(problem.model, modes.block[0], theta)
+        + _highest_of_reduced(problem.model, modes.block[0], theta)
     )
     frequencies = np.sqrt(lam) / (2.0 * np.pi)
     off = np.sqrt(lam + _ROUNDINGS * UNIT * error) / (2.0 * np.pi) - frequencies
@@ -227,7 +227,7 @@ def _energies(sizes: Any, shapes: FloatArray) -> FloatArray:
     return np.asarray(shapes**2 * (squares @ shapes**2))
 
 
-def _reduced(model: ModalModel, owners: NDArray[np.int64], theta: FloatArray) -> FloatArray:
+def _highest_of_reduced(model: ModalModel, owners: NDArray[np.int64], theta: FloatArray) -> FloatArray:
     """Return the highest eigenvalue of the reduced block of each mode, 0 where the full model is used."""
     if not isinstance(model, ReducedStructure):
         return np.zeros(len(owners))

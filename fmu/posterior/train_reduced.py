@@ -152,11 +152,11 @@ def reduced_model(
         """Return plausible points; of a large structure within the trained box, where no full model is needed."""
         if structure.solver == LAPACK:
             return plausible_points(problem.with_model(model), 64, rng)
-        points = plausible_points(problem.with_model(model.extended(*bounds)), 64, rng)
+        points = plausible_points(problem.with_model(model.extend(*bounds)), 64, rng)
         return np.concatenate([np.clip(points[:, :n], *trained), points[:, n:]], axis=1)
 
     def wider_box(model: ReducedStructure) -> tuple[FloatArray, FloatArray] | None:
-        found = _box_of_the_posterior(problem.with_model(model.extended(*bounds)), trained)
+        found = _box_of_the_posterior(problem.with_model(model.extend(*bounds)), trained)
         if found is not None:
             trained[:] = found
         return found

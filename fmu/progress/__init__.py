@@ -51,7 +51,7 @@ def reporting(progress: Report | bool | None, label: str) -> Iterator[Report | N
         yield progress
     elif progress or (progress is None and in_notebook()):
         with progress_bars() as report:
-            yield report and labelled(report, label)
+            yield report and add_label(report, label)
     else:
         yield None
 
@@ -61,7 +61,7 @@ def end_bars(report: Report | None) -> None:
     getattr(report, "end", lambda: None)()
 
 
-def labelled(report: Report, label: str) -> Report:
+def add_label(report: Report, label: str) -> Report:
     """Return the callback with ``label`` added to what it is told."""
 
     def report_labelled(phase: str, done: int, total: int, info: Info) -> None:

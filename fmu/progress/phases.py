@@ -1,7 +1,7 @@
 """The phases of a run besides its draws: how far each has got, and how often the model was solved in it.
 
-Code that may take long opens a `phase` and calls `Phase.advance`, models call `solved`, and `told_to` sets who
-hears of it, so that no function between them has to pass a callback on.
+Code that may take long opens a `phase` and calls `Phase.advance`, models call `count_solves`, and `told_to` sets
+who hears of it, so that no function between them has to pass a callback on.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Phase:
         """Count steps that are to be done beyond those known so far."""
         self.total += steps
 
-    def solved(self, n: int) -> None:
+    def count_solves(self, n: int) -> None:
         """Count solves of the model at `n` theta."""
         self.solves += n
         self.tell()
@@ -139,7 +139,7 @@ def phase(name: str, total: int = 0) -> Iterator[Phase]:
             note("" if outer is None else outer.name, 0 if outer is None else outer.done, 0)
 
 
-def advanced(steps: int = 1) -> None:
+def count_steps(steps: int = 1) -> None:
     """Count steps that are done in the phase under way, if there is one."""
     under_way = _phase.get()
     if under_way is not None:
@@ -170,13 +170,13 @@ def by_parts[Found](
     return found
 
 
-def solved(n: int = 1, *, with_gradients: bool = False) -> None:
+def count_solves(n: int = 1, *, with_gradients: bool = False) -> None:
     """Count solves of the model at `n` theta, for this process and for the phase under way."""
     _Count.solves += n
     _Count.gradients += n if with_gradients else 0
     under_way = _phase.get()
     if under_way is not None:
-        under_way.solved(n)
+        under_way.count_solves(n)
 
 
 def solves() -> int:

@@ -66,7 +66,7 @@ def write_modes(problem: UpdatingProblem, theta: FloatArray, folder: Path) -> li
     numbers = range(1, len(data.labels) + 1)
     corners = [(cell, tuple(ids[node] for node in nodes)) for cell, nodes in cells(elements, kinds)]
     by_id = dict(zip(ids, places, strict=True))
-    motions = [(ids[row], direction) for row, direction, _ in model.located()]
+    motions = [(ids[row], direction) for row, direction, _ in model.locate_motions()]
     seen = model.observation(motions) @ shapes
     write_uff(folder / UPDATED_MODES, hz, seen, motions, numbers, places=by_id, elements=corners)
     if data.shapes is not None:
@@ -87,7 +87,7 @@ def _moved(model: SeparableModel, shape: FloatArray) -> FloatArray:
     """Return the displacements of all nodes of the mesh, shape (n_nodes, 3), in a shape (n_dof,)."""
     assert model.geometry is not None
     moved = np.zeros((len(model.geometry.nodes), 3))
-    for row, direction, seen_by in model.located():
+    for row, direction, seen_by in model.locate_motions():
         if direction in _AXES:
             moved[row, _AXES.index(direction)] = sum(weight * shape[i] for i, weight in seen_by.items())
     return moved

@@ -14,12 +14,12 @@ from fmu.fem.certificates import SurrogateCertificate
 from fmu.fem.pairing.paired_structure import structure_of
 from fmu.fem.surrogate.coordinates import Coordinates
 from fmu.fem.surrogate.feasibility import EDGE, failed_region
-from fmu.fem.surrogate.surrogate_model import Design, SurrogateModel, oriented, solved
+from fmu.fem.surrogate.surrogate_model import Design, SurrogateModel, orient_shapes, solve_design
 from fmu.numbers import significant
 from fmu.posterior.parameters import box
 from fmu.progress.phases import Phase, phase
 from fmu.surrogates.error_limits import ErrorLimits, draws_needed
-from fmu.surrogates.selection import chosen, error_variances, stratified
+from fmu.surrogates.selection import choose_draws, error_variances, stratify
 from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def _learnt(learner: _Learner, tolerance: float, batch: int, checks: int, under_
     optimism, at_floor = 1.0, 0
     while True:
         draws, expected, floor = learner.posterior()
-        edge = learner.undecided(draws)
+        edge = learner.find_undecided(draws)
         under_way.said["expected_error"] = optimism * expected
         # more checks instead of a better surrogate are no cheaper beyond two batches
         most = checks + 2 * batch
@@ -119,13 +119,13 @@ def _learnt(learner: _Learner, tolerance: float, batch: int, checks: int, under_
         is_rough = (n_checks == 0 and optimism * expected > 0.5 * floor) or len(edge) > _UNDECIDED * len(draws)
         if is_rough and learner.left - checks >= batch:
             tested = learner.rng.permutation(edge)[: batch // 2]
-            rows = chosen(learner.likelihood, learner.model, draws, batch - len(tested))
+            rows = choose_draws(learner.likelihood, learner.model, draws, batch - len(tested))
             learner.extend(draws[np.unique([*tested, *rows])], under_way)
             continue
         n_checks = min(n_checks or checks, learner.left)
         variance, _ = error_variances(learner.likelihood, learner.model, draws)
-        theta = draws[stratified(variance, n_checks, learner.rng)]
-        errors, answers = learner.checked(theta, under_way)
+        theta = draws[stratify(variance, n_checks, learner.rng)]
+        errors, answers = learner.check_draws(theta, under_way)
         limits = ErrorLimits.of(errors, theta, learner.drawn, expected)
         under_way.said["certificate"] = limits.shift
         # further solves do not help against the scatter of those that check; one estimate of it may be wrong
@@ -178,8 +178,8 @@ class _Learner:
             power = int(np.ceil(np.log2(self.n_first)))
             x = 2.0 * qmc.Sobol(self.n, rng=self.rng).random_base2(power)[: self.n_first - len(theta)] - 1.0
             theta = np.concatenate([theta, self.coordinates.to_theta(x)])
-            found = self._solved(theta, under_way)
-            self.design = found if self.design is None else self.design.joined(found)
+            found = self._solve(theta, under_way)
+            self.design = found if self.design is None else self.design.join(found)
             if np.sum(~self.design.failed) > self.n + 1:
                 break
             if self.left < self.n_first or self.solves > 10 * self.n_first:
@@ -216,18 +216,18 @@ class _Learner:
         expected, floor = (float(np.sqrt(np.mean(variance))) for variance in of_both)
         return draws, expected, floor
 
-    def undecided(self, draws: FloatArray) -> IntArray:
+    def find_undecided(self, draws: FloatArray) -> IntArray:
         """Return the rows of draws (n, ndim) that lie between points that were solved and points that failed."""
         margin = self.model.feasibility.margin(self.coordinates.to_x(draws[:, : self.n]))
         return np.flatnonzero(np.abs(margin) < EDGE)
 
     def extend(self, draws: FloatArray, under_way: Phase) -> None:
         """Solve at draws (n, ndim), and learn from them."""
-        self.learn(self._solved(draws[:, : self.n], under_way))
+        self.learn(self._solve(draws[:, : self.n], under_way))
 
-    def checked(self, draws: FloatArray, under_way: Phase) -> tuple[FloatArray, Design]:
+    def check_draws(self, draws: FloatArray, under_way: Phase) -> tuple[FloatArray, Design]:
         """Return the errors of the log-probability at draws (n, ndim), and the solves there."""
-        answers = self._solved(draws[:, : self.n], under_way)
+        answers = self._solve(draws[:, : self.n], under_way)
         self.checks = answers.theta
         expected = self.model.frequencies(draws[:, : self.n])
         with np.errstate(invalid="ignore"):
@@ -241,7 +241,7 @@ class _Learner:
     def learn(self, answers: Design) -> None:
         """Add solves to the design, and fit anew."""
         assert self.design is not None  # narrowed for the type checker: `begin` comes first
-        self.design = self.design.joined(answers)
+        self.design = self.design.join(answers)
         self._fit(self.model)
 
     def certificate(self, limits: ErrorLimits, tolerance: float) -> SurrogateCertificate:
@@ -272,7 +272,9 @@ class _Learner:
         if not (self.truth.by_shape and self.truth.gives_shapes) or shapes is None or self.design is None:
             return ""
         theta = np.concatenate([self.design.theta[self.n_first :], self.checks])
-        seen = oriented(self.truth.observed(theta).shapes, np.asarray(shapes))  # remembered: nothing is solved
+        seen = orient_shapes(
+            self.truth.observed(theta).shapes, np.asarray(shapes)
+        )  # remembered: nothing is solved
         unit = np.asarray(shapes) / np.linalg.norm(shapes, axis=0)
         unlike = np.sum(np.sum(seen * unit, axis=1) ** 2 < _MAY_BE_SWAPPED, axis=0)
         labels = self.given.data.labels
@@ -282,8 +284,8 @@ class _Learner:
             for i in np.flatnonzero(unlike)
         )
 
-    def _solved(self, theta: FloatArray, under_way: Phase) -> Design:
-        found = solved(self.truth, theta, self.reference is not None)
+    def _solve(self, theta: FloatArray, under_way: Phase) -> Design:
+        found = solve_design(self.truth, theta, self.reference is not None)
         self.solves += len(theta)
         under_way.advance(len(theta))
         return found

@@ -111,7 +111,7 @@ class SecondStage:
                 self._log_p[new] = self.truth.log_prob(self._distinct[new])
                 self._log_weight[new] = self._log_p[new] - self.problem.log_prob(self._distinct[new])
             if np.isfinite(self.log_weight).any(axis=1).all():
-                under_way.said["accept"] = float(np.mean(self._accepted(*self._paths())))
+                under_way.said["accept"] = float(np.mean(self._accept_draws(*self._paths())))
             under_way.advance(chains * (self._n - first))
 
     def result(self, seconds: float) -> RunResult:
@@ -120,7 +120,7 @@ class SecondStage:
         chain = np.arange(len(path))[:, None]
         stats = {
             "lp": self._log_p[self._which[chain, path]],
-            "accepted": self._accepted(path, start),
+            "accepted": self._accept_draws(path, start),
             "n_solves": self._is_first[:, : self._n].astype(np.int64),
             "n_gradients": np.zeros(path.shape, dtype=np.int64),
         }
@@ -170,7 +170,7 @@ class SecondStage:
         """Return the attributes of the trace that say how the draws came about."""
         return {
             "second_stage_proposals": self._which[:, : self._n].size,
-            "second_stage_accepted": int(np.sum(self._accepted(*self._paths()))),
+            "second_stage_accepted": int(np.sum(self._accept_draws(*self._paths()))),
             "second_stage_failed": int(np.sum(np.isneginf(self.log_weight))),
             "second_stage_solves": int(np.sum(self._is_first[:, : self._n])),
         }
@@ -188,5 +188,5 @@ class SecondStage:
         return np.array([path for path, _ in found]), np.array([start for _, start in found])
 
     @staticmethod
-    def _accepted(path: IntArray, start: IntArray) -> BoolArray:
+    def _accept_draws(path: IntArray, start: IntArray) -> BoolArray:
         return np.diff(path, axis=1, prepend=start[:, None]) != 0

@@ -26,7 +26,7 @@ def error_variances(
     return np.asarray(expected), np.asarray(of_scatter)
 
 
-def chosen(likelihood: ModalLikelihood, model: SurrogateModel, draws: FloatArray, n: int) -> IntArray:
+def choose_draws(likelihood: ModalLikelihood, model: SurrogateModel, draws: FloatArray, n: int) -> IntArray:
     """Return the rows of posterior draws (N, ndim) that are to be solved, n of them.
 
     One after the other, each such that, once it is solved, the mean over the posterior of the variance of the
@@ -63,7 +63,7 @@ def chosen(likelihood: ModalLikelihood, model: SurrogateModel, draws: FloatArray
     return np.array(found)
 
 
-def stratified(uncertainty: FloatArray, n: int, rng: np.random.Generator) -> IntArray:
+def stratify(uncertainty: FloatArray, n: int, rng: np.random.Generator) -> IntArray:
     """Return n rows of draws, one at random of each of n groups of equal size, by their `uncertainty` (N,)."""
     groups = np.array_split(np.argsort(uncertainty, kind="stable"), n)
     return np.array([rng.choice(group) for group in groups])

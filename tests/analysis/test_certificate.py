@@ -53,7 +53,7 @@ def test_nothing_is_promised_where_a_chain_far_off_began(monkeypatch):
 def test_a_basis_that_is_too_small_is_found_out(trace, problem, monkeypatch):
     blocks = list(problem.model.cheap.blocks)
     b = next(i for i, block in enumerate(blocks) if isinstance(block, ReducedBlock))
-    blocks[b] = blocks[b].truncated(7)
+    blocks[b] = blocks[b].truncate(7)
     poor = BlockModel(tuple(blocks), problem.ndim)
     monkeypatch.setattr(problem.model.cheap, "solve", problem.model.pairing.bind(poor))
     with pytest.warns(CertificateWarning, match="outside its tolerance"):
@@ -138,7 +138,7 @@ def test_every_configuration_of_several_tests_is_certified(problem, monkeypatch)
     assert 0 < trace.attrs["certificate_frequency_error"] <= trace.attrs["certificate_bound"] + 1e-8 <= 1e-6
     assert 0 < trace.attrs["certificate_log_prob_error"] <= 1e-3
     loaded = joint.model.parts[1]
-    blocks = (b.truncated(b.size // 2) if isinstance(b, ReducedBlock) else b for b in loaded.cheap.blocks)
+    blocks = (b.truncate(b.size // 2) if isinstance(b, ReducedBlock) else b for b in loaded.cheap.blocks)
     poor = BlockModel(tuple(blocks), loaded.n_parameters)
     monkeypatch.setattr(loaded.cheap, "solve", loaded.pairing.bind(poor))
     with pytest.warns(CertificateWarning, match="outside its tolerance"):

@@ -254,9 +254,9 @@ def two_chains():
 
 
 def test_training_ends_where_the_best_fit_is_on_a_jump_of_the_pairing(bases, monkeypatch):
-    rounds, refined = [], Training.refined
+    rounds, refined = [], Training.refine
     monkeypatch.setattr(
-        Training, "refined", lambda self, theta, times: rounds.append(theta) or refined(self, theta, times)
+        Training, "refine", lambda self, theta, times: rounds.append(theta) or refined(self, theta, times)
     )
     problem = two_chains()
     structure = problem.model
@@ -294,9 +294,9 @@ def test_training_stalls_when_three_rounds_halve_nothing():
 
 def test_training_ends_where_no_basis_is_good_enough(bases, monkeypatch):
     """What the full model computes is off by more than is asked for, as by rounding."""
-    rounds, refined = [], Training.refined
+    rounds, refined = [], Training.refine
     monkeypatch.setattr(
-        Training, "refined", lambda self, theta, times: rounds.append(theta) or refined(self, theta, times)
+        Training, "refine", lambda self, theta, times: rounds.append(theta) or refined(self, theta, times)
     )
     promise(monkeypatch, 1e-6, 1e-300)
     monkeypatch.setattr(focus, "on_a_jump", lambda structure, theta, *_: np.zeros(len(theta), dtype=bool))

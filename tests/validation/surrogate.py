@@ -36,7 +36,7 @@ from fmu.samplers.loop.run import run
 from fmu.samplers.registry import make_sampler
 from fmu.surrogates.error_limits import ErrorLimits
 from fmu.surrogates.learning import CHECKS
-from fmu.surrogates.selection import error_variances, stratified
+from fmu.surrogates.selection import error_variances, stratify
 from tests.benchmarks.peers.target import of_unit_cube
 from tests.validation.surrogate_cases import POOR, PoorCase, cases, grid_moments, storeys, through, two_storeys
 from tests.validation.surrogate_page import N_CASES, page, passed
@@ -200,7 +200,7 @@ def held() -> list[dict[str, Any]]:
             limits = []
             for _ in range(CHOICES):
                 some = rng.choice(len(draws), min(CANDIDATES, len(draws)), replace=False)
-                chosen = some[stratified(variance[some], CHECKS, rng)]
+                chosen = some[stratify(variance[some], CHECKS, rng)]
                 limits.append(ErrorLimits.of(error[chosen], draws[chosen], draws, expected).shift)
             found.append(
                 {

@@ -12,7 +12,7 @@ import numpy as np
 from fmu.analysis.maxima.results import NEGLIGIBLE, Maxima
 from fmu.analysis.trace.conversion import names_of, units_of
 from fmu.posterior.scaled import ScaledDensity
-from fmu.progress.phases import solved
+from fmu.progress.phases import count_solves
 from fmu.samplers.trajectory import CentralDifference
 from fmu.types import FloatArray, LogDensity
 
@@ -114,7 +114,7 @@ class PlainDensity:
     def log_prob(self, theta: Any) -> Any:
         """Return the log-density at theta (ndim,) or (n, ndim); −inf where it is not finite."""
         points = np.atleast_2d(theta)
-        solved(len(points))
+        count_solves(len(points))
         with _tell_where(points):
             value = _numbers("log_prob", self.density.log_prob(points), (len(points),))
         return np.where(np.isfinite(value), value, -np.inf)[() if np.ndim(theta) > 1 else 0]
@@ -123,7 +123,7 @@ class PlainDensity:
         """Return the log-density and its gradient, its own or by differences; low and flat where not finite."""
         points = np.atleast_2d(theta)
         if self._has_gradient:
-            solved(len(points), with_gradients=True)
+            count_solves(len(points), with_gradients=True)
             with _tell_where(points):
                 found = self.density.log_prob_and_grad(points)
             value = _numbers("log_prob_and_grad", found[0], (len(points),))

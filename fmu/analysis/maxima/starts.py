@@ -201,7 +201,7 @@ def allotted(share: FloatArray, n: int) -> IntArray:
     By the method of Webster and Sainte-Laguë, whose whole numbers are closest to the shares; but every maximum
     first gets one chain, the largest shares first if there are too few chains. Maxima with a share below 1 %, or
     below a tenth of 1/n, get none: a chain that never leaves such a maximum would be out of proportion
-    (`fmu.analysis.maxima.missed`).
+    (`fmu.analysis.maxima.compute_errors`).
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ from fmu.fem.frame.drawing import Sketch, sketch
 from fmu.fem.modes.modal import mac
 from fmu.fem.pairing.expansion import serep
 from fmu.fem.pairing.paired_structure import structure_of
-from fmu.progress.phases import advanced, phase
+from fmu.progress.phases import count_steps, phase
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
 def _shapes(model: PairedStructure, theta: FloatArray) -> FloatArray:
     """Return the shapes of the modes, (n_dof, n_modes), at one theta."""
     shapes = model.shapes(theta)
-    advanced()
+    count_steps()
     return shapes
 
 
@@ -151,7 +151,7 @@ def _drawn(structure: SeparableModel, shapes: FloatArray) -> FloatArray:
     assert structure.geometry is not None
     row_of_drawn = {int(row): i for i, row in enumerate(structure.geometry.drawn)}
     moved = np.zeros((len(shapes), shapes.shape[2], len(row_of_drawn), 3))
-    for row, direction, seen_by in structure.located():
+    for row, direction, seen_by in structure.locate_motions():
         if direction in _AXES and row in row_of_drawn:
             motion = sum(weight * shapes[:, i] for i, weight in seen_by.items())
             moved[:, :, row_of_drawn[row], _AXES.index(direction)] = motion

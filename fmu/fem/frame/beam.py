@@ -42,10 +42,10 @@ def stiffness_terms(length: ArrayLike) -> dict[str, FloatArray]:
     L = _lengths(length)
     bar = np.array([[1.0, -1.0], [-1.0, 1.0]]) / L[:, None, None]
     return {
-        "EA": _embed(bar, _AXIAL),
+        "EA": _place(bar, _AXIAL),
         "EIy": _bending_stiffness(L, _BENDING_XZ),
         "EIz": _bending_stiffness(L, _BENDING_XY),
-        "GJ": _embed(bar, _TORSION),
+        "GJ": _place(bar, _TORSION),
     }
 
 
@@ -65,8 +65,8 @@ def mass_terms(length: ArrayLike) -> dict[str, FloatArray]:
     """
     L = _lengths(length)
     bar = np.array([[2.0, 1.0], [1.0, 2.0]]) * L[:, None, None] / 6.0
-    translation = _embed(bar, _AXIAL) + _translational_mass(L, _BENDING_XY) + _translational_mass(L, _BENDING_XZ)
-    torsion = _embed(bar, _TORSION)
+    translation = _place(bar, _AXIAL) + _translational_mass(L, _BENDING_XY) + _translational_mass(L, _BENDING_XZ)
+    torsion = _place(bar, _TORSION)
     return {
         "rhoA": translation,
         "rhoIy": _rotary_mass(L, _BENDING_XZ) + torsion,
@@ -152,30 +152,30 @@ def _lengths(length: ArrayLike) -> FloatArray:
     return L
 
 
-def _embed(small: FloatArray, dofs: tuple[int, ...]) -> FloatArray:
+def _place(small: FloatArray, dofs: tuple[int, ...]) -> FloatArray:
     matrix = np.zeros((len(small), 12, 12))
     matrix[:, np.array(dofs)[:, None], np.array(dofs)] = small
     return matrix
 
 
-def _signed(rows: list[list[FloatArray]], plane: tuple[int, ...]) -> FloatArray:
+def _apply_signs(rows: list[list[FloatArray]], plane: tuple[int, ...]) -> FloatArray:
     small = np.array(rows).transpose(2, 0, 1)
     sign = np.array([1.0, _ROTATION_SIGN[plane]] * 2)
-    return _embed(small * sign[:, None] * sign, plane)
+    return _place(small * sign[:, None] * sign, plane)
 
 
 def _bending_stiffness(L: FloatArray, plane: tuple[int, ...]) -> FloatArray:
     a, b, c, d = 12 / L**3, 6 / L**2, 4 / L, 2 / L
-    return _signed([[a, b, -a, b], [b, c, -b, d], [-a, -b, a, -b], [b, d, -b, c]], plane)
+    return _apply_signs([[a, b, -a, b], [b, c, -b, d], [-a, -b, a, -b], [b, d, -b, c]], plane)
 
 
 def _translational_mass(L: FloatArray, plane: tuple[int, ...]) -> FloatArray:
     a, b, c = 156 * L / 420, 22 * L**2 / 420, 54 * L / 420
     d, e, f = 13 * L**2 / 420, 4 * L**3 / 420, 3 * L**3 / 420
-    return _signed([[a, b, c, -d], [b, e, d, -f], [c, d, a, -b], [-d, -f, -b, e]], plane)
+    return _apply_signs([[a, b, c, -d], [b, e, d, -f], [c, d, a, -b], [-d, -f, -b, e]], plane)
 
 
 def _rotary_mass(L: FloatArray, plane: tuple[int, ...]) -> FloatArray:
     a, b = 36 / (30 * L), 3.0 / 30 * np.ones_like(L)
     c, d = 4 * L / 30, L / 30
-    return _signed([[a, b, -a, b], [b, c, -b, -d], [-a, -b, a, -b], [b, -d, -b, c]], plane)
+    return _apply_signs([[a, b, -a, b], [b, c, -b, -d], [-a, -b, a, -b], [b, -d, -b, c]], plane)

@@ -74,7 +74,7 @@ def sketch(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> Sk
     symbols = [("arm", at[model.arms[name].node], tip) for name, tip in tips.items()]
     n_arms = len(symbols)
     symbols += [("spring", nodes[a], nowhere if b is None else nodes[b]) for a, b in geometry.springs]
-    symbols += [("support", nodes[node], nowhere) for node in _supported(model)]
+    symbols += [("support", nodes[node], nowhere) for node in _find_supports(model)]
     symbols += [("mass", nodes[node], nowhere) for node in geometry.masses]
     symbols += [
         ("sensor", place.get(n, nowhere), nowhere if d[-2:] in _ROTATIONS else _pointing(d)) for n, d in sensors
@@ -108,11 +108,11 @@ def _sketch_picture(picture: LinePicture, sensors: Sequence[tuple[Any, str]]) ->
 
 
 def drawing(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> str:
-    """Draw a structure with its sensors (place, direction), see `drawn`; ValueError if it has no geometry."""
-    return drawn(sketch(model, sensors))
+    """Draw a structure with its sensors (place, direction), see `draw_svg`; ValueError if it has no geometry."""
+    return draw_svg(sketch(model, sensors))
 
 
-def drawn(
+def draw_svg(
     structure: Sketch,
     colours: Sequence[str] | None = None,
     said: str = "",
@@ -204,7 +204,7 @@ def changed_elements(model: SeparableModel) -> BoolArray:
     """
     geometry = _geometry(model)
     a, b = np.asarray(geometry.elements).T
-    nodes, dofs = np.array([(row, i) for row, _, seen in model.located() for i in seen]).T
+    nodes, dofs = np.array([(row, i) for row, _, seen in model.locate_motions() for i in seen]).T
     has = sp.csr_array((np.ones(len(dofs)), (nodes, dofs)), shape=(len(geometry.nodes), model.n_dof))
     free = has.sum(axis=1) > 0
     changed = np.zeros((len(a), model.n_parameters), dtype=bool)
@@ -261,21 +261,21 @@ def _fit(points: FloatArray) -> Callable[[FloatArray], FloatArray]:
     scale = np.min(room[extent > 0] / extent[extent > 0]) if np.any(extent > 0) else 1.0
     bottom = _MARGIN + scale * extent[1]
 
-    def fitted(points: FloatArray) -> FloatArray:
+    def fit_view(points: FloatArray) -> FloatArray:
         x, y = scale * (points - low).T
         return np.stack([_MARGIN + x, bottom - y], axis=1)
 
-    return fitted
+    return fit_view
 
 
-def _supported(model: SeparableModel) -> list[int]:
+def _find_supports(model: SeparableModel) -> list[int]:
     """Return the rows of nodes of elements that cannot move in every direction that others can.
 
     Nodes of another program's mesh may have no rotations without being held.
     """
     geometry = _geometry(model)
     free: dict[int, set[str]] = {}
-    for row, direction, _ in model.located():
+    for row, direction, _ in model.locate_motions():
         if geometry.ids is None or direction in _AXES:
             free.setdefault(row, set()).add(direction)
     most = max((len(directions) for directions in free.values()), default=0)

@@ -112,9 +112,9 @@ class Frame:
                     if name == "GJ":
                         scale /= 2 * (1 + group.material.nu)
                     matrix = _assemble(beam.to_global(unit[name], axes) * scale, ends, len(nodes))
-                    terms.append(Term(numbering.restricted(matrix), powers))
-        K_terms += [Term(numbering.restricted(m), powers) for m, powers in self._spring_matrices(nodes, owned)]
-        M_terms += [Term(numbering.restricted(m), powers) for m, powers in self._mass_matrices(len(nodes), owned)]
+                    terms.append(Term(numbering.restrict(matrix), powers))
+        K_terms += [Term(numbering.restrict(m), powers) for m, powers in self._spring_matrices(nodes, owned)]
+        M_terms += [Term(numbering.restrict(m), powers) for m, powers in self._mass_matrices(len(nodes), owned)]
         elements = np.concatenate([np.asarray(group.elements, dtype=np.int64) for group in self.groups])
         return SeparableModel(
             merge_terms(K_terms),
@@ -248,7 +248,7 @@ class Numbering:
         tied = np.flatnonzero((self.owner != np.arange(len(self.owner))) & np.isin(self.owner, self.free))
         return {_name(i): _name(j) for i, j in zip(tied.tolist(), self.owner[tied].tolist(), strict=True)}
 
-    def restricted(self, matrix: Any) -> Any:
+    def restrict(self, matrix: Any) -> Any:
         """Return a matrix (6 n_nodes, 6 n_nodes) reduced to the free degrees of freedom, with tied ones merged."""
         n = len(self.owner)
         if np.any(self.owner != np.arange(n)):

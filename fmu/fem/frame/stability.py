@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from fmu.fem.frame.components import DIRECTIONS
-from fmu.fem.modes.eigensolver import NEGATIVE, ZERO, is_semidefinite, lowest, scaled, unit_diagonal
+from fmu.fem.modes.eigensolver import NEGATIVE, ZERO, is_semidefinite, lowest, scale_matrix, unit_diagonal
 from fmu.fem.modes.separable import RigidArm, SeparableModel
 from fmu.numbers import listed, names_in_words
 from fmu.types import FloatArray
@@ -148,7 +148,7 @@ def _without_mass(model: SeparableModel, theta: ArrayLike, motions: FloatArray) 
         return motions
     _, scale = unit_diagonal(sp.csr_array(model.K(theta)))
     N = np.linalg.qr(motions / scale[:, None])[0]
-    M = scaled(model.M(theta), scale)
+    M = scale_matrix(model.M(theta), scale)
     energy, turned = np.linalg.eigh(N.T @ (M @ N))
     return np.asarray(scale[:, None] * (N @ turned[:, energy <= ZERO * M.diagonal().max()]))
 

@@ -125,7 +125,7 @@ def _quantities(
             raise ArgumentError(parameter, f"{name} has no direction", repr(direction[0]))
         found = [Quantity(name, i) for i, _ in picked]
     else:
-        found = [q for i, thing in picked for q in _directed(parameter, name, i, thing, direction)]
+        found = [q for i, thing in picked for q in _by_direction(parameter, name, i, thing, direction)]
         rotations = {q.direction in ROTATIONS for q in found}
         if len(rotations) > 1 and not factor:
             rule = "stiffness in N/m and in N·m/rad cannot have one value: name a direction, or use a factor"
@@ -137,7 +137,7 @@ def _quantities(
     return found
 
 
-def _directed(parameter: str, name: str, i: int, thing: Any, direction: Sequence[str]) -> list[Quantity]:
+def _by_direction(parameter: str, name: str, i: int, thing: Any, direction: Sequence[str]) -> list[Quantity]:
     if name == "stiffness":
         known, has = tuple(thing.stiffness), tuple(thing.stiffness)
     else:

@@ -29,7 +29,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
 
-from fmu.fem.modes.solver import DenseFactor, Factor, factorised
+from fmu.fem.modes.solver import DenseFactor, Factor, factorise
 from fmu.types import BoolArray, FloatArray
 
 # Up to this size LAPACK on the dense matrices beats a sparse factorisation and its Lanczos iterations.
@@ -93,7 +93,7 @@ def eigen(K: Any, M: Any, count: int, finite: int | None = None) -> tuple[FloatA
         S, scale = unit_diagonal(K)
         unit, top = abs(M).max(), np.max(scale)
         with np.errstate(all="ignore"):
-            lam, y = _of_scaled(S, scaled(M / unit, scale / top), count)
+            lam, y = _of_scaled(S, scale_matrix(M / unit, scale / top), count)
             lam, y = lam / top**2 / unit, (scale / top)[:, None] * y / np.sqrt(unit)
     except (np.linalg.LinAlgError, RuntimeError) as error:
         raise SingularMassError(f"eigenproblem of {n} DOF: {error}") from error
@@ -108,12 +108,12 @@ def _of_scaled(S: Any, M: Any, count: int) -> tuple[FloatArray, FloatArray]:
     if factor is None:  # free, nearly free, or negative for some motion: the lowest eigenvalues tell which
         nu, vectors = lowest(S)
         if nu[0] <= -NEGATIVE:
-            return _polished(S, M, _highest(_shifted(S, M), M, count))
+            return _polish(S, M, _highest(_factorise_shifted(S, M), M, count))
         rigid = (nu < ZERO) & ~_is_strained(S, vectors)
         if rigid.any():
             return _of_free(S, M, _mass_normalised(M, vectors[:, rigid]), count)
         factor = _definite(S)
-    return _polished(S, M, _highest(factor, M, count))
+    return _polish(S, M, _highest(factor, M, count))
 
 
 def _is_strained(S: Any, X: FloatArray) -> BoolArray:
@@ -147,13 +147,13 @@ def _of_free(S: Any, M: Any, N: FloatArray, count: int) -> tuple[FloatArray, Flo
             return elastic(x)
 
         X = _highest_sparse(solve, M, count - r)
-    lam, X = _polished(S, M, X, elastic)
+    lam, X = _polish(S, M, X, elastic)
     return np.concatenate([np.zeros(r), lam]), np.concatenate([N, X], axis=1)
 
 
 def _definite(matrix: Any) -> Factor:
     """Return the factors of a positive definite matrix; LinAlgError if it is not definite."""
-    factor = factorised(matrix)
+    factor = factorise(matrix)
     if factor.negative:
         raise np.linalg.LinAlgError("the matrix is not positive definite")
     return factor
@@ -182,7 +182,7 @@ def _start(n: int) -> FloatArray:
     return np.random.default_rng(0).standard_normal(n)
 
 
-def _shifted(S: Any, M: Any) -> Factor:
+def _factorise_shifted(S: Any, M: Any) -> Factor:
     """Return the factors of S + s M for a shift s that makes it definite: K is negative for some motion."""
     start = 1e-6 * np.abs(S.diagonal()).sum() / M.diagonal().sum()
     for power in range(24):
@@ -236,7 +236,7 @@ def _highest_sparse(solve: Callable[[FloatArray], FloatArray], M: Any, count: in
     return np.stack([solve(M @ X[:, k]) for k in np.argsort(mu)], axis=1)
 
 
-def _polished(
+def _polish(
     S: Any, M: Any, X: FloatArray, elastic: Callable[[FloatArray], FloatArray] = lambda x: x
 ) -> tuple[FloatArray, FloatArray]:
     """Return Rayleigh's quotients and mass-normalised vectors of a space, given lowest mode first.
@@ -275,10 +275,10 @@ def unit_diagonal(matrix: Any) -> tuple[Any, FloatArray]:
     """Return S = D A D with a diagonal of ones (or zeros), and the diagonal of D, for a dense or sparse A."""
     diagonal = np.abs(matrix.diagonal())
     scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-    return scaled(matrix, scale), scale
+    return scale_matrix(matrix, scale), scale
 
 
-def scaled(matrix: Any, scale: FloatArray) -> Any:
+def scale_matrix(matrix: Any, scale: FloatArray) -> Any:
     """Return D A D for the diagonal of D."""
     if not sp.issparse(matrix):
         return scale[:, None] * matrix * scale
@@ -306,7 +306,7 @@ def lowest(S: Any) -> tuple[FloatArray, FloatArray]:
         return lam, vectors
     unit, shift = sp.csr_array(sp.eye_array(n)), NEGATIVE
     # the pivots tell whether an eigenvalue lies below the shift (Sylvester); Lanczos might miss one far below zero
-    while (factor := factorised(S + shift * unit)).negative:
+    while (factor := factorise(S + shift * unit)).negative:
         shift *= 10.0
     if shift > NEGATIVE:
         return _nearest(S, factor, -shift, 1)
@@ -346,7 +346,7 @@ def rank(matrix: Any) -> int:
         if not is_semidefinite(part):
             raise SingularMassError("the mass matrix is not positive semidefinite")
         unit = sp.eye_array(part.shape[0])
-        return len(with_mass) - factorised(part - NEGATIVE * unit, is_definite=False).negative
+        return len(with_mass) - factorise(part - NEGATIVE * unit, is_definite=False).negative
     lam, _ = lowest(part)
     if lam[0] <= -NEGATIVE:
         raise SingularMassError("the mass matrix is not positive semidefinite")
@@ -362,7 +362,7 @@ def is_semidefinite(matrix: Any) -> bool:
     if len(rows) <= DENSE_LIMIT:
         return bool(np.linalg.eigvalsh(S.toarray())[0] > -NEGATIVE)
     try:
-        return factorised(S + NEGATIVE * sp.eye_array(len(rows))).negative == 0
+        return factorise(S + NEGATIVE * sp.eye_array(len(rows))).negative == 0
     except np.linalg.LinAlgError:
         return False
 
@@ -372,7 +372,7 @@ def _is_definite(S: Any) -> bool:
     unit = sp.eye_array(S.shape[0]) if sp.issparse(S) else np.eye(S.shape[0])
     try:
         # consistent mass matrices have eigenvalues of at least 1e-3; if one is small, all the lowest are computed
-        return factorised(S - 1e-6 * unit).negative == 0
+        return factorise(S - 1e-6 * unit).negative == 0
     except np.linalg.LinAlgError:
         return False
 

@@ -374,14 +374,16 @@ class _Fit:
         found = self.inverse @ entry[used]
         least = _SAFETY * noise * np.abs(self.inverse).sum(axis=1)
         kept = np.where(np.abs(found) > least[:, None], found, 0.0)
-        allowed = 2.0 * self.missed(entry, used)[used] + _SAFETY * (noise * np.abs(entry[used]) + _ROUNDING)
+        allowed = 2.0 * self.compute_errors(entry, used)[used] + _SAFETY * (
+            noise * np.abs(entry[used]) + _ROUNDING
+        )
         return np.where(np.any(self.missed_by(kept, entry)[used] > allowed, axis=0), found, kept)
 
     def error(self, entry: FloatArray, used: BoolArray) -> FloatArray:
         """Return the largest error in each export, shape (n_exports,)."""
-        return np.asarray(self.missed(entry, used).max(axis=1, initial=0.0))
+        return np.asarray(self.compute_errors(entry, used).max(axis=1, initial=0.0))
 
-    def missed(self, entry: FloatArray, used: BoolArray) -> FloatArray:
+    def compute_errors(self, entry: FloatArray, used: BoolArray) -> FloatArray:
         """Return the error of each entry in each export, shape (n_exports, n)."""
         return self.missed_by(self.inverse @ entry[used], entry)
 
@@ -490,7 +492,7 @@ def _fewest_of_all(
             return chosen, first
         if fit.reproduces(entry, used, np.ones(len(used), dtype=bool), noise):
             return chosen, first
-        missed = np.setdiff1d(np.argsort(fit.missed(entry, used).max(axis=0))[-_MOST_MISSED:], some)
+        missed = np.setdiff1d(np.argsort(fit.compute_errors(entry, used).max(axis=0))[-_MOST_MISSED:], some)
         if not len(missed):
             return chosen, first
         some = np.concatenate([some, missed])
@@ -563,7 +565,7 @@ def _refusal(
     sample = entries.entry[:, own[:: max(len(own) // _MOST_SAMPLED, 1)]]
     for powers in islice(_sets_of_powers(known, group, relative.shape[1], int(used.sum())), _MOST_COMPARED):
         fit = _Fit.of(powers, relative, used)
-        error = np.inf if fit is None else float(np.median(fit.missed(sample, used).max(axis=0)))
+        error = np.inf if fit is None else float(np.median(fit.compute_errors(sample, used).max(axis=0)))
         if error < 0.1 * least:
             best, least = fit, error
     those = names_in_words([names[j] for j in group]) or "nothing"
@@ -583,7 +585,7 @@ def _refusal(
 
 def _worst(fit: _Fit, used: BoolArray, exports: Sequence[Export], entries: _Entries, own: Any) -> str:
     """Return the entries that are reproduced worst, in the export where they are."""
-    error = fit.missed(entries.entry[:, own], used)
+    error = fit.compute_errors(entries.entry[:, own], used)
     at = int(np.argmax(error.max(axis=1)))
     worst = np.argsort(error[at])[::-1][:_TOLD]
     told = "; ".join(f"{entries.place(int(own[k]))} by {significant(float(error[at, k]))}" for k in worst)

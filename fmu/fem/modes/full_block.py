@@ -43,7 +43,7 @@ class FullBlock(Block):
     """
 
     def __init__(self, model: SeparableModel, dofs: IntArray) -> None:
-        self.K_terms, self.M_terms = _restricted(model.K_terms, dofs), _restricted(model.M_terms, dofs)
+        self.K_terms, self.M_terms = _restrict_terms(model.K_terms, dofs), _restrict_terms(model.M_terms, dofs)
         super().__init__(dofs, self.K_terms, self.M_terms)
         self.size = len(dofs)
         self.n_modes = self.n_trained = _finite_modes(self.M_terms)
@@ -82,14 +82,14 @@ class FullBlock(Block):
         if len(theta) == 1 and (self.constant or self.size > DENSE_LIMIT):
             asked = (b"" if self.constant else theta.tobytes(), count)
         if asked is None or self._last is None or self._last[0] != asked:
-            found = self._solved(theta, count)
+            found = self._solve_each(theta, count)
             if asked is None:
                 return found
             self._last = (asked, *found)
         _, lam, phi = self._last
         return np.repeat(lam, times, axis=0), np.repeat(phi, times, axis=0)
 
-    def _solved(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    def _solve_each(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         lam = np.full((len(theta), count), np.nan)
         phi = np.full((len(theta), self.size, count), np.nan)
         if count == 0:
@@ -173,7 +173,7 @@ def _slopes_times(terms: tuple[Term, ...], theta: FloatArray, phi: FloatArray) -
     return np.asarray(forms @ coefficient_gradients(terms, theta[None])[0])
 
 
-def _restricted(terms: tuple[Term, ...], dofs: IntArray) -> tuple[Term, ...]:
+def _restrict_terms(terms: tuple[Term, ...], dofs: IntArray) -> tuple[Term, ...]:
     if len(dofs) == terms[0].matrix.shape[0]:  # a single block: nothing to have, or to send, twice
         restricted = terms
     else:

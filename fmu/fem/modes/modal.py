@@ -202,7 +202,7 @@ class Block:
         """Return sparse sensor rows (n_sensors, n) on the block's degrees of freedom as rows on its unknowns."""
         return rows
 
-    def compressed(self, rows: Any, reference: FloatArray) -> tuple[Any, FloatArray]:
+    def compress_rows(self, rows: Any, reference: FloatArray) -> tuple[Any, FloatArray]:
         """Return fewer rows and references (_, n_modes), from `coordinates`, with the same norms and products."""
         return rows, reference
 
@@ -423,15 +423,17 @@ class FixedModes:
             else:
                 lam = block.eigenvalues(theta, count)
             values.append(lam[:, ranks])
-        owner, rank, _ = self.located(theta)
-        return ModalSolution(self._joined(values), self._joined(slopes) if gradient else None, owner, rank)
+        owner, rank, _ = self.locate(theta)
+        return ModalSolution(
+            self._join_columns(values), self._join_columns(slopes) if gradient else None, owner, rank
+        )
 
-    def located(self, theta: FloatArray, gradient: bool = False) -> tuple[IntArray, IntArray, dict[int, Any]]:
+    def locate(self, theta: FloatArray, gradient: bool = False) -> tuple[IntArray, IntArray, dict[int, Any]]:
         """Return block and rank of the modes at theta (n, n_parameters), shapes (n, m); nothing is solved."""
         block, rank = self._labels
         return block.repeat(len(theta), axis=0), rank.repeat(len(theta), axis=0), {}
 
-    def _joined(self, parts: list[FloatArray]) -> FloatArray:
+    def _join_columns(self, parts: list[FloatArray]) -> FloatArray:
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)[:, self._order]
 
 

@@ -473,7 +473,7 @@ class SeparableModel:
             raise ArgumentError("sensor", "sees no free degree of freedom", f"{place!r}, {direction!r}")
         return seen
 
-    def located(self) -> Iterator[tuple[int, str, Mapping[int, float]]]:
+    def locate_motions(self) -> Iterator[tuple[int, str, Mapping[int, float]]]:
         """Yield the motions of the geometry's nodes: row, direction, and weights of degrees of freedom."""
         row_of = {} if self.geometry is None else self.geometry.row_of
         for node, direction in (*self.motions, *(name for name in self.dof_of if name not in self.motions)):

@@ -62,7 +62,7 @@ def sparse_solver() -> str:
     return PARDISO if find_spec("pypardiso") else SUPERLU
 
 
-def factorised(matrix: Any, solver: str | None = None, is_definite: bool = True) -> Factor:
+def factorise(matrix: Any, solver: str | None = None, is_definite: bool = True) -> Factor:
     """Return the factors of a symmetric matrix, dense or sparse.
 
     Parameters

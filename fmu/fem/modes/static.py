@@ -9,7 +9,7 @@ import numpy as np
 
 from fmu.fem.modes.modal import CoefficientMap, single_thread
 from fmu.fem.modes.separable import SeparableModel, coefficients, weighted_sum
-from fmu.fem.modes.solver import factorised
+from fmu.fem.modes.solver import factorise
 from fmu.numbers import significant
 from fmu.types import FloatArray
 
@@ -26,7 +26,7 @@ def rigid_translation(model: SeparableModel, direction: str) -> FloatArray:
     """Return the motion of all free degrees of freedom by 1 m along x, y or z, shape (n_dof,)."""
     names = np.array([d for _, d in model.dofs])
     if model.geometry is not None and model.geometry.ids is not None:
-        known = {i: d for _, d, seen in model.located() for i in seen}
+        known = {i: d for _, d, seen in model.locate_motions() for i in seen}
         names = np.array([known.get(i, "") for i in range(model.n_dof)])  # of nodes, none inside elements
     return (names == direction).astype(float)
 
@@ -183,7 +183,7 @@ def _solve_loads(model: SeparableModel, theta: FloatArray, loads: FloatArray) ->
     scale = 1.0 / np.sqrt(np.where(K.diagonal() > 0.0, K.diagonal(), 1.0))
     scaled = K.multiply(scale[:, None]).multiply(scale).tocsr()
     try:
-        factor = factorised(scaled)
+        factor = factorise(scaled)
         x = scale[:, None] * np.asarray(factor.solve(scale[:, None] * loads))
     except np.linalg.LinAlgError:
         raise ValueError(_SINGULAR) from None

@@ -93,7 +93,7 @@ class Mesh:
         return bool(np.mean(distance > self.spacing[place]) <= _MOST_FAR)
 
 
-def aligned(x: FloatArray, mesh: Mesh) -> tuple[FloatArray, FloatArray, list[tuple[FloatArray, FloatArray]]]:
+def align_points(x: FloatArray, mesh: Mesh) -> tuple[FloatArray, FloatArray, list[tuple[FloatArray, FloatArray]]]:
     """Return the best alignment R, t, and others that fit as well; of all these the one that turns least."""
     R, t = _best(x, mesh, *_closest(x, mesh, *_starts(x, mesh), _FIRST_STEPS), _BEST)
     R, t = _closest(x, mesh, R, t, _STEPS)

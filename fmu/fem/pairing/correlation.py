@@ -1,8 +1,8 @@
 """Where test and model agree: among measured modes, close modes as a subspace, and sensor by sensor.
 
 After pairing, `computed` and `measured` are shapes at the same sensors, one column per measured mode. The measured
-ones are scaled to the computed ones by least absolute differences (`scaled`), on which a single wrong sensor has
-little influence.
+ones are scaled to the computed ones by least absolute differences (`scale_shapes`), on which a single wrong sensor
+has little influence.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _DEPENDENT = 1e-8
 """Shapes of unit length whose singular value is below this are linearly dependent."""
 
 
-def scaled(measured: FloatArray, computed: FloatArray) -> tuple[FloatArray, FloatArray]:
+def scale_shapes(measured: FloatArray, computed: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return both sets of shapes (n_sensors, n_modes), the computed ones with a mean square of 1 over the sensors.
 
     Each measured shape is multiplied by the factor c that makes Σ_j |c φ_j − ψ_j| smallest, ψ being the computed
@@ -70,7 +70,7 @@ def comac(measured: FloatArray, computed: FloatArray) -> FloatArray:
     CoMAC_j = (Σ_k |φ_jk ψ_jk|)² / (Σ_k φ_jk² Σ_k ψ_jk²) over the paired modes k: 1 if measured and computed motion
     of the sensor are in proportion, whatever their signs; 1 for a sensor that moves in neither.
     """
-    phi, psi = scaled(measured, computed)
+    phi, psi = scale_shapes(measured, computed)
     size = np.sum(phi**2, axis=1) * np.sum(psi**2, axis=1)
     still = np.all(phi == 0, axis=1) & np.all(psi == 0, axis=1)
     return np.divide(np.sum(np.abs(phi * psi), axis=1) ** 2, size, out=still.astype(float), where=size > 0)
@@ -82,7 +82,7 @@ def ecomac(measured: FloatArray, computed: FloatArray) -> FloatArray:
     ECoMAC_j = Σ_k |φ_jk − ψ_jk| / 2m over m paired modes, in units of the root mean square of the computed shape:
     0 where the shapes are equal, sign and size included; as large as the motion itself where the sign is wrong.
     """
-    phi, psi = scaled(measured, computed)
+    phi, psi = scale_shapes(measured, computed)
     return np.asarray(0.5 * np.mean(np.abs(phi - psi), axis=1))
 
 
@@ -186,7 +186,7 @@ class Correlation:
 
     def doubts_of_sensors(self) -> list[str]:
         """Return a warning for each of the sensors that `suspects` names, the worst five of them."""
-        phi, psi = scaled(self.measured, self.computed)
+        phi, psi = scale_shapes(self.measured, self.computed)
         middle, found = float(np.median(self.ecomac)), []
         for j in self.suspects[:_MOST_NAMED]:
             turned = 0.5 * float(np.mean(np.abs(phi[j] + psi[j])))

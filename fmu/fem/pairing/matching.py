@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from fmu.arguments import check_arguments
 from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.pairing.alignment import Mesh, aligned, kabsch, turn_of
+from fmu.fem.pairing.alignment import Mesh, align_points, kabsch, turn_of
 from fmu.formats.models.edges import inside
 from fmu.numbers import listed, names_in_words, significant
 from fmu.tables import data_frame
@@ -174,15 +174,15 @@ def match(
     elif mesh.fits(x):
         R, t = np.eye(3), np.zeros(3)
     else:
-        R, t, others = aligned(x, mesh)
+        R, t, others = align_points(x, mesh)
         doubts = _of_alignments(others)
     placed = x @ R.T + t
     if not mesh.fits(placed):
         raise ValueError(
-            f"{_no_fit(x, mesh, placed)}{_in_another_unit(given, mesh, unit)}{_mirrored(x, mesh, placed)}"
+            f"{_no_fit(x, mesh, placed)}{_in_another_unit(given, mesh, unit)}{_describe_mirror(x, mesh, placed)}"
         )
-    if not known and mesh.rms(placed) > _ROUGH * mesh.usual and _mirrored(x, mesh, placed):
-        raise ValueError(f"{_no_fit(x, mesh, placed)}{_mirrored(x, mesh, placed)}")
+    if not known and mesh.rms(placed) > _ROUGH * mesh.usual and _describe_mirror(x, mesh, placed):
+        raise ValueError(f"{_no_fit(x, mesh, placed)}{_describe_mirror(x, mesh, placed)}")
     distance, place = mesh.tree.query(placed)
     at = [mesh.at(k) for k in place]
     found = Matching(names, tuple(those[0] for those in at), distance, mesh.spacing[place], R, t, (), ())
@@ -225,7 +225,7 @@ def match_points(
     if model.geometry is None:
         raise ValueError("model: must know the coordinates of its nodes (it has no geometry)")
     geometry = model.geometry
-    moving = {row for row, *_ in model.located()}  # no node that the mesh has for other purposes
+    moving = {row for row, *_ in model.locate_motions()}  # no node that the mesh has for other purposes
     within = () if geometry.mesh is None else inside(geometry.mesh).tolist()
     rows = sorted(moving.union(geometry.drawn.tolist()).difference(within))
     names = list(geometry.row_of)
@@ -324,16 +324,16 @@ def _in_another_unit(given: FloatArray, mesh: Mesh, unit: str) -> str:
     """Return in which unit the points would fit; empty if in none."""
     for other, factor in UNITS.items():
         if other != unit and 0.2 <= np.ptp(factor * given, axis=0).max() / mesh.size <= 1.5:
-            R, t, _ = aligned(factor * given, mesh)
+            R, t, _ = align_points(factor * given, mesh)
             if mesh.fits(factor * given @ R.T + t):
                 return f"; they fit in {other}: unit = {other!r}"
     return ""
 
 
-def _mirrored(x: FloatArray, mesh: Mesh, placed: FloatArray) -> str:
+def _describe_mirror(x: FloatArray, mesh: Mesh, placed: FloatArray) -> str:
     """Return that the mirrored points would fit, and much better; empty if they would not."""
     mirrored = x * [-1.0, 1.0, 1.0]
-    R, t, _ = aligned(mirrored, mesh)
+    R, t, _ = align_points(mirrored, mesh)
     if mesh.rms(mirrored @ R.T + t) > _BETTER * mesh.rms(placed) or not mesh.fits(mirrored @ R.T + t):
         return ""
     return "; they fit mirrored: the axes of the test must be right-handed"

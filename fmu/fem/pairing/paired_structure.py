@@ -26,7 +26,7 @@ from fmu.fem.pairing.rules import (
     count_rigid,
     reference_modes,
 )
-from fmu.progress.phases import solved
+from fmu.progress.phases import count_solves
 from fmu.types import FloatArray, IntArray
 
 PAIRINGS = ("shape", "index")
@@ -192,11 +192,11 @@ class PairedStructure(ModalModel):
 
     def modes(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
         """Return the paired modes at theta (n, n_parameters), with the gradients of the eigenvalues if wanted."""
-        return _counted(self.solve, theta, gradient)
+        return _solve_counted(self.solve, theta, gradient)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
         """Return frequencies and shapes at the sensors, at theta (n, n_parameters), with derivatives if wanted."""
-        return _counted(self.see, theta, gradient)
+        return _solve_counted(self.see, theta, gradient)
 
     def seen_candidates(self, theta: FloatArray, gradient: bool = False) -> Candidates:
         """Return all modes that might answer to a measured one, at theta (n, n_parameters).
@@ -204,7 +204,7 @@ class PairedStructure(ModalModel):
         With derivatives if wanted; for a pairing by shape, soft or not.
         """
         assert self.choose is not None  # of a pairing by shape
-        return _counted(self.choose, theta, gradient)
+        return _solve_counted(self.choose, theta, gradient)
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
         """Return frequencies in Hz, shape (n, n_modes); NaN where a solve failed."""
@@ -223,7 +223,7 @@ class PairedStructure(ModalModel):
             NaN where a solve failed, and for modes that a reduced model was not trained for.
         block, rank : ndarray of int, shape (n_candidates,)
         """
-        solved(len(theta))
+        count_solves(len(theta))
         counts = self.candidate_counts()
         with single_thread():
             found = self.spectra(theta, counts)
@@ -303,9 +303,9 @@ def candidate_numbers(counts: Mapping[int, int]) -> tuple[IntArray, IntArray]:
     return np.repeat(list(counts), list(counts.values())), ranks
 
 
-def _counted[Solution](
+def _solve_counted[Solution](
     solve: Callable[[FloatArray, bool], Solution], theta: FloatArray, gradient: bool
 ) -> Solution:
-    solved(len(theta), with_gradients=gradient)
+    count_solves(len(theta), with_gradients=gradient)
     with single_thread():
         return solve(theta, gradient)

@@ -92,7 +92,7 @@ def with_rows[Batch: "DataclassInstance"](batch: Batch, rows: BoolArray, other: 
     return type(batch)(**replaced)
 
 
-def joined[Batch: "DataclassInstance"](parts: Sequence[Batch]) -> Batch:
+def join_batches[Batch: "DataclassInstance"](parts: Sequence[Batch]) -> Batch:
     """Return batches, dataclasses of arrays (n, …), joined along the first axis; None remains None."""
     columns = {field.name: [getattr(part, field.name) for part in parts] for field in fields(parts[0])}
     return type(parts[0])(**{n: None if c[0] is None else np.concatenate(c) for n, c in columns.items()})
@@ -124,7 +124,7 @@ class SensorView:
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
         """Return what the sensors see at theta (n, n_parameters), with derivatives if `gradient`."""
-        block, rank, solved = self._solve.located(theta, gradient)
+        block, rank, solved = self._solve.locate(theta, gradient)
         n, m = block.shape
         q, p = self._sensors.shape[0], self.model.n_parameters
         seen = BlockPrediction(np.full((n, m), np.nan), np.full((n, q, m), np.nan))
@@ -185,7 +185,7 @@ class CandidateView:
             block = self._model.blocks[b]
             rows, reference = block.coordinates(self._rule.rows[:, block.dofs]), self._rule.shapes
             if not self._at_sensors:
-                rows, reference = block.compressed(rows, reference)
+                rows, reference = block.compress_rows(rows, reference)
             views.append(_View(block, self._rule.n_candidates(self._model, b), rows, reference))
         return views
 

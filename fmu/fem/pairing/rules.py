@@ -39,7 +39,7 @@ class PairedSolve(Protocol):
         """Return the paired modes, with the gradients of their eigenvalues if `gradient`."""
         ...
 
-    def located(self, theta: FloatArray, gradient: bool) -> tuple[IntArray, IntArray, Solved]:
+    def locate(self, theta: FloatArray, gradient: bool) -> tuple[IntArray, IntArray, Solved]:
         """Return block and rank of the paired modes, (n, n_modes), and the blocks solved to find them.
 
         Block and rank are −1 in rows where a solve failed. With `gradient` as many modes are solved for as
@@ -92,10 +92,10 @@ class IndexPairing:
         """Return how many of the lowest modes of which blocks may be among those paired."""
         return {b: min(max(self.numbers), block.n_modes) for b, block in enumerate(model.blocks) if block.n_modes}
 
-    def needed(
+    def find_needed(
         self, model: BlockModel, eigenvalues: Mapping[int, FloatArray], shapes: Mapping[int, FloatArray]
     ) -> tuple[RankPairing | None, dict[int, int]]:
-        """Return None, and how many modes of each block the pairing needs; see `ShapePairing.needed`."""
+        """Return None, and how many modes of each block the pairing needs; see `ShapePairing.find_needed`."""
         values = [eigenvalues[b] for b in sorted(eigenvalues)]
         highest = np.sort(np.concatenate(values, axis=1), axis=1)[:, max(self.numbers) - 1]
         # one mode more than was ever among the lowest: it shows that none is missing
@@ -116,7 +116,7 @@ class _IndexSolve:
         numbers = self.pairing.numbers
         return self.model.spectrum(theta, max(numbers), gradient).columns(np.array(numbers) - 1)
 
-    def located(self, theta: FloatArray, gradient: bool) -> tuple[IntArray, IntArray, Solved]:
+    def locate(self, theta: FloatArray, gradient: bool) -> tuple[IntArray, IntArray, Solved]:
         numbers = self.pairing.numbers
         if len(self.model.blocks) == 1:  # a number is a rank: nothing to solve for
             rank = np.tile(np.array(numbers) - 1, (len(theta), 1))
@@ -173,7 +173,7 @@ class ShapePairing:
                 observed[b] = block.observe(seen[inside], self.shapes[inside])
         return observed
 
-    def needed(
+    def find_needed(
         self, model: BlockModel, eigenvalues: Mapping[int, FloatArray], shapes: Mapping[int, FloatArray]
     ) -> tuple[RankPairing | None, dict[int, int]]:
         """Return the pairing as fixed ranks where that is exact, and how many modes of each block are needed.
@@ -197,14 +197,14 @@ class ShapePairing:
         found: RankPairing | None = None
         for first in range(0, len(next(iter(shapes.values()))), AT_ONCE):
             part = {b: of_block[first : first + AT_ONCE] for b, of_block in shapes.items()}
-            block, rank, _ = self.assigned(observed, part)
+            block, rank, _ = self.assign_modes(observed, part)
             fixed = RankPairing(tuple(map(int, block[0])), tuple(map(int, rank[0])))
             if np.any(block != block[0]) or np.any(rank != rank[0]) or found not in (None, fixed):
                 return None
             found = fixed
         return found
 
-    def assigned(
+    def assign_modes(
         self, observed: Mapping[int, Observation], shapes: Mapping[int, FloatArray]
     ) -> tuple[IntArray, IntArray, IntArray]:
         """Return block, rank and column among all candidates of the mode assigned to each reference, (n, n_modes).
@@ -267,7 +267,7 @@ class _ShapeSolve:
         values, shapes = {}, {}
         for b in self.observed:
             values[b], shapes[b] = self.model.blocks[b].modes(theta, self.pairing.n_candidates(self.model, b))
-        block, rank, column = self.pairing.assigned(self.observed, shapes)
+        block, rank, column = self.pairing.assign_modes(self.observed, shapes)
         merged = np.concatenate(list(values.values()), axis=1)
         # where a block failed, modes of other blocks must not take its references
         merged[np.any(np.isnan(merged), axis=1)] = np.nan
@@ -279,14 +279,14 @@ class _ShapeSolve:
         )
         return ModalSolution(lam, np.take_along_axis(slopes, column[..., None], axis=1), block, rank)
 
-    def located(self, theta: FloatArray, gradient: bool) -> tuple[IntArray, IntArray, Solved]:
+    def locate(self, theta: FloatArray, gradient: bool) -> tuple[IntArray, IntArray, Solved]:
         solved, values, shapes = {}, [], {}
         for b in self.observed:
             block, count = self.model.blocks[b], self.pairing.n_candidates(self.model, b)
             lam, phi = solved[b] = block.modes(theta, block.n_required(count, gradient))
             values.append(lam[:, :count])
             shapes[b] = phi[:, :, :count]
-        owner, rank, _ = self.pairing.assigned(self.observed, shapes)
+        owner, rank, _ = self.pairing.assign_modes(self.observed, shapes)
         failed = np.isnan(np.concatenate(values, axis=1)).any(axis=1, keepdims=True)
         return np.where(failed, -1, owner), np.where(failed, -1, rank), solved
 

@@ -64,7 +64,7 @@ _INSIDE = 0.02
 _ASYMMETRIC = 1e-10
 
 
-def exported(build: Build, theta: FloatArray) -> ExportedModel:
+def export_matrices(build: Build, theta: FloatArray) -> ExportedModel:
     """Return stiffness, mass and mesh of the model that OpenSees has after ``build(theta)``.
 
     Parameters
@@ -98,7 +98,7 @@ def exported(build: Build, theta: FloatArray) -> ExportedModel:
         if not nodes:
             raise ArgumentError("build", "must make nodes in OpenSees (it made none)")
         followers = _followers(ops)
-        dofs_at = _assembled(ops, bool(followers))
+        dofs_at = _assemble_matrix(ops, bool(followers))
         dofs: dict[int, DofName] = {}
         directions: dict[int, tuple[str, ...]] = {}
         places: dict[int, Any] = {}
@@ -164,7 +164,7 @@ def from_opensees(
     Raises
     ------
     ValueError
-        If the matrices are not sums of products of powers of the parameters, or for what `exported` raises.
+        If the matrices are not sums of products of powers of the parameters, or for what `export_matrices` raises.
     """
     for key, values in (("start", start), ("lower", lower), ("upper", upper)):
         if not len(names) or np.shape(values) != (len(names),) or np.isnan(values).any():
@@ -173,7 +173,7 @@ def from_opensees(
     exports = [
         Export(
             dict(zip(names, point.tolist(), strict=True)),
-            exported(build, point),
+            export_matrices(build, point),
             bool(check),
             f"the model at {', '.join(f'{name} = {typed(x)}' for name, x in zip(names, point, strict=True))}",
         )
@@ -206,7 +206,7 @@ class OpenSeesModel(BlackBoxModel):
     Raises
     ------
     ValueError
-        See `exported`.
+        See `export_matrices`.
     """
 
     place = "model.file"
@@ -223,7 +223,7 @@ class OpenSeesModel(BlackBoxModel):
         if np.ndim(start) != 1 or not len(start) or not np.isfinite(start).all():
             raise ArgumentError("start", "must be a list of finite numbers", np.asarray(start).tolist())
         self.build, self.modes = build, modes
-        self.assembled = _fixed_model(exported(build, start))
+        self.assembled = _fixed_model(export_matrices(build, start))
         name = getattr(inspect.unwrap(build), "__qualname__", "build")
         called = ModesInOpenSees(build, modes)
         super().__init__(called, len(start), step=step, store=store, name=f"{name} in OpenSees")
@@ -269,7 +269,7 @@ class ModesInOpenSees:
 
     def __call__(self, theta: FloatArray) -> dict[str, Any]:
         """Return frequencies, and shapes at the sensors."""
-        model = exported(self.build, theta)
+        model = export_matrices(self.build, theta)
         with single_thread():
             eigenvalues, phi = eigen(model.stiffness, model.mass, min(self.modes, len(model.dofs)))
         shapes = _fixed_model(model).observation(self.sensors) @ phi if self.sensors else None
@@ -326,7 +326,7 @@ def _followers(ops: Any) -> dict[int, list[int]]:
     return followers
 
 
-def _assembled(ops: Any, follows: bool) -> dict[int, list[int]]:
+def _assemble_matrix(ops: Any, follows: bool) -> dict[int, list[int]]:
     """Return the equations of each node's degrees of freedom, negative where it has none, after numbering them.
 
     Where nodes follow others, which needs the handler Transformation, those of the others come behind their own.

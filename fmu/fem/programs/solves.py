@@ -18,7 +18,7 @@ from fmu.engines.base import MAX_DEATHS, Engine, LostTaskError
 from fmu.fem.programs.answers import Answer, AnswerError, read_answers
 from fmu.fem.programs.store import Solve, SolveStore
 from fmu.formats.shown import in_words, one_line
-from fmu.progress.phases import solved
+from fmu.progress.phases import count_solves
 from fmu.types import FloatArray
 
 SLOW_S = 0.05
@@ -194,12 +194,12 @@ class Solves:
         if self.batched and len(theta) > 1:
             together = self._look_up_or_call(theta)
             if together:
-                solved(len(theta))
+                count_solves(len(theta))
                 yield from together
                 return  # otherwise calls with one point at a time show which point is at fault
         engine = None if self.batched or len(theta) < 2 else self._engine
         for one in map(self.make, theta) if engine is None else self._spread(theta, engine):
-            solved()
+            count_solves()
             yield one
 
     def _spread(self, theta: FloatArray, engine: Engine) -> list[Solve]:

@@ -65,7 +65,7 @@ def own_modules(file: Path, name: str) -> dict[str, Path]:
     root = path.parents[len(parts) - 1]
     importlib.invalidate_caches()
     found: dict[str, Path] = {}
-    waiting, asked = [(name, file), *_located(name.rpartition(".")[0], root)], {name}
+    waiting, asked = [(name, file), *_locate_source(name.rpartition(".")[0], root)], {name}
     while waiting:
         module, source = waiting.pop()
         if module in found:
@@ -73,7 +73,7 @@ def own_modules(file: Path, name: str) -> dict[str, Path]:
         found[module] = source
         imported = set(_imports(source, module)) - asked
         asked |= imported
-        for other, place in (pair for one in imported for pair in _located(one, root)):
+        for other, place in (pair for one in imported for pair in _locate_source(one, root)):
             if place.is_relative_to(root / parts[0]) or _is_own(place):
                 waiting.append((other, place))
     del found[name]
@@ -98,7 +98,7 @@ def _imports(file: Path, module: str) -> Iterator[str]:
                 yield from (f"{of}.{alias.name}" for alias in node.names)
 
 
-def _located(name: str, root: Path) -> list[tuple[str, Path]]:
+def _locate_source(name: str, root: Path) -> list[tuple[str, Path]]:
     """Return full names and files of the packages that a module is in, and of itself, as far as there are any.
 
     They are searched for in the folder from which the function was imported, then on the path.

@@ -22,7 +22,7 @@ from fmu.fem.modes.eigensolver import is_clearly_definite, is_semidefinite, unit
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import is_rigid
 from fmu.fem.modes.separable import Term, coefficients
-from fmu.fem.modes.solver import Factor, factorised
+from fmu.fem.modes.solver import Factor, factorise
 from fmu.fem.reduced.space import Space
 from fmu.types import FloatArray, IntArray
 
@@ -150,7 +150,7 @@ class Anchors:
         """Return the factors of K + s M at anchor `a`."""
         if a not in self._factors:
             try:
-                found = factorised(self.matrix(a))
+                found = factorise(self.matrix(a))
                 if found.negative:
                     raise np.linalg.LinAlgError(f"{found.negative} of its eigenvalues are not positive")
             except np.linalg.LinAlgError as error:
@@ -180,7 +180,7 @@ class Anchors:
         low, tight = self._tight(theta)
         best = np.argmax(tight, axis=0)
         alpha = low[best, np.arange(len(theta))]
-        return best, alpha if self.proven else self._estimated(theta, best, space)
+        return best, alpha if self.proven else self._estimate_alpha(theta, best, space)
 
     def stretch(self, theta: FloatArray) -> FloatArray:
         """Return by what factor K + s M exceeds that at the first anchor at most, at theta (n, p).
@@ -197,7 +197,7 @@ class Anchors:
         def near(points: FloatArray) -> FloatArray:
             if self.proven:
                 return np.asarray(np.max(self._tight(points)[1], axis=0))
-            return self._estimated(points, np.zeros(len(points), dtype=int), space)
+            return self._estimate_alpha(points, np.zeros(len(points), dtype=int), space)
 
         tight = near(theta)
         i = int(np.argmin(tight))
@@ -232,10 +232,10 @@ class Anchors:
         # a term that the anchor leaves out adds to K whatever it is, as long as it is not negative
         return np.where(there == 0.0, np.where(here >= 0.0, np.inf, -np.inf), np.where(there < 0.0, np.nan, ratio))
 
-    def _estimated(self, theta: FloatArray, best: IntArray, space: Space) -> FloatArray:
+    def _estimate_alpha(self, theta: FloatArray, best: IntArray, space: Space) -> FloatArray:
         alpha = np.empty(len(theta))
         for i in range(len(theta)):
-            (A, A0), (M, M0) = space.assembled(np.stack([theta[i], self.theta[best[i]]]))
+            (A, A0), (M, M0) = space.assemble(np.stack([theta[i], self.theta[best[i]]]))
             A, A0 = A + self.shift * M, A0 + self.shift * M0
             alpha[i] = sl.eigh(A, A0, eigvals_only=True, subset_by_index=[0, 0], check_finite=False)[0]
         return alpha

@@ -84,7 +84,7 @@ class ReducedBlock(Block):
         """Projected terms of K and of M, shapes (n_terms, r, r)."""
         return self._K, self._M
 
-    def truncated(self, size: int) -> ReducedBlock:
+    def truncate(self, size: int) -> ReducedBlock:
         """Return the block reduced by only the first `size` vectors of its basis."""
         leading = copy.copy(self)
         leading.basis, leading.size = self.basis[:, :size], size
@@ -99,7 +99,7 @@ class ReducedBlock(Block):
         A = _assemble(self._K, self._K_map(theta))
         # a basis orthonormal in a mass matrix that no parameter changes makes the problem a standard one
         if not self.constant_mass:
-            A = _row_by_row(_whitened, A, _assemble(self._M, self._M_map(theta)))[0]
+            A = _row_by_row(_whiten, A, _assemble(self._M, self._M_map(theta)))[0]
         return _row_by_row(_values, A)[0][:, :count]
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
@@ -114,7 +114,7 @@ class ReducedBlock(Block):
         if self.constant_mass:
             lam, phi = _row_by_row(solve, A)
             return lam[:, :count], phi[:, :, :count]
-        A, inverse = _row_by_row(_whitened, A, _assemble(self._M, self._M_map(theta)))
+        A, inverse = _row_by_row(_whiten, A, _assemble(self._M, self._M_map(theta)))
         lam, y = _row_by_row(solve, A)
         return lam[:, :count], np.swapaxes(inverse, 1, 2) @ y[:, :, :count]
 
@@ -126,9 +126,9 @@ class ReducedBlock(Block):
         """Return sensor rows on the basis, a dense array."""
         return rows @ self.basis
 
-    def compressed(self, rows: Any, reference: FloatArray) -> tuple[Any, FloatArray]:
+    def compress_rows(self, rows: Any, reference: FloatArray) -> tuple[Any, FloatArray]:
         """Return rows and references in an orthonormal basis of all that the block can show there."""
-        return compressed(rows, reference)
+        return compress_rows(rows, reference)
 
     def _at(self, rows: Any, phi: FloatArray) -> FloatArray:
         return np.asarray(rows @ phi)
@@ -163,7 +163,7 @@ class ReducedBlock(Block):
         slopes = np.empty((n, r, count, self.n_parameters))
         for k in range(count):
             mode = lam[:, k], phi[:, :, k], dK[:, :, k], dM[:, :, k]
-            slopes[:, :, k] = _row_by_row(_bordered, K, M, *mode)[0]
+            slopes[:, :, k] = _row_by_row(_solve_bordered, K, M, *mode)[0]
         return slopes
 
     def _slopes(
@@ -177,7 +177,7 @@ class ReducedBlock(Block):
 
     def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
         """Return shapes at `rows` and the references in an orthonormal basis of what the block can show there."""
-        seen, reference = self.compressed(self.coordinates(rows), reference)
+        seen, reference = self.compress_rows(self.coordinates(rows), reference)
         return Mapped(seen), reference
 
     def _set_terms(self, K: FloatArray, M: FloatArray) -> None:
@@ -192,7 +192,7 @@ class ReducedBlock(Block):
         return np.swapaxes((products @ shapes[..., None])[..., 0], 1, 2)
 
 
-def compressed(rows: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
+def compress_rows(rows: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return rows (q, r) and references (q, m) in an orthonormal basis of the span of the rows' columns."""
     if rows.shape[0] <= rows.shape[1]:
         return rows, reference
@@ -201,11 +201,11 @@ def compressed(rows: FloatArray, reference: FloatArray) -> tuple[FloatArray, Flo
 
 
 def _project(terms: tuple[Term, ...], basis: FloatArray) -> FloatArray:
-    projected = np.stack([_projected(term.matrix, basis) for term in terms])
+    projected = np.stack([_project_matrix(term.matrix, basis) for term in terms])
     return 0.5 * (projected + np.swapaxes(projected, 1, 2))
 
 
-def _projected(matrix: Any, basis: FloatArray) -> FloatArray:
+def _project_matrix(matrix: Any, basis: FloatArray) -> FloatArray:
     """Return Vᵀ K V; for a large K with few non-empty rows by these alone."""
     rows = np.flatnonzero(np.diff(matrix.indptr))
     if len(basis) <= _LARGE or len(rows) > _FEW * len(basis):
@@ -219,7 +219,7 @@ def _assemble(matrices: FloatArray, weights: FloatArray) -> FloatArray:
     return np.einsum("nk,kij->nij", weights, matrices)
 
 
-def _whitened(K: FloatArray, M: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _whiten(K: FloatArray, M: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return L⁻¹ K L⁻ᵀ and L⁻¹, with M = L Lᵀ."""
     inverse = np.linalg.inv(np.linalg.cholesky(M))
     return inverse @ K @ np.swapaxes(inverse, 1, 2), inverse
@@ -243,7 +243,7 @@ def _solve_inverse(K: FloatArray, M: FloatArray, count: int | None) -> tuple[Flo
     """
     # K + s M is definite for a free structure too, and s of the size of λ keeps the digits of both matrices
     shift = np.array([np.trace(k) / np.trace(m) for k, m in zip(K, M, strict=True)])
-    C, inverse = _whitened(M, K + shift[:, None, None] * M)
+    C, inverse = _whiten(M, K + shift[:, None, None] * M)
     if count is None:
         nu, y = np.linalg.eigh(C)
         nu, y = nu[:, None, ::-1], y[:, :, ::-1]
@@ -254,7 +254,7 @@ def _solve_inverse(K: FloatArray, M: FloatArray, count: int | None) -> tuple[Flo
     return 1.0 / nu[:, 0] - shift[:, None], np.swapaxes(inverse, 1, 2) @ (y / np.sqrt(nu))
 
 
-def _bordered(*parts: FloatArray) -> tuple[FloatArray]:
+def _solve_bordered(*parts: FloatArray) -> tuple[FloatArray]:
     return (by_bordered_matrices(*parts),)
 
 

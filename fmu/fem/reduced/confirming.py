@@ -15,7 +15,7 @@ import numpy as np
 
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import RIGID, Block, BlockModel
-from fmu.fem.modes.solver import Factor, factorised
+from fmu.fem.modes.solver import Factor, factorise
 from fmu.fem.reduced.anchors import Anchors
 from fmu.fem.reduced.residuals import FrequencyBound
 from fmu.fem.reduced.space import Space, new_directions
@@ -46,13 +46,13 @@ class ConfirmedBlock(FullBlock):
         self._last = None
         self._space, self._anchors = space, anchors
 
-    def _solved(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    def _solve_each(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         lam = np.full((len(theta), count), np.nan)
         phi = np.full((len(theta), self.size, count), np.nan)
         for i in range(len(theta)):
             point = theta[i : i + 1]
             found = self._from_ritz(point, count)
-            lam[i], phi[i] = (of[0] for of in super()._solved(point, count)) if found is None else found
+            lam[i], phi[i] = (of[0] for of in super()._solve_each(point, count)) if found is None else found
         return lam, phi
 
     def _from_ritz(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray] | None:
@@ -79,7 +79,7 @@ class ConfirmedBlock(FullBlock):
 def confirmed_model(bound: FrequencyBound) -> BlockModel:
     """Return the full model of a bound, with large blocks whose modes begin with those of the reduced model."""
 
-    def confirmed(b: int, full: Any, reduced: Any) -> Block:
+    def confirm_block(b: int, full: Any, reduced: Any) -> Block:
         if full.size < LARGE or not reduced.is_reduced or reduced.size == full.size:
             return full
         return ConfirmedBlock(full, *bound.trial(b))
@@ -87,7 +87,7 @@ def confirmed_model(bound: FrequencyBound) -> BlockModel:
     if all(block.size < LARGE for block in bound.full.blocks):
         return bound.full
     both = zip(bound.full.blocks, bound.reduced.blocks, strict=True)
-    return BlockModel(tuple(confirmed(b, *of) for b, of in enumerate(both)), bound.full.n_parameters)
+    return BlockModel(tuple(confirm_block(b, *of) for b, of in enumerate(both)), bound.full.n_parameters)
 
 
 def davidson(
@@ -141,6 +141,6 @@ def _are_lowest(K: Any, M: Any, lam: FloatArray, count: int) -> bool:
     below = first + int(np.argmax(gap[first:count])) + 1
     sigma = 0.5 * (lam[below - 1] + lam[below])
     try:
-        return factorised(K - sigma * M, is_definite=False).negative == below
+        return factorise(K - sigma * M, is_definite=False).negative == below
     except np.linalg.LinAlgError:
         return False

@@ -61,19 +61,19 @@ class Cost:
         elimination = _AN_ENTRY * self.n_entries + _AN_ELIMINATION * self.n_entries**2 / self.n_dof
         return elimination + _ITERATIONS * self.solve
 
-    def reduced(self, size: int) -> float:
+    def of_reduced(self, size: int) -> float:
         """Of all modes in a basis of `size` vectors, at one theta."""
         eigenproblem = (_SINGULAR if self.massless else _STANDARD) * size**3
         return _A_REDUCED_SOLVE + _A_TERM * self.n_terms * size**2 + eigenproblem
 
     def visit(self, size: int, count: int) -> float:
         """Of the bounds of `count` modes by their residuals in a space of `size` vectors, at one theta."""
-        return 2.0 * self.reduced(size) + count * self.solve
+        return 2.0 * self.of_reduced(size) + count * self.solve
 
     def most_vectors(self) -> int:
         """Return the size of the largest basis whose solves take a third of a full one."""
         low, high = 1, self.n_dof
         while high - low > 1:
             middle = (low + high) // 2
-            low, high = (middle, high) if _PAYS * self.reduced(middle) <= self.full else (low, middle)
+            low, high = (middle, high) if _PAYS * self.of_reduced(middle) <= self.full else (low, middle)
         return low

@@ -16,10 +16,10 @@ import numpy as np
 
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import RIGID, Mapped
-from fmu.fem.modes.solver import factorised
+from fmu.fem.modes.solver import factorise
 from fmu.fem.reduced.anchors import Anchors
-from fmu.fem.reduced.basis import compressed
-from fmu.fem.reduced.residuals import at_once, bounded
+from fmu.fem.reduced.basis import compress_rows
+from fmu.fem.reduced.residuals import at_once, bound_errors
 from fmu.fem.reduced.space import Space
 from fmu.types import BoolArray, FloatArray
 
@@ -88,7 +88,7 @@ class Learner:
         step = at_once(self.block, len(allowed))
         for first in range(0, len(theta), step):
             rows = slice(first, first + step)
-            found = bounded(self.space, self.anchors, theta[rows], len(allowed))
+            found = bound_errors(self.space, self.anchors, theta[rows], len(allowed))
             self._look(theta[rows], share)
             solved = np.isfinite(found.eigenvalues)
             error = np.where(solved & self.is_whole, 0.0, found.error)
@@ -99,7 +99,7 @@ class Learner:
                 self._correct(found.corrections[:, wrong], target[wrong])
         return good
 
-    def missed(self, cut: Space, theta: FloatArray, needed: int, allowed: float) -> float:
+    def largest_miss(self, cut: Space, theta: FloatArray, needed: int, allowed: float) -> float:
         """Return how far the needed frequencies of a cut of the space are from its own at most, at theta (n, p).
 
         Points where that is more than what is allowed join those visited.
@@ -114,7 +114,7 @@ class Learner:
         self.theta = np.concatenate([self.theta, theta])
         self.share = np.concatenate([self.share, np.full(len(theta), share)])
 
-    def solved(self) -> tuple[FloatArray, FloatArray]:
+    def solve_visited(self) -> tuple[FloatArray, FloatArray]:
         """Return λ (n, count) and shapes (n, r, count) in V at all points visited; NaN on failure."""
         lam, y = np.empty((0, self.count)), np.empty((0, self.space.size, self.count))
         if self._solved is not None and self._solved[0] is self.space:
@@ -127,7 +127,7 @@ class Learner:
 
     def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
         """Return how shapes in the trial vectors are compared with references, see `Block.observe`."""
-        seen, reference = compressed(rows @ self.space.V, reference)
+        seen, reference = compress_rows(rows @ self.space.V, reference)
         return Mapped(seen), reference
 
     def add(self, X: FloatArray) -> None:
@@ -158,7 +158,7 @@ class Learner:
             k = needed + int(np.argmax(between[1:] / np.maximum(between[:-1], RIGID * values[-1])))
             sigma = 0.5 * (values[k - 1] + values[k])
             try:
-                if factorised(K - sigma * M, is_definite=False).negative != k:
+                if factorise(K - sigma * M, is_definite=False).negative != k:
                     return False
             except np.linalg.LinAlgError:
                 continue
@@ -175,7 +175,7 @@ class Learner:
         nearly coincides with the highest one needed takes its place not far away, and counts as needed there.
         """
         space, theta = self.space, self.theta
-        lam, y = self.solved()
+        lam, y = self.solve_visited()
         solved = np.isfinite(lam).all(axis=1)
         theta, lam, y, share = theta[solved], lam[solved], y[solved], self.share[solved]
         sigma = np.maximum(lam + space.shift, RIGID * lam[:, needed - 1 : needed])
@@ -189,10 +189,10 @@ class Learner:
         Q, left = balance_directions(Z, tolerance, max(needed, 1), max(largest, needed))
         left = left.reshape(len(left), len(theta), count)
         left, total = np.max(left, axis=2), np.sum(left, axis=2)
-        rotated = space.restricted(Q)
+        rotated = space.restrict(Q)
 
         def worst(size: int, rows: Any) -> FloatArray:
-            reduced = rotated.truncated(size).modes(theta[rows], min(count, size))[0]
+            reduced = rotated.truncate(size).modes(theta[rows], min(count, size))[0]
             off = np.full((len(reduced), count), np.inf)
             off[:, : reduced.shape[1]] = apart(reduced, lam[rows, : reduced.shape[1]])
             return np.asarray(np.max(off, axis=1, where=kept[rows], initial=0.0) / share[rows])
@@ -214,7 +214,7 @@ class Learner:
             if not len(bad) or top == high:
                 # weights mix the order of the directions: strongest first, a part of the basis is a coarser one
                 energy = Q[:, :top].T @ Z
-                return rotated.truncated(top), np.linalg.eigh(energy @ energy.T)[1][:, ::-1]
+                return rotated.truncate(top), np.linalg.eigh(energy @ energy.T)[1][:, ::-1]
             low, guess, tuned = top, top + 1, np.concatenate([tuned, bad])
 
 

@@ -16,11 +16,11 @@ from fmu.fem.approximation import Approximation
 from fmu.fem.modes.modal import ModalSolution, frequency_hz, single_thread
 from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.paired_structure import PairedStructure, candidate_numbers, frequencies_of
-from fmu.fem.pairing.prediction import Candidates, ModalPrediction, joined, with_rows
+from fmu.fem.pairing.prediction import Candidates, ModalPrediction, join_batches, with_rows
 from fmu.fem.reduced.confirming import confirmed_model
 from fmu.fem.reduced.residuals import FrequencyBound
 from fmu.fem.reduced.training import LOOSE, Trained, Training
-from fmu.progress.phases import solved
+from fmu.progress.phases import count_solves
 from fmu.types import BoolArray, FloatArray, IntArray
 
 # Numbers of an array in a batch of reduced solves: 128 MiB.
@@ -90,7 +90,7 @@ class ReducedStructure(Approximation):
 
         def leading(block: Any, size: int) -> Any:
             few = max(block.n_trained, math.ceil(share * block.size))
-            return block.truncated(few) if block.is_reduced and few < block.size < size else block
+            return block.truncate(few) if block.is_reduced and few < block.size < size else block
 
         mine = self.cheap.blocks
         sizes = [block.size for block in self.full.blocks]
@@ -101,7 +101,7 @@ class ReducedStructure(Approximation):
         other._answer_by(self.full.solved_by(replace(self.cheap.blocks, blocks=blocks), self.pairing))
         return other
 
-    def extended(self, lower: FloatArray, upper: FloatArray) -> Self:
+    def extend(self, lower: FloatArray, upper: FloatArray) -> Self:
         """Return the model with an answer in a larger box than it was trained for: for a first look there."""
         other = copy(self)
         other.lower, other.upper = np.minimum(lower, self.lower), np.maximum(upper, self.upper)
@@ -119,11 +119,11 @@ class ReducedStructure(Approximation):
 
     def modes(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
         """Return the paired modes at theta (n, n_parameters), with the gradients of the eigenvalues if wanted."""
-        return self._answered(self._solve, self.full.solve, theta, gradient)
+        return self._answer(self._solve, self.full.solve, theta, gradient)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
         """Return frequencies and shapes at the sensors, at theta (n, n_parameters), with derivatives if wanted."""
-        return self._answered(self.cheap.see, self.full.see, theta, gradient)
+        return self._answer(self.cheap.see, self.full.see, theta, gradient)
 
     def seen_candidates(self, theta: FloatArray, gradient: bool = False) -> Candidates:
         """Return all modes that might answer to a measured one, at theta (n, n_parameters).
@@ -132,7 +132,7 @@ class ReducedStructure(Approximation):
         """
         assert self.cheap.choose is not None  # of a pairing by shape
         assert self.full.choose is not None
-        return self._answered(self.cheap.choose, self.full.choose, theta, gradient)
+        return self._answer(self.cheap.choose, self.full.choose, theta, gradient)
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
         """Return frequencies in Hz, shape (n, n_modes); NaN where a solve failed."""
@@ -144,7 +144,7 @@ class ReducedStructure(Approximation):
 
     def candidates(self, theta: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
         """Return all modes that might have answered to a measured one, see `PairedStructure.candidates`."""
-        solved(len(theta))
+        count_solves(len(theta))
         counts, within = self.full.candidate_counts(), self.within(theta)
         found = np.empty((len(theta), sum(counts.values())))
         with single_thread():
@@ -192,9 +192,9 @@ class ReducedStructure(Approximation):
         if len(theta) <= self._at_once:
             return self.cheap.solve(theta, gradient)
         starts = range(0, len(theta), self._at_once)
-        return joined([self.cheap.solve(theta[i : i + self._at_once], gradient) for i in starts])
+        return join_batches([self.cheap.solve(theta[i : i + self._at_once], gradient) for i in starts])
 
-    def _answered[Solution: (ModalSolution, ModalPrediction, Candidates)](
+    def _answer[Solution: (ModalSolution, ModalPrediction, Candidates)](
         self,
         reduced: Callable[[FloatArray, bool], Solution],
         full: Callable[[FloatArray, bool], Solution],
@@ -202,7 +202,7 @@ class ReducedStructure(Approximation):
         gradient: bool,
     ) -> Solution:
         """Return the reduced model's solution, and the full one's outside the trained box and on failure."""
-        solved(len(theta), with_gradients=gradient)
+        count_solves(len(theta), with_gradients=gradient)
         with single_thread():
             within = (theta >= self.lower) & (theta <= self.upper)
             everywhere = np.count_nonzero(within) == within.size  # a tenth of what `all` takes on a small array
@@ -279,21 +279,21 @@ def train(
         if training.is_cut() and region is not None and tolerance < LOOSE:
             narrow = Training(truth.blocks, truth.rule, lower, upper, LOOSE, engine=engine)
             narrow.run()
-            part = None if narrow.is_cut() else _narrowed(truth, narrow, tolerance, region)
+            part = None if narrow.is_cut() else _narrow(truth, narrow, tolerance, region)
             if part is not None:
                 training, model = narrow, part
         for _ in range(20 if inaccurate_points is not None and not training.prefers_full() else 0):
             inaccurate = inaccurate_points(model)  # type: ignore[misc]
             if inaccurate is None or not training.is_accurate:
                 break
-            model = ReducedStructure(truth, training.refined(*inaccurate))
+            model = ReducedStructure(truth, training.refine(*inaccurate))
     if training.prefers_full():
         size = sum(of.size for of in training.reduced.values())
         return truth.kept_full(size), {"full": np.array(float(size))}
     return model, training.state()
 
 
-def _narrowed(
+def _narrow(
     truth: PairedStructure,
     training: Training,
     tolerance: float,
@@ -301,7 +301,7 @@ def _narrowed(
 ) -> ReducedStructure | None:
     """Continue a training in a region of its box; None if the basis would not pay."""
     models: list[ReducedStructure] = []
-    for trained in training.narrowed(tolerance, lambda: region(models[-1])):
+    for trained in training.narrow(tolerance, lambda: region(models[-1])):
         models.append(ReducedStructure(truth, trained))
     return models[-1] if training.confirmed else None
 
@@ -323,4 +323,4 @@ def restore(truth: PairedStructure, state: dict[str, FloatArray]) -> ReducedStru
     if "full" in state:
         return truth.kept_full(int(state["full"]))
     with single_thread():
-        return ReducedStructure(truth, Training.restored(truth.blocks, truth.rule, state))
+        return ReducedStructure(truth, Training.restore(truth.blocks, truth.rule, state))

@@ -63,7 +63,7 @@ class Bounded(NamedTuple):
     corrections: FloatArray
 
 
-def bounded(space: Space, anchors: Anchors, theta: FloatArray, count: int) -> Bounded:
+def bound_errors(space: Space, anchors: Anchors, theta: FloatArray, count: int) -> Bounded:
     """Return the lowest `count` modes at theta (n, p) and bounds of their errors; NaN where the solver fails."""
     known = anchors.modes(count)
     wanted = min(known.size, space.size, count + AHEAD)
@@ -202,7 +202,7 @@ class FrequencyBound:
         space, anchors = self.trial(b)
         step = at_once(full, count)
         parts = [theta[first : first + step] for first in range(0, len(theta), step)]
-        return np.concatenate([bounded(space, anchors, part, count).error for part in parts])
+        return np.concatenate([bound_errors(space, anchors, part, count).error for part in parts])
 
 
 def at_once(block: FullBlock, count: int) -> int:

@@ -63,9 +63,9 @@ class Space:
 
     def grown(self, X: FloatArray, A: Any) -> Space:
         """Return the space with vectors X (size, q) added, what is new of them orthonormal in A and to V."""
-        return self.joined(new_directions(self.V, X, A))
+        return self.join(new_directions(self.V, X, A))
 
-    def joined(self, X: FloatArray) -> Space:
+    def join(self, X: FloatArray) -> Space:
         """Return the space of the vectors of V and X (size, q)."""
         V, K, M = self.V, self.K, self.M
         for first in range(0, X.shape[1], _TOGETHER):
@@ -74,11 +74,11 @@ class Space:
             V = np.concatenate([V, new], axis=1)
         return Space(self.block, self.shift, V, K, M)
 
-    def restricted(self, Q: FloatArray) -> Space:
+    def restrict(self, Q: FloatArray) -> Space:
         """Return the space of the vectors V Q, for Q of shape (r, q)."""
-        return Space.empty(self.block, self.shift).joined(self.V @ Q)
+        return Space.empty(self.block, self.shift).join(self.V @ Q)
 
-    def truncated(self, size: int) -> Space:
+    def truncate(self, size: int) -> Space:
         """Return the space of the first `size` vectors."""
         return Space(self.block, self.shift, self.V[:, :size], _leading(self.K, size), _leading(self.M, size))
 
@@ -89,7 +89,7 @@ class Space:
         at_once = max(1, _AT_ONCE // r**2)
         for first in range(0, n, at_once):
             rows = slice(first, min(first + at_once, n))
-            stiff, heavy = self.assembled(theta[rows])
+            stiff, heavy = self.assemble(theta[rows])
             stiff = stiff + self.shift * heavy if self.shift else stiff
             for i, (A, B) in enumerate(zip(stiff, heavy, strict=True), start=first):
                 try:
@@ -100,15 +100,15 @@ class Space:
                 lam[i], y[i] = 1.0 / nu - self.shift, x / np.sqrt(nu)
         return lam, y
 
-    def assembled(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def assemble(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the lower triangles of the reduced K and M at theta (n, p), each of shape (n, r, r)."""
-        K = self._assembled(self.K, coefficients(self.block.K_terms, theta))
+        K = self._assemble(self.K, coefficients(self.block.K_terms, theta))
         if not self.block.constant_mass:
-            return K, self._assembled(self.M, coefficients(self.block.M_terms, theta))
-        M = self._assembled(self.M, coefficients(self.block.M_terms, theta[:1]))
+            return K, self._assemble(self.M, coefficients(self.block.M_terms, theta))
+        M = self._assemble(self.M, coefficients(self.block.M_terms, theta[:1]))
         return K, np.broadcast_to(M, K.shape)
 
-    def _assembled(self, rows: Sequence[FloatArray], weights: FloatArray) -> FloatArray:
+    def _assemble(self, rows: Sequence[FloatArray], weights: FloatArray) -> FloatArray:
         n, n_terms = weights.shape
         whole = np.zeros((n, self.size, self.size))
         first = 0

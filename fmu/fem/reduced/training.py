@@ -27,10 +27,10 @@ from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.confirming import confirmed_model
 from fmu.fem.reduced.cost import Cost
 from fmu.fem.reduced.learning import SHARE, Learner, apart
-from fmu.fem.reduced.residuals import FrequencyBound, bounded
+from fmu.fem.reduced.residuals import FrequencyBound, bound_errors
 from fmu.fem.reduced.snapshots import snapshot_basis
 from fmu.fem.reduced.space import Space
-from fmu.progress.phases import phase, solved
+from fmu.progress.phases import count_solves, phase
 from fmu.types import BoolArray, FloatArray
 
 # Below this size a block is kept whole, in a basis that only makes its mass matrix the unit matrix.
@@ -162,32 +162,34 @@ class Training:
                 self.learners[b].largest = min(self.learners[b].largest, 2 * self._affordable(b))
         self.n_trained = dict.fromkeys(counts, 0)
         self._visit(2 * _TOGETHER)
-        self.fixed, self.n_trained = self._needed()
+        self.fixed, self.n_trained = self._count_needed()
         near_zero = points_near_zero(self.lower, self.upper, self.n_sobol)
         for round_ in range(_ROUNDS):
             for b in self.learners:
                 self._look(b, near_zero)
             self.confirmed = self._visit(_ENOUGH)
-            fixed, needed = self._needed()
+            fixed, needed = self._count_needed()
             if fixed != self.fixed or any(n > self.n_trained.get(b, 0) for b, n in needed.items()):
                 self.fixed, self.n_trained = fixed, needed
                 self.confirmed = self._visit(_ENOUGH)
             self._cut()
-            if self.is_cut() or self.is_spent or self._verified(round_):
+            if self.is_cut() or self.is_spent or self._verify(round_):
                 break
             self._cut_share *= 0.5
         else:
             self.confirmed = False
         self.confirmed &= not (self.is_cut() or self.is_spent)
         self.far = self._far(np.concatenate([self._points(_CHECKS + _ROUNDS), near_zero]))
-        return self._trained()
+        return self._current()
 
-    def refined(self, theta: FloatArray, times: float = 3.0) -> Trained:
+    def refine(self, theta: FloatArray, times: float = 3.0) -> Trained:
         """Continue with more points (n, n_parameters), where errors are to be smaller by `times` than they are.
 
         At other points of the box they may be what they were.
         """
-        off = [self.learners[b].missed(cut, theta, self.n_trained[b], np.inf) for b, cut in self._cuts.items()]
+        off = [
+            self.learners[b].largest_miss(cut, theta, self.n_trained[b], np.inf) for b, cut in self._cuts.items()
+        ]
         found = max(off, default=0.0) / ((1.0 - SHARE) * self.tolerance)
         self.share = min(self.share, found if found > 0.0 else 1.0) / times
         for b, learner in self.learners.items():
@@ -198,9 +200,9 @@ class Training:
                 if not len(left) or self.is_spent:
                     break
         self._cut()
-        return self._trained()
+        return self._current()
 
-    def narrowed(self, tolerance: float, region: Callable[[], FloatArray]) -> Iterator[Trained]:
+    def narrow(self, tolerance: float, region: Callable[[], FloatArray]) -> Iterator[Trained]:
         """Continue in a region of the box, where a smaller `tolerance` is to be kept.
 
         Yields the reduced model so far before each call of `region`, which returns points (n, n_parameters), fresh
@@ -209,14 +211,14 @@ class Training:
         """
         self.share, self.is_narrow = tolerance / self.tolerance, True
         for _ in range(_MOST_ROUNDS):
-            yield self._trained()
+            yield self._current()
             theta = region()
             good = [self._look(b, theta, self.share) for b in self.learners]
             self._cut()
             if self.is_cut() or self.is_spent:
                 break
             if np.all(good):
-                yield self._trained()
+                yield self._current()
                 return
         self.confirmed = False
 
@@ -234,7 +236,7 @@ class Training:
                 self.costs[b], self.n_trained[b] = cost, count
                 V = snapshot_basis(block, anchors, theta, count, self._affordable(b), self.tolerance)
                 self.reduced[b] = ReducedBlock(block, mass_orthonormal(block, V, centre), count)
-        return self._trained()
+        return self._current()
 
     def state(self) -> dict[str, FloatArray]:
         """Return the outcome as arrays; `elsewhere` is the tolerance outside the region, if there is one.
@@ -254,9 +256,7 @@ class Training:
         return state
 
     @classmethod
-    def restored(
-        cls, full: BlockModel, rule: IndexPairing | ShapePairing, state: dict[str, FloatArray]
-    ) -> Trained:
+    def restore(cls, full: BlockModel, rule: IndexPairing | ShapePairing, state: dict[str, FloatArray]) -> Trained:
         """Return the outcome that `state` described."""
         training = cls(full, rule, state["lower"], state["upper"], tolerance=0.0)
         if "elsewhere" in state:
@@ -268,9 +268,9 @@ class Training:
             if f"basis{b}" in state:
                 n_trained = int(state[f"n_trained{b}"])
                 training.reduced[b] = ReducedBlock(training._block(b), state[f"basis{b}"], n_trained)
-        return training._trained()
+        return training._current()
 
-    def _trained(self) -> Trained:
+    def _current(self) -> Trained:
         blocks = (self.reduced.get(b, full) for b, full in enumerate(self.full.blocks))
         model = BlockModel(tuple(blocks), self.full.n_parameters)
         anchors = {b: learner.anchors for b, learner in self.learners.items()}
@@ -319,7 +319,7 @@ class Training:
             anchors = self.learners[b].anchors
             space = Space.of(self.reduced[b], self._block(b), anchors.shift)
             far = anchors.far(theta, space)
-            if far and not np.all(bounded(space, anchors, far.theta[None], needed).error <= self.tolerance):
+            if far and not np.all(bound_errors(space, anchors, far.theta[None], needed).error <= self.tolerance):
                 return far
         return None
 
@@ -329,30 +329,31 @@ class Training:
     def _is_full(self) -> bool:
         return any(learner.is_full and not learner.is_whole for learner in self.learners.values())
 
-    def _allowed(self, b: int) -> FloatArray:
+    def _allowed_errors(self, b: int) -> FloatArray:
         """Return the errors that the modes of block `b` may have: its candidates, or those needed of them."""
         n = self.n_trained.get(b, 0)
         return np.full(n, self.tolerance) if n else np.full(self.learners[b].count, max(LOOSE, self.tolerance))
 
-    def _needed(self) -> tuple[RankPairing | None, dict[int, int]]:
+    def _count_needed(self) -> tuple[RankPairing | None, dict[int, int]]:
         """Return the pairing as fixed ranks where that is exact, and how many modes of each block are needed."""
         # after a cut each block may have looked at points of its own: those before are the same
         visited = [learner.theta for learner in self.learners.values()]
         n = min(map(len, visited))
         alike = np.all([np.all(theta[:n] == visited[0][:n], axis=1) for theta in visited], axis=0)
         n = n if alike.all() else int(np.argmin(alike))
-        found = {b: tuple(of[:n] for of in learner.solved()) for b, learner in self.learners.items()}
+        found = {b: tuple(of[:n] for of in learner.solve_visited()) for b, learner in self.learners.items()}
         known = np.all([np.isfinite(lam).all(axis=1) for lam, _ in found.values()], axis=0)
         found = {b: (lam[known], y[known]) for b, (lam, y) in found.items()}
         seen = tuple(self.learners[b] if b in found else block for b, block in enumerate(self.full.blocks))
         model = BlockModel(seen, self.full.n_parameters)  # type: ignore[arg-type]
         eigenvalues, shapes = ({b: of[i] for b, of in found.items()} for i in (0, 1))
-        return self.rule.needed(model, eigenvalues, shapes)
+        return self.rule.find_needed(model, eigenvalues, shapes)
 
     def _cut(self) -> None:
         """Find a small basis with errors within the tolerance at all points visited."""
         self.reduced = {
-            b: ReducedBlock(self._block(b), self._kept(b, needed), needed) for b, needed in self.n_trained.items()
+            b: ReducedBlock(self._block(b), self._choose_cut(b, needed), needed)
+            for b, needed in self.n_trained.items()
         }
 
     def is_cut(self) -> bool:
@@ -377,12 +378,12 @@ class Training:
         A run of 20 000 full solves then takes minutes.
         """
         full = sum(cost.full for cost in self.costs.values())
-        reduced = sum(self.costs[b].reduced(of.size) for b, of in self.reduced.items() if b in self.costs)
+        reduced = sum(self.costs[b].of_reduced(of.size) for b, of in self.reduced.items() if b in self.costs)
         return not self.is_accurate and bool(self.costs) and (full <= CHEAP or full <= reduced)
 
     def _look(self, b: int, theta: FloatArray, share: float = 1.0) -> BoolArray:
         """Return where a block's errors are small enough, of theta (n, p); its space grows where they are not."""
-        allowed = self._allowed(b)
+        allowed = self._allowed_errors(b)
         if b in self.costs:
             self.spent += len(theta) * self.costs[b].visit(self.learners[b].space.size, len(allowed))
         return self.learners[b].visit(theta, allowed, share)
@@ -392,7 +393,7 @@ class Training:
         most = affordable(self._block(b).size)
         return min(most, self.costs[b].most_vectors()) if b in self.costs else most
 
-    def _kept(self, b: int, needed: int) -> FloatArray:
+    def _choose_cut(self, b: int, needed: int) -> FloatArray:
         block = self._block(b)
         centre = 0.5 * (self.lower + self.upper)
         if block.n_modes == block.size <= EXACT_LIMIT:
@@ -408,14 +409,14 @@ class Training:
             # points that ask for more than others tell nothing new of the box
             if cut.size == largest or self.share < 1.0:
                 break
-            off = learner.missed(cut, self._fresh(), needed, left)
+            off = learner.largest_miss(cut, self._fresh(), needed, left)
             if off <= left:
                 break
             share *= _CUT * left / off
         self._cuts[b] = cut
         return mass_orthonormal(block, cut.V @ order, centre)
 
-    def _verified(self, round_: int) -> bool:
+    def _verify(self, round_: int) -> bool:
         """Say whether full solves at fresh points agree; if not, their modes join the space.
 
         The frequencies agree to the tolerance, the pairing is the same, and so is the number of modes below one
@@ -425,18 +426,18 @@ class Training:
         points = points[np.random.default_rng(round_).permutation(len(points))][: 2 * _CHECKED]
         counts = self.rule.counts(self.full)
         # where that is dear, the modes of the cut are a start, and one process has the factors
-        trained = self._trained()
+        trained = self._current()
         bound = FrequencyBound(self.full, trained.model, self.lower, self.upper, trained.anchors)
         full = confirmed_model(bound)
         engine = self._engine if full is self.full else InProcess()
         tasks = [(b, theta[None], count) for b, count in counts.items() for theta in points[:_CHECKED]]
         with phase("training", len(tasks)) as under_way:
             outcome = iter(engine.run_tasks(_solve_there, full, tasks, lambda *_: under_way.advance()))
-            solved(_CHECKED)
+            count_solves(_CHECKED)
         agreed = True
         exact = {b: list(islice(outcome, _CHECKED)) for b in counts}
         eigenvalues, shapes = ({b: np.concatenate([of[i] for of in exact[b]]) for b in counts} for i in (0, 1))
-        fixed, needed = self.rule.needed(self.full, eigenvalues, shapes)
+        fixed, needed = self.rule.find_needed(self.full, eigenvalues, shapes)
         agreed &= self.fixed is None or fixed == self.fixed
         agreed &= all(needed[b] <= n or self.fixed is None for b, n in self.n_trained.items())
         for b, n in self.n_trained.items():

@@ -64,7 +64,7 @@ class Process:
         self._mean, spread = y.mean(axis=0), y.std(axis=0)
         self._unit = np.where(spread > 0.0, spread, 1.0)
         z = (y - self._mean) / self._unit
-        fitted = _fitted(self.x, z, None if before is None else before.kernel, search)
+        fitted = _fit(self.x, z, None if before is None else before.kernel, search)
         self.kernel: Any = fitted.kernel_
         self.log_likelihood = float(fitted.log_marginal_likelihood_value_)
         self.n_hyper = len(fitted.kernel_.theta)
@@ -89,7 +89,7 @@ class Process:
     def values(self, x: FloatArray) -> FloatArray:
         """Return the expected y, shape (n, q), at x (n, d)."""
         k, _ = self._covariances(x)
-        return self._expected(k)
+        return self._expect(k)
 
     def limit(self, x: FloatArray) -> None:
         """Let no variance that `predict` gives be larger than those at points (n, d): draws of the posterior.
@@ -98,13 +98,13 @@ class Process:
         theta of which nothing is known to the best that there is.
         """
         k, _ = self._covariances(x)
-        self.most = float(np.max(self._left(x, _product(k, self._root.T))))
+        self.most = float(np.max(self._remaining_variance(x, _product(k, self._root.T))))
 
     def predict(self, x: FloatArray, limited: bool = True) -> tuple[FloatArray, FloatArray]:
         """Return the expected y and its variance, without the solver's scatter, (n, q) each."""
         k, _ = self._covariances(x)
-        left = self._left(x, _product(k, self._root.T))
-        return self._expected(k), self._variance(np.minimum(left, self.most) if limited else left)
+        left = self._remaining_variance(x, _product(k, self._root.T))
+        return self._expect(k), self._variance(np.minimum(left, self.most) if limited else left)
 
     def predict_with_slopes(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return `predict`, and the derivatives of both by x, shape (n, q, d) each."""
@@ -117,11 +117,11 @@ class Process:
             dk = self._trend * self.x[:, j] - self._by_length[j] * (x[:, j, None] - self.x[:, j]) * smooth
             slopes[:, :, j] = np.sum(dk[:, None, :] * self._alpha.T, axis=2)
             by_variance[:, j] = 2.0 * (self._trend * x[:, j] - np.sum(w * dk, axis=1))
-        left = self._left(x, u)
+        left = self._remaining_variance(x, u)
         by_variance[(left <= 0.0) | (left >= self.most)] = 0.0
         slopes *= self._unit[:, None]
         return (
-            self._expected(k),
+            self._expect(k),
             self._variance(np.minimum(left, self.most)),
             slopes,
             self._variance(by_variance[:, None]),
@@ -147,10 +147,10 @@ class Process:
             trend += x[:, j, None] * self.x[:, j]
         return self._trend * trend + smooth, smooth
 
-    def _expected(self, k: FloatArray) -> FloatArray:
+    def _expect(self, k: FloatArray) -> FloatArray:
         return self._mean + self._unit * np.sum(k[:, None, :] * self._alpha.T, axis=2)
 
-    def _left(self, x: FloatArray, u: FloatArray) -> FloatArray:
+    def _remaining_variance(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the variance that is left, k(x, x) − uᵀu with u = L⁻¹k, scaled, (n,)."""
         own = np.ones(len(x))
         for j in range(x.shape[1]):
@@ -180,7 +180,7 @@ def _squares(x: FloatArray, other: FloatArray, weights: FloatArray) -> FloatArra
     return total
 
 
-def _fitted(x: FloatArray, z: FloatArray, kernel: Any, search: bool) -> Any:
+def _fit(x: FloatArray, z: FloatArray, kernel: Any, search: bool) -> Any:
     """Return scikit-learn's regressor, fitted to z (N, q) at x (N, d)."""
     from sklearn.base import clone
     from sklearn.exceptions import ConvergenceWarning
@@ -194,19 +194,20 @@ def _fitted(x: FloatArray, z: FloatArray, kernel: Any, search: bool) -> Any:
             + WhiteKernel(1e-6, _BOUNDS["scatter"])
         )
 
-    def fitted(kernel: Any, optimizer: str | None) -> Any:
+    def fit_process(kernel: Any, optimizer: str | None) -> Any:
         return GaussianProcessRegressor(kernel, alpha=0.0, optimizer=optimizer).fit(x, z)
 
     if not search:
-        return fitted(kernel, None)
+        return fit_process(kernel, None)
     starts = [*map(start, _STARTS)] if kernel is None else [kernel, start(_STARTS[-1])]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)  # a parameter without effect has the longest length
         # the likelihood may have several maxima: one of them explains everything by scatter
         best = max(
-            (fitted(one, "fmin_l_bfgs_b") for one in starts), key=lambda one: one.log_marginal_likelihood_value_
+            (fit_process(one, "fmin_l_bfgs_b") for one in starts),
+            key=lambda one: one.log_marginal_likelihood_value_,
         )
-        exact = fitted(
+        exact = fit_process(
             clone(best.kernel_).set_params(k2__noise_level=LEAST_SCATTER, k2__noise_level_bounds="fixed"),
             "fmin_l_bfgs_b",
         )

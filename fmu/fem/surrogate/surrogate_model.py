@@ -44,7 +44,7 @@ class Design:
         """Where no frequencies were found, shape (N,): a mode without frequency has no logarithm either."""
         return ~(np.isfinite(self.frequencies) & (self.frequencies > 0.0)).all(axis=1)
 
-    def joined(self, other: Design) -> Design:
+    def join(self, other: Design) -> Design:
         """Return this design and another."""
         return Design(
             np.concatenate([self.theta, other.theta]),
@@ -99,7 +99,7 @@ class SurrogateModel(ModalModel):
         self.pairs = ClosePairs() if truth.by_shape else ClosePairs.of(log)
         if before is not None and before.pairs != self.pairs:
             before = None  # its hyper-parameters are of other quantities
-        shapes = None if reference is None else oriented(design.shapes[good], reference)
+        shapes = None if reference is None else orient_shapes(design.shapes[good], reference)
         n_searched: int = 0 if before is None else before._n_searched
         search = np.sum(good) >= _GROWN * n_searched
         self._n_searched: int = int(np.sum(good)) if search else n_searched
@@ -136,16 +136,16 @@ class SurrogateModel(ModalModel):
         x = self.coordinates.to_x(theta)
         by_theta = self.coordinates.slope(theta)[:, None] if gradient else None
         with single_thread():
-            parts = [_predicted(p, x, by_theta) for p in (*self.of_frequencies, *self.of_shapes)]
+            parts = [_predict(p, x, by_theta) for p in (*self.of_frequencies, *self.of_shapes)]
         n = len(self.of_frequencies)
-        y, v, dy, dv = (_joined(c, np.concatenate, 1) for c in zip(*parts[:n], strict=True))
+        y, v, dy, dv = (_join_parts(c, np.concatenate, 1) for c in zip(*parts[:n], strict=True))
         z, z_variance = self.pairs.values(y, v)
         f = np.exp(0.5 * z)
         f_hz, v_hz2 = self._where_feasible(x, f), 0.25 * f**2 * z_variance
         empty = np.empty((len(x), 0, self.n_modes))
         s, sv, ds, dsv = empty, empty, np.empty((*empty.shape, self.n_parameters)), None
         if self.of_shapes:
-            s, sv, ds, dsv = (_joined(c, np.stack, 2) for c in zip(*parts[n:], strict=True))
+            s, sv, ds, dsv = (_join_parts(c, np.stack, 2) for c in zip(*parts[n:], strict=True))
         if not gradient:
             return ModalPrediction(f_hz, s, frequency_variance=v_hz2, shape_variance=sv)
         dz, dz_variance = self.pairs.slopes(y, v, dy, dv)
@@ -201,12 +201,12 @@ class SurrogateModel(ModalModel):
         return np.where(self.feasibility(x)[:, None], frequencies, np.nan)
 
 
-def _joined(parts: Sequence[Any], join: Any, axis: int) -> Any:
+def _join_parts(parts: Sequence[Any], join: Any, axis: int) -> Any:
     """Return arrays joined along an axis, None if they are None."""
     return None if parts[0] is None else join(parts, axis=axis)
 
 
-def _predicted(process: Process, x: FloatArray, by_theta: FloatArray | None) -> Any:
+def _predict(process: Process, x: FloatArray, by_theta: FloatArray | None) -> Any:
     """Return value and variance at x, and their derivatives by theta or None, by those of x by theta."""
     if by_theta is None:
         return *process.predict(x), None, None
@@ -233,7 +233,7 @@ def fitted_together(x: FloatArray, y: FloatArray, before: Sequence[Process] | No
     return single if sum(p.log_likelihood for p in single) - shared.log_likelihood > cost else [shared]
 
 
-def solved(truth: ModalModel, theta: FloatArray, with_shapes: bool) -> Design:
+def solve_design(truth: ModalModel, theta: FloatArray, with_shapes: bool) -> Design:
     """Return what the slow model gives at theta (n, n_parameters)."""
     if with_shapes:
         seen = truth.observed(theta)
@@ -242,7 +242,7 @@ def solved(truth: ModalModel, theta: FloatArray, with_shapes: bool) -> Design:
     return Design(theta, frequencies, np.empty((len(theta), 0, frequencies.shape[1])))
 
 
-def oriented(shapes: FloatArray, reference: FloatArray) -> FloatArray:
+def orient_shapes(shapes: FloatArray, reference: FloatArray) -> FloatArray:
     """Return shapes (n, n_sensors, n_modes) of unit length, with the sign that the reference has."""
     along = np.sum(shapes * reference, axis=1, keepdims=True)
     return shapes / np.linalg.norm(shapes, axis=1, keepdims=True) * np.where(along < 0.0, -1.0, 1.0)

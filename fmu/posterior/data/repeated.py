@@ -37,7 +37,7 @@ class _Scatter(NamedTuple):
     n: NDArray[np.int64]
 
 
-def _checked(frequencies: ArrayLike, scatter: str) -> FloatArray:
+def _check_frequencies(frequencies: ArrayLike, scatter: str) -> FloatArray:
     """Return frequencies as an array; ValueError if they or `scatter` are wrong."""
     values = np.array(frequencies, dtype=float)
     if values.ndim != 2 or values.size == 0:
@@ -105,7 +105,7 @@ class RepeatedTests:
     scatter: str = "each"
 
     def __post_init__(self) -> None:
-        values = _checked(self.frequencies_hz, self.scatter)
+        values = _check_frequencies(self.frequencies_hz, self.scatter)
         values.flags.writeable = False
         object.__setattr__(self, "frequencies_hz", values)
         self.mean()
@@ -222,7 +222,7 @@ def mean_shapes(shapes: ArrayLike) -> FloatArray:
         mean: then it is another mode.
     """
     values = _checked_shapes(shapes)
-    return np.stack([_aligned(values[:, :, k], k + 1)[1] for k in range(values.shape[2])], axis=1)
+    return np.stack([_align_shapes(values[:, :, k], k + 1)[1] for k in range(values.shape[2])], axis=1)
 
 
 def shapes_sd(shapes: ArrayLike) -> FloatArray | None:
@@ -247,7 +247,7 @@ def shapes_sd(shapes: ArrayLike) -> FloatArray | None:
     values = _checked_shapes(shapes)
     sd = np.zeros(values.shape[2])
     for k in range(len(sd)):
-        unit, mean = _aligned(values[:, :, k], k + 1)
+        unit, mean = _align_shapes(values[:, :, k], k + 1)
         n, n_sensors = unit.shape
         nu = (n - 1) * (n_sensors - 1)
         if nu:
@@ -263,7 +263,7 @@ def _checked_shapes(shapes: ArrayLike) -> FloatArray:
     return values
 
 
-def _aligned(shapes: FloatArray, mode: int) -> tuple[FloatArray, FloatArray]:
+def _align_shapes(shapes: FloatArray, mode: int) -> tuple[FloatArray, FloatArray]:
     """Return the shapes of one mode, of unit length and one sign, without missed ones; and their mean."""
     tests = np.flatnonzero(~np.isnan(shapes).all(axis=1))
     if not len(tests):

@@ -318,7 +318,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         squares = self._inverse_root**2  # the model's own errors of z are correlated; their variances are kept
         return replace(
             seen,
-            frequencies=self._standardised(seen.frequencies),
+            frequencies=self._standardise(seen.frequencies),
             frequency_slopes=None if slopes is None else _times(self._inverse_root, slopes, 1),
             frequency_variance=None if variance is None else _times(squares, variance),
             frequency_variance_slopes=None if by_variance is None else _times(squares, by_variance, 1),
@@ -332,7 +332,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
     def log_prob_terms(self, frequencies: FloatArray) -> FloatArray:
         """Return the terms, shape (n, n_modes), at frequencies in Hz of that shape."""
         with np.errstate(over="ignore", invalid="ignore"):
-            return np.asarray(self._normaliser - 0.5 * self._standardised(frequencies) ** 2)
+            return np.asarray(self._normaliser - 0.5 * self._standardise(frequencies) ** 2)
 
     def log_prob_given_others(self, frequencies: FloatArray) -> FloatArray:
         """Return the log-density of each measured frequency given all the other measured ones, (…, n_modes).
@@ -342,14 +342,14 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         log-density.
         """
         with np.errstate(over="ignore", invalid="ignore"):
-            g = _times(self._inverse_root.T, self._standardised(frequencies))
+            g = _times(self._inverse_root.T, self._standardise(frequencies))
             c = np.sum(self._inverse_root**2, axis=0)
             return np.asarray(0.5 * np.log(c / (2.0 * np.pi)) - 0.5 * g**2 / c)
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and standard deviation of each measured frequency given the others, see `ErrorTerm`."""
         c = np.sum(self._inverse_root**2, axis=0)
-        g = _times(self._inverse_root.T, self._standardised(frequencies))
+        g = _times(self._inverse_root.T, self._standardise(frequencies))
         return self.measured + g / c, np.broadcast_to(1.0 / np.sqrt(c), frequencies.shape)
 
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
@@ -368,7 +368,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         """Return name and settings."""
         return {"error": "frequency", "covariance_hz2": self.covariance_hz2.tolist()}
 
-    def _standardised(self, frequencies: FloatArray) -> FloatArray:
+    def _standardise(self, frequencies: FloatArray) -> FloatArray:
         """Return z = L⁻¹ε, shape (…, n_modes)."""
         return _times(self._inverse_root, frequencies - self.measured)
 

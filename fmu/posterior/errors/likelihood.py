@@ -316,7 +316,7 @@ class ModalLikelihood(Likelihood):
     def _terms_and_gradient(self, seen: ModalPrediction, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         views, parts = self._parts(seen, theta, gradient=True)
         with np.errstate(invalid="ignore", over="ignore"):
-            slopes = np.asarray(sum(map(self._chained, parts, views)))
+            slopes = np.asarray(sum(map(self._chain_slopes, parts, views)))
         finite = np.isfinite(slopes)
         if np.count_nonzero(finite) < finite.size:
             slopes[~finite] = np.nan
@@ -351,7 +351,7 @@ class ModalLikelihood(Likelihood):
         r, J = zip(*found, strict=True)
         return np.concatenate(r, axis=1), np.concatenate(J, axis=1)
 
-    def _chained(self, part: Evaluated, seen: ModalPrediction) -> FloatArray:
+    def _chain_slopes(self, part: Evaluated, seen: ModalPrediction) -> FloatArray:
         """Return the gradient of an error model's terms by all parameters, shape (n, n_modes, ndim).
 
         Those of the structure are the ones that the model's slopes are by.

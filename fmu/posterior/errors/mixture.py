@@ -105,7 +105,7 @@ class MixtureLikelihood(ModalLikelihood):
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the terms and their gradients, shape (n, n_used, ndim)."""
         candidates = self._candidates(theta, True)
-        return self._mixed(self._pairs(candidates, theta, True), candidates, theta)
+        return self._mix(self._pairs(candidates, theta, True), candidates, theta)
 
     def residuals_and_slopes(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the errors divided by their standard deviations, and their derivatives, for the best MAC.
@@ -115,7 +115,7 @@ class MixtureLikelihood(ModalLikelihood):
         """
         candidates = self._candidates(theta, True)
         best = _best(np.swapaxes(candidates.mac, 1, 2))
-        return self._residuals_and_slopes(_picked(candidates, best), theta[:, self.n_structural :])
+        return self._residuals_and_slopes(_pick_candidates(candidates, best), theta[:, self.n_structural :])
 
     def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
@@ -124,8 +124,8 @@ class MixtureLikelihood(ModalLikelihood):
         """
         candidates = self._candidates(theta, True)
         pairs = self._pairs(candidates, theta, True)
-        terms, gradient = self._mixed(pairs, candidates, theta)
-        answering = _picked(candidates, _best(pairs.log_weight + pairs.log_density))
+        terms, gradient = self._mix(pairs, candidates, theta)
+        answering = _pick_candidates(candidates, _best(pairs.log_weight + pairs.log_density))
         J = self._residuals_and_slopes(answering, theta[:, self.n_structural :])[1]
         return terms.sum(axis=1), gradient.sum(axis=1), self._information(J, theta)
 
@@ -156,7 +156,7 @@ class MixtureLikelihood(ModalLikelihood):
         # a mode that moves no sensor has zero weight, and the density of its shape is undefined
         return _Pairs(log_weight, np.where(np.isneginf(log_weight), 0.0, log_density), of)
 
-    def _mixed(self, pairs: _Pairs, candidates: Candidates, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _mix(self, pairs: _Pairs, candidates: Candidates, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the terms of the used modes (n, n_used) and their gradients (n, n_used, ndim)."""
         n, k, m = pairs.log_weight.shape
         n_structural = self.n_structural
@@ -170,15 +170,15 @@ class MixtureLikelihood(ModalLikelihood):
             leading += np.einsum("nkm,nmkp->nmp", pull, slopes_of.mac_slopes)
             for part in pairs.of:
                 if part.by_frequency is not None:
-                    by = _weighted(share, part.by_frequency.reshape(n, k, m))
+                    by = _multiply(share, part.by_frequency.reshape(n, k, m))
                     # a rigid-body mode has no derivative of its frequency, and no share
                     slopes = np.where(np.any(by != 0.0, axis=2)[..., None], slopes_of.frequency_slopes, 0.0)
                     leading += np.einsum("nkm,nkp->nmp", by, slopes)
                 if part.by_shape is not None:
-                    by = _weighted(share[:, :, None], part.by_shape.reshape(n, k, -1, m))
+                    by = _multiply(share[:, :, None], part.by_shape.reshape(n, k, -1, m))
                     leading += np.einsum("nksm,nskp->nmp", by, slopes_of.shape_slopes)
                 for j, slope in (part.by_noise or {}).items():
-                    gradient[..., n_structural + j] += np.sum(_weighted(share, slope.reshape(n, k, m)), axis=1)
+                    gradient[..., n_structural + j] += np.sum(_multiply(share, slope.reshape(n, k, m)), axis=1)
         gradient = np.where(np.isfinite(gradient), gradient, np.nan)
         return self.of_used(terms), self.of_used(gradient, 1)
 
@@ -188,7 +188,7 @@ def _best(score: FloatArray) -> IntArray:
     return np.argmax(np.nan_to_num(score, nan=-np.inf), axis=1)
 
 
-def _picked(candidates: Candidates, best: IntArray) -> ModalPrediction:
+def _pick_candidates(candidates: Candidates, best: IntArray) -> ModalPrediction:
     """Return one candidate for each measured mode at the sensors, with its derivatives."""
     of: Any = candidates
     return ModalPrediction(
@@ -207,6 +207,6 @@ def _log_sum_exp(x: FloatArray) -> FloatArray:
         return np.asarray(shift + np.log(np.sum(np.exp(x - shift[:, None]), axis=1)))
 
 
-def _weighted(share: FloatArray, slope: FloatArray) -> FloatArray:
+def _multiply(share: FloatArray, slope: FloatArray) -> FloatArray:
     """Return their product, 0 where the share is 0: the derivative of a distant candidate may not exist."""
     return np.multiply(share, slope, out=np.zeros(slope.shape), where=np.broadcast_to(share != 0.0, slope.shape))

@@ -73,7 +73,7 @@ class ModalResidual(Likelihood):
             K, _, condensed = self._at(reference[None])
         except SingularCondensationError as error:
             raise ArgumentError("sensors", "the structure can still move when they are held") from error
-        elastic = condensed.transferred(K @ condensed.extended(self._shapes))
+        elastic = condensed.transfer(K @ condensed.extend(self._shapes))
         self._scale = np.linalg.norm(elastic, axis=0)
 
     def terms(self, theta: FloatArray) -> FloatArray:
@@ -120,12 +120,12 @@ class ModalResidual(Likelihood):
             K, M, condensed = self._at(theta)
         except SingularCondensationError:
             return np.full(len(self.beta), np.nan), slope
-        lam, u = self._eigenvalues, condensed.extended(self._shapes)
-        residual = condensed.transferred(K @ u - lam * (M @ u))  # (K_c − ω²M_c)φ, shape (n_sensors, n_modes)
+        lam, u = self._eigenvalues, condensed.extend(self._shapes)
+        residual = condensed.transfer(K @ u - lam * (M @ u))  # (K_c − ω²M_c)φ, shape (n_sensors, n_modes)
         if not gradient:
             return self._terms(residual), slope
-        w = condensed.extended(residual)
-        a, b = condensed.held(M @ u), condensed.held(M @ w)
+        w = condensed.extend(residual)
+        a, b = condensed.solve_held(M @ u), condensed.solve_held(M @ w)
         K_forms = []
         for term in self._K_terms:
             Ku = term.matrix @ u

@@ -51,7 +51,7 @@ class Configuration:
         own = values[:, self.distinct[:, None], self.parameters]
         return own.reshape(-1, len(self.parameters))
 
-    def picked(self, found: FloatArray) -> FloatArray:
+    def pick(self, found: FloatArray) -> FloatArray:
         """Return the measured modes, shape (n, m, …), from all modes at `points`, (n · n_distinct, modes, …)."""
         return found.reshape(-1, len(self.distinct), *found.shape[1:])[:, self.row, self.mode]
 
@@ -163,7 +163,7 @@ class JointModel(ModalModel):
     def of_modes(self, theta: FloatArray, of: Callable[[Any, FloatArray], FloatArray]) -> FloatArray:
         """Return what `of` makes of each configuration's model and parameters, for every measured mode."""
         values = self.layout.values(theta[:, : self.n_parameters])
-        seen = [part.picked(of(part.model, part.points(values))) for part in self.configurations]
+        seen = [part.pick(of(part.model, part.points(values))) for part in self.configurations]
         found = np.empty((len(theta), self.n_modes, *seen[0].shape[2:]))
         for part, one in zip(self.configurations, seen, strict=True):
             found[:, part.columns] = one
@@ -180,9 +180,9 @@ class JointModel(ModalModel):
         slopes = np.zeros((len(theta), self.n_modes, values.shape[2]))
         for part in self.configurations:
             found, gradient = part.model.frequencies_and_gradient(part.points(values))
-            frequencies[:, part.columns] = part.picked(found)
-            slopes[:, part.columns[:, None], part.parameters] = part.picked(gradient)
-        return frequencies, self._chained(theta, slopes)
+            frequencies[:, part.columns] = part.pick(found)
+            slopes[:, part.columns[:, None], part.parameters] = part.pick(gradient)
+        return frequencies, self._chain_slopes(theta, slopes)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
         """Return frequencies and shapes at the sensors, at theta (n, n_parameters), with derivatives if wanted."""
@@ -193,17 +193,19 @@ class JointModel(ModalModel):
         frequencies, shapes = np.empty((n, m)), np.empty((n, q, m))
         by_frequency, by_shape = np.zeros((n, m, p)), np.zeros((n, q, m, p))
         for part, one in zip(self.configurations, seen, strict=True):
-            frequencies[:, part.columns] = part.picked(one.frequencies)
-            shapes[:, :, part.columns] = np.moveaxis(part.picked(np.moveaxis(one.shapes, 1, 2)), 1, 2)
+            frequencies[:, part.columns] = part.pick(one.frequencies)
+            shapes[:, :, part.columns] = np.moveaxis(part.pick(np.moveaxis(one.shapes, 1, 2)), 1, 2)
             if gradient:
                 columns = part.columns[:, None]
-                by_frequency[:, columns, part.parameters] = part.picked(np.asarray(one.frequency_slopes))
-                moved = part.picked(np.moveaxis(np.asarray(one.shape_slopes), 1, 2))
+                by_frequency[:, columns, part.parameters] = part.pick(np.asarray(one.frequency_slopes))
+                moved = part.pick(np.moveaxis(np.asarray(one.shape_slopes), 1, 2))
                 by_shape[:, :, columns, part.parameters] = np.moveaxis(moved, 1, 2)
         if not gradient:
             return ModalPrediction(frequencies, shapes)
-        chained = [self._chained(theta, by_shape[:, s]) for s in range(q)]
-        return ModalPrediction(frequencies, shapes, self._chained(theta, by_frequency), np.stack(chained, axis=1))
+        chained = [self._chain_slopes(theta, by_shape[:, s]) for s in range(q)]
+        return ModalPrediction(
+            frequencies, shapes, self._chain_slopes(theta, by_frequency), np.stack(chained, axis=1)
+        )
 
     def configuration(self) -> dict[str, Any]:
         """Return the data that identify the model, in plain Python types."""
@@ -213,8 +215,8 @@ class JointModel(ModalModel):
             ],
         }
 
-    def _chained(self, theta: FloatArray, slopes: FloatArray) -> FloatArray:
-        return self.layout.chained(theta, slopes, self.test)
+    def _chain_slopes(self, theta: FloatArray, slopes: FloatArray) -> FloatArray:
+        return self.layout.chain_slopes(theta, slopes, self.test)
 
 
 class SlopesByTest(JointModel):
@@ -230,5 +232,5 @@ class SlopesByTest(JointModel):
     def __init__(self, model: JointModel) -> None:
         vars(self).update(vars(model))
 
-    def _chained(self, theta: FloatArray, slopes: FloatArray) -> FloatArray:
+    def _chain_slopes(self, theta: FloatArray, slopes: FloatArray) -> FloatArray:
         return slopes

@@ -22,12 +22,12 @@ from fmu.posterior.errors.mac import MACErrors
 from fmu.posterior.errors.shape import ShapeErrors
 from fmu.posterior.joint.damage import Damage
 from fmu.posterior.joint.joint_model import Configuration, JointModel, SlopesByTest
-from fmu.posterior.joint.layout import BY_GROUP, BY_TEST, VARIES, Layout, Role, scattered
+from fmu.posterior.joint.layout import BY_GROUP, BY_TEST, VARIES, Layout, Role, find_populations
 from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.population import Population
 from fmu.posterior.joint.quantities import Errors, over
 from fmu.posterior.joint.scored_prior import ScoredPrior
-from fmu.posterior.joint.typical import centred
+from fmu.posterior.joint.typical import centre_scores
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Prior
 from fmu.posterior.problem import UpdatingProblem
@@ -132,7 +132,7 @@ class JointProblem(UpdatingProblem):
             what = "soft pairing" if pairing == "soft" else "the modal residual"
             raise ValueError(f"tests: {what} is for a single test (got {len(self.tests)})")
         self.layout = Layout.of(parameters, self.tests, varies, slopes, self.reference, correlation)
-        data = stacked(self.tests)
+        data = stack_tests(self.tests)
         common = {"beta": beta, "error": errors.of_modes}
         options = {"pairing": pairing, "reduction": reduction, "engine": engine, **common}
         parts, tolerance = _configurations(model, self.tests, self.layout, options)
@@ -141,7 +141,7 @@ class JointProblem(UpdatingProblem):
         self.likelihood.quantities = errors.bound(joint)
         self.tolerance = tolerance
         if self.is_hierarchical:
-            self._take(centred(self))
+            self._take(centre_scores(self))
 
     @classmethod
     def reduced(cls, *args: Any, **options: Any) -> JointProblem:
@@ -171,7 +171,7 @@ class JointProblem(UpdatingProblem):
         by_test = np.zeros((len(points), self.layout.n_tests, P))
         by_test[:, test[first]] = np.add.reduceat(slopes[:, :, :P], first, axis=1)
         gradient = self.prior.log_pdf_gradient(points)
-        gradient[:, :n] += self.layout.pulled(points[:, :n], by_test)
+        gradient[:, :n] += self.layout.pull_slopes(points[:, :n], by_test)
         gradient[:, n:] += slopes[:, :, P:].sum(axis=1)
         parts = [terms]
         for quantity in self.likelihood.quantities:
@@ -179,7 +179,7 @@ class JointProblem(UpdatingProblem):
             gradient[:, :n] -= np.einsum("nq,nqk->nk", r, J)
             parts.append(quantity.terms(points[:, :n]))
         terms = terms if len(parts) == 1 else np.concatenate(parts, axis=1)
-        return self._recorded(terms, points).sum(axis=1) + self.prior.log_pdf(points), gradient
+        return self._record_failures(terms, points).sum(axis=1) + self.prior.log_pdf(points), gradient
 
     def _take(self, layout: Layout) -> None:
         """Let the scores refer to what `layout` says."""
@@ -356,7 +356,7 @@ def find_mistakes(
     if tests and reference not in groups:
         found.append(f"reference: must be the group of a test (got {reference!r})")
     if correlation is not None:
-        n = len(scattered(parameters, varies))
+        n = len(find_populations(parameters, varies))
         if n < 2:
             found.append(f"correlation: needs two parameters or more with a population (got {n})")
         if not 0.0 < correlation < np.inf:
@@ -385,7 +385,7 @@ def mistakes_of_shapes(tests: Sequence[Test]) -> list[str]:
     return found
 
 
-def stacked(tests: Sequence[Test]) -> ModalData:
+def stack_tests(tests: Sequence[Test]) -> ModalData:
     """Return the modes of all tests as those of one, with the labels ``"test: mode"``.
 
     Raises

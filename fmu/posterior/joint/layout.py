@@ -114,7 +114,7 @@ class Drawn:
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
         """Return the values in every test, shape (n, n_tests), and their derivatives."""
-        return self._known("evaluated", theta, self._computed)[0]
+        return self._remember("evaluated", theta, self._compute)[0]
 
     def identity(self, test: int) -> Any:
         """Return an object that is equal in two tests if the value always is."""
@@ -125,7 +125,7 @@ class Drawn:
 
         It is zero where the centring is: the scores are then standard normal.
         """
-        return self._known("evaluated", theta, self._computed)[1]
+        return self._remember("evaluated", theta, self._compute)[1]
 
     def curvature(self, theta: FloatArray) -> FloatArray:
         """Return −∂² of the scores' log-density by each of them, shape (n, n_tests), where bounds are far away."""
@@ -134,7 +134,7 @@ class Drawn:
 
     def population_scores(self, theta: FloatArray) -> tuple[FloatArray, Slopes]:
         """Return the scores in the population, (n, n_tests), and their derivatives by score, centre and width."""
-        return self._known("scores", theta, self._computed_scores)
+        return self._remember("scores", theta, self._computed_scores)
 
     def _computed_scores(self, theta: FloatArray) -> tuple[FloatArray, Slopes]:
         value, population, _, (by_z, by_centre, by_width) = self._at(theta)
@@ -155,7 +155,7 @@ class Drawn:
         theta[:, self.columns[self.scored]] = np.where(self.centring > 0.0, scores, z)[:, self.scored]
         return theta
 
-    def _known(self, what: str, theta: FloatArray, compute: Callable[[FloatArray], Any]) -> Any:
+    def _remember(self, what: str, theta: FloatArray, compute: Callable[[FloatArray], Any]) -> Any:
         """Return `compute` of theta, which is kept until there is another theta."""
         if not np.array_equal(self._last.get("theta", ()), theta):
             self._last.clear()
@@ -164,7 +164,7 @@ class Drawn:
             self._last[what] = compute(theta)
         return self._last[what]
 
-    def _computed(self, theta: FloatArray) -> Any:
+    def _compute(self, theta: FloatArray) -> Any:
         value, (centre, width), blend, (by_z, by_centre, by_width) = self._at(theta)
         bounds = self.lower, self.upper
         ratio, one, other = self.population.log_ratio(value, (centre, width), blend, *bounds)
@@ -203,7 +203,7 @@ class Drawn:
 
     def _at(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, Slopes]:
         """Return the values, the population, what the scores refer to, and the values' derivatives."""
-        found: tuple[FloatArray, Normals, Normals, Slopes] = self._known("values", theta, self._at_scores)
+        found: tuple[FloatArray, Normals, Normals, Slopes] = self._remember("values", theta, self._at_scores)
         return found
 
     def _at_scores(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, Slopes]:
@@ -384,11 +384,11 @@ class Layout:
                 scored, start = np.isin(range(len(tests)), here), (main[centre].start, main[width].start)
                 base = Drawn(how, centre, width, columns, scored, p.lower, p.upper, np.zeros(len(tests)), start)
             elif isinstance(how, Damage):
-                base = _lost(p, how, tests, reference, partial(add, of=j))
+                base = _lose(p, how, tests, reference, partial(add, of=j))
             else:
                 places = [_place_of(how, test) for test in tests]
                 number = {
-                    place: add(_renamed(p, f"{p.name} [{place}]" if how != SHARED else p.name), how, j, place)
+                    place: add(_rename(p, f"{p.name} [{place}]" if how != SHARED else p.name), how, j, place)
                     for place in dict.fromkeys(places[t] for t in here)
                 }
                 columns[here] = [number[places[t]] for t in here]
@@ -406,7 +406,7 @@ class Layout:
 
         correlation = None
         if eta is not None:
-            of_both = correlations([name for name, _ in scattered(structural, varies)], eta)
+            of_both = correlations([name for name, _ in find_populations(structural, varies)], eta)
             correlation = Correlation(
                 tuple(add(parameter, "correlation", None) for parameter in of_both),
                 np.stack([base.scored for base, _ in pending if isinstance(base, Drawn)], axis=1),
@@ -421,7 +421,7 @@ class Layout:
             (*main, *scores),
             tuple(test.name for test in tests),
             tuple(values_of),
-            dict(scattered(structural, varies)),
+            dict(find_populations(structural, varies)),
             tuple(name for name, how in varies.items() if how == BY_TEST),
             tuple(
                 p.name
@@ -535,7 +535,7 @@ class Layout:
         ends = [value_of.box(*box(self.parameters)) for value_of in self.values_of]
         return tuple(np.stack(end, axis=1) for end in zip(*ends, strict=True))  # type: ignore[return-value]
 
-    def chained(self, theta: FloatArray, slopes: FloatArray, test: IntArray) -> FloatArray:
+    def chain_slopes(self, theta: FloatArray, slopes: FloatArray, test: IntArray) -> FloatArray:
         """Return derivatives by theta of quantities that each belong to one test.
 
         Parameters
@@ -557,7 +557,7 @@ class Layout:
                 found[:, rows, columns[test]] += slopes[:, :, j] * values[:, test]
         return found
 
-    def pulled(self, theta: FloatArray, slopes: FloatArray) -> FloatArray:
+    def pull_slopes(self, theta: FloatArray, slopes: FloatArray) -> FloatArray:
         """Return derivatives by theta, (n, n_parameters), of a quantity that depends on all tests.
 
         Parameters
@@ -576,13 +576,13 @@ class Layout:
         return found
 
 
-def scattered(structural: Sequence[Parameter], varies: Mapping[str, Any]) -> list[tuple[str, Population]]:
+def find_populations(structural: Sequence[Parameter], varies: Mapping[str, Any]) -> list[tuple[str, Population]]:
     """Return the parameters that scatter over the tests, in the order of theta, with their populations."""
     every = ((p.name, varies.get(p.name)) for p in structural)
     return [(name, how) for name, how in every if isinstance(how, Population)]
 
 
-def _lost(
+def _lose(
     p: Parameter,
     how: Damage,
     tests: Sequence[Test],
@@ -602,5 +602,5 @@ def _place_of(how: str, test: Test) -> str:
     return {SHARED: "", BY_TEST: test.name, BY_GROUP: test.group}[how]
 
 
-def _renamed(p: Parameter, name: str) -> Parameter:
+def _rename(p: Parameter, name: str) -> Parameter:
     return p if name == p.name else Parameter(name, p.start, p.lower, p.upper, p.prior, p.unit, p.group)

@@ -112,7 +112,7 @@ class InOneTest:
             return values, None
         slopes = np.zeros((*values.shape, len(layout.structural)))
         slopes[:, :, self.part.parameters] = by_own
-        return values, layout.chained(theta, slopes, np.full(values.shape[1], self.test))
+        return values, layout.chain_slopes(theta, slopes, np.full(values.shape[1], self.test))
 
 
 def over(p: Parameter, lower: float, upper: float) -> Parameter:

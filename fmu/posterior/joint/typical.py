@@ -41,7 +41,7 @@ def typical_point(problem: Any) -> tuple[FloatArray, FloatArray]:
     hessian : ndarray, shape (ndim, ndim)
         By Gauss–Newton; by differences of the gradient for means and standard deviations.
     """
-    u, _ = _searched(problem)
+    u, _ = _search(problem)
     scaled = ScaledDensity(problem)
     hessian = GaussNewton(problem)(u[None])[2][0]
     for k in problem.layout.scales:
@@ -52,7 +52,7 @@ def typical_point(problem: Any) -> tuple[FloatArray, FloatArray]:
     return u, hessian
 
 
-def centred(problem: Any) -> Layout:
+def centre_scores(problem: Any) -> Layout:
     """Return the layout in which every score refers to what is easiest to sample.
 
     With the variance C that a test alone leaves to its value, the best weight of the centred form is σ²/(σ² + C)
@@ -65,7 +65,7 @@ def centred(problem: Any) -> Layout:
     problem : JointProblem
         Its scores are not centred yet.
     """
-    u, variance = _searched(problem)
+    u, variance = _search(problem)
     theta = ScaledDensity(problem).to_theta(u)
     weights = {}
     for one in problem.layout.drawn:
@@ -77,18 +77,18 @@ def centred(problem: Any) -> Layout:
         reference = (float(theta[one.centre]), float(theta[one.width]))
         weights[one.centre] = smallest * w / (smallest * w + 1.0 - w), reference
 
-    def changed(one: Any) -> Any:
+    def change_value(one: Any) -> Any:
         if isinstance(one, Trend):
-            return replace(one, base=changed(one.base))
+            return replace(one, base=change_value(one.base))
         if not isinstance(one, Drawn):
             return one
         centring, reference = weights[one.centre]
         return replace(one, centring=centring, reference=reference)
 
-    return replace(problem.layout, values_of=tuple(map(changed, problem.layout.values_of)))
+    return replace(problem.layout, values_of=tuple(map(change_value, problem.layout.values_of)))
 
 
-def _searched(problem: Any) -> tuple[FloatArray, FloatArray]:
+def _search(problem: Any) -> tuple[FloatArray, FloatArray]:
     """Return the typical point, scaled, and what the tests leave of the scores' variances, (ndim,)."""
     quadratic, scaled = GaussNewton(problem), ScaledDensity(problem)
     held = np.array(problem.layout.scales)
@@ -113,7 +113,7 @@ def _searched(problem: Any) -> tuple[FloatArray, FloatArray]:
 
 
 def _variances(hessian: FloatArray) -> FloatArray:
-    """Return the variances of a Gaussian, (ndim,); what neither data nor priors inform is as wide as its bounds."""
+    """Return the variances of a Gaussian, (ndim,); a direction that nothing informs is as wide as its bounds."""
     try:
         return np.diag(np.linalg.inv(hessian))
     except np.linalg.LinAlgError:

@@ -147,13 +147,13 @@ class Normal(Prior):
 
     def draw(self, rng: np.random.Generator, n: int, lower: float, upper: float) -> FloatArray:
         """Draw by inversion of the truncated distribution function."""
-        return self._inverted(rng.uniform(size=n), lower, upper)
+        return self._invert_cdf(rng.uniform(size=n), lower, upper)
 
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
         """Return the quantiles `p` of the distribution truncated to the bounds."""
-        return self._inverted(1.0 - p if lower > self.mean else p, lower, upper)
+        return self._invert_cdf(1.0 - p if lower > self.mean else p, lower, upper)
 
-    def _inverted(self, u: FloatArray, lower: float, upper: float) -> FloatArray:
+    def _invert_cdf(self, u: FloatArray, lower: float, upper: float) -> FloatArray:
         """Return quantiles of the lower tail, or of the upper one if both bounds are above the mean."""
         a, b = (lower - self.mean) / self.sd, (upper - self.mean) / self.sd
         flip = a > 0

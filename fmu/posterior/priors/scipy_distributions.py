@@ -86,7 +86,7 @@ class ScaledBeta(InvertedPrior):
     high: float = 1.0
 
     def __post_init__(self) -> None:
-        _ordered(self.low, self.high)
+        _require_order(self.low, self.high)
 
     @classmethod
     @check_arguments
@@ -98,7 +98,7 @@ class ScaledBeta(InvertedPrior):
         ValueError
             If the mean is not between the ends, or the standard deviation is so large that no beta has it.
         """
-        _ordered(low, high)
+        _require_order(low, high)
         if not low < mean < high:
             raise ArgumentError("mean", f"must lie between low {typed(low)} and high {typed(high)}", typed(mean))
         m, largest = (mean - low) / (high - low), np.sqrt((mean - low) * (high - mean))
@@ -260,7 +260,7 @@ class ScipyPrior(InvertedPrior):
         return float(0.5 * (self._central[2] - self._central[0]))
 
 
-def _ordered(low: float, high: float) -> None:
+def _require_order(low: float, high: float) -> None:
     if not low < high:
         raise ArgumentError("high", f"must exceed low {typed(low)}", typed(high))
 

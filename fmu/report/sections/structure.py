@@ -15,7 +15,7 @@ from fmu.analysis.pairing_changes import pairing_changes
 from fmu.analysis.prediction import measured_mac
 from fmu.analysis.trace.modal_states import GROUP, MEAN, MEASURED, START, sketch_of
 from fmu.analysis.trace.reading import has, parameter_names
-from fmu.fem.frame.drawing import UNCHANGED, drawn, parameter_colours
+from fmu.fem.frame.drawing import UNCHANGED, draw_svg, parameter_colours
 from fmu.numbers import MISSING, change, decimals, fixed, hertz, share, significant
 from fmu.report.document import Details, Items, Omitted, PageSection, PageTable, Part, Pictures, Text, picture
 from fmu.report.model_view import model_view
@@ -41,7 +41,7 @@ def structure_drawing(trace: xr.DataTree) -> Markup:
     if found is None or len(found.elements) > MOST_DRAWN:
         return Markup("")
     # no text in it is the user's; inside HTML an SVG has no need of an address
-    svg = Markup(drawn(found).replace(' xmlns="http://www.w3.org/2000/svg"', "", 1))
+    svg = Markup(draw_svg(found).replace(' xmlns="http://www.w3.org/2000/svg"', "", 1))
     return svg + legend_of_parameters(parameter_names(trace), parameter_colours(found), svg)
 
 

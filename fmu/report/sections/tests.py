@@ -19,7 +19,7 @@ from fmu.analysis.trace.damage import (
 )
 from fmu.analysis.trace.modal_states import sketch_of
 from fmu.analysis.trace.reading import has
-from fmu.fem.frame.drawing import UNCHANGED, WIDTH, drawn, without_sensors
+from fmu.fem.frame.drawing import UNCHANGED, WIDTH, draw_svg, without_sensors
 from fmu.numbers import MISSING, decimals, fixed, interval, share, shown, with_sd
 from fmu.report.document import (
     Omitted,
@@ -251,7 +251,7 @@ def _drawings(trace: xr.DataTree, table: pd.DataFrame) -> dict[str, tuple[Markup
         without = [(UNCHANGED, "no parameter with a loss")] if UNCHANGED in colours else []
         said = ", ".join(f"{name} {probably(float(p))}" for name, p in lost.items())
         words = f"P(loss > {share(_BEYOND[0])}) in {state}: {said}"
-        svg = drawn(sketch, colours, words, [_shade(p) for p in of_parameters]).replace(_ADDRESS, "", 1)
+        svg = draw_svg(sketch, colours, words, [_shade(p) for p in of_parameters]).replace(_ADDRESS, "", 1)
         found[str(state)] = Markup(svg), [*_SCALE, *without]
     return found
 

@@ -7,7 +7,7 @@ import xarray as xr
 import fmu
 from fmu.analysis.trace.conversion import save_trace
 from fmu.analysis.trace.modal_states import modal_states, sketch_of
-from fmu.fem.frame.drawing import drawing, drawn
+from fmu.fem.frame.drawing import draw_svg, drawing
 from fmu.fem.modes.modal import mac
 
 
@@ -89,7 +89,7 @@ def test_a_trace_keeps_what_is_drawn_of_the_structure(young, tmp_path):
     """The drawing from a file is that of the problem."""
     trace = fmu.sample(young, "hmc", draws=5, warmup=5, chains=2, init="start")
     found = sketch_of(fmu.load_trace(save_trace(trace, tmp_path / "hmc.nc")))
-    assert drawn(found) == drawing(young.model.structure, young.data.sensors)
+    assert draw_svg(found) == drawing(young.model.structure, young.data.sensors)
     assert sketch_of(xr.DataTree()) is None
 
 

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from numpy.testing import assert_allclose
 
 from fmu.fem.modes import solver
-from fmu.fem.modes.solver import PARDISO, SUPERLU, factorised, sparse_solver
+from fmu.fem.modes.solver import PARDISO, SUPERLU, factorise, sparse_solver
 
 fast = pytest.mark.skipif(find_spec("pypardiso") is None, reason="pypardiso, the extra fast, is not installed")
 BANDED = None  # what a narrow band gets where no solver is named
@@ -31,7 +31,7 @@ def arrow(n=600):
 
 
 def factors(matrix, name):
-    return factorised(matrix.toarray() if name == "LAPACK" else matrix, name)
+    return factorise(matrix.toarray() if name == "LAPACK" else matrix, name)
 
 
 @pytest.mark.parametrize("name", SOLVERS)
@@ -70,30 +70,30 @@ def test_pardiso_where_it_is_installed_else_superlu(monkeypatch):
     assert sparse_solver() == (PARDISO if find_spec("pypardiso") else SUPERLU)
     monkeypatch.setattr(solver, "find_spec", lambda name: None)
     assert sparse_solver() == SUPERLU
-    assert type(factorised(arrow())).__name__ == "_SuperLU"
+    assert type(factorise(arrow())).__name__ == "_SuperLU"
 
 
 def test_a_narrow_band_is_factorised_as_one_whatever_the_order_of_its_rows():
     order = np.random.default_rng(1).permutation(N)
     A = chain()[order][:, order]
-    factor, loads = factorised(A), np.random.default_rng(2).standard_normal((N, 3))
+    factor, loads = factorise(A), np.random.default_rng(2).standard_normal((N, 3))
     assert type(factor).__name__ == "_BandedFactor"
     assert factor.n_entries == 4 * N  # of the diagonal and one beside it, and of the transpose
     assert_allclose(A @ factor.solve(loads), loads, atol=1e-11)
-    heavier = factorised(2.0 * A)  # the same pattern
+    heavier = factorise(2.0 * A)  # the same pattern
     assert_allclose(heavier.solve(loads[:, 0]), 0.5 * factor.solve(loads[:, 0]), rtol=1e-9)
 
 
 def test_an_entry_given_in_parts_counts_in_full():
     A = sp.csr_array((np.array([1.0, 1.0, -1.0, -1.0, 2.0]), np.array([0, 0, 1, 0, 1]), np.array([0, 3, 5])))
-    assert_allclose(factorised(A).solve(np.array([1.0, 0.0])), [2.0 / 3.0, 1.0 / 3.0], rtol=1e-14)
+    assert_allclose(factorise(A).solve(np.array([1.0, 0.0])), [2.0 / 3.0, 1.0 / 3.0], rtol=1e-14)
 
 
 @fast
 def test_pardiso_releases_what_it_holds():
     import weakref
 
-    factor = factorised(chain(), PARDISO)
+    factor = factorise(chain(), PARDISO)
     held = weakref.ref(factor)
     del factor
     assert held() is None

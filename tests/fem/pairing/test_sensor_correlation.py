@@ -9,7 +9,7 @@ from fmu.fem.pairing.correlation import (
     close_groups,
     comac,
     ecomac,
-    scaled,
+    scale_shapes,
     subspace_mac,
 )
 
@@ -41,7 +41,7 @@ def test_of_equal_shapes_in_any_scale_and_sign():
 def test_by_hand():
     """Two sensors, one mode: φ = (1, 1), ψ = (2, 1)·√(2/5), c = √(2/5) by the weighted median or 2√(2/5)."""
     measured, computed = np.array([[1.0], [1.0]]), np.array([[2.0], [1.0]])
-    phi, psi = scaled(measured, computed)
+    phi, psi = scale_shapes(measured, computed)
     assert psi[:, 0] == pytest.approx(np.array([2.0, 1.0]) * np.sqrt(2 / 5))
     assert np.abs(phi - psi).sum() == pytest.approx(np.sqrt(2 / 5))  # the least of |c − 2s| + |c − s|
     assert comac(measured, computed) == pytest.approx([1.0, 1.0])

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 import fmu
 from fmu.fem.modes.eigensolver import eigen
-from fmu.fem.programs.opensees import exported
+from fmu.fem.programs.opensees import export_matrices
 
 ops = pytest.importorskip("openseespy.opensees", reason="needs openseespy: pip install 'fmu[opensees]'")
 
@@ -105,7 +105,7 @@ def test_frequencies_are_those_of_the_same_frame_in_fmu():
 
 def test_frequencies_are_those_that_opensees_computes():
     theta = np.array([1.9e11, 2.3e11])
-    model = exported(portal, theta)
+    model = export_matrices(portal, theta)
     ops.wipe()
     portal(theta)
     there = np.sqrt(ops.eigen("-genBandArpack", 6)) / (2.0 * np.pi)
@@ -114,7 +114,7 @@ def test_frequencies_are_those_that_opensees_computes():
 
 
 def test_names_of_degrees_of_freedom_and_the_mesh():
-    model = exported(portal, START)
+    model = export_matrices(portal, START)
     assert len(model.dofs) == 6 * (3 * N - 1) == model.stiffness.shape[0]
     assert model.dofs[:7] == (*((2, d) for d in ("x", "y", "z", "rx", "ry", "rz")), (3, "x"))
     assert set(model.kinds) == {"line"}
@@ -132,7 +132,7 @@ def test_solved_at_every_theta():
     assert model.sees((N + 1, "x"))
     assert not model.sees((1, "x"))
     answer = model.at_sensors(sensors).at(START)
-    assert_allclose(answer.frequencies, hz(exported(portal, START), START, 6), rtol=1e-8)
+    assert_allclose(answer.frequencies, hz(export_matrices(portal, START), START, 6), rtol=1e-8)
     observed = fmu.ModalData(np.ones(3), sensors=sensors, shapes=answer.shapes[:, [2, 0, 1]])
     by_terms, anew = (
         fmu.UpdatingProblem(one, observed, parameters("a", "b"), beta=1.0, pairing="shape")
@@ -181,7 +181,7 @@ def tower(theta, fixed=True, centre=CENTRE):
 
 
 def test_motions_of_a_rigid_diaphragm():
-    model = exported(tower, np.array([3e10]))
+    model = export_matrices(tower, np.array([3e10]))
     assert not model.notes
     for tag, place in CORNERS.items():
         dx, dy = np.array(place) - CENTRE
@@ -195,7 +195,7 @@ def test_motions_of_a_rigid_diaphragm():
 @pytest.mark.parametrize("build", [tower, tied_portal, lambda theta: tower(theta, fixed=False)])
 def test_shapes_at_followers_are_those_that_opensees_gives(build):
     theta = np.array([3e10])
-    found = exported(build, theta)
+    found = export_matrices(build, theta)
     model = fmu.SeparableModel([fmu.Term(found.stiffness, ())], [fmu.Term(found.mass, ())], found.dofs,
                                motions=found.motions)  # fmt: skip
     assert not found.notes
@@ -274,5 +274,5 @@ def of_fluid(theta):
 )
 def test_what_is_wrong_with_a_build_is_told(build, said):
     with pytest.raises(ValueError, match=said):
-        exported(build, np.array([1.0]))
+        export_matrices(build, np.array([1.0]))
     assert not ops.getNodeTags()

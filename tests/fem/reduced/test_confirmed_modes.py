@@ -26,14 +26,14 @@ def _all_are_large(monkeypatch):
 @pytest.fixture
 def solved_anew(monkeypatch):
     """Return the points of a block that were solved for as without a reduced model."""
-    points, whole = [], confirming.FullBlock._solved
+    points, whole = [], confirming.FullBlock._solve_each
 
     def counted(self, theta, count):
         if isinstance(self, confirming.ConfirmedBlock):
             points.append(theta)
         return whole(self, theta, count)
 
-    monkeypatch.setattr(confirming.FullBlock, "_solved", counted)
+    monkeypatch.setattr(confirming.FullBlock, "_solve_each", counted)
     return points
 
 

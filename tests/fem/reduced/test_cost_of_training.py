@@ -105,8 +105,12 @@ def test_its_frequencies_are_those_of_a_dense_solver(in_full):
 
 def test_cost_grows_with_sizes():
     sizes = np.arange(10, 400, 10)
-    assert np.all(np.diff([FRAME.reduced(r) for r in sizes]) > 0)
-    assert 3.0 * FRAME.reduced(FRAME.most_vectors()) <= FRAME.full < 3.0 * FRAME.reduced(FRAME.most_vectors() + 1)
+    assert np.all(np.diff([FRAME.of_reduced(r) for r in sizes]) > 0)
+    assert (
+        3.0 * FRAME.of_reduced(FRAME.most_vectors())
+        <= FRAME.full
+        < 3.0 * FRAME.of_reduced(FRAME.most_vectors() + 1)
+    )
     solid = Cost(n_dof=1000, n_entries=300_000, n_terms=18, massless=True)
     assert solid.full > FRAME.full
     assert solid.most_vectors() > FRAME.most_vectors()

@@ -16,7 +16,7 @@ from fmu.fem.reduced import residuals
 from fmu.fem.reduced.anchors import Anchors, SingularAnchorError, anchor_points, is_semidefinite
 from fmu.fem.reduced.learning import Learner
 from fmu.fem.reduced.reduced_structure import train
-from fmu.fem.reduced.residuals import bounded
+from fmu.fem.reduced.residuals import bound_errors
 from fmu.fem.reduced.training import box_points
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
@@ -132,7 +132,7 @@ def compared(built, allowed=1e-5):
     cut, _ = learner.cut(COUNT, allowed, 1, N)
     theta = box_points(lower, upper, 128, seed=50)
     exact = learner.block.eigenvalues(theta, COUNT)
-    found = bounded(cut, learner.anchors, theta, COUNT)
+    found = bound_errors(cut, learner.anchors, theta, COUNT)
     # the modes of interest are elastic: for a rigid-body mode there is no relative error
     elastic = exact > 1e-8 * exact[:, -1:]
     true = np.where(
@@ -172,14 +172,14 @@ def test_a_residual_without_a_term_is_another(monkeypatch):
     learner = Learner(FullBlock(model, np.arange(N)), lower, upper, COUNT, N)
     learner.anchors.factor(0)
     theta = box_points(lower, upper, 16, seed=1)
-    found = bounded(learner.space, learner.anchors, theta, COUNT).error
+    found = bound_errors(learner.space, learner.anchors, theta, COUNT).error
 
     def of_fewer_terms(self, theta):
         for (K, M), at in zip(matrices(self, theta), theta, strict=True):
             yield K - at[1] * self.K_terms[1].matrix.toarray(), M
 
     monkeypatch.setattr(FullBlock, "_matrices", of_fewer_terms)
-    assert np.all(bounded(learner.space, learner.anchors, theta, COUNT).error[:, 0] > 3.0 * found[:, 0])
+    assert np.all(bound_errors(learner.space, learner.anchors, theta, COUNT).error[:, 0] > 3.0 * found[:, 0])
 
 
 def test_the_bound_of_a_paired_model_is_that_of_its_modes():
@@ -253,7 +253,7 @@ def test_a_mode_that_the_space_does_not_know_is_counted():
     learner.space = learner.space.empty(learner.block, 0.0).grown(
         np.delete(shapes[0], 1, axis=1), learner.anchors.first
     )
-    assert np.all(bounded(learner.space, learner.anchors, theta, 3).error < 1e-9)
+    assert np.all(bound_errors(learner.space, learner.anchors, theta, 3).error < 1e-9)
     assert not learner.counts_the_same(theta, 3)
 
 

@@ -63,10 +63,10 @@ def test_a_term_is_projected_by_its_own_rows(solved, monkeypatch):
     monkeypatch.setattr(reduced_basis, "_LARGE", 10)
     assert_allclose(ReducedBlock(block, basis, 6)._K, whole, rtol=1e-9, atol=1e-12 * np.abs(whole).max())
     # and piece by piece as the space grew, of which the lower triangles are kept
-    for few in (learner.space.truncated(20), learner.space.restricted(np.eye(learner.space.size, 20))):
+    for few in (learner.space.truncate(20), learner.space.restrict(np.eye(learner.space.size, 20))):
         unit = np.eye(PARTS)
         assert_allclose(
-            np.tril(few.assembled(unit)[0]), np.tril(whole), rtol=1e-7, atol=1e-12 * np.abs(whole).max()
+            np.tril(few.assemble(unit)[0]), np.tril(whole), rtol=1e-7, atol=1e-12 * np.abs(whole).max()
         )
 
 
@@ -78,7 +78,7 @@ def test_lanczos_finds_the_modes_of_a_large_space(solved, monkeypatch):
     monkeypatch.setattr(space, "_LANCZOS", 10)
     few_lam, few_y = learner.space.modes(theta, 6)
     assert_allclose(few_lam, lam, rtol=1e-9)
-    lower = np.tril(learner.space.assembled(theta)[1])
+    lower = np.tril(learner.space.assemble(theta)[1])
     M = lower + np.swapaxes(np.tril(lower, -1), 1, 2)
     assert_allclose(np.abs(np.sum(few_y * (M @ y), axis=1)), 1.0, rtol=1e-8)
 
@@ -128,7 +128,7 @@ def test_a_batch_in_parts_changes_no_bit(monkeypatch):
 
 def test_training_ends_where_more_vectors_do_not_pay(monkeypatch):
     checked = []
-    monkeypatch.setattr(Training, "_verified", lambda self, round_: checked.append(round_))
+    monkeypatch.setattr(Training, "_verify", lambda self, round_: checked.append(round_))
     monkeypatch.setattr(training, "DENSE_LIMIT", 10)
     monkeypatch.setattr(training, "affordable", lambda n_dof: 12)
     cut, *_ = paired(inaccurate_points=lambda _: (np.full((1, PARTS), 2e11), 3.0))

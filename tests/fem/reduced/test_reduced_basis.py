@@ -87,7 +87,7 @@ def test_reduced_eigenvalues_fall_onto_the_exact_ones_as_the_basis_grows(trained
     theta = sample(lower, upper, 25)
     exact = block.eigenvalues(theta, COUNT)
     errors = np.array(
-        [reduced.truncated(size).eigenvalues(theta, COUNT) / exact - 1.0 for size in (4, 6, 8, 10, 12, 16)]
+        [reduced.truncate(size).eigenvalues(theta, COUNT) / exact - 1.0 for size in (4, 6, 8, 10, 12, 16)]
     )
     # Rayleigh and Courant–Fischer, but for the full solver's rounding
     assert np.all(errors > -1e-7)
@@ -109,7 +109,7 @@ def test_gradient_is_that_of_the_full_model(trained):
 def test_gradient_is_that_of_the_reduced_eigenvalue_however_coarse_the_basis(trained):
     """∂λ/∂θ of the small problem itself, exactly: a sampler must see the slope of what it is given."""
     _, reduced, lower, upper = trained
-    coarse = reduced.truncated(6)
+    coarse = reduced.truncate(6)
     (theta,) = sample(lower, upper, 1)
     (gradient,) = coarse.eigenvalue_gradient(theta[None], *coarse.modes(theta[None], COUNT))
     largest = np.abs(gradient).max(axis=0)
@@ -132,7 +132,7 @@ def test_shapes_are_orthonormal_in_the_mass_matrix(trained):
 @pytest.mark.parametrize("size", [1, 4, 7, 16])
 def test_a_batch_changes_no_bit(trained, size):
     _, reduced, lower, upper = trained
-    block, count = reduced.truncated(size), min(size, COUNT)
+    block, count = reduced.truncate(size), min(size, COUNT)
     theta = sample(lower, upper, max(SIZES))
     alone = [block.eigenvalues(row[None], count)[0] for row in theta]
     modes = [block.modes(row[None], count) for row in theta]
@@ -169,7 +169,7 @@ def test_a_matrix_that_fails_takes_only_its_own_row(trained):
 def test_shapes_compare_at_the_sensors_as_they_do_in_full(trained, n_dofs):
     """Products and norms are all that MAC needs; more sensors than basis vectors are compressed without a loss."""
     _, reduced, lower, upper = trained
-    block = reduced.truncated(9)
+    block = reduced.truncate(9)
     rng = np.random.default_rng(3)
     dofs = np.sort(rng.permutation(len(block.dofs))[:n_dofs])
     reference = rng.standard_normal((n_dofs, 2))
@@ -197,7 +197,7 @@ def test_the_basis_is_the_pod_of_the_modes(points):
     assert np.all(np.diff(left) < 0)
     # a direction counts by what it does to a relative frequency: the lowest mode is not left to the last
     exact = block.eigenvalues(theta, COUNT)
-    errors = np.max(reduced.truncated(8).eigenvalues(theta, COUNT) / exact - 1.0, axis=0)
+    errors = np.max(reduced.truncate(8).eigenvalues(theta, COUNT) / exact - 1.0, axis=0)
     assert errors[0] < 10 * errors[-1]
 
 

@@ -270,7 +270,7 @@ def test_refining_adds_the_points_and_tightens_the_tolerance():
     for step in range(4):
         theta = inside(lower, upper, 5, seed=step)
         exact = frequency_hz(rule.bind(full)(theta).eigenvalues)
-        trained = learner.refined(theta)
+        trained = learner.refine(theta)
         errors.append(np.max(frequency_hz(trained.pairing.bind(trained.model)(theta).eigenvalues) / exact - 1.0))
         assert all(np.isin(theta, of.theta).all() for of in learner.learners.values())
     assert np.all(np.array(errors) <= 1e-3 / 3.0 ** np.arange(1, 5))
