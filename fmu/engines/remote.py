@@ -34,7 +34,7 @@ class Task(NamedTuple):
     """How many workers have died while they ran it."""
 
     def pack(self) -> bytes:
-        """Return what a worker needs of it, pickled."""
+        """Return the shared data that a worker needs, pickled."""
         return bytes(cloudpickle.dumps((self.work, self.argument, self.reports)))
 
 

@@ -119,7 +119,7 @@ class BlackBoxModel:
         return True
 
     def at_sensors(self, sensors: Sequence[tuple[Any, str]]) -> BlackBoxModel:
-        """Return the model with shapes at these sensors: itself, as the function has those of the measurement."""
+        """Return the model with shapes at these sensors: itself, as its function gives shapes there."""
         return self
 
     @property
@@ -182,7 +182,7 @@ class BlackBoxModel:
 
     @cached_property
     def sha256(self) -> str:
-        """Hash of the user's source, see `source_digest`; a copy in another process has that of this one."""
+        """Hash of the user's source, see `source_digest`; a copy in another process has the same hash."""
         return source_digest(self.function)
 
     def _begin_solves(self) -> Solves:

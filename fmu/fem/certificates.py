@@ -1,4 +1,4 @@
-"""Certificates: what is known of the errors of a model that stands for another, as records of a trace."""
+"""Certificates: records of the known errors of a cheap model that replaces a slow one."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Certificate(ABC):
 
     @abstractmethod
     def sentences(self) -> list[str]:
-        """Say what the errors are, and what is allowed."""
+        """Describe the errors, and the largest that are allowed."""
 
 
 @dataclass(frozen=True)

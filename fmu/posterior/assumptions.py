@@ -45,7 +45,7 @@ def assumptions(
     error: float | None = None,
     elsewhere: float | None = None,
 ) -> Assumptions | None:
-    """Return what the posterior of a problem rests on.
+    """Return the assumptions of the posterior of a problem.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ _OF = {
 
 
 def _between_tests(problem: Mapping[str, Any]) -> list[str]:
-    """Return what holds between several tests of one structure."""
+    """Return the assumptions on several tests of one structure."""
     if "tests" not in problem:
         return []
     said = ["A parameter has one value in all tests, unless it is named for one of them or for a group."]

@@ -151,7 +151,7 @@ def _starting_points(problem: Problem, scaled: ScaledDensity, starts: int, seed:
 
 
 def leaders(ends: Ascent) -> tuple[FloatArray, IntArray]:
-    """Return the highest of the ends close to one another (n, ndim), and how many each stands for (n,)."""
+    """Return the highest of the ends close to one another (n, ndim), and the number of ends near each (n,)."""
     chosen, starts = list[int](), list[int]()
     left = np.argsort(ends.value)
     left = left[np.isfinite(ends.value[left])]
@@ -337,7 +337,7 @@ def ascend(
 
 
 def find_pressed(u: FloatArray, g: FloatArray, lower: FloatArray, upper: FloatArray) -> BoolArray:
-    """Return which coordinates are at a bound with V decreasing outwards, shape (n, ndim)."""
+    """Return a mask of the coordinates at a bound with V decreasing outwards, shape (n, ndim)."""
     return ((u <= lower) & (g > 0)) | ((u >= upper) & (g < 0))
 
 
@@ -376,7 +376,7 @@ def _box_step(u: FloatArray, g: FloatArray, A: FloatArray, lower: FloatArray, up
 
 
 def _newton(g: FloatArray, A: FloatArray, held: BoolArray, s: FloatArray) -> FloatArray:
-    """Return the minimiser of g·s + sᵀAs/2 over the free coordinates, those of `s` that are held being fixed."""
+    """Return the minimiser of g·s + sᵀAs/2 over the free coordinates of `s`; the others are fixed."""
     i = np.arange(g.shape[1])
     s = np.where(held, s, 0.0)
     # identity rows keep the system of one size for the whole batch, whatever is held

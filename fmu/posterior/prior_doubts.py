@@ -73,7 +73,7 @@ def prior_doubts(parameters: Iterable[Parameter]) -> list[str]:
 
 
 def outside_bounds(configuration: Iterable[Mapping[str, Any]]) -> list[str]:
-    """Return which priors are centred outside their bounds, and what the bounds hold of them: doubted or not.
+    """Describe the priors that are centred outside their bounds, and their share within them.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def outside_bounds(configuration: Iterable[Mapping[str, Any]]) -> list[str]:
         fit = fit_to_bounds(one)
         if fit is not None and fit.outside > 0.0:
             said.append(
-                f"{_priors(names)} {_centre_in_words(one, fit)}, outside the bounds, which hold {_mass(fit)} of "
+                f"{_priors(names)} {_centre(one, fit)}, outside the bounds, which hold {_mass(fit)} of "
                 f"{'its' if len(names) == 1 else 'their'} probability; {'its' if len(names) == 1 else 'their'} "
                 f"median within them is {_value(fit.median, one.unit)}."
             )
@@ -114,7 +114,7 @@ def _doubt(names: list[str], one: Parameter) -> str:
     bounds = f"the bounds, {_bounds(one)}, hold {_mass(fit)} of {its} probability"
     if fit.mass < LEAST_MASS and (fit.is_flat or not fit.outside):
         return (
-            f"{_priors(names)} {_centre_in_words(one, fit)} and much wider than the bounds: {bounds}, so that they limit "
+            f"{_priors(names)} {_centre(one, fit)} and much wider than the bounds: {bounds}, so that they limit "
             f"the parameter, and not the prior. Check the unit of {its} standard deviation; if the bounds are "
             "what is known, give a uniform prior."
         )
@@ -123,7 +123,7 @@ def _doubt(names: list[str], one: Parameter) -> str:
         bound = one.lower if side == "lower" else one.upper
         slip = " (as it is where no mean is given)" if fit.centre == 0.0 else ""
         return (
-            f"{_priors(names)} {_centre_in_words(one, fit)}{slip}, {significant(fit.outside, 2)} of {its} standard "
+            f"{_priors(names)} {_centre(one, fit)}{slip}, {significant(fit.outside, 2)} of {its} standard "
             f"deviations {where} the {side} bound: {bounds}, and {its} median within them is "
             f"{_value(fit.median, one.unit)}. The prior presses the parameter against the {side} bound, "
             f"{with_unit(bound, one.unit)}: centre it on the value that is expected, or move the bounds."
@@ -132,7 +132,7 @@ def _doubt(names: list[str], one: Parameter) -> str:
     if fit.spread < NARROW * scale:
         sd = f"{significant(fit.spread, 2)} {one.unit}".rstrip()  # in the unit of the file, where the slip is
         return (
-            f"{_priors(names)} {_centre_in_words(one, fit)} with a standard deviation of {sd}: so narrow that "
+            f"{_priors(names)} {_centre(one, fit)} with a standard deviation of {sd}: so narrow that "
             "the data cannot move the parameter. Check the unit of the standard deviation; if the value is known "
             "so well, fix it in the model."
         )
@@ -144,7 +144,7 @@ def _priors(names: list[str]) -> str:
     return f"The prior{'s' if many else ''} of {names_in_words(names)} {'are' if many else 'is'}"
 
 
-def _centre_in_words(one: Parameter, fit: Fit) -> str:
+def _centre(one: Parameter, fit: Fit) -> str:
     return f"centred on {_value(fit.centre, one.unit)}"
 
 

@@ -188,7 +188,7 @@ def _require_no_term_lost(problem: Problem, model: PairedStructure, theta: Float
 
 
 def _lost(model: PairedStructure, theta: FloatArray, dof: int) -> str:
-    """Say that a soft part is lost in rounding at a degree of freedom."""
+    """Describe the soft part, at a degree of freedom, that is lost in rounding."""
     node, direction = model.structure.dofs[dof]
     return (
         "rounding: stiffnesses of neighbours must differ by less than 1e14, and no mode may be below 3e-5 of the "
@@ -199,7 +199,7 @@ def _lost(model: PairedStructure, theta: FloatArray, dof: int) -> str:
 
 
 def _negative(problem: Problem, model: PairedStructure, theta: FloatArray, motion: FloatArray) -> str:
-    """Say which term makes K negative for a motion (n_dof,), or that rounding of it does."""
+    """Name the term that makes K negative for a motion (n_dof,), or blame its rounding."""
     terms = model.structure.K_terms
     weights = coefficients(terms, theta[None])[0]
     energy = [c * (motion @ (t.matrix @ motion)) for c, t in zip(weights, terms, strict=True)]

@@ -241,7 +241,7 @@ def pooled_covariance(position: FloatArray, log_prob: FloatArray, acceptance: Fl
 
 
 def find_arrived(log_prob: FloatArray, allowance: float, acceptance: FloatArray | None = None) -> BoolArray:
-    """Return which chains have reached the region where most chains are, shape (chains,).
+    """Return a mask of the chains that have reached the region of most chains, shape (chains,).
 
     This is judged by their (average) log-density, which scatters by only √(ndim/2) within one mode. A chain far
     below is still approaching or trapped; one far above has found a spike, or a mode that the others have yet to

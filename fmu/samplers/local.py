@@ -69,7 +69,7 @@ class LocalKernel(ABC):
 
 
 def accept(rng: np.random.Generator | np.random.RandomState, log_ratio: FloatArray) -> BoolArray:
-    """Return which candidates are accepted, each with probability min(1, exp(log_ratio)), any shape.
+    """Return a mask of the accepted candidates, each with probability min(1, exp(log_ratio)), any shape.
 
     Metropolis et al. (1953), J. Chem. Phys. 21, 1087-1092; log u of a uniform u is −E with E exponential.
     """

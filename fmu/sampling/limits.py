@@ -94,7 +94,7 @@ class Limits(NamedTuple):
         return steps, "" if steps else limit
 
     def describe_excess(self, result: RunResult, planned_warmup: int) -> str:
-        """Say that the limit shortened the warm-up, and how a run took more than 1 % more solves than it.
+        """Describe how the limit shortened the warm-up, and how a run took more than 1 % more solves.
 
         An empty string if neither happened.
         """

@@ -1,4 +1,4 @@
-"""Delayed acceptance: draws of a surrogate's posterior become those of the model's by a solve of each."""
+"""Delayed acceptance: draws from a surrogate's posterior become draws from the model's by a solve of each."""
 
 from __future__ import annotations
 

@@ -134,6 +134,6 @@ def _upper_sd(values: FloatArray) -> float:
 
 
 def _factor(n: int, kurtosis: float) -> float:
-    """Return the upper limit of a standard deviation over that of n values."""
+    """Return the ratio of the upper limit of a standard deviation to the standard deviation of n values."""
     freedom = 2.0 * n / (kurtosis - (n - 3.0) / (n - 1.0))
     return float(np.sqrt(freedom / (2.0 * gammaincinv(0.5 * freedom, 1.0 - LEVEL))))  # of chi-square

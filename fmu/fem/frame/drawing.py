@@ -57,7 +57,7 @@ class Sketch:
 
 
 def sketch(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> Sketch:
-    """Return what is drawn of a structure, with its sensors (place, direction).
+    """Return the drawing of a structure, with its sensors (place, direction).
 
     Raises
     ------
@@ -173,7 +173,7 @@ def without_sensors(structure: Sketch) -> Sketch:
 
 
 def element_colours(changed: BoolArray) -> list[str]:
-    """Return the colour of each element, from `changed_elements`: that of the first parameter that changes it."""
+    """Return the colour of each element, which is the colour of the first parameter that changes it."""
     first = [int(np.argmax(row)) if row.any() else None for row in changed]
     return [UNCHANGED if k is None else COLOURS[k % len(COLOURS)] for k in first]
 
@@ -192,7 +192,7 @@ def parameter_colours(structure: Sketch) -> list[str | None]:
 
 
 def changed_elements(model: SeparableModel) -> BoolArray:
-    """Return which parameter changes which element, shape (n_elements, n_parameters).
+    """Return a mask of the elements that each parameter changes, shape (n_elements, n_parameters).
 
     It does where a term with it couples the element's ends. Where one end is held, it does where the term's forces
     on the other are not in equilibrium when everything translates; where it has no stiffness, where it has mass.

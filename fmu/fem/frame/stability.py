@@ -143,7 +143,7 @@ def _require_mass(model: SeparableModel, theta: ArrayLike, label: Callable[[Any]
 
 
 def _without_mass(model: SeparableModel, theta: ArrayLike, motions: FloatArray) -> FloatArray:
-    """Return those of the motions without strain, (n_dof, n), that move no mass."""
+    """Return the motions without strain, (n_dof, n), that move no mass."""
     if not motions.shape[1]:
         return motions
     _, scale = unit_diagonal(sp.csr_array(model.K(theta)))

@@ -1,4 +1,4 @@
-"""What the parameters of a frame stand for: properties of element groups, point masses and springs."""
+"""The properties that the parameters of a frame change: of element groups, point masses and springs."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def ownership(
     masses: Sequence[PointMass],
     springs: Sequence[JointSpring],
 ) -> Ownership:
-    """Return which quantities belong to which parameter; see `fmu.Frame.separable`.
+    """Return the quantities of each parameter; see `fmu.Frame.separable`.
 
     Raises
     ------

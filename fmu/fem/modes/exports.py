@@ -112,7 +112,7 @@ class Recovery:
     decided: bool
 
     def sentences(self, what: str, names: Sequence[str]) -> list[str]:
-        """Return what there is to say of the `what` (``"stiffness"``), parameters by their names."""
+        """Describe the findings on the matrix named `what` (``"stiffness"``), with the names of parameters."""
         terms = names_in_words([_in_words(term.powers, names) for term in self.terms])
         many = f"The {what} is a sum of {len(self.terms)} terms: {terms}."
         said = [many if len(self.terms) > 1 else f"The {what} has one term: {terms}."]
@@ -185,7 +185,7 @@ def from_exports(
 
 
 def _of_digits(nominal: ExportedModel, found: Recovery) -> list[str]:
-    """Return what the digits of the exported stiffness K leave of the lowest frequency; nothing if that is enough.
+    """Say how few digits of the lowest frequency the exported stiffness K leaves; nothing if they suffice.
 
     Errors e_ij of the entries, independent and uniform, change λ by φᵀ e φ / φᵀ M φ: relative to f their standard
     deviation is ½ √(Σ_ij 2 (r K_ij φ_i φ_j)² / 3) / φᵀ K φ, where r bounds |e_ij / K_ij|.
@@ -306,7 +306,7 @@ class _Entries:
         return max(_ROUNDING, 0.5 * 10.0 ** (1 - self.digits))
 
     def changed_between(self, first: int, others: Sequence[int]) -> BoolArray:
-        """Return which entries differ between an export and others by more than rounding, shape (n,)."""
+        """Return a mask (n,) of the entries that differ between an export and others by more than rounding."""
         away = np.abs(self.entry[others] - self.entry[first])
         large = np.maximum(np.abs(self.entry[others]), np.abs(self.entry[first]))
         return np.asarray(np.any(away > _SAFETY * np.maximum(self.noise * large, _ROUNDING), axis=0))
@@ -429,7 +429,7 @@ def _recovery(
     of_row[:, entries.row[diagonal]] = changed[:, diagonal]
 
     def on_diagonal(own: Any) -> BoolArray:
-        """Return which parameters change the diagonal both of the row and of the column of entries."""
+        """Return a mask of the parameters that change the diagonal of both the row and the column of entries."""
         return np.asarray(of_row[:, entries.row[own]] & of_row[:, entries.column[own]])
 
     by_parameters, of_entry = np.unique(changed, axis=1, return_inverse=True)

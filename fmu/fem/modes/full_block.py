@@ -1,4 +1,4 @@
-"""A decoupled block solved as it stands, one theta at a time, with the derivatives of its modes."""
+"""A decoupled block, solved in full, one theta at a time, with the derivatives of its modes."""
 
 from __future__ import annotations
 

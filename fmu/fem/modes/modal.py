@@ -23,7 +23,7 @@ _EQUAL = 1e-6
 
 
 def is_rigid(eigenvalues: FloatArray) -> BoolArray:
-    """Say which of the lowest modes of a structure, shape (..., m), are rigid-body modes."""
+    """Return a mask of the rigid-body modes among the lowest modes of a structure, shape (..., m)."""
     return eigenvalues <= RIGID * np.fmax.reduce(eigenvalues, axis=-1, keepdims=True)
 
 

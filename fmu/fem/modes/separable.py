@@ -482,7 +482,7 @@ class SeparableModel:
 
     @cached_property
     def dof_of(self) -> dict[tuple[Any, str], int]:
-        """Index of the degree of freedom of every name (node, direction), those of `ties` among them."""
+        """Index of the degree of freedom of every name (node, direction), ties included."""
         index = {name: i for i, name in enumerate(self.dofs)}
         return index | {name: index[other] for name, other in self.ties.items()}
 

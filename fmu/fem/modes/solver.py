@@ -92,7 +92,7 @@ def factorise(matrix: Any, solver: str | None = None, is_definite: bool = True) 
 
 
 class DenseFactor:
-    """Cholesky factors L Lᵀ, or those of an indefinite matrix, L D Lᵀ (Bunch & Kaufman 1977)."""
+    """Cholesky factors L Lᵀ, or the factors L D Lᵀ of an indefinite matrix (Bunch & Kaufman 1977)."""
 
     def __init__(self, matrix: FloatArray) -> None:
         self.negative, self.n_entries = 0, matrix.size
@@ -190,7 +190,7 @@ class _SuperLU:
 
 
 class _Pardiso:
-    """Cholesky factors, or those of an indefinite matrix, L D Lᵀ with a diagonal D."""
+    """Cholesky factors, or the factors L D Lᵀ of an indefinite matrix, with a diagonal D."""
 
     def __init__(self, matrix: Any, is_definite: bool = True) -> None:
         self._upper, self.negative = _upper_triangle(matrix), 0

@@ -1,4 +1,4 @@
-"""Which computed mode answers to a measured one.
+"""The pairing of computed modes with measured ones.
 
 Reading order: rules, prediction, modal_model, paired_structure; paired_black_box for a user's function,
 failed_solves for reasons.

@@ -93,7 +93,7 @@ class Matching:
 
     @property
     def is_parallel(self) -> bool:
-        """Whether the axes of the test are parallel to those of the model."""
+        """Whether the axes of the test are parallel to the axes of the model."""
         return bool(np.all(np.max(np.abs(self.rotation), axis=0) >= np.cos(np.radians(SNAPPED))))
 
     def turned(
@@ -312,7 +312,7 @@ def _of_distances(found: Matching, second: FloatArray) -> list[str]:
 
 
 def _no_fit(x: FloatArray, mesh: Mesh, placed: FloatArray) -> str:
-    """Return that points do not fit a mesh, and by how much."""
+    """Say by how much points do not fit a mesh."""
     size, distance = float(np.ptp(x, axis=0).max()), mesh.tree.query(placed)[0]
     return (
         f"must fit the mesh (the nearest nodes are up to {significant(float(distance.max()))} m off; the points "
@@ -331,7 +331,7 @@ def _in_another_unit(given: FloatArray, mesh: Mesh, unit: str) -> str:
 
 
 def _describe_mirror(x: FloatArray, mesh: Mesh, placed: FloatArray) -> str:
-    """Return that the mirrored points would fit, and much better; empty if they would not."""
+    """Warn if the mirrored points would fit much better; empty if they would not."""
     mirrored = x * [-1.0, 1.0, 1.0]
     R, t, _ = align_points(mirrored, mesh)
     if mesh.rms(mirrored @ R.T + t) > _BETTER * mesh.rms(placed) or not mesh.fits(mirrored @ R.T + t):

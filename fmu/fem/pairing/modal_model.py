@@ -42,7 +42,7 @@ class FrequencyMap(Protocol):
 
 
 class ModalModel:
-    """A model paired with the measured modes, and what it can do beside giving their frequencies.
+    """A model whose modes are paired with the measured ones.
 
     The defaults are those of a model that gives frequencies with exact gradients, and nothing else.
 
@@ -138,7 +138,7 @@ class ModalModel:
         return self
 
     def of_modes(self, theta: FloatArray, of: Callable[[Any, FloatArray], FloatArray]) -> FloatArray:
-        """Return what `of` makes of each structure and its own parameters, for every measured mode.
+        """Apply `of` to each structure and its own parameters; return its values for every measured mode.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""The modes of a black-box model that answer to the measured ones, and their gradients."""
+"""The modes of a black-box model, paired with the measured ones, and their gradients."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from fmu.types import FloatArray, IntArray
 
 
 class PairedBlackBox(ModalModel):
-    """The frequencies of a black-box model's modes that answer to the measured ones; `of` builds one.
+    """A black-box model whose modes are paired with the measured ones; `of` builds one.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ class PairedBlackBox(ModalModel):
         return f, df, phi
 
     def _columns(self, answer: Answer | Solve) -> IntArray:
-        """Return the column of the mode that answers to each measured one; AnswerError if one is missing."""
+        """Return the column of the mode paired with each measured one; AnswerError if one is missing."""
         given = len(answer.frequencies)
         if self.reference is None:
             if max(self.numbers) > given:

@@ -34,7 +34,7 @@ SOFT = "soft"
 
 
 class PairedStructure(ModalModel):
-    """The modes of a structure that answer to the measured ones; `of` builds one.
+    """A structure whose modes are paired with the measured ones; `of` builds one.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ class PairedStructure(ModalModel):
         return _solve_counted(self.see, theta, gradient)
 
     def seen_candidates(self, theta: FloatArray, gradient: bool = False) -> Candidates:
-        """Return all modes that might answer to a measured one, at theta (n, n_parameters).
+        """Return all candidates for a pairing with the measured modes, at theta (n, n_parameters).
 
         With derivatives if wanted; for a pairing by shape, soft or not.
         """

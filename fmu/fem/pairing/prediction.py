@@ -53,7 +53,7 @@ class ModalPrediction:
 
 @dataclass(frozen=True)
 class Candidates:
-    """Modes at n parameter vectors that might answer to m measured ones.
+    """Candidates, at n parameter vectors, for a pairing with m measured modes.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Candidates:
 
 
 def with_rows[Batch: "DataclassInstance"](batch: Batch, rows: BoolArray, other: Batch) -> Batch:
-    """Return a dataclass of arrays (n, …) whose given rows are replaced by those of `other`; None remains None."""
+    """Return a dataclass of arrays (n, …) with some rows taken from `other`; None remains None."""
     replaced = {}
     for field in fields(batch):
         mine = getattr(batch, field.name)
@@ -123,7 +123,7 @@ class SensorView:
         return [block.coordinates(self._sensors[:, block.dofs]) for block in self.model.blocks]
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return what the sensors see at theta (n, n_parameters), with derivatives if `gradient`."""
+        """Return frequencies and shapes at the sensors, at theta (n, n_parameters), and derivatives if wanted."""
         block, rank, solved = self._solve.locate(theta, gradient)
         n, m = block.shape
         q, p = self._sensors.shape[0], self.model.n_parameters
@@ -159,7 +159,7 @@ class _View(NamedTuple):
 
 
 class CandidateView:
-    """All modes of a model, full or reduced, that might answer to a measured one.
+    """All modes of a model, full or reduced, that are candidates for a pairing.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ class CandidateView:
         return Candidates(f, seen.shapes[:, kept], mac, slopes, seen.shape_slopes[:, kept], mac_slopes)
 
     def _alike(self, view: _View, seen: BlockPrediction) -> tuple[FloatArray, FloatArray | None]:
-        """Return MAC_ik = (ψ_iᵀφ_k)²/(ψ_iᵀψ_i φ_kᵀφ_k), shape (n, m, k), with slopes if those of shapes are known.
+        """Return MAC_ik = (ψ_iᵀφ_k)²/(ψ_iᵀψ_i φ_kᵀφ_k), shape (n, m, k), with slopes if shapes have slopes.
 
         With c = ψᵀφ and l = φᵀφ, ∂MAC = (2 c ψᵀ∂φ)/(ψᵀψ l) − 2 MAC φᵀ∂φ / l.
         """

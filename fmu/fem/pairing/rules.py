@@ -1,4 +1,4 @@
-"""Which computed mode answers to which measured one.
+"""Rules that pair computed modes with measured ones.
 
 By number: the k-th of the sorted spectrum, whatever it looks like (the paper). By shape: a one-to-one
 assignment that maximises the sum of MAC values. A beam's eigenvalues within one plane are simple, so that the
@@ -234,7 +234,7 @@ class ShapePairing:
 
 @dataclass(frozen=True, eq=False)
 class SoftPairing(ShapePairing):
-    """Every candidate answers to every measured mode, with the weight exp(MAC/τ) over the sum of all.
+    """Every candidate is paired with every measured mode, with the weight exp(MAC/τ) over the sum of all.
 
     Solved as `ShapePairing`, it gives the modes of the one-to-one assignment. It is never constant: all candidates
     are needed everywhere.

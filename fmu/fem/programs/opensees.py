@@ -314,7 +314,7 @@ def _openseespy() -> Any:
 
 
 def _followers(ops: Any) -> dict[int, list[int]]:
-    """Return the degrees of freedom (from 1) that follow those of other nodes, by node.
+    """Return, by node, the degrees of freedom (from 1) that follow other nodes.
 
     A model of which nothing is free would crash OpenSees; ValueError instead.
     """

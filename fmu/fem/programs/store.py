@@ -86,7 +86,7 @@ class SolveStore:
         return (solve for solve in map(_read, sorted(paths)) if solve is not None)
 
     def find(self, theta: FloatArray) -> Solve | None:
-        """Return what is stored of a theta (n_parameters,); None if there is nothing, or its file is damaged."""
+        """Return the stored solve of a theta (n_parameters,); None if there is none, or its file is damaged."""
         for path in self._paths(theta):
             found = _read(path)
             if found is not None and found.theta.tobytes() == theta.tobytes():

@@ -242,7 +242,7 @@ class Anchors:
 
 
 def anchor_points(terms: Sequence[Term], lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return anchors (n_anchors, p) of a box: its middle, and those of parts in which a stiffness changes much.
+    """Return anchors (n_anchors, p) of a box: its middle, and the middles of parts where a stiffness changes much.
 
     A part is halved where a coefficient changes by more than a factor of `_WIDE`, along the parameter that
     changes it most, until there are `_MOST`. Of parameters that change no stiffness the middle serves.

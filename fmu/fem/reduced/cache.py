@@ -1,4 +1,4 @@
-"""Trained reduced bases on disk, under a hash of what they were trained for.
+"""Trained reduced bases on disk, under a hash of the problem that they were trained for.
 
 If a file is missing, damaged or of another version, the basis is trained again. The cache is in the user's cache
 directory, or in the directory given by the environment variable ``FMU_CACHE_DIR``; if that variable is empty,

@@ -1,4 +1,4 @@
-"""The full model's modes from those of a reduced one: what confirms a bound where a solve by itself is dear.
+"""Modes of the full model, found from the reduced model's modes: they confirm bounds where a solve is slow.
 
 The block version of Davidson's method (1975, *J. Comput. Phys.* 17, 87–94; Crouzeix, Philippe & Sadkane 1994,
 *SIAM J. Sci. Comput.* 15, 62–76). It starts from the Ritz vectors of the basis and of the anchors' modes. The
@@ -31,7 +31,7 @@ _BEYOND = 3
 
 
 class ConfirmedBlock(FullBlock):
-    """A large block whose modes at points of the trained box are found from those of its reduced model.
+    """A large block whose modes, at points of the trained box, are found from the modes of its reduced model.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class ConfirmedBlock(FullBlock):
 
 
 def confirmed_model(bound: FrequencyBound) -> BlockModel:
-    """Return the full model of a bound, with large blocks whose modes begin with those of the reduced model."""
+    """Return the full model of a bound, whose large blocks start from the modes of the reduced model."""
 
     def confirm_block(b: int, full: Any, reduced: Any) -> Block:
         if full.size < LARGE or not reduced.is_reduced or reduced.size == full.size:

@@ -57,7 +57,7 @@ class Cost:
 
     @property
     def full(self) -> float:
-        """Of the lowest modes of the block as it stands, at one theta."""
+        """Cost of the lowest modes of the full block at one theta."""
         elimination = _AN_ENTRY * self.n_entries + _AN_ELIMINATION * self.n_entries**2 / self.n_dof
         return elimination + _ITERATIONS * self.solve
 

@@ -30,7 +30,7 @@ _WIDENED = 3
 
 
 class ReducedStructure(Approximation):
-    """A structure by its reduced basis inside a box, and by its full matrices elsewhere and on failure.
+    """A structure by its reduced basis inside a box, and by its full matrices outside and on failure.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ class ReducedStructure(Approximation):
         return self._answer(self.cheap.see, self.full.see, theta, gradient)
 
     def seen_candidates(self, theta: FloatArray, gradient: bool = False) -> Candidates:
-        """Return all modes that might answer to a measured one, at theta (n, n_parameters).
+        """Return all candidates for a pairing with the measured modes, at theta (n, n_parameters).
 
         With derivatives if wanted; for a pairing by shape, soft or not.
         """

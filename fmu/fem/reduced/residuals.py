@@ -1,4 +1,4 @@
-"""How far the modes of a reduced model are from those of the structure, measured by their residuals.
+"""Bounds of the errors of a reduced model's modes, by their residuals.
 
 Let (μ, u) be a Ritz pair, uᵀ M u = 1, and r = K u − μ M u its residual. With A = K + s M, σ = μ + s and T = A⁻¹
 M, which is selfadjoint in the inner product of A, split the space into the Ritz vectors and what is A-orthogonal

@@ -120,7 +120,7 @@ class Space:
 
 
 def new_directions(V: FloatArray, X: FloatArray, A: Any) -> FloatArray:
-    """Return what vectors X (n, q) add to the space of V (n, r), orthonormal in A and to V, which is so too."""
+    """Return a basis, A-orthonormal and normal to V (n, r), of the directions that X (n, q) adds to V."""
     X = X / np.sqrt(np.sum(X * (A @ X), axis=0))
     for new in (_RANK, 0.5):  # twice against rounding
         X = X - V @ (V.T @ (A @ X))

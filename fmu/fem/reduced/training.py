@@ -239,7 +239,7 @@ class Training:
         return self._current()
 
     def state(self) -> dict[str, FloatArray]:
-        """Return the outcome as arrays; `elsewhere` is the tolerance outside the region, if there is one.
+        """Return the outcome as arrays; with the tolerance outside the region, if there is one.
 
         `far` are the parameter, the value and what else is known of where errors are not bounded well.
         """

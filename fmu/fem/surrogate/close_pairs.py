@@ -71,7 +71,7 @@ class ClosePairs:
     def slopes(
         self, y: FloatArray, v: FloatArray, dy: FloatArray, dv: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of `values`, (n, n_modes, n_parameters) each, from those of what was learnt."""
+        """Return the derivatives of `values`, (n, n_modes, n_parameters) each, from the learnt derivatives."""
         dz, dz_variance = dy.copy(), dv.copy()
         for i in self.first:
             d, s2 = y[:, i + 1, None], v[:, i + 1, None]
@@ -84,11 +84,11 @@ class ClosePairs:
         return dz, dz_variance
 
     def of_eigenvalues(self, learnt: FloatArray) -> FloatArray:
-        """Return those of numbers (n_modes,) for what was learnt that are in the unit of z."""
+        """Return the numbers (n_modes,) of learnt quantities that are in the unit of z."""
         return np.delete(learnt, [i + 1 for i in self.first])
 
     def weights(self, y: FloatArray, v: FloatArray, by_z: FloatArray) -> FloatArray:
-        """Return the weights of the variances of what was learnt, for weights of those of z, (n, n_modes)."""
+        """Return the weights of the learnt variances, (n, n_modes), for weights of the variances of z."""
         found = by_z.copy()
         for i in self.first:
             both = by_z[:, i] + by_z[:, i + 1]

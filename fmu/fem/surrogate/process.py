@@ -158,7 +158,7 @@ class Process:
         return self._trend * own + self._smooth - np.sum(u**2, axis=1)
 
     def _variance(self, scaled: FloatArray) -> FloatArray:
-        """Return variances in units of y², (n, q, …), of scaled ones; those of rounding are not negative."""
+        """Return variances in units of y², (n, q, …), of scaled ones; rounding makes none of them negative."""
         if scaled.ndim == 1:
             return self.caution * self._unit**2 * np.maximum(scaled, 0.0)[:, None]
         return self.caution * (self._unit**2)[:, None] * scaled

@@ -1,4 +1,4 @@
-"""A model of Gaussian processes that stands for a slow one where its paired modes are asked for."""
+"""Gaussian processes that replace a slow model: they predict its paired modes."""
 
 from __future__ import annotations
 
@@ -170,7 +170,7 @@ class SurrogateModel(ModalModel):
         return 0.25 * np.exp(z) * v, np.stack(of_shapes, axis=2) if of_shapes else empty
 
     def weights_of_learnt(self, theta: FloatArray, of_frequency: FloatArray) -> FloatArray:
-        """Return the weights of the variances of what was learnt of frequencies, for those of the frequencies.
+        """Return the weights of the learnt variances, from the weights of the variances of frequencies.
 
         Both have the shape (n, n_modes); the weights that are given are in 1/Hz².
         """
@@ -191,7 +191,7 @@ class SurrogateModel(ModalModel):
         return {"surrogate of": self._of, "design": digest.hexdigest()}
 
     def _learnt(self, x: FloatArray, limited: bool = True) -> tuple[FloatArray, FloatArray]:
-        """Return what was learnt of frequencies and its variance, (n, n_modes) each."""
+        """Return the learnt quantities of frequencies and their variances, (n, n_modes) each."""
         with single_thread():
             parts = [p.predict(x, limited) for p in self.of_frequencies]
         y, v = (np.concatenate(one, axis=1) for one in zip(*parts, strict=True))
@@ -207,7 +207,7 @@ def _join_parts(parts: Sequence[Any], join: Any, axis: int) -> Any:
 
 
 def _predict(process: Process, x: FloatArray, by_theta: FloatArray | None) -> Any:
-    """Return value and variance at x, and their derivatives by theta or None, by those of x by theta."""
+    """Return value and variance at x, and their derivatives by theta, if x has derivatives by theta."""
     if by_theta is None:
         return *process.predict(x), None, None
     value, variance, slopes, by_variance = process.predict_with_slopes(x)
@@ -234,7 +234,7 @@ def fitted_together(x: FloatArray, y: FloatArray, before: Sequence[Process] | No
 
 
 def solve_design(truth: ModalModel, theta: FloatArray, with_shapes: bool) -> Design:
-    """Return what the slow model gives at theta (n, n_parameters)."""
+    """Return the answers of the slow model at theta (n, n_parameters)."""
     if with_shapes:
         seen = truth.observed(theta)
         return Design(theta, seen.frequencies, seen.shapes)

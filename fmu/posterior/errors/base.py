@@ -25,7 +25,7 @@ class ErrorModel(Protocol):
 
     @property
     def sd(self) -> ArrayLike | Parameter | None:
-        """Standard deviation of the errors, known or to be inferred; None for that of the data."""
+        """Standard deviation of the errors, known or to be inferred; None if the data have it."""
         ...
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
@@ -146,7 +146,7 @@ class ErrorTerm:
         return self
 
     def normal_scores(self, z: FloatArray, mode: int | None = None) -> FloatArray:
-        """Return errors over their standard deviations, (..., n_modes) or those of one mode, as normal scores.
+        """Return errors over their standard deviations, (..., n_modes) or of one mode, as normal scores.
 
         They are Gaussian, but for standard deviations that were estimated from a few tests.
         """
@@ -306,7 +306,7 @@ class Likelihood:
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with only the inferred errors added: those of the model."""
+        """Return frequencies (n, n_modes), Hz, with only the inferred errors, of the model, added."""
         return frequencies
 
     def why_not_finite(self, theta: FloatArray) -> str | None:

@@ -220,7 +220,7 @@ class ModalLikelihood(Likelihood):
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with only the inferred errors added: those of the model.
+        """Return frequencies (n, n_modes), Hz, with only the inferred errors, of the model, added.
 
         Raises
         ------
@@ -290,7 +290,7 @@ class ModalLikelihood(Likelihood):
         return theta[:, self.n_structural :]
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return what is compared at theta (n, ndim): the frequencies, and the shapes where they have errors."""
+        """Return the frequencies at theta (n, ndim), and the shapes where they have errors."""
         structural = theta[:, : self.n_structural]
         if self.needs_shapes or self.model.is_uncertain:
             return self.model.observed(structural, gradient)

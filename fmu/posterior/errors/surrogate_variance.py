@@ -1,4 +1,4 @@
-"""The errors of a surrogate in the likelihood: what it predicts is uncertain, and its density is their mean.
+"""The errors of a surrogate in the likelihood: its density is the mean over the predictions.
 
 Let t(x) be the log-density of an error model as a function of the frequency and the shape of a mode, x, of which
 the surrogate gives the expectation and variances v_j. With g = ∂t/∂x and h_j = Σ_r (∂r/∂x_j)² of the residuals r,

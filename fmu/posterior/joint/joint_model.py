@@ -1,4 +1,4 @@
-"""The modes of all tests as those of one model: what samplers, diagnostics and reports of a single test need."""
+"""The modes of all tests as the modes of one model, for samplers, diagnostics and reports of a single test."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ class JointModel(ModalModel):
                 yield self.layout.tests[part.distinct[row]], part.model, points[row]
 
     def of_modes(self, theta: FloatArray, of: Callable[[Any, FloatArray], FloatArray]) -> FloatArray:
-        """Return what `of` makes of each configuration's model and parameters, for every measured mode."""
+        """Apply `of` to each configuration's model and parameters; return its values for every measured mode."""
         values = self.layout.values(theta[:, : self.n_parameters])
         seen = [part.pick(of(part.model, part.points(values))) for part in self.configurations]
         found = np.empty((len(theta), self.n_modes, *seen[0].shape[2:]))

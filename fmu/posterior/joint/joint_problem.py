@@ -317,7 +317,7 @@ def find_mistakes(
     reference: str,
     correlation: float | None = None,
 ) -> list[str]:
-    """Return what is wrong between tests and parameters, each with its place."""
+    """Return the contradictions between tests and parameters, each with its place."""
     names = [p.name for p in parameters]
     found = ["tests: must be at least 2 (got 1)"] if len(tests) == 1 else []
     found = found or ([] if tests else ["tests: must be at least 2 (got none)"])
@@ -375,7 +375,7 @@ def find_mistakes(
 
 
 def mistakes_of_shapes(tests: Sequence[Test]) -> list[str]:
-    """Return what hinders the comparison of shapes, each with its place."""
+    """Return the obstacles to a comparison of shapes, each with its place."""
     found = []
     for t, test in enumerate(tests):
         if test.data.shapes is None:
@@ -386,7 +386,7 @@ def mistakes_of_shapes(tests: Sequence[Test]) -> list[str]:
 
 
 def stack_tests(tests: Sequence[Test]) -> ModalData:
-    """Return the modes of all tests as those of one, with the labels ``"test: mode"``.
+    """Return the modes of all tests as the modes of one test, with the labels ``"test: mode"``.
 
     Raises
     ------
@@ -432,7 +432,7 @@ def _covariance(data: ModalData) -> FloatArray:
 def _configurations(
     model: SeparableModel | BlackBoxModel, tests: Sequence[Test], layout: Layout, options: Mapping[str, Any]
 ) -> tuple[list[Configuration], Any]:
-    """Return the tests by what they share, each with its trained model, and the tolerance of these."""
+    """Return the configurations of tests that share matrices, each with its trained model; and their tolerance."""
     keys = [test.configuration for test in tests]
     first_mode = np.cumsum([0, *(test.data.n_modes for test in tests)])
     found, tolerance = [], None

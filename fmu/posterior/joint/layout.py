@@ -121,7 +121,7 @@ class Drawn:
         return int(self.columns[test])
 
     def log_prior(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the log-density of the scores over that of standard normal ones, (n, n_tests), and derivatives.
+        """Return the log-density of the scores over the standard normal density, (n, n_tests), and derivatives.
 
         It is zero where the centring is: the scores are then standard normal.
         """
@@ -147,7 +147,7 @@ class Drawn:
         return z, tuple(np.where(is_other, *pair) for pair in zip(slopes, plain, strict=True))  # type: ignore[return-value]
 
     def drawn(self, theta: FloatArray) -> FloatArray:
-        """Return theta whose scores, standard normal draws, are replaced by those of draws from the population."""
+        """Return theta with its standard normal scores replaced by the scores of draws from the population."""
         theta = theta.copy()
         z, (centre, width), blend, _ = self._parts(theta)
         value = self.population.values(z, centre, width, self.lower, self.upper)[0]
@@ -184,7 +184,7 @@ class Drawn:
         return self.population.scores(value, centre, width, self.lower, self.upper)
 
     def _parts(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, FloatArray]:
-        """Return the scores, the population, what they refer to, and ∂ of its centre by the population's."""
+        """Return the scores, the population, their reference, and ∂ of its centre by the population's."""
         n_tests = len(self.columns)
         centre, width = (theta[:, [k] * n_tests] for k in (self.centre, self.width))
         w = self.centring
@@ -312,7 +312,7 @@ class Trend:
 
 @dataclass(frozen=True)
 class Layout:
-    """Which parameters all tests have together, and what they mean for each of them.
+    """The parameters of all tests together, and their meaning for each test.
 
     Attributes
     ----------
@@ -589,7 +589,7 @@ def _lose(
     reference: str,
     add: Callable[..., int],
 ) -> Lost:
-    """Return a parameter with losses, whose parameters are added to those of all tests."""
+    """Return a parameter with losses, and add its parameters to the parameters of all tests."""
     column = add(p, "group", where=reference)
     states = dict.fromkeys(test.group for test in tests if test.group != reference)
     numbers = {reference: column} | {state: add(how.loss(p, state), "loss", where=state) for state in states}

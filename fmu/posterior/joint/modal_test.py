@@ -62,7 +62,7 @@ class Test:
         return (*changes, tuple(self.data.sensors))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what is known to differ, in plain Python types."""
+        """Return the known differences of the test, in plain Python types."""
         springs = [[str(place), direction, float(k)] for (place, direction), k in self.springs.items()]
         return {
             "name": self.name,

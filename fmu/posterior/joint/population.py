@@ -66,7 +66,7 @@ class Population:
         return self.distribution == "log-normal"
 
     def parameters(self, of: Parameter) -> tuple[Parameter, Parameter]:
-        """Return what is inferred of the distribution: its centre and its width.
+        """Return the inferred parameters of the distribution: its centre and its width.
 
         Raises
         ------

@@ -12,7 +12,7 @@ from fmu.types import FloatArray
 
 
 class ScoredPrior(JointPrior):
-    """The priors of the parameters, where those of the scores depend on a population.
+    """The priors of the parameters, where the priors of scores depend on a population.
 
     Parameters
     ----------

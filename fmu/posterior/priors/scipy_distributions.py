@@ -201,7 +201,7 @@ class ScipyPrior(InvertedPrior):
 
     @property
     def support(self) -> tuple[float, float]:
-        """That of the distribution."""
+        """The support of the distribution."""
         low, high = self.distribution.support()
         return float(low), float(high)
 

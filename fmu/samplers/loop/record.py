@@ -125,7 +125,7 @@ class Record:
         return Steps(self._position[chains, rows], {name: x[chains, rows] for name, x in self._stats.items()})
 
     def draws(self, stop: int) -> Draws:
-        """Return the draws of all steps before `stop` in order: all walkers of a step, then those of the next."""
+        """Return the draws of all steps before `stop` in order: all walkers of a step, then the next step."""
         steps = self.steps(0, stop)
         length = stop * self._walkers
         stats = {name: x.reshape(self._chains, length, *x.shape[3:]) for name, x in steps.stats.items()}

@@ -337,7 +337,7 @@ class Run:
         return Chunk(group.state, phase, steps, seconds, target, label)
 
     def _write(self, group: _RunningGroup, phase: str, first: int, steps: Steps) -> None:
-        """Record steps of a group, and count what they cost."""
+        """Record steps of a group, and count their solves."""
         self._records[phase].write(first, group.chains.start, steps)
         self._n_solves += int(steps.stats["n_solves"].sum())
         self._n_failed += int(np.sum(steps.stats.get("n_nonfinite", 0)))
@@ -398,7 +398,7 @@ def run(
     init: Any,
     progress: Report | None = None,
 ) -> RunResult:
-    """Sample a density: warm up, and draw `draws` steps. The arguments are those of `Run` and `Run.extend`."""
+    """Sample a density: warm up, and draw `draws` steps. `Run` and `Run.extend` describe the arguments."""
     draws = whole_number("draws", draws, 1)
     begun = Run(density, sampler, warmup=warmup, chains=chains, seed=seed, init=init, progress=progress)
     return begun.extend(draws)

@@ -218,7 +218,7 @@ def _bend(z: FloatArray, k: int, others: BoolArray, weight: FloatArray) -> tuple
 def fit_infinite_margins(
     u: FloatArray, weight: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the shapes a, b (ndim,) of beta margins where the density is infinite at a wall; elsewhere NaN.
+    """Return the shapes a, b (ndim,) of beta margins where the density is infinite at a wall; others are NaN.
 
     A density that is finite at a wall has shape 1 there (a uniform or an exponential margin) or more.
     """

@@ -144,5 +144,5 @@ class MixtureKernel:
 
 
 def _nothing(value: AnyArray) -> AnyArray:
-    """Return what a statistic of local steps is at a jump: NaN, or zero if it is a count, or False."""
+    """Return the value of a statistic of local steps at a jump: NaN, or zero if it is a count, or False."""
     return np.full_like(value, np.nan if value.dtype.kind == "f" else 0)

@@ -82,7 +82,7 @@ class Warp:
         return np.asarray(np.sum(np.log(self.stretch(u)), axis=1))
 
     def quadratic(self, of_u: Quadratic) -> Quadratic:
-        """Return the log-density of x to second order, from that of u at the same point."""
+        """Return the log-density of x to second order, from the log-density of u at the same point."""
         away = self.stretch(of_u.position)
         bent = self.bent.astype(float)
         return Quadratic(
@@ -94,7 +94,7 @@ class Warp:
         )
 
     def straighten(self, of_x: Quadratic) -> Quadratic:
-        """Return the log-density of u to second order, from that of x at the same point: `quadratic` undone."""
+        """Return the log-density of u to second order, from the log-density of x there: `quadratic` undone."""
         u = self.to_u(of_x.position)
         away = self.stretch(u)
         slope = of_x.gradient - self.bent
@@ -198,7 +198,7 @@ class Mixture:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Evaluations of a log-density that stand for it, with weights.
+    """Weighted evaluations of a log-density.
 
     Attributes
     ----------

@@ -128,7 +128,7 @@ class TemperedTarget(ExactGradient):
         return points.log_prob(t), gradient
 
     def at(self, position: FloatArray) -> tuple[Points, IntArray]:
-        """Return what is known where the replicas have arrived, and the solves that this took.
+        """Return the evaluations where the replicas have arrived, and the solves that they took.
 
         Usually none, as a kernel ends where it was or at the point that it evaluated last. Only if an interval of
         the coordinate-wise slice is given up does a replica stay where the axis before had brought it.

@@ -19,7 +19,7 @@ LOG_LIKELIHOOD = "rung_log_likelihood"
 
 @dataclass(frozen=True)
 class TemperingKernel:
-    """Parallel tempering bound to a density; `kernels` are those of the rungs above the prior.
+    """Parallel tempering bound to a density; each rung above the prior has one of the `kernels`.
 
     The extra arrays of its State are what is known of all replicas, leading shape (rungs, chains), named
     ``rung_position`` and so on after the fields of `Points`; ``heading``, (rungs, chains), 1 for a replica that
@@ -99,7 +99,7 @@ class TemperingKernel:
         return end.each(lambda a: a.reshape(rungs, chains, *a.shape[1:])), info
 
     def _order_after_swaps(self, rng: np.random.Generator, log_likelihood: FloatArray, first: int) -> IntArray:
-        """Return which rung's replica each rung holds after the swaps of the even or odd pairs, (rungs, chains).
+        """Return the rung of each rung's replica before the swaps of the even or odd pairs, (rungs, chains).
 
         A swap of rungs k and k + 1 is accepted with probability min(1, exp((t_{k+1} − t_k)(l_k − l_{k+1}))), where
         l is the log-likelihood: the priors cancel in the ratio of the joint densities after and before the swap.

@@ -1,4 +1,4 @@
-"""How warm-up fits the mixture: to what it has evaluated, again and again."""
+"""The fits of the mixture in warm-up, each to all evaluations so far."""
 
 from __future__ import annotations
 
