@@ -67,7 +67,7 @@ def test_the_factors_of_training_serve_the_bound(made, monkeypatch):
     problem, _ = made
     theta = problem.sample_prior(np.random.default_rng(5), 4)
     found = problem.model.frequency_bound(theta)
-    monkeypatch.setattr("fmu.fem.reduced.anchors.factorised", None)
+    monkeypatch.setattr("fmu.fem.reduced.anchors.factorise", None)
     np.testing.assert_array_equal(problem.model.frequency_bound(theta), found)
 
 

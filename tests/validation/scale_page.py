@@ -27,7 +27,7 @@ INTRODUCTION = (
     "paired by shape. Seconds are those of one processor core, BLAS on one thread, unless they are by the "
     "clock; memory is the largest resident set, each row in a process of its own (Python and its libraries take "
     "0.1 GiB of it). Offline is all that makes the problem: the frame and its true frequencies, the reference "
-    "modes, the training. A full solve is that of `PairedStructure.full_modes`: a factorisation, Lanczos and the "
+    "modes, the training. A full solve is one by `PairedStructure.modes`: a factorisation, Lanczos and the "
     "pairing. Other work on the machine makes processor seconds longer too, by a third and more."
 )
 
