@@ -28,7 +28,8 @@ from fmu.fem.pairing.rules import SOFTNESS
 from fmu.formats.decks import EXPORTED, filled, filled_name, read_deck
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import ErrorModel
-from fmu.posterior.joint.joint_problem import JointProblem, TestsError
+from fmu.posterior.joint.joint_problem import JointProblem
+from fmu.posterior.joint.modal_test import TestsError
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.train_reduced import LOOSEST_FREQUENCY

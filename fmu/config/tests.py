@@ -15,8 +15,7 @@ from fmu.config.mistakes import BrokenError
 from fmu.config.parameters import ParameterTable
 from fmu.config.tables import Built, Name, ParameterName, TomlTable
 from fmu.posterior.joint.damage import Damage
-from fmu.posterior.joint.joint_problem import TestsError
-from fmu.posterior.joint.modal_test import Test
+from fmu.posterior.joint.modal_test import Test, TestsError
 from fmu.posterior.joint.population import Population
 from fmu.types import Direction
 

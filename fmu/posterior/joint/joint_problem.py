@@ -7,47 +7,28 @@ from copy import copy
 from typing import Annotated, Any
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from fmu.arguments import OwnRule, check_arguments
 from fmu.engines.base import Engine
 from fmu.fem.black_box import BlackBoxModel
-from fmu.fem.modes.changes import changed_model
 from fmu.fem.modes.separable import SeparableModel
 from fmu.posterior.build import check_names
-from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.data.repeated import mean_shapes
 from fmu.posterior.errors.base import ErrorModel
 from fmu.posterior.errors.mac import MACErrors
 from fmu.posterior.errors.shape import ShapeErrors
+from fmu.posterior.joint.configurations import find_configurations, stack_tests
 from fmu.posterior.joint.damage import Damage
-from fmu.posterior.joint.joint_model import Configuration, JointModel, SlopesByTest
+from fmu.posterior.joint.joint_model import JointModel, SlopesByTest
 from fmu.posterior.joint.layout import BY_GROUP, BY_TEST, VARIES, Layout, Role, find_populations
-from fmu.posterior.joint.modal_test import Test
+from fmu.posterior.joint.modal_test import Test, TestsError
 from fmu.posterior.joint.population import Population
-from fmu.posterior.joint.quantities import Errors, over
+from fmu.posterior.joint.quantities import Errors
 from fmu.posterior.joint.scored_prior import ScoredPrior
 from fmu.posterior.joint.typical import centre_scores
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Prior
 from fmu.posterior.problem import UpdatingProblem
 from fmu.types import FloatArray, Positive
-
-
-class TestsError(ValueError):
-    """Tests, and what varies between them, do not fit together.
-
-    Attributes
-    ----------
-    mistakes : tuple of str
-        Each with its place: ``tests.2.name: …``.
-    """
-
-    __test__ = False
-
-    def __init__(self, mistakes: Sequence[str]) -> None:
-        super().__init__("; ".join(mistakes))
-        self.mistakes = tuple(mistakes)
 
 
 @check_arguments
@@ -135,7 +116,7 @@ class JointProblem(UpdatingProblem):
         data = stack_tests(self.tests)
         common = {"beta": beta, "error": errors.of_modes}
         options = {"pairing": pairing, "reduction": reduction, "engine": engine, **common}
-        parts, tolerance = _configurations(model, self.tests, self.layout, options)
+        parts, tolerance = find_configurations(model, self.tests, self.layout, options)
         joint = JointModel(self.layout, parts, data.n_modes)
         super().__init__(joint, data, self.layout.parameters, name=name, **common)
         self.likelihood.quantities = errors.bound(joint)
@@ -383,140 +364,3 @@ def mistakes_of_shapes(tests: Sequence[Test]) -> list[str]:
         elif test.data.sensors != tests[0].data.sensors:
             found.append(f"tests.{t}.sensors: must be those of tests.0, in their order, as shapes are compared")
     return found
-
-
-def stack_tests(tests: Sequence[Test]) -> ModalData:
-    """Return the modes of all tests as the modes of one test, with the labels ``"test: mode"``.
-
-    Raises
-    ------
-    ValueError
-        If some tests have an uncertainty of their frequencies or shapes, and others do not.
-    """
-    every = [test.data for test in tests]
-    trusts = [data.sd_hz is not None or data.covariance_hz2 is not None for data in every]
-    if len(set(trusts)) > 1:
-        lacking = trusts.index(False)
-        raise TestsError(
-            [f"tests.{lacking}: must have sd or covariance, as tests.{trusts.index(True)} has (got none)"]
-        )
-    sd = covariance = None
-    if any(data.covariance_hz2 is not None for data in every):
-        covariance = block_diag(*(_covariance(data) for data in every))
-    elif trusts[0]:
-        sd = np.concatenate([np.asarray(data.sd_hz) for data in every])
-    has_shapes = all(data.shapes is not None and data.sensors == every[0].sensors for data in every)
-    shapes_sd = None
-    if has_shapes and all(data.shapes_sd is not None for data in every):
-        shapes_sd = np.concatenate([np.asarray(data.shapes_sd) for data in every], axis=1)
-    return ModalData(
-        np.concatenate([np.asarray(data.frequencies_hz) for data in every]),
-        numbers=tuple(number for data in every for number in data.numbers),
-        counts_rigid=any(data.counts_rigid for data in every),
-        sensors=every[0].sensors if has_shapes else (),
-        labels=tuple(f"{test.name}: {label}" for test in tests for label in test.data.labels),
-        shapes=np.concatenate([np.asarray(data.shapes) for data in every], axis=1) if has_shapes else None,
-        sd_hz=sd,
-        covariance_hz2=covariance,
-        shapes_sd=shapes_sd,
-        use=tuple(used for data in every for used in data.use),
-    )
-
-
-def _covariance(data: ModalData) -> FloatArray:
-    if data.covariance_hz2 is not None:
-        return np.asarray(data.covariance_hz2)
-    return np.diag(np.asarray(data.sd_hz) ** 2)
-
-
-def _configurations(
-    model: SeparableModel | BlackBoxModel, tests: Sequence[Test], layout: Layout, options: Mapping[str, Any]
-) -> tuple[list[Configuration], Any]:
-    """Return the configurations of tests that share matrices, each with its trained model; and their tolerance."""
-    keys = [test.configuration for test in tests]
-    first_mode = np.cumsum([0, *(test.data.n_modes for test in tests)])
-    found, tolerance = [], None
-    lower, upper = layout.box()
-    for key in dict.fromkeys(keys):
-        here = [t for t, other in enumerate(keys) if other == key]
-        first = tests[here[0]]
-        number = {p.name: j for j, p in enumerate(layout.structural)}
-        known = {number[name]: value for name, value in first.known.items()}
-        kept = [j for j in range(len(layout.structural)) if j not in known]
-        changed: Any = model
-        if first.masses or first.springs or known:
-            if not isinstance(model, SeparableModel):
-                raise TestsError(
-                    [f"tests.{here[0]}: changes need a model with matrices (got {type(model).__name__})"]
-                )
-            try:
-                changed = changed_model(model, first.masses, first.springs, known)
-            except ValueError as error:
-                raise TestsError([f"tests.{here[0]}.{error}"]) from error
-        parameters = [
-            over(layout.structural[j], float(lower[here, j].min()), float(upper[here, j].max())) for j in kept
-        ]
-        data, modes = _together([tests[t] for t in here])
-        alone = UpdatingProblem.reduced(changed, data, parameters, **options)
-        tolerance = alone.tolerance
-        distinct, rows = layout.distinct(here, kept)
-        of_modes = [tests[t].data.n_modes for t in here]
-        found.append(
-            Configuration(
-                model=alone.model,
-                tests=np.array(here),
-                distinct=distinct,
-                parameters=np.array(kept),
-                columns=np.concatenate([np.arange(first_mode[t], first_mode[t + 1]) for t in here]),
-                test=np.repeat(np.arange(len(here)), of_modes),
-                row=np.repeat(rows, of_modes),
-                mode=np.concatenate(modes),
-            )
-        )
-    return found, tolerance
-
-
-def _together(tests: Sequence[Test]) -> tuple[ModalData, list[Any]]:
-    """Return the modes that any of the tests has, and for each test which of them it has.
-
-    Frequencies and shapes are means over the tests, and standard deviations the smallest.
-    """
-    labels = list(dict.fromkeys(label for test in tests for label in test.data.labels))
-    modes = [np.array([labels.index(label) for label in test.data.labels]) for test in tests]
-    frequencies = np.full((len(tests), len(labels)), np.nan)
-    sd = np.full_like(frequencies, np.nan)
-    numbers: dict[int, int] = {}
-    counterparts: dict[int, int] = {}
-    sensors = tests[0].data.sensors
-    shapes = np.full((len(tests), len(sensors), len(labels)), np.nan)
-    shapes_sd = np.full_like(shapes, np.nan)
-    for t, (test, own) in enumerate(zip(tests, modes, strict=True)):
-        data = test.data
-        frequencies[t, own] = data.frequencies_hz
-        if data.sd_hz is not None or data.covariance_hz2 is not None:
-            sd[t, own] = np.sqrt(np.diag(_covariance(data)))
-        if data.shapes is not None:
-            shapes[t][:, own] = data.shapes
-        if data.shapes_sd is not None:
-            shapes_sd[t][:, own] = data.shapes_sd
-        for known, given in ((numbers, data.numbers), (counterparts, data.counterparts)):
-            for mode, value in zip(own.tolist(), given, strict=False):
-                if known.setdefault(mode, value) != value:
-                    raise TestsError(
-                        [f"tests: mode {labels[mode]!r} must have one number (got {known[mode]} and {value})"]
-                    )
-    seen = ~np.isnan(shapes).all(axis=(0, 1))
-    has_shapes = bool(len(sensors)) and bool(seen.all())
-    has_sd = has_shapes and not np.isnan(shapes_sd).all(axis=0).any()
-    data = ModalData(
-        np.nanmean(frequencies, axis=0),
-        numbers=tuple(numbers[k] for k in range(len(labels))),
-        counts_rigid=any(test.data.counts_rigid for test in tests),
-        sensors=sensors,
-        labels=tuple(labels),
-        shapes=mean_shapes(shapes) if has_shapes else None,
-        shapes_sd=np.nanmin(shapes_sd, axis=0) if has_sd else None,
-        sd_hz=None if np.isnan(sd).any(axis=0).any() and np.isnan(sd).all(axis=0).any() else np.nanmin(sd, axis=0),
-        counterparts=tuple(counterparts[k] for k in range(len(labels))) if counterparts else (),
-    )
-    return data, modes

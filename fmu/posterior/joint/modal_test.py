@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from fmu.arguments import check_arguments
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import require_name
+
+
+class TestsError(ValueError):
+    """Tests, and what varies between them, do not fit together.
+
+    Attributes
+    ----------
+    mistakes : tuple of str
+        Each with its place: ``tests.2.name: …``.
+    """
+
+    __test__ = False
+
+    def __init__(self, mistakes: Sequence[str]) -> None:
+        super().__init__("; ".join(mistakes))
+        self.mistakes = tuple(mistakes)
 
 
 @check_arguments

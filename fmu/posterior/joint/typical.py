@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from fmu.posterior.joint.layout import Drawn, Layout, Trend
+from fmu.posterior.joint.layout import Layout
+from fmu.posterior.joint.values import Drawn
 from fmu.posterior.maxima import GaussNewton, ascend
 from fmu.posterior.scaled import ScaledDensity
 from fmu.types import FloatArray, IntArray
@@ -77,15 +78,8 @@ def centre_scores(problem: Any) -> Layout:
         reference = (float(theta[one.centre]), float(theta[one.width]))
         weights[one.centre] = smallest * w / (smallest * w + 1.0 - w), reference
 
-    def change_value(one: Any) -> Any:
-        if isinstance(one, Trend):
-            return replace(one, base=change_value(one.base))
-        if not isinstance(one, Drawn):
-            return one
-        centring, reference = weights[one.centre]
-        return replace(one, centring=centring, reference=reference)
-
-    return replace(problem.layout, values_of=tuple(map(change_value, problem.layout.values_of)))
+    values_of = tuple(one.refer_to(weights) for one in problem.layout.values_of)
+    return replace(problem.layout, values_of=values_of)
 
 
 def _search(problem: Any) -> tuple[FloatArray, FloatArray]:

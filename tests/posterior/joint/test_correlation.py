@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 import fmu
 from fmu.posterior.joint.correlation import Correlation, correlations
-from fmu.posterior.joint.joint_problem import TestsError
+from fmu.posterior.joint.modal_test import TestsError
 from tests.gradients import assert_gradient
 from tests.shear_building import frequencies_hz, shear_building
 

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import fmu
 from fmu import cli
 from fmu.config import ConfigurationError
-from fmu.posterior.joint.joint_problem import TestsError
+from fmu.posterior.joint.modal_test import TestsError
 from tests.gradients import assert_gradient
 from tests.posterior.errors.test_quantities import cantilever
 from tests.shear_building import shear_building

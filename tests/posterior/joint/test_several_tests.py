@@ -7,7 +7,7 @@ import scipy.stats
 from numpy.testing import assert_allclose, assert_array_equal
 
 import fmu
-from fmu.posterior.joint.joint_problem import TestsError
+from fmu.posterior.joint.modal_test import TestsError
 from tests.gradients import assert_gradient
 from tests.shear_building import shear_building, storey
 
