@@ -28,12 +28,12 @@ from .fem.frame.components import PointMass as PointMass
 from .fem.frame.components import Section as Section
 from .fem.frame.frame import Frame as Frame
 from .fem.frame.updates import Factor as Factor
-from .fem.modes.exports import Export as Export
 from .fem.modes.exports import from_exports as from_exports
+from .fem.modes.recovery import Export as Export
 from .fem.modes.separable import Geometry as Geometry
 from .fem.modes.separable import RigidArm as RigidArm
 from .fem.modes.separable import SeparableModel as SeparableModel
-from .fem.modes.separable import Term as Term
+from .fem.modes.terms import Term as Term
 from .fem.pairing.matching import match_points as match_points
 from .fem.programs.command import CommandModel as CommandModel
 from .fem.programs.found_frequencies import FoundFrequencies as FoundFrequencies

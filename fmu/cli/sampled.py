@@ -170,7 +170,7 @@ def _drawn(
     draw: Callable[..., xr.DataTree], name: str, problem: UpdatingProblem, running: RunDirectory, **arguments: Any
 ) -> xr.DataTree:
     """Draw with one sampler and write its trace; StoppedRun says which sampler was stopped."""
-    from fmu.samplers.loop.run import TooManyFailuresError
+    from fmu.samplers.loop.saving import TooManyFailuresError
     from fmu.samplers.registry import make_sampler
 
     ledger, path = running.path / f"failures-{name}.csv", running.path / f"{name}.nc"

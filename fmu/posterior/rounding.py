@@ -25,7 +25,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fmu.fem.modes.modal import RIGID, ModalSolution
-from fmu.fem.modes.separable import Term, coefficients
+from fmu.fem.modes.terms import Term, coefficients
 from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
 from fmu.fem.reduced.reduced_structure import ReducedStructure

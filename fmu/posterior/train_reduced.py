@@ -18,8 +18,9 @@ from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
 from fmu.fem.reduced.anchors import SingularAnchorError
 from fmu.fem.reduced.cache import load_basis, store_basis
+from fmu.fem.reduced.points import box_points
 from fmu.fem.reduced.reduced_structure import ReducedStructure, restore, train, train_at
-from fmu.fem.reduced.training import BUDGET, box_points
+from fmu.fem.reduced.training import BUDGET
 from fmu.numbers import apart, significant, typed
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.maxima import GaussNewton, local_maxima
@@ -108,7 +109,7 @@ def reduced_model(
     At every point tested, frequencies meet their tolerance over the whole box, and the log-probability meets its
     own wherever it is within `PLAUSIBLE` of its maximum. Points at a jump, where modes swap and the two models may
     choose differently, are not counted. Training ends early where more points do not help, because only rounding
-    of the full model is left, or where a larger basis would not pay (`fmu.fem.reduced.training.affordable`). After
+    of the full model is left, or where a larger basis would not pay (`fmu.fem.reduced.points.affordable`). After
     a run, the certificate tells whether the tolerances were met (`fmu.analysis.certificate`). Where the box is so
     wide that a basis for it would not pay, frequencies keep 1e-3 in it, and their tolerance where the
     log-probability is within `PLAUSIBLE` of its maximum, if that basis pays. If it does not pay either, a basis of

@@ -30,7 +30,8 @@ from fmu.runs.content import (
 from fmu.runs.identity import Identity, arithmetic
 from fmu.runs.lock import DirectoryLock, announce
 from fmu.samplers.loop.record import Steps
-from fmu.samplers.loop.run import LIVE_S, PendingGroup, SavedGroup
+from fmu.samplers.loop.run import LIVE_S
+from fmu.samplers.loop.saving import PendingGroup, SavedGroup
 
 LEDGER = "failures.csv"
 _STATES = 2  # kept at a time: should the last one be damaged, there is the one before it

@@ -149,7 +149,8 @@ def draw(
     from fmu.analysis.trace.failure_ledger import failure_rate_exceeded
     from fmu.interruption import interruptible
     from fmu.runs.maxima import keep_maxima
-    from fmu.samplers.loop.run import Interrupted, Run
+    from fmu.samplers.loop.run import Run
+    from fmu.samplers.loop.saving import Interrupted
 
     problem, settings, maxima, limits = task.problem, beginning.settings, beginning.maxima, task.limits
     with ExitStack() as stack:  # closed before what follows the draws

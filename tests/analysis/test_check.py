@@ -12,7 +12,8 @@ from fmu.analysis.check import check, model_in_words
 from fmu.analysis.gradient_check import check_gradient
 from fmu.analysis.initial_modes import initial_modes
 from fmu.analysis.prior_prediction import prior_prediction
-from fmu.fem.modes.separable import SeparableModel, Term
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.problem import UpdatingProblem

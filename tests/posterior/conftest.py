@@ -5,7 +5,8 @@ import pytest
 import scipy.sparse as sp
 
 from fmu import cases
-from fmu.fem.modes.separable import SeparableModel, Term
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term
 
 
 class Oscillators:

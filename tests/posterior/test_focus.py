@@ -9,11 +9,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu import cases
 from fmu.fem.modes.modal import BlockModel, frequency_gradient, frequency_hz
-from fmu.fem.modes.separable import SeparableModel, Term
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term
 from fmu.fem.reduced import training
 from fmu.fem.reduced.basis import ReducedBlock
+from fmu.fem.reduced.points import Trained
 from fmu.fem.reduced.reduced_structure import ReducedStructure
-from fmu.fem.reduced.training import Trained, Training
+from fmu.fem.reduced.training import Training
 from fmu.posterior import train_reduced as focus
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter

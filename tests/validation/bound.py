@@ -19,9 +19,9 @@ from fmu import cases
 from fmu.fem.modes.modal import ModalSolution, is_rigid
 from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.reduced.basis import ReducedBlock
+from fmu.fem.reduced.points import box_points
 from fmu.fem.reduced.reduced_structure import ReducedStructure, reduced_structures, train
 from fmu.fem.reduced.residuals import FrequencyBound
-from fmu.fem.reduced.training import box_points
 from fmu.numbers import MISSING, significant, whole
 from fmu.tables import markdown_table
 from fmu.types import FloatArray

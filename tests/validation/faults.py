@@ -701,9 +701,9 @@ IN_SEVERAL_TESTS = (
     ),
     Fault(
         "population: the next test has the values of the first",
-        "fmu/posterior/joint/layout.py",
-        "z = next(scores)",
-        "z = 0.0 * next(scores)",
+        "fmu/posterior/joint/values.py",
+        "self.population.values(future.scores[self.centre], *ends",
+        "self.population.values(0.0 * future.scores[self.centre], *ends",
         POPULATIONS,
     ),
     Fault(

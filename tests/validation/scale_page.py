@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from fmu.fem.modes.solver import PARDISO
-from fmu.fem.reduced.training import affordable
+from fmu.fem.reduced.points import affordable
 from fmu.numbers import MISSING, fixed, significant, whole
 from fmu.report.plots.style import BLACK, FONT, VERMILLION, colour, new_figure
 from fmu.tables import markdown_table

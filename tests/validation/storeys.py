@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 import fmu
-from fmu.fem.modes.separable import Term
+from fmu.fem.modes.terms import Term
 from fmu.fem.pairing.modal_model import ModalModel
 from fmu.posterior.priors.base import Normal
 from fmu.types import FloatArray

@@ -16,7 +16,8 @@ from fmu.config.mistakes import BrokenError
 from fmu.config.parameters import ParameterTable, without_targets
 from fmu.config.tables import Built, FileName, Name, TomlTable
 from fmu.fem.frame.stability import require_stable
-from fmu.fem.modes.exports import Export, from_exports
+from fmu.fem.modes.exports import from_exports
+from fmu.fem.modes.recovery import Export
 from fmu.formats.models.read import read_mesh, read_model
 from fmu.formats.shown import names_shown, shown
 

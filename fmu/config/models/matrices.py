@@ -18,7 +18,8 @@ from fmu.config.models.lines import LineTable, mistakes_of_lines, picture_of
 from fmu.config.parameters import ParameterTable, without_targets
 from fmu.config.tables import Built, FileName, Name, SensorTable, TomlTable, Vector, one_length
 from fmu.fem.frame.stability import MechanismError, require_stable
-from fmu.fem.modes.separable import Geometry, SeparableModel, Term
+from fmu.fem.modes.separable import Geometry, SeparableModel
+from fmu.fem.modes.terms import Term
 from fmu.formats.matrices.abaqus import HELD
 from fmu.formats.matrices.limits import Labelled
 from fmu.formats.matrices.read import read_labelled, symmetric_matrix

@@ -18,7 +18,7 @@ from fmu.config.models.python import imported
 from fmu.config.parameters import ParameterTable, without_targets
 from fmu.config.tables import Built, FileName, TomlTable
 from fmu.fem.frame.stability import require_stable
-from fmu.fem.modes.exports import NotSeparableError
+from fmu.fem.modes.recovery import NotSeparableError
 from fmu.fem.programs.opensees import MODES, MOST_DOFS, OpenSeesModel, from_opensees
 
 WHERE = "model.file"

@@ -14,7 +14,8 @@ from fmu.arguments import ArgumentError, check_arguments
 from fmu.fem.frame import beam
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, PointMass
 from fmu.fem.frame.updates import Factor, Ownership, Quantity, Target, ownership
-from fmu.fem.modes.separable import Geometry, RigidArm, SeparableModel, Term, merge_terms
+from fmu.fem.modes.separable import Geometry, RigidArm, SeparableModel
+from fmu.fem.modes.terms import Term, merge_terms
 from fmu.types import FloatArray, IntArray
 
 Dof = tuple[int, str]

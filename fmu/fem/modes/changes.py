@@ -9,7 +9,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from fmu.arguments import ArgumentError
-from fmu.fem.modes.separable import SeparableModel, Term, merge_terms, monomial
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term, merge_terms, monomial
 from fmu.types import FloatArray
 
 _TRANSLATIONS = ("x", "y", "z")

@@ -12,7 +12,8 @@ import scipy.sparse as sp
 from fmu.fem.modes.derivatives import by_bordered_system
 from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, eigen, rank
 from fmu.fem.modes.modal import Block, BlockModel, Mapped, Picked
-from fmu.fem.modes.separable import SeparableModel, Term, WeightedSum, coefficient_gradients, weighted_sum
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term, WeightedSum, coefficient_gradients, weighted_sum
 from fmu.types import FloatArray, IntArray
 
 # Up to this size a dense solve for a shape's slopes takes less time than a sparse one.

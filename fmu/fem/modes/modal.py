@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from fmu.fem.modes.separable import Term, coefficient_gradients, monomial
+from fmu.fem.modes.terms import Term, coefficient_gradients, monomial
 from fmu.types import BoolArray, FloatArray, IntArray
 
 # An eigenvalue this small relative to the highest of interest is that of a rigid-body mode. Where K is singular to

@@ -6,7 +6,6 @@ monomials of the parameters, so that derivatives are exact.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,145 +16,13 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 
-from fmu.arguments import ArgumentError, Place, check_arguments, shown
+from fmu.arguments import ArgumentError, Place, check_arguments
 from fmu.fem.modes.line_picture import LinePicture
+from fmu.fem.modes.terms import Term, coefficients, named_term, weighted_sum
 from fmu.formats.models.edges import edges
 from fmu.formats.models.exported import ExportedModel, Mesh
 from fmu.numbers import typed
 from fmu.types import FloatArray, IntArray
-
-
-@check_arguments
-@dataclass(frozen=True)
-class Term:
-    """One matrix with its coefficient, the monomial Π theta_j ** powers[j].
-
-    Attributes
-    ----------
-    matrix : array_like or sparse, shape (n_dof, n_dof)
-        Symmetric; holds the constant factor of the coefficient. Kept as a csr_array of float.
-    powers : sequence of int or float, length n_parameters
-        All zero for a term that no parameter changes.
-
-    Raises
-    ------
-    ValueError
-        If the matrix is not a real matrix.
-    """
-
-    matrix: Any
-    powers: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        if not (isinstance(self.matrix, sp.csr_array) and self.matrix.dtype == np.float64):
-            object.__setattr__(self, "matrix", _as_csr(self.matrix))
-        object.__setattr__(self, "powers", tuple(self.powers))
-
-    @property
-    def constant(self) -> bool:
-        """Whether no parameter changes this term."""
-        return not any(self.powers)
-
-
-def coefficients(terms: Sequence[Term], theta: FloatArray) -> FloatArray:
-    """Return the coefficients of `terms`, shape (n, n_terms), for theta of shape (n, n_parameters)."""
-    return np.stack([monomial(theta, t.powers) for t in terms], axis=1)
-
-
-def coefficient_gradients(terms: Sequence[Term], theta: FloatArray) -> FloatArray:
-    """Return ∂c_k/∂theta_j, shape (n, n_terms, n_parameters)."""
-    result = np.zeros((len(theta), len(terms), theta.shape[1]))
-    for k, term in enumerate(terms):
-        for j, power in enumerate(term.powers):
-            if power:
-                lowered = tuple(p - (i == j) for i, p in enumerate(term.powers))
-                result[:, k, j] = power * monomial(theta, lowered)
-    return result
-
-
-def monomial(theta: FloatArray, powers: Sequence[float]) -> FloatArray:
-    """Return Π theta[:, j] ** powers[j], shape (n,); NaN or infinite where a power does not exist or overflows.
-
-    Whole powers are products, so that a result does not depend on the rest of the batch.
-    """
-    value = np.ones(len(theta))
-    with np.errstate(over="ignore", invalid="ignore"):
-        for j, power in enumerate(powers):
-            if power == 0:
-                continue
-            if power == int(power) and 0 < power <= 8:
-                for _ in range(int(power)):
-                    value = value * theta[:, j]
-            else:
-                value = value * np.array([_power(float(x), power) for x in theta[:, j]])
-    return value
-
-
-def _power(x: float, power: float) -> float:
-    try:
-        return math.pow(x, power)
-    except OverflowError:
-        return math.inf
-    except ValueError:  # zero to a negative power, or a negative number to a fractional one
-        return math.nan
-
-
-def merge_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
-    """Add up the matrices of terms with the same coefficient."""
-    merged: dict[tuple[float, ...], Any] = {}
-    for term in terms:
-        merged[term.powers] = merged[term.powers] + term.matrix if term.powers in merged else term.matrix
-    return tuple(Term(sp.csr_array(matrix), powers) for powers, matrix in merged.items())
-
-
-def weighted_sum(terms: Sequence[Term], weights: FloatArray) -> Any:
-    """Return the sparse sum Σ weights[k] · K_k; its entries are not finite on overflow."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        total = terms[0].matrix * weights[0]
-        for term, weight in zip(terms[1:], weights[1:], strict=True):
-            total = total + term.matrix * weight
-    return total
-
-
-class WeightedSum:
-    """The sum Σ_k w_k K_k of the matrices of `terms` for many weights; its sparsity pattern is found once.
-
-    Adding sparse arrays takes longer than solving a small structure.
-
-    Parameters
-    ----------
-    terms : sequence of Term
-    dense : bool
-        Whether the sum is an ndarray, not a csr_array.
-    """
-
-    def __init__(self, terms: Sequence[Term], dense: bool) -> None:
-        self._shape = terms[0].matrix.shape
-        matrices = [sp.csr_array(term.matrix, copy=not term.matrix.has_canonical_format) for term in terms]
-        for matrix in matrices:
-            matrix.sum_duplicates()
-        keys = [np.ravel_multi_index(matrix.tocoo().coords, self._shape) for matrix in matrices]
-        pattern = np.unique(np.concatenate(keys))
-        rows, columns = np.unravel_index(pattern, self._shape)
-        self._places = pattern if dense else None
-        self._indices = columns.astype(np.int32)
-        self._indptr = np.searchsorted(rows, np.arange(self._shape[0] + 1)).astype(np.int32)
-        self._parts = [
-            (slice(None) if len(key) == len(pattern) else np.searchsorted(pattern, key).astype(np.int32), m.data)
-            for key, m in zip(keys, matrices, strict=True)
-        ]
-
-    def __call__(self, weights: FloatArray) -> Any:
-        """Return the sum for weights of shape (n_terms,); its entries are not finite on overflow."""
-        data = np.zeros(len(self._indices))
-        with np.errstate(over="ignore", invalid="ignore"):
-            for weight, (where, values) in zip(weights, self._parts, strict=True):
-                data[where] += weight * values
-        if self._places is not None:
-            total = np.zeros(self._shape)
-            total.flat[self._places] = data
-            return total
-        return sp.csr_array((data, self._indices, self._indptr), shape=self._shape)
 
 
 @check_arguments
@@ -507,44 +374,3 @@ def _check_terms(model: SeparableModel) -> None:
             difference = abs(term.matrix - term.matrix.T).max()
             if not difference <= 1e-9 * abs(term.matrix).max():
                 raise ArgumentError(f"{name}.{k}", f"must be symmetric and finite (asymmetry {typed(difference)})")
-
-
-def _as_csr(matrix: Any) -> Any:
-    if not sp.issparse(matrix):
-        try:
-            matrix = np.asarray(matrix)
-        except ValueError:  # rows of different lengths
-            raise ArgumentError("matrix", "must be a real matrix", shown(matrix)) from None
-    if matrix.ndim != 2 or matrix.dtype.kind not in "fiub":
-        raise ArgumentError("matrix", "must be a real matrix", f"{matrix.dtype} of shape {matrix.shape}")
-    return sp.csr_array(matrix, dtype=float)
-
-
-def named_term(given: Any, names: tuple[str, ...], where: str) -> Term:
-    """Return a term given as a matrix, with the name of its parameter or powers by name.
-
-    Parameters
-    ----------
-    given : Term, matrix, or tuple (matrix, str) or (matrix, mapping of str to float)
-    names : tuple of str
-        The parameters, in the order of theta.
-    where : str
-        Name of the term in an error message.
-
-    Raises
-    ------
-    ValueError
-        If a name is not among `names`, or the matrix is none.
-    """
-    if isinstance(given, Term):
-        return given
-    paired = isinstance(given, tuple) and len(given) == 2 and isinstance(given[1], str | Mapping)
-    matrix, powers = given if paired else (given, {})
-    by_name = {powers: 1} if isinstance(powers, str) else dict(powers)
-    unknown = sorted(set(by_name) - set(names))
-    if unknown:
-        raise ArgumentError(where, f"must name parameters among {', '.join(names)}", ", ".join(unknown))
-    try:
-        return Term(matrix, tuple(by_name.get(name, 0) for name in names))
-    except ValueError as error:
-        raise ArgumentError.of(error).under(where) from error

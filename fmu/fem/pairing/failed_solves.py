@@ -12,7 +12,7 @@ import numpy as np
 from fmu.fem.modes.eigensolver import SingularMassError, eigen
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import NEGATIVE, single_thread
-from fmu.fem.modes.separable import coefficients, weighted_sum
+from fmu.fem.modes.terms import coefficients, weighted_sum
 from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
 from fmu.numbers import significant, typed

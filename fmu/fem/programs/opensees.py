@@ -29,9 +29,11 @@ from fmu.arguments import ArgumentError, check_arguments
 from fmu.engines.program import last_lines
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.eigensolver import eigen
-from fmu.fem.modes.exports import Export, from_exports
+from fmu.fem.modes.exports import from_exports
 from fmu.fem.modes.modal import frequency_hz, single_thread
-from fmu.fem.modes.separable import SeparableModel, Term
+from fmu.fem.modes.recovery import Export
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term
 from fmu.fem.programs.followers import follower_motions
 from fmu.fem.programs.sources import source_digest
 from fmu.formats.models.exported import DofName, ExportedModel, mesh_of

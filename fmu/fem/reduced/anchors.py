@@ -21,8 +21,8 @@ import scipy.linalg as sl
 from fmu.fem.modes.eigensolver import is_clearly_definite, is_semidefinite, unit_diagonal
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import is_rigid
-from fmu.fem.modes.separable import Term, coefficients
 from fmu.fem.modes.solver import Factor, factorise
+from fmu.fem.modes.terms import Term, coefficients
 from fmu.fem.reduced.space import Space
 from fmu.types import FloatArray, IntArray
 

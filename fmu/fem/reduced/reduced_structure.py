@@ -18,8 +18,9 @@ from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.paired_structure import PairedStructure, candidate_numbers, frequencies_of
 from fmu.fem.pairing.prediction import Candidates, ModalPrediction, join_batches, with_rows
 from fmu.fem.reduced.confirming import confirmed_model
+from fmu.fem.reduced.points import Trained
 from fmu.fem.reduced.residuals import FrequencyBound
-from fmu.fem.reduced.training import LOOSE, Trained, Training
+from fmu.fem.reduced.training import LOOSE, Training
 from fmu.progress.phases import count_solves
 from fmu.types import BoolArray, FloatArray, IntArray
 

@@ -10,7 +10,7 @@ import scipy.linalg as sl
 import scipy.sparse.linalg as ssl
 
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.separable import Term, coefficients
+from fmu.fem.modes.terms import Term, coefficients
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.types import FloatArray
 

@@ -14,7 +14,8 @@ from fmu.fem.frame.stability import free_motions, require_stable
 from fmu.fem.modes import eigensolver
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import frequency_hz
-from fmu.fem.modes.separable import SeparableModel, Term
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 TUBE = Section.tube(0.1, 0.005)

@@ -5,7 +5,8 @@ import scipy.sparse as sp
 
 from fmu.fem.frame.components import ElementGroup, Material, Section
 from fmu.fem.frame.frame import Frame
-from fmu.fem.modes.separable import SeparableModel, Term
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 GIRDERS = Section(A=3.0e-2, Iy=1.2e-3, Iz=2.0e-4, J=1.0e-5), Section(A=3.5e-2, Iy=1.5e-3, Iz=2.4e-4, J=1.0e-5)

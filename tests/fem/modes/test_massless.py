@@ -11,7 +11,8 @@ from fmu.fem.condensation import craig_bampton
 from fmu.fem.frame.stability import require_stable
 from fmu.fem.modes import eigensolver, full_block
 from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, eigen
-from fmu.fem.modes.separable import SeparableModel, Term
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term
 from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.reduced_structure import train

@@ -13,7 +13,8 @@ from fmu.fem.modes import eigensolver
 from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, eigen
 from fmu.fem.modes.full_block import FullBlock, full_model
 from fmu.fem.modes.modal import fix_sign, frequency_gradient, frequency_hz, mac
-from fmu.fem.modes.separable import SeparableModel, Term, WeightedSum, weighted_sum
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term, WeightedSum, weighted_sum
 from tests.gradients import differences
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)

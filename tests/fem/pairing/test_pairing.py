@@ -14,7 +14,8 @@ from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, Section
 from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.full_block import full_model
 from fmu.fem.modes.modal import frequency_hz
-from fmu.fem.modes.separable import SeparableModel, Term, selection
+from fmu.fem.modes.separable import SeparableModel, selection
+from fmu.fem.modes.terms import Term
 from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing, assign, reference_modes
 from tests import cantilever
 from tests.gradients import differences

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, Section
 from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.full_block import full_model
-from fmu.fem.modes.separable import SeparableModel, Term, selection
+from fmu.fem.modes.separable import SeparableModel, selection
+from fmu.fem.modes.terms import Term
 from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.pairing.rules import ShapePairing, count_rigid, reference_modes
 from tests import cantilever

@@ -6,8 +6,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.reduced import confirming
+from fmu.fem.reduced.points import box_points
 from fmu.fem.reduced.reduced_structure import train
-from fmu.fem.reduced.training import box_points
 from tests.fem.reduced.test_frequency_bound import BUILT, box, free
 
 

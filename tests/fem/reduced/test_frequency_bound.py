@@ -9,15 +9,16 @@ import scipy.sparse as sp
 from numpy.testing import assert_array_equal
 
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.separable import SeparableModel, Term
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term
 from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.reduced import anchors as anchors_module
 from fmu.fem.reduced import residuals
 from fmu.fem.reduced.anchors import Anchors, SingularAnchorError, anchor_points, is_semidefinite
 from fmu.fem.reduced.learning import Learner
+from fmu.fem.reduced.points import box_points
 from fmu.fem.reduced.reduced_structure import train
 from fmu.fem.reduced.residuals import bound_errors
-from fmu.fem.reduced.training import box_points
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.problem import UpdatingProblem

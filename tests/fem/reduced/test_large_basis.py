@@ -12,7 +12,8 @@ from fmu.fem.reduced import basis as reduced_basis
 from fmu.fem.reduced import reduced_structure, residuals, space, training
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.learning import Learner, _fewest, balance_directions
-from fmu.fem.reduced.training import Training, affordable, box_points, mass_orthonormal, most_trial_vectors
+from fmu.fem.reduced.points import affordable, box_points, mass_orthonormal, most_trial_vectors
+from fmu.fem.reduced.training import Training
 
 PARTS, ELEMENTS = 10, 40
 

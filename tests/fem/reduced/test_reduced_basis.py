@@ -8,10 +8,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, PointMass, Section
 from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.separable import SeparableModel, Term, selection
+from fmu.fem.modes.separable import SeparableModel, selection
+from fmu.fem.modes.terms import Term
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.learning import Learner
-from fmu.fem.reduced.training import mass_orthonormal
+from fmu.fem.reduced.points import mass_orthonormal
 from tests.gradients import differences
 
 COUNT = 4

@@ -14,8 +14,9 @@ from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing, reference_modes
 from fmu.fem.reduced import training
 from fmu.fem.reduced.basis import ReducedBlock
+from fmu.fem.reduced.points import box_points
 from fmu.fem.reduced.reduced_structure import restore, train
-from fmu.fem.reduced.training import EXACT_LIMIT, Training, box_points
+from fmu.fem.reduced.training import EXACT_LIMIT, Training
 
 STEEL = Material(E=2.1e11, nu=0.3, rho=7850.0)
 

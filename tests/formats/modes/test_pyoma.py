@@ -11,7 +11,8 @@ import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu.analysis.trace.reading import parameter_draws
-from fmu.fem.modes.separable import SeparableModel, Term
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term
 from fmu.formats.modes.measured_modes import ModesError
 from fmu.formats.modes.pyoma import load_pyoma, pyoma_modes, save_pyoma
 from fmu.posterior.data.modal_data import ModalData

@@ -6,7 +6,8 @@ import scipy.sparse as sp
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import eigh
 
-from fmu.fem.modes.separable import SeparableModel, Term
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term
 from fmu.formats.modes.measured_modes import ModesError
 from fmu.formats.modes.uff import read_uff
 from fmu.posterior.data.modal_data import ModalData

@@ -7,7 +7,8 @@ import pytest
 
 from fmu.engines.base import InProcess
 from fmu.samplers import Ensemble, HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Run, Slice, Tempering
-from fmu.samplers.loop.run import Interrupted, TooManyFailuresError, n_groups
+from fmu.samplers.loop.run import n_groups
+from fmu.samplers.loop.saving import Interrupted, TooManyFailuresError
 from tests.samplers.targets import CorrelatedGaussian, TruncatedGaussian
 from tests.samplers.tempered_targets import LinearGaussian
 
