@@ -44,10 +44,10 @@ def counted():
         return eigensolver.eigen(*arguments, **options)
 
     with (
-        patch.object(eigensolver, "factorised", factorised),
-        patch.object(anchors, "factorised", factorised),
-        patch.object(confirming, "factorised", factorised),
-        patch.object(learning, "factorised", factorised),
+        patch.object(eigensolver, "factorise", factorised),
+        patch.object(anchors, "factorise", factorised),
+        patch.object(confirming, "factorise", factorised),
+        patch.object(learning, "factorise", factorised),
         patch.object(full_block, "eigen", eigen),
     ):
         yield work

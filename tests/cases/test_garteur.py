@@ -71,7 +71,7 @@ def test_it_weighs_what_the_aeroplane_does(problem):
 
 
 def test_six_modes_as_a_rigid_body_are_not_counted(problem):
-    assert count_rigid(problem.model.full, problem.start, 10) == 6
+    assert count_rigid(problem.model.truth.blocks, problem.start, 10) == 6
     assert problem.frequencies(problem.start).min() > 6.0
 
 

@@ -19,7 +19,7 @@ from tests.report.test_structure_view import unpacked
 def test_the_data_are_what_is_drawn(beam_traces):
     trace = beam_traces["hmc"]
     axes = plots.plot_running_means(trace)
-    found = unpacked(picture(axes, "means", "1", "").pack)
+    found = unpacked(picture(axes, "means", "1", "").packed)
     assert found["every"] == 1
     for panel, one in zip(found["panels"], axes, strict=True):
         lines = [line for line in one.lines if line.get_transform() == one.transData]

@@ -61,7 +61,7 @@ def test_packed_names_have_no_characters_of_html():
 def test_the_view_has_the_numbers_of_the_trace(beam_traces):
     (run,) = runs_of({"hmc": beam_traces["hmc"]}).values()
     modes = run.trace["modes"].to_dataset()
-    found = unpacked(model_view(run).pack)
+    found = unpacked(model_view(run).packed)
     np.testing.assert_allclose(found["nodes"].reshape(-1, 3), modes["coordinates"], atol=1e-4)
     np.testing.assert_array_equal(found["ends"].reshape(-1, 2), modes["ends"])
     for key, state in (("start", "start"), ("mean", "posterior mean")):
@@ -234,7 +234,7 @@ def test_an_imported_mesh_of_5000_elements_moves_smoothly(browser, tmp_path, rec
     page = write_pages(traces, tmp_path / "report")
     assert page.stat().st_size < 700_000
     opened(browser, page.as_uri())
-    content = unpacked(model_view(runs_of(traces)["mh"]).pack)
+    content = unpacked(model_view(runs_of(traces)["mh"]).packed)
     assert len(content["ends"]) // 2 >= 5000
     first = canvas(browser).screenshot_as_png
     frames, spent, began = "return document.querySelector('.view canvas').frames", cpu_s(browser), time.monotonic()

@@ -537,7 +537,7 @@ IN_THE_STRUCTURE = (
         "a mode that the trial space does not know goes uncounted",
         "fmu/fem/reduced/learning.py",
         "if factorise(K - sigma * M, is_definite=False).negative != k:",
-        "if factorised(K - sigma * M, is_definite=False).negative < 0:",
+        "if factorise(K - sigma * M, is_definite=False).negative < 0:",
         ("tests/fem/reduced/test_frequency_bound.py",),
     ),
     Fault(

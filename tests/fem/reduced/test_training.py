@@ -300,11 +300,11 @@ def test_the_pairing_is_judged_at_points_that_all_blocks_visited():
     training = Training(full_model(model), rule, lower, upper, 1e-6)
     training.run()
     assert len(training.learners) >= 2
-    before = training._needed()
+    before = training._count_needed()
     first, *others = training.learners.values()
     own = inside(lower, upper, 3, seed=0)
     first.visit(own, np.full(first.count, 1e-6))
-    assert training._needed() == before
+    assert training._count_needed() == before
     for seed, other in enumerate(others, start=1):
         other.visit(inside(lower, upper, 3, seed), np.full(other.count, 1e-6))
-    assert training._needed() == before
+    assert training._count_needed() == before

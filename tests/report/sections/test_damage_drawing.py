@@ -58,4 +58,4 @@ def test_the_structure_to_be_turned_has_the_losses(run):
         assert probability[k] == table.loc[("after", name)].iloc[-1]
         assert view.content["tips"][view.content["groups"][k]].startswith(f"{name} in after: loss ")
     assert np.isnan([mean[2], probability[2]]).all()
-    assert len(view.pack) > 100
+    assert len(view.packed) > 100
