@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,24 +23,54 @@ if TYPE_CHECKING:
 
 
 _AT_ONCE = 16  # draws
-_WORK, _FEWEST, _MOST = 150_000, 64, 512
-"""Degrees of freedom times draws at which the bound is evaluated; at least and at most so many draws."""
-_EACH, _FEWEST_SOLVED, _FEWEST_OF_LARGE, _WORST = 12, 16, 8, 4
-"""One of so many of these draws is solved with the full model, at least so many, or so many where the structure is
-large (`fmu.fem.reduced.confirming.LARGE`), and so many that have the largest bounds."""
 _SCATTER = 1e-5
 """Relative scatter of a solver\'s frequencies from which on it is told."""
 _MOST_BY_FULL = 0.03
 """Share of the draws at which the full model may answer in place of the reduced one without a word."""
-_ROUNDING = 0.01
-"""Part of the tolerance by which the full model's own rounding may exceed the bound."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How many draws a certificate is of.
+
+    Attributes
+    ----------
+    work : int
+        Degrees of freedom times draws at which the bound is evaluated.
+    fewest, most : int
+        At least and at most so many draws.
+    each : int
+        One of so many of these draws is solved with the full model.
+    solved, solved_of_large : int
+        At least so many are solved; of structures with `large` degrees of freedom or more, so many.
+    worst : int
+        So many of them are those with the largest bounds.
+    large : int
+    rounding : float
+        Part of the tolerance by which the full model's own rounding may exceed the bound.
+    """
+
+    work: int = 150_000
+    fewest: int = 64
+    most: int = 512
+    each: int = 12
+    solved: int = 16
+    solved_of_large: int = 8
+    worst: int = 4
+    large: int = LARGE
+    rounding: float = 0.01
+
+
+USUAL = Effort()
 
 
 class CertificateWarning(UserWarning):
     """The reduced model misses its tolerance at retained draws, or the bound of its error."""
 
 
-def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str, Any]:
+def certify(
+    trace: xr.DataTree, problem: Any, full_solves: int = 0, effort: Effort | None = None
+) -> dict[str, Any]:
     """Bound the error of the reduced model at retained draws, and solve some of them with the full model.
 
     Parameters
@@ -49,6 +80,8 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
         The problem that was sampled. Without a reduced model or a surrogate the certificate is empty.
     full_solves : int
         ``problem.model.full_solves`` before the run.
+    effort : Effort, optional
+        `USUAL` by default.
 
     Returns
     -------
@@ -100,9 +133,10 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
     draws = np.unique(parameter_draws(trace).reshape(-1, problem.ndim), axis=0)
     rng = np.random.default_rng(int(trace.attrs["seed"]))
     largest = max(len(block.dofs) for structure in structures for block in structure.full.blocks)
-    enough = _FEWEST_OF_LARGE if largest >= LARGE else _FEWEST_SOLVED
-    fewest, fewest_solved, worst = (-(-n // model.n_tests) for n in (_FEWEST, enough, _WORST))
-    most = int(np.clip(_WORK // (largest * model.n_tests), fewest, _MOST))
+    effort = effort or USUAL
+    enough = effort.solved_of_large if largest >= effort.large else effort.solved
+    fewest, fewest_solved, worst = (-(-n // model.n_tests) for n in (effort.fewest, enough, effort.worst))
+    most = int(np.clip(effort.work // (largest * model.n_tests), fewest, effort.most))
     outside = float(np.mean(model.of_modes(draws, _is_outside)))
     theta = draws[rng.permutation(len(draws))[:most]]
     bound = np.concatenate(
@@ -112,7 +146,7 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
     # where a basis is poor is not left to chance
     solved = np.argsort(-np.max(bound, axis=1), kind="stable")[:worst]
     others = np.setdiff1d(np.arange(n_bounded), solved)
-    solved = np.concatenate([solved, others[: max(n_bounded // _EACH, fewest_solved) - worst]])
+    solved = np.concatenate([solved, others[: max(n_bounded // effort.each, fewest_solved) - worst]])
     theta = theta[solved]
     exact = np.concatenate(by_parts("certificate", lambda part: model.of_modes(part, _by_full), theta, _AT_ONCE))
     reduced = model.of_modes(theta, _by_reduced)
@@ -134,7 +168,7 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> dict[str,
         log_prob_error = float(np.max(np.abs(np.sum(of_reduced - of_exact, axis=1)[plausible])))
     changed = np.any(exact[..., 1:] != reduced[..., 1:], axis=(1, 2))
     # with another pairing these are not the modes that were bounded
-    exceeded = ~changed & np.any(errors > bound[solved] + _ROUNDING * tolerance.frequency, axis=1)
+    exceeded = ~changed & np.any(errors > bound[solved] + effort.rounding * tolerance.frequency, axis=1)
     certificate = {
         "certificate_bound_draws": n_bounded,
         "certificate_bound": float(np.max(bound)),
