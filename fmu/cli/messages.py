@@ -106,7 +106,7 @@ def _fail(message: str, *mistakes: object, code: int = BAD_INPUT) -> None:
 
 @contextmanager
 def warnings_as_notes() -> Iterator[None]:
-    """Print fmu's warnings on what it kept, learnt or reduced without the line of code they come from."""
+    """Print warnings of stores, rounding and reduced models as notes, without the line of code they come from."""
     from fmu.fem.programs.store import StoreWarning
     from fmu.posterior.rounding import RoundingWarning
     from fmu.posterior.train_reduced import ReductionWarning

@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 @contextmanager
-def claimed(directory: Path, overwrite: bool) -> Iterator[Path]:
+def claim_directory(directory: Path, overwrite: bool) -> Iterator[Path]:
     """Make a new output directory; remove it again if the block fails before anything was written to it."""
     if os.path.lexists(directory) and not overwrite and not _is_left_empty(directory):
         from fmu.config.kept import ORIGIN

@@ -19,7 +19,7 @@ from fmu.cli.tables import echo_comparison, echo_evidences, echo_maxima, echo_su
 from fmu.durable_files import write_durably
 from fmu.interruption import shielded
 from fmu.numbers import typed
-from fmu.progress import Report, end_bars, labelled
+from fmu.progress import Report, add_label, end_bars
 from fmu.runs import Checkpoint
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class Sampled(NamedTuple):
         return [name for name, trace in self.traces.items() if "limit" in trace.attrs]
 
 
-def sampled(
+def sample_problem(
     problem: UpdatingProblem,
     asked: KeptProblem,
     running: RunDirectory,
@@ -70,7 +70,7 @@ def sampled(
     from fmu.runs.maxima import keep_maxima, kept_maxima
     from fmu.samplers.registry import plan_steps
 
-    with _explained(problem), _spread(problem, engine, asked.orders["groups"]) as workers:
+    with _explain_failure(problem), _spread(problem, engine, asked.orders["groups"]) as workers:
         maxima = kept_maxima(running.folder)  # of another posterior: the checkpoints refuse that
         if maxima is None and is_searchable(problem):
             starts = asked.orders["starts"] or default_starts(problem)
@@ -95,10 +95,10 @@ def sampled(
                 tell_draws(trace)
             else:
                 checkpoint = Checkpoint(running.of_sampler(name), *every)
-                progress = report and labelled(report, name)
+                progress = report and add_label(report, name)
                 warmup, draws = plan_steps(name, asked.orders["warmup"], asked.orders["draws"])
                 arguments |= {"warmup": warmup, "draws": draws, "checkpoint": checkpoint, "progress": progress}
-                trace = _drawn(draw, name, problem, running, on_draws=tell_draws, **arguments)
+                trace = _draw_trace(draw, name, problem, running, on_draws=tell_draws, **arguments)
             outcome.traces[name] = trace
             if name in outcome.limited:
                 asked.save(running.path)
@@ -149,7 +149,7 @@ def _tell_draws(
 
 
 def _is_certified(problem: UpdatingProblem, orders: Mapping[str, Any]) -> bool:
-    """Say whether no surrogate stands for the model, or one that keeps its tolerance, or draws are made exact."""
+    """Say whether the model has no surrogate, or a certified one, or draws are made exact."""
     record = problem.model.record if problem.model.is_uncertain else {}
     if not record or orders.get("exact"):
         return True
@@ -168,7 +168,7 @@ def _until(orders: Mapping[str, Any]) -> dict[str, Any]:
     return arguments | {"max_solves": None}
 
 
-def _drawn(
+def _draw_trace(
     draw: Callable[..., xr.DataTree], name: str, problem: UpdatingProblem, running: RunDirectory, **arguments: Any
 ) -> xr.DataTree:
     """Draw with one sampler and write its trace; StoppedRun says which sampler was stopped."""
@@ -279,7 +279,7 @@ def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Ite
 
 
 @contextmanager
-def _explained(problem: UpdatingProblem) -> Iterator[None]:
+def _explain_failure(problem: UpdatingProblem) -> Iterator[None]:
     """Add to an error why the user's function failed, if it did."""
     try:
         yield

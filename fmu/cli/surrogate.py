@@ -1,4 +1,4 @@
-"""Whether ``fmu run`` lets a surrogate stand for a slow model, and what it says of that."""
+"""Surrogates in ``fmu run``: whether one replaces a slow model, and what is printed about it."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def wants_surrogate(problem: UpdatingProblem, asked: bool | None) -> bool:
 def with_surrogate(
     problem: UpdatingProblem, orders: Mapping[str, Any], engine: Engine, speaks: bool
 ) -> UpdatingProblem:
-    """Learn the surrogate; say before what it will cost, and after what it is worth."""
+    """Learn the surrogate; print its cost beforehand and its certificate afterwards."""
     from fmu.analysis.certificate import surrogate_in_words
     from fmu.analysis.estimate import seconds_of_a_solve, time_in_words
     from fmu.surrogates.delayed_acceptance import proposals

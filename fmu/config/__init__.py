@@ -86,7 +86,7 @@ def read(path: Path) -> ProblemFile:
     if why:
         raise FileNotFoundError(f"path: must be a TOML file ({why})")
     try:
-        content = _parsed(path)
+        content = _parse_toml(path)
     except ValueError as error:
         raise ConfigurationError(path.name, [ArgumentError("", str(error))]) from error
     beyond = list(_out_of_size(content))
@@ -98,7 +98,7 @@ def read(path: Path) -> ProblemFile:
         raise ConfigurationError(path.name, of_validation(error)) from error
 
 
-def _parsed(path: Path) -> dict[str, Any]:
+def _parse_toml(path: Path) -> dict[str, Any]:
     """Return the content of a TOML file; ValueError if it is broken.
 
     Dotted keys are checked first: the parser's memory grows with the square of their length.

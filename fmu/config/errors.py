@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from pydantic import Tag
 
 from fmu.arguments import ArgumentError
-from fmu.config.tables import Declared, Name, Number, Numbers, OneOf, Positive, by_kind, listed
+from fmu.config.tables import Declared, Name, Number, Numbers, OneOf, Positive, by_kind, tuple_as_list
 from fmu.formats.shown import names_shown, shown
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors import ERROR_MODELS
@@ -33,7 +33,7 @@ def _in_a_file(annotation: Any) -> Any:
     parts = set(get_args(annotation))
     is_array, optional = parts >= _ARRAY, type(None) in parts
     if not is_array and Parameter not in parts:
-        return listed(annotation)
+        return tuple_as_list(annotation)
     found: Any = (Deviation if Parameter in parts else list[Positive]) if is_array else Name
     return found | None if optional else found
 
@@ -41,7 +41,7 @@ def _in_a_file(annotation: Any) -> Any:
 ErrorTable = Annotated[Declared, OneOf("of", {name: (model,) for name, model in ERROR_MODELS.items()}, _in_a_file)]
 
 
-def built_errors(
+def build_error_models(
     tables: Sequence[Declared], noise: Mapping[str, Parameter], known: Sequence[str]
 ) -> tuple[list[ErrorModel], list[ArgumentError]]:
     """Return the error models of tables, and what is wrong between them and the noises that they name.
@@ -87,7 +87,7 @@ def _noises(table: Declared) -> dict[str, str]:
     hints = get_type_hints(table.makes[0])
     return {
         key: value
-        for key, value in table.given().items()
+        for key, value in table.given_arguments().items()
         if isinstance(value, str) and Parameter in get_args(hints[key])
     }
 
@@ -99,7 +99,7 @@ def beside_tests(tables: Sequence[Declared], models: Sequence[ErrorModel], data:
         "use discrepancy for the model error, or replace tests by frequencies (the means) with an sd"
     )
     return [
-        ArgumentError(f"error.{i}.sd", rule, shown(table.given()["sd"]))
+        ArgumentError(f"error.{i}.sd", rule, shown(table.given_arguments()["sd"]))
         for i, (table, model) in enumerate(zip(tables, models, strict=True))
         if model.sd is not None and data.tests is not None and model.data_give_sd(data)
     ]

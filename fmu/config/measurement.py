@@ -24,9 +24,9 @@ from fmu.config.tables import (
     SensorTable,
     TomlTable,
     arguments,
-    declared,
+    declare_table,
     one_length,
-    required,
+    required_arguments,
     with_keys,
 )
 from fmu.fem.pairing.matching import Matching
@@ -64,7 +64,7 @@ _FILES = ("file", "deck")
 
 
 def _of_reader(key: str, form: ModesFormat) -> Any:
-    table = declared(key, form.read, in_a_file=lambda annotation: _IN_A_FILE.get(annotation, annotation))
+    table = declare_table(key, form.read, in_a_file=lambda annotation: _IN_A_FILE.get(annotation, annotation))
     return table | None, Field(None, description=table.__doc__)
 
 
@@ -148,7 +148,7 @@ class MeasurementTable(TomlTable):
             raise ValueError("sensors must not be given together with shapes_file, which defines them")
         if self._reads_shapes and shapes:
             raise ValueError(f"shapes must not be given together with {given[0]}, which defines them")
-        if self._reads_shapes and not self.sensors and "sensors" in required(READERS[given[0]].read):
+        if self._reads_shapes and not self.sensors and "sensors" in required_arguments(READERS[given[0]].read):
             raise ValueError(f"sensors must be given with {given[0]}, one per channel")
         self._check_lengths()
         return self
@@ -192,7 +192,7 @@ class MeasurementTable(TomlTable):
         """
         given = self._read(folder)
         points = None if self.geometry is None else self.geometry.build(folder, built)
-        given |= {"points": points} | self._turned(given, points)
+        given |= {"points": points} | self._turn_sensors(given, points)
         parallel = points if points is not None and points.is_parallel else None
         given["sensors"] = self._sensors(given.get("sensors", ()), built, parallel)
         n, most = len(given["frequencies_hz"]), built.most_modes
@@ -229,8 +229,8 @@ class MeasurementTable(TomlTable):
             ) from None
         return np.asarray(matrix.toarray())
 
-    def _turned(self, given: Mapping[str, Any], points: Matching | None) -> dict[str, Any]:
-        """Return sensors and shapes turned into the axes of the model where those of the test are not parallel."""
+    def _turn_sensors(self, given: Mapping[str, Any], points: Matching | None) -> dict[str, Any]:
+        """Turn sensors and shapes into the axes of the model, unless the axes of the test are parallel."""
         if points is None or points.is_parallel:
             return {}
         if self.test_shapes is not None and given.get("shapes_sd") is not None:
@@ -250,7 +250,7 @@ class MeasurementTable(TomlTable):
     def _sensors(
         self, given: tuple[tuple[Any, str], ...], built: Built, points: Matching | None
     ) -> tuple[tuple[Any, str], ...]:
-        """Return sensors of the model for those of the file."""
+        """Return the sensors of the model at the places and directions that the file gives."""
         sensors, found = [], []
         for i, (place, direction) in enumerate(given):
             where = f"sensors.{i}" if self.sensors else self._where
@@ -296,7 +296,9 @@ class MeasurementTable(TomlTable):
         with _at(f"measurement.{self._source}"):
             if self._source in READERS:
                 table: Declared = getattr(self, self._source)
-                files = {key: folder / str(given) for key, given in table.given().items() if key in _FILES}
+                files = {
+                    key: folder / str(given) for key, given in table.given_arguments().items() if key in _FILES
+                }
                 return dict(vars(table.build(**files, **options)))
             if self.file is not None:
                 return dict(vars(read_frequencies(folder / self.file)))

@@ -36,7 +36,7 @@ class Target(TomlTable):
     directions: list[Direction] = []
     scaling: Literal["absolute", "factor"] = "absolute"
 
-    def named(self, key: str, groups: Sequence[str] = ()) -> list[str]:
+    def names_at(self, key: str, groups: Sequence[str] = ()) -> list[str]:
         """Return the names listed by a key; all `groups` where it is ``"all"``."""
         names = {"groups": self.groups, "masses": self.masses, "springs": self.springs}[key]
         return list(groups) if names == "all" else list(names)
@@ -128,7 +128,7 @@ class NoiseTable(Uncertain):
     upper: Positive | None = None
 
 
-def built(
+def build_parameters(
     key: str, tables: Sequence[Uncertain], taken: Sequence[str] = ()
 ) -> tuple[dict[str, Parameter], list[ArgumentError]]:
     """Return the parameters by name, in the order of the file, and the mistakes in their tables.

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, cast
 from pydantic import Field, Tag
 
 from fmu.arguments import ArgumentError
-from fmu.config.errors import ErrorTable, beside_tests, built_errors, is_of_modes, vanishing, with_places
+from fmu.config.errors import ErrorTable, beside_tests, build_error_models, is_of_modes, vanishing, with_places
 from fmu.config.measurement import MeasurementTable
 from fmu.config.mistakes import BrokenError, ConfigurationError
 from fmu.config.models.command import CommandTable
@@ -19,9 +19,9 @@ from fmu.config.models.frame import FrameTable
 from fmu.config.models.matrices import MatricesTable
 from fmu.config.models.opensees import OpenSeesTable
 from fmu.config.models.python import PythonTable
-from fmu.config.parameters import NoiseTable, ParameterTable, built, of_several_tests
+from fmu.config.parameters import NoiseTable, ParameterTable, build_parameters, of_several_tests
 from fmu.config.tables import Built, FileName, Name, Positive, TomlTable, by_kind
-from fmu.config.tests import MOST_TESTS, TestTable, built_tests, in_the_file, variations
+from fmu.config.tests import MOST_TESTS, TestTable, build_tests, in_the_file, variations
 from fmu.engines.base import Engine
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.rules import SOFTNESS
@@ -138,11 +138,11 @@ class ProblemFile(TomlTable):
         ConfigurationError
             Lists every mistake, if there is one.
         """
-        parameters, found = built("parameters", self.parameters)
+        parameters, found = build_parameters("parameters", self.parameters)
         found += self.model.mistakes(self.parameters)
-        noise, wrong = built("noise", self.noise, [table.name for table in self.parameters])
+        noise, wrong = build_parameters("noise", self.noise, [table.name for table in self.parameters])
         tables = [] if isinstance(self.error, str) else self.error
-        errors, unnamed = built_errors(tables, noise, [table.name for table in self.noise])
+        errors, unnamed = build_error_models(tables, noise, [table.name for table in self.noise])
         found += wrong + unnamed + self._of_measurements(needs_trust=not any(map(is_of_modes, errors)))
         if self.export is not None:
             found += self.export.mistakes(folder, [table.name for table in (*self.parameters, *self.noise)])
@@ -196,7 +196,7 @@ class ProblemFile(TomlTable):
 
     @property
     def decks(self) -> list[str]:
-        """Templates that ``fmu export`` fills: that of a program's model, and those of ``[export]``."""
+        """Templates that ``fmu export`` fills: the deck of a program's model, and those below ``[export]``."""
         own = [self.model.template] if isinstance(self.model, CommandTable) else []
         return list(dict.fromkeys([*own, *([] if self.export is None else self.export.templates)]))
 
@@ -221,7 +221,7 @@ class ProblemFile(TomlTable):
         if beta is not None:
             raise ValueError(f"beta: must not be given for several tests (got {beta})")
         errors = with_places(errors, structure.places)
-        tests, found = built_tests(self.tests or [], folder, structure, not any(map(is_of_modes, errors)))
+        tests, found = build_tests(self.tests or [], folder, structure, not any(map(is_of_modes, errors)))
         if found:
             raise BrokenError(found)
         try:

@@ -82,7 +82,7 @@ class TestTable(MeasurementTable):
             raise BrokenError([ArgumentError.of(error).under(where)]) from None
 
 
-def built_tests(
+def build_tests(
     tables: Sequence[TestTable], folder: Path, built: Built, needs_trust: bool
 ) -> tuple[list[Test], list[ArgumentError]]:
     """Return the tests, and the mistakes in their tables."""

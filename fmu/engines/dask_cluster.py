@@ -98,7 +98,7 @@ class DaskCluster(RemoteEngine):
         while waiting and len(self._running) < self._n_threads:
             if self._running and (waiting[0].deaths or any(task.deaths for _, task in self._running.values())):
                 break
-            packed = Bytes(waiting[0].packed())
+            packed = Bytes(waiting[0].pack())
             key = f"fmu-{uuid.uuid4().hex}"
             common = self._future(shared)
             future = self._submit(key, run_on_worker, common, common.key, key, packed, self._topic)
@@ -118,14 +118,14 @@ class DaskCluster(RemoteEngine):
             or self._shared[1].status not in ("pending", "finished")
         ):
             key, packed = f"fmu-shared-{uuid.uuid4().hex}", Bytes(cloudpickle.dumps(shared))
-            self._shared = shared, self._submit(key, unchanged, packed)
+            self._shared = shared, self._submit(key, return_argument, packed)
         return self._shared[1]
 
     def _submit(self, key: str, function: Callable[..., Any], *arguments: Any) -> Any:
         with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 TB"}):
             return self._client.submit(function, *arguments, key=key, pure=False)
 
-    def _ended(self, report: Report | None) -> Iterator[tuple[Task, Outcome]]:
+    def _take_ended(self, report: Report | None) -> Iterator[tuple[Task, Outcome]]:
         try:
             kind, content = self._inbox.get(timeout=_CHECK_INTERVAL_S)
         except queue.Empty:
@@ -191,7 +191,7 @@ class Bytes:
         self.content = content
 
 
-def unchanged(packed: Bytes) -> Bytes:
+def return_argument(packed: Bytes) -> Bytes:
     """Return the argument."""
     return packed
 

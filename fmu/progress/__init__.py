@@ -43,7 +43,7 @@ def json_lines(stream: TextIO) -> JSONLines:
 
 @contextmanager
 def reporting(progress: Report | bool | None, label: str) -> Iterator[Report | None]:
-    """Give the callback that `progress` stands for: itself; bars if True; bars in a notebook only if None.
+    """Give the callback of an argument `progress`: itself; bars if True; bars in a notebook only if None.
 
     The bars show the `label` before the name of the phase.
     """
@@ -51,7 +51,7 @@ def reporting(progress: Report | bool | None, label: str) -> Iterator[Report | N
         yield progress
     elif progress or (progress is None and in_notebook()):
         with progress_bars() as report:
-            yield report and labelled(report, label)
+            yield report and add_label(report, label)
     else:
         yield None
 
@@ -61,8 +61,8 @@ def end_bars(report: Report | None) -> None:
     getattr(report, "end", lambda: None)()
 
 
-def labelled(report: Report, label: str) -> Report:
-    """Return the callback with ``label`` added to what it is told."""
+def add_label(report: Report, label: str) -> Report:
+    """Return a callback that adds ``label`` to the information of every report."""
 
     def report_labelled(phase: str, done: int, total: int, info: Info) -> None:
         report(phase, done, total, {"label": label, **info})

@@ -139,7 +139,7 @@ def phase(name: str, total: int = 0) -> Iterator[Phase]:
             note("" if outer is None else outer.name, 0 if outer is None else outer.done, 0)
 
 
-def advanced(steps: int = 1) -> None:
+def advance_phase(steps: int = 1) -> None:
     """Count steps that are done in the phase under way, if there is one."""
     under_way = _phase.get()
     if under_way is not None:

@@ -20,7 +20,7 @@ from fmu.analysis.trace.conversion import load_trace
 from fmu.analysis.trace.provenance import canonical_json
 from fmu.analysis.trace.reading import array_of, constant, has, parameter_draws, parameter_names, parameter_units
 from fmu.arguments import check_arguments
-from fmu.config.kept import kept
+from fmu.config.kept import read_saved
 from fmu.fem.modes.separable import SeparableModel
 from fmu.formats.decks import (
     DOFS,
@@ -130,7 +130,7 @@ def export(
         raise ValueError(f"at: must be one of {AT} (got {at!r})")
     name, trace, diagnosis = chosen(directory, sampler)
     theta = _theta(trace, at)
-    source = kept(directory, None if model is None else Path(model))
+    source = read_saved(directory, None if model is None else Path(model))
     described, problem = _problem_again(source.file, source.folder, source.pairing)
     _check_same(problem, trace)
     what = f"{_WORDS[at]} of {problem.name!r}, sampled by {name}."

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from fmu.config.kept import ORIGIN, kept
+from fmu.config.kept import ORIGIN, read_saved
 from fmu.durable_files import DamagedError
 from fmu.runs.content import numbered
 from fmu.runs.identity import FILE as IDENTITY
@@ -152,7 +152,7 @@ class RunReader:
         if not (where / ORIGIN).is_file():
             return {}, ()
         try:
-            found = kept(where)
+            found = read_saved(where)
         except (ValueError, OSError) as error:
             self._note(str(error))
             return {}, ()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import fmu.progress
-from fmu.progress import json_lines, labelled, progress_bars, reporting
+from fmu.progress import add_label, json_lines, progress_bars, reporting
 from fmu.progress.displays import terminal_bars
 from fmu.progress.pace import Pace
 from fmu.progress.words import bar_name, duration, in_words, number
@@ -87,7 +87,7 @@ def test_a_callable_is_taken_as_it_is():
 
 def test_labels_go_before_the_phase():
     seen = []
-    labelled(lambda *call: seen.append(call), "hmc")("draws", 1, 2, {"group": "1/2"})
+    add_label(lambda *call: seen.append(call), "hmc")("draws", 1, 2, {"group": "1/2"})
     assert seen == [("draws", 1, 2, {"label": "hmc", "group": "1/2"})]
     assert bar_name("draws", seen[0][3]) == "hmc draws 1/2"
 
@@ -248,7 +248,7 @@ def test_every_sampler_and_group_has_a_bar_on_eighty_columns(clock):
                         "ess": 1234.5,
                         "solves_per_s": 5312.0,
                     }
-                    labelled(report, name)("draws", 130 * done, 10_000, {**group, **numbers})
+                    add_label(report, name)("draws", 130 * done, 10_000, {**group, **numbers})
 
     lines = drawn(80, 20, play)
     assert [line.split("2600/")[0].rstrip("━╺╸ ") for line in lines] == [
@@ -280,7 +280,7 @@ def written(stream):
 
 def test_lines_of_json(clock):
     stream = io.StringIO()
-    report = labelled(json_lines(stream), "hmc")
+    report = add_label(json_lines(stream), "hmc")
     began = datetime.now(UTC)
     numbers = {"accept": 0.8312, "rhat": np.float64(1.0123), "ess": np.nan, "solves": np.int64(12), "group": "1/2"}
     report("draws", 1, 10, numbers)
@@ -312,7 +312,7 @@ def test_one_line_a_second_and_phase_and_the_last(clock):
         for step in range(1, 31):
             clock.now += 0.125
             report("warmup", step, 30, {})
-            labelled(report, "mh")("draws", step, 100, {})
+            add_label(report, "mh")("draws", step, 100, {})
             report("draws", step, 100, {"group": "1/2"})
             report("draws", step, 100, {"group": "2/2"})
         assert [line["done"] for line in written(stream) if line["phase"] == "warmup"] == [1, 9, 17, 25, 30]

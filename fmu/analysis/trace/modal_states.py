@@ -14,7 +14,7 @@ from fmu.analysis.trace.reading import has, parameter_draws, with_group
 from fmu.fem.frame.drawing import Sketch, sketch
 from fmu.fem.modes.modal import mac
 from fmu.fem.pairing.expansion import serep
-from fmu.progress.phases import advanced, phase
+from fmu.progress.phases import advance_phase, phase
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
 def _shapes(model: PairedStructure, theta: FloatArray) -> FloatArray:
     """Return the shapes of the modes, (n_dof, n_modes), at one theta."""
     shapes = model.full_shapes(theta)
-    advanced()
+    advance_phase()
     return shapes
 
 

@@ -130,7 +130,7 @@ class FrameTable(TomlTable):
             key = KEYS.get(table.property or "E", "groups")
             where = f"parameters.{i}.{key}"
             found += _out_of_place(f"parameters.{i}", table, key)
-            names = table.named(key, self.groups)
+            names = table.names_at(key, self.groups)
             if not names:
                 found.append(ArgumentError(where, f"must name a {_SINGULAR[key]}"))
             for name in names if table.property else ():
@@ -243,7 +243,7 @@ class _Mesh:
 
     def targets(self, table: Target) -> list[tuple[str, ...]] | Factor:
         """Return the targets of a parameter, as `Frame.separable` takes them."""
-        named = table.named(KEYS[str(table.property)], self.table.groups)
+        named = table.names_at(KEYS[str(table.property)], self.table.groups)
         if table.property not in ("mass", "inertia", "stiffness"):
             named = [part for group in named for part in self.parts[group]]
         names = [(str(table.property), thing) for thing in named]
@@ -283,7 +283,7 @@ _SINGULAR = {"groups": "group", "masses": "mass", "springs": "spring"}
 
 def _out_of_place(where: str, table: Target, key: str) -> list[ArgumentError]:
     """Return the keys that a parameter with this property must not have."""
-    wrong = [other for other in _SINGULAR if other != key and table.named(other, ["all"])]
+    wrong = [other for other in _SINGULAR if other != key and table.names_at(other, ["all"])]
     if table.directions and table.property not in ("inertia", "stiffness"):
         wrong.append("directions")
     return [
@@ -298,7 +298,7 @@ def _ends(spring: JointSpring) -> list[Any]:
 
 
 def _known_as(mass: PointMass) -> str:
-    """Return the name by which parameters refer to a mass: its own, or that of its point."""
+    """Return the name by which parameters refer to a mass: its own, or the name of its point."""
     return mass.name or str(mass.node)
 
 

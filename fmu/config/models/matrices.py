@@ -221,7 +221,7 @@ class MatricesTable(TomlTable):
         return f"{where}.{table.source}"
 
     def _check(self, read: Sequence[Labelled], are_named: bool, by_mesh: bool = False) -> None:
-        """Refuse matrices that are not on the same degrees of freedom; files name those of all or of none."""
+        """Refuse matrices that are not on the same degrees of freedom; all files name their rows, or none does."""
         n, found = read[0].matrix.shape[0], []
         for (where, table), one in zip(self._terms(), read, strict=True):
             rows = one.matrix.shape[0]

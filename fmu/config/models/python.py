@@ -51,7 +51,7 @@ class PythonTable(TomlTable):
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
         """Import the function and return the model; BrokenError if there is none."""
-        function = imported(self.function, folder)
+        function = import_function(self.function, folder)
         store = folder / self.store if source_digest(function) else None
         model = BlackBoxModel(
             function, len(parameters), batched=self.batched, step=self.step, name=self.function, store=store
@@ -84,10 +84,10 @@ class Imported:
         return f"Imported({self._place!r})"
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[str, Path, str]]:
-        return imported, (self._place, self._folder, self._where)
+        return import_function, (self._place, self._folder, self._where)
 
 
-def imported(place: str, folder: Path, where: str = WHERE) -> Callable[..., Any]:
+def import_function(place: str, folder: Path, where: str = WHERE) -> Callable[..., Any]:
     """Return the function at ``module:function``, from a folder or from what is installed.
 
     Parameters
