@@ -96,10 +96,10 @@ def _of_system(error: OSError) -> str:
 
 def _fail(message: str, *mistakes: object, code: int = BAD_INPUT) -> None:
     """Print one line, and one more for each of the first mistakes in a file; exit."""
-    from fmu.formats.shown import one_line, told
+    from fmu.formats.shown import list_mistakes, one_line
 
     click.echo(f"Error: {one_line(message)}", err=True)
-    for line in told(mistakes):
+    for line in list_mistakes(mistakes):
         click.echo(f"  {line}", err=True)
     sys.exit(code)
 

@@ -168,7 +168,7 @@ def run(
                     click.echo(f"Report: {index}")
             finally:
                 if not outcome.limited:
-                    running.ended()
+                    running.end_run()
         except StoppedRun as stop:
             return _tell_stop(directory, f": {stop.where}")
         except KeyboardInterrupt:
@@ -214,7 +214,7 @@ def _read_order(
 
 def _read_resumed(context: click.Context, directory: Path, orders: dict[str, Any]) -> KeptProblem:
     """Return the problem and the options of the run in a directory; BadParameter if one must not be changed."""
-    from fmu.runs.run_directory import unfinished
+    from fmu.runs.run_directory import folder_of_order
 
     default = ParameterSource.DEFAULT
     given = [p for p in context.command.params if context.get_parameter_source(str(p.name)) is not default]
@@ -225,7 +225,7 @@ def _read_resumed(context: click.Context, directory: Path, orders: dict[str, Any
             f"{what} cannot be changed when the run in {directory} is resumed: leave it out.",
             param_hint="'--resume'",
         )
-    where = unfinished(directory)
+    where = folder_of_order(directory)
     found = read_saved(where) if (where / ORIGIN).is_file() else None
     if found is None or not found.orders:
         raise click.BadParameter(f"{directory} contains no run that can be resumed.", param_hint="'--resume'")

@@ -105,7 +105,7 @@ def sample_problem(
             elif name not in asked.finished:
                 asked = replace(asked, finished=(*asked.finished, name))
                 with shielded():
-                    running.finished(name, asked)
+                    running.finish_sampler(name, asked)
     end_bars(report)
     if asked.orders.get("exact"):  # those of the model, and not of its surrogate
         outcome = outcome._replace(maxima=maxima_of(next(iter(outcome.traces.values()))))

@@ -19,7 +19,7 @@ from fmu.arguments import ArgumentError, check_arguments
 from fmu.config.mistakes import ConfigurationError as ConfigurationError
 from fmu.config.mistakes import of_validation, place
 from fmu.formats.files import why_no_file
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 from fmu.numbers import typed
 
 if TYPE_CHECKING:
@@ -140,7 +140,7 @@ def _out_of_size(content: Any) -> Iterator[ArgumentError]:
             ahead += [((*where, key), inner) for key, inner in reversed(items)]
         elif isinstance(value, float | int) and _is_out_of_size(value):
             rule = f"must be 0, or from {typed(SMALLEST_NUMBER)} to {typed(LARGEST_NUMBER)} in size"
-            yield ArgumentError(place(where), rule, shown(value))
+            yield ArgumentError(place(where), rule, quote(value))
 
 
 def _is_out_of_size(value: float) -> bool:

@@ -11,7 +11,7 @@ from pydantic import Tag
 
 from fmu.arguments import ArgumentError
 from fmu.config.tables import Declared, Name, Number, Numbers, OneOf, Positive, by_kind, tuple_as_list
-from fmu.formats.shown import names_shown, shown
+from fmu.formats.shown import names_shown, quote
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors import ERROR_MODELS
 from fmu.posterior.errors.base import ErrorModel
@@ -60,14 +60,14 @@ def build_error_models(
         names = _noises(table)
         used |= set(names.values())
         found += [
-            ArgumentError(f"error.{i}.{key}", rule, shown(name))
+            ArgumentError(f"error.{i}.{key}", rule, quote(name))
             for key, name in names.items()
             if name not in known
         ]
         models.append(table.build(**{key: noise.get(name) for key, name in names.items()}))
     rule = "must be used as sd or discrepancy of an [[error]]"
     found += [
-        ArgumentError(f"noise.{i}.name", rule, shown(name)) for i, name in enumerate(known) if name not in used
+        ArgumentError(f"noise.{i}.name", rule, quote(name)) for i, name in enumerate(known) if name not in used
     ]
     return models, found
 
@@ -99,7 +99,7 @@ def beside_tests(tables: Sequence[Declared], models: Sequence[ErrorModel], data:
         "use discrepancy for the model error, or replace tests by frequencies (the means) with an sd"
     )
     return [
-        ArgumentError(f"error.{i}.sd", rule, shown(table.given_arguments()["sd"]))
+        ArgumentError(f"error.{i}.sd", rule, quote(table.given_arguments()["sd"]))
         for i, (table, model) in enumerate(zip(tables, models, strict=True))
         if model.sd is not None and data.tests is not None and model.data_give_sd(data)
     ]
@@ -137,5 +137,5 @@ def vanishing(
                 f"must be positive (or use a log-normal prior): {n_parameters} parameters can fit these {n} "
                 f"errors exactly, and the probability density is unbounded as the deviation tends to zero"
             )
-            found.append(ArgumentError(f"noise.{i}.lower", rule, shown(parameter.lower)))
+            found.append(ArgumentError(f"noise.{i}.lower", rule, quote(parameter.lower)))
     return found

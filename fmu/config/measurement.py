@@ -34,7 +34,7 @@ from fmu.formats.matrices.read import read_matrix
 from fmu.formats.modes import READERS
 from fmu.formats.modes.csv import read_frequencies, read_shapes, read_tests
 from fmu.formats.modes.measured_modes import MOST_MODES, ModesError, ModesFormat, Place, Sensors
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 from fmu.posterior.data.covariance import checked_covariance
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
@@ -131,10 +131,10 @@ class MeasurementTable(TomlTable):
     def _fits(self) -> Self:
         given = [key for key in _SOURCES if getattr(self, key) is not None]
         if len(given) != 1:
-            raise ArgumentError("", f"must have one of {', '.join(_SOURCES)}", shown(given))
+            raise ArgumentError("", f"must have one of {', '.join(_SOURCES)}", quote(given))
         trust = [key for key in _TRUST if getattr(self, key) is not None]
         if len(trust) > 1:
-            raise ArgumentError("", _ONE_TRUST, shown(trust))
+            raise ArgumentError("", _ONE_TRUST, quote(trust))
         if trust and given[0] in _TESTS:
             raise ValueError(
                 f"{trust[0]} must not be given together with {given[0]}, whose scatter gives the error"
@@ -177,7 +177,7 @@ class MeasurementTable(TomlTable):
         given = [key for key in _TRUST if getattr(self, key) is not None]
         if given or not needs_trust or self.frequencies is None:
             return []
-        return [ArgumentError("measurement", _ONE_TRUST, shown(given))]
+        return [ArgumentError("measurement", _ONE_TRUST, quote(given))]
 
     def build(self, folder: Path, built: Built, needs_trust: bool = True) -> ModalData:
         """Return the data at sensors of the model; BrokenError if they cannot be built.
@@ -263,7 +263,7 @@ class MeasurementTable(TomlTable):
             sensors.append(sensor)
             if not built.model.sees(sensor):
                 rule = "must be a point and a direction that are free to move"
-                found.append(ArgumentError(f"measurement.{where}", rule, shown([place, direction])))
+                found.append(ArgumentError(f"measurement.{where}", rule, quote([place, direction])))
         if found:
             raise BrokenError(found)
         return tuple(sensors)
@@ -339,7 +339,7 @@ def _repeated_shapes(shapes: list[list[list[float]]], tests: RepeatedTests) -> d
     ]
     lengths = sorted({len(row) for test in shapes for row in test})
     if not wrong and len(lengths) > 1:
-        wrong = [ArgumentError(where, "must have rows of one length, one value per sensor", shown(lengths))]
+        wrong = [ArgumentError(where, "must have rows of one length, one value per sensor", quote(lengths))]
     if wrong:
         raise BrokenError(wrong)
     values = np.swapaxes(np.array(shapes, dtype=float), 1, 2)

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from fmu.arguments import ArgumentError
 from fmu.config.tables import Declared, Name, NotNegative, OneOf, ParameterName, Positive, TomlTable
 from fmu.fem.frame.updates import PROPERTIES
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors import PRIORS
 from fmu.types import Direction
@@ -146,7 +146,7 @@ def build_parameters(
     for i, table in enumerate(tables):
         if table.name in names:
             found.append(
-                ArgumentError(f"{key}.{i}.name", "must not be the name of another parameter", shown(table.name))
+                ArgumentError(f"{key}.{i}.name", "must not be the name of another parameter", quote(table.name))
             )
         names.append(table.name)
         try:

@@ -25,7 +25,7 @@ from fmu.config.tests import MOST_TESTS, TestTable, build_tests, in_the_file, va
 from fmu.engines.base import Engine
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.rules import SOFTNESS
-from fmu.formats.decks import EXPORTED, filled, filled_name, read_deck
+from fmu.formats.decks import EXPORTED, fill_deck, filled_name, read_deck
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import ErrorModel
 from fmu.posterior.joint.joint_problem import JointProblem, TestsError
@@ -65,7 +65,7 @@ class ExportTable(TomlTable):
                 if name in made:
                     raise ValueError(f"must give a file of another name (got {name})")
                 made.append(name)
-                filled(read_deck(folder / template), given)
+                fill_deck(read_deck(folder / template), given)
             except ValueError as error:
                 found.append(ArgumentError(f"export.templates.{i}", str(error)))
         return found

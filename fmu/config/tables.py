@@ -31,7 +31,7 @@ from pydantic_core import core_schema
 from fmu.arguments import ArgumentError
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 from fmu.numbers import names_in_words
 from fmu.posterior.parameters import require_name
 from fmu.types import NotNegative as NotNegative
@@ -96,7 +96,7 @@ def one_length(what: str) -> AfterValidator:
     def check(rows: list[list[float]]) -> list[list[float]]:
         lengths = [len(row) for row in rows]
         if len(set(lengths)) > 1:
-            raise ArgumentError("", f"must have rows of one length, one value per {what}", shown(lengths))
+            raise ArgumentError("", f"must have rows of one length, one value per {what}", quote(lengths))
         return rows
 
     return AfterValidator(check)
@@ -145,7 +145,7 @@ class Declared(TomlTable):
         for make in self.makes:
             if required_arguments(make) <= given.keys() <= arguments(make).keys():
                 return make(**given)
-        raise ArgumentError("", f"must have either {_ways(self.makes)}", shown(list(given)))
+        raise ArgumentError("", f"must have either {_ways(self.makes)}", quote(list(given)))
 
     @model_validator(mode="after")
     def _can_be_built(self) -> Self:

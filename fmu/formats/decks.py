@@ -22,7 +22,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from fmu.formats.files import too_large, why_no_file
-from fmu.formats.shown import names_shown, told
+from fmu.formats.shown import list_mistakes, names_shown
 
 MESH_MODES, UPDATED_MODES, MEASURED_MODES = "modes.vtu", "updated.uff", "measured.uff"
 VALUES, STIFFNESS, MASS, DOFS, PROBLEM = "theta.csv", "K.mtx", "M.mtx", "dofs.csv", "updated.toml"
@@ -74,7 +74,7 @@ def filled_name(name: str) -> str:
     return (path.with_suffix("") if is_inside else Path(path.stem)).as_posix()
 
 
-def filled(text: str, values: Mapping[str, float]) -> str:
+def fill_deck(text: str, values: Mapping[str, float]) -> str:
     """Return a deck with numbers for its placeholders.
 
     Parameters
@@ -91,9 +91,9 @@ def filled(text: str, values: Mapping[str, float]) -> str:
     if not wrong and not placeholders(text) & values.keys():
         wrong = [f"must have a placeholder, as {{{next(iter(values), 'E')}}} (it has none)"]
     if wrong:
-        raise ValueError("; ".join(told(wrong)))
+        raise ValueError("; ".join(list_mistakes(wrong)))
 
-    def put(match: re.Match[str]) -> str:
+    def write_number(match: re.Match[str]) -> str:
         if match[1] is not None:
             return f"{{{match[1]}}}"
         if match[2] not in values:
@@ -103,7 +103,7 @@ def filled(text: str, values: Mapping[str, float]) -> str:
             return number(value)
         return columns(value, int(form)) if form.isdecimal() else format(value, form)
 
-    return _BRACES.sub(put, text)
+    return _BRACES.sub(write_number, text)
 
 
 def _mistakes(text: str, values: Mapping[str, float]) -> Iterator[str]:

@@ -97,7 +97,7 @@ def sample_weighted(result: Result, plan: Plan, progress: Report | None = None) 
 
 
 def side_by_side(result: Result, weighted: xr.DataTree) -> VectorBeta:
-    """Return tables of the long HMC run with the scalar β beside those of `sample_weighted`."""
+    """Return tables that compare the long HMC run, of one β, with the run of `sample_weighted`."""
     import pandas as pd
 
     traces = {SCALAR: result.long[SAMPLER], VECTOR: weighted}

@@ -29,7 +29,7 @@ from fmu.formats.decks import (
     PROBLEM,
     STIFFNESS,
     VALUES,
-    filled,
+    fill_deck,
     filled_name,
     placeholders,
     read_deck,
@@ -315,7 +315,7 @@ def write_decks(templates: Sequence[str], source: Path, values: Mapping[str, flo
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists():  # a copy of a file of the model
             path = path.with_name(f"updated-{path.name}")
-        write_deck(path, filled(text, values))
+        write_deck(path, fill_deck(text, values))
         unused -= placeholders(text)
     return unused
 

@@ -145,7 +145,7 @@ def unpacked_state(payload: bytes) -> SavedState:
         raise DamagedError(f"it contains no state ({error})") from error
 
 
-def numbered(directory: Path, kind: str) -> list[tuple[int, Path]]:
+def numbered_files(directory: Path, kind: str) -> list[tuple[int, Path]]:
     """Return the files of one kind in a directory, such as ``state-000007``, sorted by number."""
     matches = ((re.fullmatch(rf"{kind}-(\d+)", path.name), path) for path in directory.glob(f"{kind}-*"))
     return sorted((int(match[1]), path) for match, path in matches if match)

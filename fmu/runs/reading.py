@@ -11,7 +11,7 @@ import numpy as np
 
 from fmu.analysis.convergence.effective import live_diagnostics
 from fmu.durable_files import DamagedError
-from fmu.runs.content import SavedState, Segment, numbered, read_segment, read_state, unpacked_steps
+from fmu.runs.content import SavedState, Segment, numbered_files, read_segment, read_state, unpacked_steps
 from fmu.samplers.loop.group import DRAWS, WARMUP
 from fmu.types import FloatArray
 
@@ -192,7 +192,7 @@ class GroupReader:
         """Return the newest undamaged state, and when it was written; say which are damaged."""
         for _ in range(_TRIES):
             damaged.clear()
-            for _, path in reversed(numbered(self.directory, "state")):
+            for _, path in reversed(numbered_files(self.directory, "state")):
                 try:
                     return read_state(path), path.stat().st_mtime
                 except FileNotFoundError:  # removed, because two newer ones have appeared

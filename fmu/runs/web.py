@@ -180,8 +180,8 @@ def why_not_to_stop(reading: RunReading) -> str:
     return ""
 
 
-def told(reading: RunReading) -> dict[str, Any]:
-    """Return what the page shows: the reading, as ``fmu watch --json`` prints it, and the same in words."""
+def page_content(reading: RunReading) -> dict[str, Any]:
+    """Return the content of the page: the reading, as ``fmu watch --json`` prints it, and the same in words."""
     return {
         "reading": asdict(reading),
         "runs": reading.state == RUNNING,
@@ -294,7 +294,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         while not self.server.closing.is_set():
             try:
-                what = told(self.server.reading())
+                what = page_content(self.server.reading())
             except (ValueError, OSError) as error:
                 what = {"gone": str(error)}
             self.wfile.write(f"data: {as_json(what)}\n\n".encode())

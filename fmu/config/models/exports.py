@@ -18,7 +18,7 @@ from fmu.config.tables import Built, FileName, Name, TomlTable
 from fmu.fem.frame.stability import require_stable
 from fmu.fem.modes.exports import Export, from_exports
 from fmu.formats.models.read import read_mesh, read_model
-from fmu.formats.shown import names_shown, shown
+from fmu.formats.shown import names_shown, quote
 
 MOST_EXPORTS = 1000
 
@@ -51,7 +51,7 @@ class ExportsTable(TomlTable):
         """Return the mistakes between tables: values of unknown parameters, and parameters without a value."""
         names = [parameter.name for parameter in parameters]
         found = [
-            ArgumentError(f"model.exports.{i}.values", f"must be of {names_shown(names)}", shown(name))
+            ArgumentError(f"model.exports.{i}.values", f"must be of {names_shown(names)}", quote(name))
             for i, one in enumerate(self.exports)
             for name in one.values
             if name not in names
@@ -59,7 +59,7 @@ class ExportsTable(TomlTable):
         for i, name in enumerate(names):
             if name not in self.exports[0].values:
                 rule = "must have a value in the first of model.exports"
-                found.append(ArgumentError(f"parameters.{i}.name", rule, shown(name)))
+                found.append(ArgumentError(f"parameters.{i}.name", rule, quote(name)))
         return found + without_targets(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:

@@ -19,7 +19,7 @@ from fmu.fem.frame.frame import Frame
 from fmu.fem.frame.stability import require_stable
 from fmu.fem.frame.updates import ROTATIONS, Factor
 from fmu.fem.modes.separable import RigidArm
-from fmu.formats.shown import names_shown, shown
+from fmu.formats.shown import names_shown, quote
 from fmu.types import Direction, Positive
 
 MOST_ELEMENTS = 10_000
@@ -112,7 +112,7 @@ class FrameTable(TomlTable):
         for i, table in enumerate(parameters):
             if not table.is_positive():
                 rule = "must be positive, as the property is"
-                found.append(ArgumentError(f"parameters.{i}.lower", rule, shown(table.lower)))
+                found.append(ArgumentError(f"parameters.{i}.lower", rule, quote(table.lower)))
         return found
 
     def _of_targets(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
@@ -135,14 +135,14 @@ class FrameTable(TomlTable):
                 found.append(ArgumentError(where, f"must name a {_SINGULAR[key]}"))
             for name in names if table.property else ():
                 if name not in known[key]:
-                    found.append(ArgumentError(where, f"must be among {names_shown(known[key])}", shown(name)))
+                    found.append(ArgumentError(where, f"must be among {names_shown(known[key])}", quote(name)))
                     continue
                 directions: Sequence[str] = table.directions
                 if key == "springs":
                     has: list[str] = list(self.springs[name].stiffness)
                     rule = f"must be among those of {name}: {', '.join(has) or 'none'}"
                     wrong = [d for d in directions if d not in has]
-                    found += [ArgumentError(f"parameters.{i}.directions", rule, shown(d)) for d in wrong]
+                    found += [ArgumentError(f"parameters.{i}.directions", rule, quote(d)) for d in wrong]
                     directions = directions or has
                 elif table.property == "inertia":
                     directions = directions or ROTATIONS
@@ -168,7 +168,7 @@ class FrameTable(TomlTable):
                     found.append(_unknown(f"model.members.{i}.{key}", name, known))
             if member.start == member.end:
                 found.append(
-                    ArgumentError(f"model.members.{i}.to", "must not be the same point as from", shown(member.end))
+                    ArgumentError(f"model.members.{i}.to", "must not be the same point as from", quote(member.end))
                 )
             elif self.points.get(member.start, 0) == self.points.get(member.end, 1):
                 rule = "must not be at the place of from: the member would have no length"
@@ -177,7 +177,7 @@ class FrameTable(TomlTable):
             found.append(ArgumentError("model.members", f"must have at most {MOST_ELEMENTS} elements in total"))
         names = [mass.name for mass in self.masses if mass.name]
         if len(set(names)) < len(names):
-            found.append(ArgumentError("model.masses", "must have distinct names", shown(names)))
+            found.append(ArgumentError("model.masses", "must have distinct names", quote(names)))
         if not (self.free or self.supports or any(spring.nodes[1] is None for spring in self.springs.values())):
             rule = (
                 "must restrain the structure (a spring to the ground does too); set free = true if it is "
@@ -303,4 +303,4 @@ def _known_as(mass: PointMass) -> str:
 
 
 def _unknown(where: str, name: str, known: Any) -> ArgumentError:
-    return ArgumentError(where, f"must be one of {names_shown(known)}", shown(name))
+    return ArgumentError(where, f"must be one of {names_shown(known)}", quote(name))

@@ -23,7 +23,7 @@ from fmu.config.tables import Built, FileName, TomlTable
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.programs.sources import source_digest
 from fmu.formats.files import too_large, why_no_file
-from fmu.formats.shown import in_words, shown
+from fmu.formats.shown import in_words, quote
 
 WHERE = "model.function"
 LARGEST_MODULE = 2**24
@@ -123,7 +123,7 @@ def import_function(place: str, folder: Path, where: str = WHERE) -> Callable[..
         missing = str(error.name)
         if beside is None and (name == missing or name.startswith(f"{missing}.")):
             raise BrokenError(
-                [ArgumentError(where, "must be in a module beside the file or installed", shown(name))]
+                [ArgumentError(where, "must be in a module beside the file or installed", quote(name))]
             ) from error
         raise _not_importable(name, error, where) from error
     except KeyboardInterrupt:
@@ -131,7 +131,7 @@ def import_function(place: str, folder: Path, where: str = WHERE) -> Callable[..
     except BaseException as error:  # GeneratorExit and others of the user's own among them
         raise _not_importable(name, error, where) from error
     if function is None:
-        raise BrokenError([ArgumentError(where, f"must be in the module {name}", shown(attribute))])
+        raise BrokenError([ArgumentError(where, f"must be in the module {name}", quote(attribute))])
     if not callable(function):
         raise BrokenError(
             [ArgumentError(where, "must be a function", f"{place}, of type {type(function).__name__}")]

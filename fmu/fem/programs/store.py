@@ -21,7 +21,7 @@ from filelock import FileLock
 from fmu.arguments import check_arguments
 from fmu.durable_files import digest, payload_of, signed, write_durably
 from fmu.fem.pairing.correlation import CLOSE, subspace_mac
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 from fmu.numbers import significant
 from fmu.types import FloatArray
 
@@ -151,7 +151,7 @@ class SolveStore:
         if found != kept:
             differs = f"arrays of the shapes {found}, and not {kept}"
         elif not apart <= MOST_SCATTER:
-            now, then = (shown(f.tolist()) for f in (frequencies, stored.frequencies))
+            now, then = (quote(f.tolist()) for f in (frequencies, stored.frequencies))
             differs = f"frequencies that differ by {significant(100.0 * apart, 2)} %: {now} Hz, and not {then}"
         elif shapes is not None and stored.shapes is not None:
             turned = _shapes_apart(stored.frequencies, stored.shapes, shapes)

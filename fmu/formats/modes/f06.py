@@ -28,7 +28,7 @@ from fmu.formats.modes.measured_modes import (
     checked_file,
     modes_chosen,
 )
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 from fmu.types import DIRECTIONS, FloatArray
 
 MOST_NODES = 2**20
@@ -154,7 +154,7 @@ def _find_tables(lines: Iterator[str]) -> _Found:
         elif line.startswith("1") or "PAGE" in line:
             reading, cycles = 0, 0.0
         elif not found.fatal and _FATAL.search(line):
-            found.fatal = shown(" ".join(line.split()))
+            found.fatal = quote(" ".join(line.split()))
         if len(found.shapes) > MOST_MODES or len(found.shapes.get(reading, ())) > MOST_NODES:
             raise ValueError(f"must have at most {MOST_MODES} modes of {MOST_NODES} nodes")
     return found
@@ -167,7 +167,7 @@ def _number(word: str) -> float:
     try:
         return float(exponent.upper().replace("D", "E"))
     except ValueError:
-        raise ValueError(f"it has a component that is no number ({shown(word)})") from None
+        raise ValueError(f"it has a component that is no number ({quote(word)})") from None
 
 
 def _at(
@@ -178,7 +178,7 @@ def _at(
     sign, along = (-1.0, direction[1:]) if direction.startswith("-") else (1.0, direction)
     node = int(place) if isinstance(place, int | str) and str(place).isdecimal() else -1
     if node not in shape:
-        raise ModesError(name, [f"sensors: must be at nodes of the file (got {shown(place)})"])
+        raise ModesError(name, [f"sensors: must be at nodes of the file (got {quote(place)})"])
     k, values = DIRECTIONS.index(along), shape[node]
     if node in axes:
         values = np.concatenate([values[:3] @ axes[node], values[3:] @ axes[node]])

@@ -24,7 +24,7 @@ from fmu.formats.matrices.limits import (
     Labelled,
     MatrixFormat,
     RefusedError,
-    chosen,
+    choose_variable,
     entries_within,
     rows_within,
     text_lines,
@@ -93,7 +93,7 @@ def _read(path: Path, variable: str | None) -> Labelled:
             found[name] = entries
             if len(found) > MOST_NAMES:
                 raise RefusedError(f"must hold at most {MOST_NAMES} matrices")
-        entries = found[chosen(list(found), variable)]
+        entries = found[choose_variable(list(found), variable)]
     if entries is None:  # the only one, of which the entries were not asked for
         return _read(path, next(iter(found)))
     if entries.header.type not in REAL:
@@ -187,7 +187,7 @@ def _of_text(lines: Iterator[str], variable: str | None) -> Iterator[tuple[str, 
     column = row = 0
     values: list[float] = []
 
-    def added() -> None:
+    def flush_values() -> None:
         if entries is not None and values:
             entries.add(column, row, np.array(values))
         values.clear()
@@ -216,7 +216,7 @@ def _of_text(lines: Iterator[str], variable: str | None) -> Iterator[tuple[str, 
             elif entries is not None and header.type in REAL:
                 values += [float(line[at : at + width].upper().replace("D", "E")) for at in _starts(line, width)]
             continue
-        added()
+        flush_values()
         words = [int(word) for word in _whole_numbers(line)]
         if len(words) == 3:
             column, row = words[:2]
