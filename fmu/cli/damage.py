@@ -64,10 +64,10 @@ def damage(directory: Path, beyond: tuple[float, ...], sampler: str | None) -> N
 
     For a problem with several [[tests]] in groups, and parameters that vary by group or by damage.
     """
-    from fmu.report.export import chosen
+    from fmu.report.export import read_choice
     from fmu.report.plots import DPI, plot_losses
 
-    name, trace, diagnosis = chosen(directory, sampler)
+    name, trace, diagnosis = read_choice(directory, sampler)
     echo_losses(trace, diagnosis, beyond)
     path = directory / "damage.png"
     plot_losses(trace, beyond[0])[0].figure.savefig(path, dpi=DPI)

@@ -69,7 +69,7 @@ def run_paper(
     plan = plan or Plan()
     directory = OutputDirectory(out)
     directory.check(file_names(plan))
-    with directory.staged() as stage:
+    with directory.stage_files() as stage:
         # the experiments by number take longest, so they start first
         tasks = sorted(plan.experiments, key=_by_shape)
         with engine(min(default_workers() if workers is None else workers, len(tasks))) as pool:

@@ -121,12 +121,12 @@ def runs_of(traces: Mapping[str, xr.DataTree]) -> dict[str, ReportedRun]:
             verdicts[name],
             costs[name],
             maxima_of(trace),
-            _predicted(trace),
+            _predict(trace),
         )
         for name, trace in traces.items()
     }
 
 
-def _predicted(trace: xr.DataTree) -> pd.DataFrame | None:
+def _predict(trace: xr.DataTree) -> pd.DataFrame | None:
     has_frequencies = has(trace, "posterior_predictive") and has(trace, "observed_data")
     return predict_frequencies(trace) if has_frequencies else None

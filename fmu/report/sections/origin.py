@@ -20,7 +20,7 @@ _LONG = 60
 
 
 def cost(run: ReportedRun) -> PageSection:
-    """Return what the run cost, and what it gave for that."""
+    """Return the section of the cost: solves and seconds, per effective draw too."""
     attrs, costs = run.trace.attrs, run.costs
     counts = []
     for words, name in (("model solves", "n_solves"), ("of which gradients", "n_gradients")):
@@ -127,7 +127,7 @@ def _beside(found: float, allowed: float) -> tuple[str, str]:
 
 
 def assumptions(run: ReportedRun) -> tuple[Part, ...]:
-    """Return what the verdicts on a run rest on; nothing for a density that is not an updating problem."""
+    """Return the assumptions behind the verdicts on a run; nothing for a density that is no updating problem."""
     attrs, mean = run.trace.attrs, run.summary["mean"]
     is_reduced = "certificate_draws" in attrs and "surrogate_solves" not in attrs
     allowed = float(attrs.get("certificate_frequency_tolerance", Tolerance().frequency)) if is_reduced else None

@@ -122,7 +122,7 @@ def left_out(run: ReportedRun) -> PageSection | Omitted:
         "Each measured frequency and its prediction from the other modes used in updating, measurement noise "
         "included. Prior sd: standard deviation of the same prediction before updating. p: probability of a "
         "measurement that lies at least as far out on either side. elpd: log-density of what was measured of the "
-        f"mode ({_compared(run.trace)}), given the others."
+        f"mode ({_compared_quantity(run.trace)}), given the others."
     )
     done = table["method"] != NEITHER
     parts: list[Part] = [PageTable(caption, header, rows, words=(6,))]
@@ -147,8 +147,8 @@ def left_out(run: ReportedRun) -> PageSection | Omitted:
     return PageSection("loo", title, tuple(parts))
 
 
-def _compared(trace: Any) -> str:
-    """Return what the log-likelihood of a mode is of."""
+def _compared_quantity(trace: Any) -> str:
+    """Name the quantities whose log-likelihood a mode has."""
     return "frequency" if has(trace, "log_likelihood", "frequency") else "all that is compared"
 
 

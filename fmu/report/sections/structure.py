@@ -36,7 +36,7 @@ MOST_DRAWN = 5000
 
 
 def structure_drawing(trace: xr.DataTree) -> Markup:
-    """Return the structure with a legend of its colours; nothing if the trace does not know what it looks like."""
+    """Return the structure with a legend of its colours; nothing if the trace has no drawing of it."""
     found = sketch_of(trace)
     if found is None or len(found.elements) > MOST_DRAWN:
         return Markup("")
@@ -57,13 +57,13 @@ def legend_of_parameters(names: Iterable[str], colours: Iterable[str | None], sv
 
 
 def legend(entries: Iterable[tuple[str, str]]) -> Markup:
-    """Return the legend of a drawing from its colours and what they mean."""
+    """Return the legend of a drawing: each colour with its meaning."""
     entry = Markup('<li><span aria-hidden="true" style="background:{}"></span>{}</li>')
     return Markup('<ul class="legend">{}</ul>').format(Markup("").join(entry.format(*one) for one in entries))
 
 
 def identifiability(run: ReportedRun) -> PageSection | Omitted:
-    """Return what the draws say of the directions of the parameter space, and the linearised model beside it."""
+    """Return the section of identifiability: parameter directions by the draws and by a linearised model."""
     title = "Identifiability"
     found, kept = information(run.trace), kept_identifiability(run.trace)
     if found is None and not kept:

@@ -142,12 +142,12 @@ def frequencies(run: ReportedRun) -> PageSection | Omitted:
     return PageSection(
         "frequencies",
         title,
-        (Text(_fitted(run, before)), PageTable(caption, header, tuple(rows)), Pictures((drawing,))),
+        (Text(_mean_error(run, before)), PageTable(caption, header, tuple(rows)), Pictures((drawing,))),
     )
 
 
-def _fitted(run: ReportedRun, before: FloatArray) -> str:
-    """Return the mean error of the frequencies before and after updating, and which modes did not come closer."""
+def _mean_error(run: ReportedRun, before: FloatArray) -> str:
+    """Return the mean error of the frequencies before and after updating, and the modes that did not come closer."""
     table = run.prediction
     if table is None:
         raise ValueError("run: must predict frequencies (got none)")

@@ -33,15 +33,15 @@ def verdicts(run: ReportedRun) -> tuple[Verdict, ...]:
     """Return the lines of the first screen, in the order in which an engineer asks; losses first."""
     *what, fit = of_the_model(run)
     if not has(run.trace, LOSSES):
-        return *what, updated(run), fit, convergence(run)
+        return *what, judge_data(run), fit, convergence(run)
     *losses, reference, sure = what
-    return *losses, fit, reference, sure, updated(run), convergence(run)
+    return *losses, fit, reference, sure, judge_data(run), convergence(run)
 
 
 def of_the_model(run: ReportedRun) -> tuple[Verdict, ...]:
     """Return the verdicts on losses, other changes, their certainty, and the fit of the model."""
     names, losses = _most_changed(run), lost(run)
-    what = changed(run, names)
+    what = judge_change(run, names)
     if losses:
         what = replace(what, question="How was the reference state corrected?")
     return *losses, what, certainty(run, names), model_fit(run)
@@ -62,8 +62,8 @@ def _change(run: ReportedRun, name: str) -> float:
     return ratio if np.isfinite(ratio) else 0.0
 
 
-def changed(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
-    """Return what updating changed: `names` begin with the largest change."""
+def judge_change(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
+    """Return the verdict on the change by updating; the first of `names` changed most."""
     question = "What changed?"
     if not names:
         return Verdict(question, "Nothing that the data determine", None, said=_errors(run))
@@ -96,7 +96,7 @@ def _errors(run: ReportedRun) -> str:
 
 
 def certainty(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
-    """Return the posterior means and standard deviations of the parameters of `changed`."""
+    """Return the posterior means and standard deviations of the parameters named by `judge_change`."""
     question = "How sure is that?"
     if not names:
         return Verdict(question, "The priors alone decide", None)
@@ -120,8 +120,8 @@ def certainty(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
     return Verdict(question, ", ".join(words), None, said=said)
 
 
-def updated(run: ReportedRun) -> Verdict:
-    """Return the verdict on the data: what they left to the priors."""
+def judge_data(run: ReportedRun) -> Verdict:
+    """Return the verdict on the data: which parameters the priors alone determine."""
     question = "Anything left undetermined?"
     found = information(run.trace)
     if found is None:
