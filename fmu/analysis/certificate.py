@@ -190,12 +190,12 @@ def certify(
     if outside > _MOST_BY_FULL:
         warnings.warn(_by_full_too_often(outside), CertificateWarning, stacklevel=2)
     if not is_within or changed.any() or exceeded.any():
-        warnings.warn(_missed(certificate), CertificateWarning, stacklevel=2)
+        warnings.warn(_excess_in_words(certificate), CertificateWarning, stacklevel=2)
     return certificate
 
 
 def surrogate_in_words(record: Mapping[Any, Any]) -> list[str]:
-    """Return what the certificate of a surrogate says, in sentences; see `certify`."""
+    """Return the certificate of a surrogate in sentences; see `certify`."""
     n, shift, allowed = (record[f"certificate_{name}"] for name in ("draws", "shift", "shift_tolerance"))
     is_kept = float(shift) <= float(allowed)
     # to one decimal place where they are near to each other
@@ -252,7 +252,7 @@ def certificate_failures(attrs: Mapping[Any, Any]) -> list[str]:
 
 
 def exact_in_words(attrs: Mapping[Any, Any]) -> list[str]:
-    """Return what delayed acceptance made of a surrogate's draws, in sentences; none if it was not asked for."""
+    """Return sentences on the second stage of delayed acceptance; none if the run has none."""
     if "second_stage_proposals" not in attrs:
         return []
     proposals, accepted, failed = (
@@ -291,20 +291,20 @@ def _by_full_too_often(outside: float) -> str:
 
 
 def _by_full(structure: Any, points: FloatArray) -> FloatArray:
-    return _stacked(structure.confirmed_modes(points))
+    return _stack_modes(structure.confirmed_modes(points))
 
 
 def _by_reduced(structure: Any, points: FloatArray) -> FloatArray:
-    return _stacked(structure.modes(points))
+    return _stack_modes(structure.modes(points))
 
 
-def _stacked(modes: Any) -> FloatArray:
+def _stack_modes(modes: Any) -> FloatArray:
     """Return eigenvalue, block and rank of each mode, (n, n_modes, 3)."""
     return np.stack([modes.eigenvalues, modes.block, modes.rank], axis=2)
 
 
-def _missed(certificate: dict[str, Any]) -> str:
-    """Return by how much the reduced model misses its tolerance."""
+def _excess_in_words(certificate: dict[str, Any]) -> str:
+    """Return the errors of the reduced model beyond their tolerances, in words."""
     off = []
     for words, name in (("frequency error", "frequency"), ("log-probability error", "log_prob")):
         found, tolerance = (float(certificate[f"certificate_{name}_{what}"]) for what in ("error", "tolerance"))

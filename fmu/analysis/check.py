@@ -71,7 +71,7 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
 
 
 def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
-    """Return one row per parameter: unit, start and bounds in it, prior in words, what it changes if known."""
+    """Return one row per parameter: unit, start, bounds, prior in words, and the matrices that it changes."""
     rows = []
     for k, parameter in enumerate(problem.parameters):
         found, unit = problem.model.matrices_of(k), shown(parameter.unit)
@@ -267,7 +267,7 @@ class Check:
         """Return the sections below the model: titles, sentences, and tables as text."""
         blocks: list[tuple[str, Iterable[str], pd.DataFrame | None]] = [
             ("Parameters", (), self.parameter_table().reset_index(names="")),
-            *self._assumed(),
+            *self._assumption_block(),
             *self._points(),
             ("Modes at the start", self.modes.notes, self.mode_table()),
             *self._sensors(),
@@ -304,7 +304,7 @@ class Check:
         title = "Sensors" if every else f"The {len(worst)} sensors with the largest ECoMAC"
         return [(title, (LOOK_AT_SENSORS,), worst)]
 
-    def _assumed(self) -> list[tuple[str, Iterable[str], pd.DataFrame | None]]:
+    def _assumption_block(self) -> list[tuple[str, Iterable[str], pd.DataFrame | None]]:
         import pandas as pd
 
         if self.assumptions is None:

@@ -165,7 +165,7 @@ class Identifiability:
 
 @check_arguments
 def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) -> Identifiability:
-    """Return which directions of the parameter space the data constrain, by a linearised model.
+    """Find the directions of the parameter space that the data constrain, by a linearised model.
 
     Parameters
     ----------
@@ -298,12 +298,15 @@ def left_to_prior(found: Identifiability) -> list[Uninformed]:
         rest = np.flatnonzero(~alone)
         values, rows = np.linalg.svd(S[:, rest])[1:]
         left = rows[np.concatenate([values, np.zeros(len(rest))])[: len(rest)] <= most]
-        for row in eliminated(left):
+        for row in eliminate(left):
             directions.append(np.zeros(n))
             directions[-1][rest] = row / np.linalg.norm(row)
     with np.errstate(divide="ignore", invalid="ignore"):  # a parameter that is 0 has no relative change
         relative = [direction * found.prior_sd / found.theta for direction in directions]
-    return [named(direction, found.names, change) for direction, change in zip(directions, relative, strict=True)]
+    return [
+        name_direction(direction, found.names, change)
+        for direction, change in zip(directions, relative, strict=True)
+    ]
 
 
 def doubts(found: Identifiability) -> list[str]:
@@ -403,7 +406,7 @@ def hardest_pair(found: Identifiability, covariance: FloatArray) -> Pair | None:
     return Pair(names, direction, float(np.sqrt(most)), change, combination(direction, found.names))
 
 
-def eliminated(rows: FloatArray) -> FloatArray:
+def eliminate(rows: FloatArray) -> FloatArray:
     """Return a basis of the span of orthonormal `rows` with zeros in it, by Gauss–Jordan elimination."""
     rows = rows.copy()
     free = np.ones(rows.shape[1], dtype=bool)
@@ -418,7 +421,7 @@ def eliminated(rows: FloatArray) -> FloatArray:
     return rows
 
 
-def named(direction: FloatArray, names: tuple[str, ...], relative: FloatArray) -> Uninformed:
+def name_direction(direction: FloatArray, names: tuple[str, ...], relative: FloatArray) -> Uninformed:
     """Name a direction; `relative` is the change of each parameter along it over its own size."""
     size = np.abs(direction)
     large = np.argsort(-size, kind="stable")
@@ -429,11 +432,11 @@ def named(direction: FloatArray, names: tuple[str, ...], relative: FloatArray) -
         direction,
         tuple(names[k] for k in sorted(large)),
         combination(direction, names),
-        _told(relative, large, names),
+        _constant_in_words(relative, large, names),
     )
 
 
-def _told(relative: FloatArray, large: NDArray[np.int64], names: tuple[str, ...]) -> str:
+def _constant_in_words(relative: FloatArray, large: NDArray[np.int64], names: tuple[str, ...]) -> str:
     """Return the ratio or product that is constant along a direction: ``"k/m"``; empty if there is none."""
     change = relative[large]
     if not np.all(np.isfinite(relative)) or np.ptp(np.abs(change)) > _ALIKE * np.abs(change).max():

@@ -87,7 +87,7 @@ class PairingChanges:
 
     def sentences(self) -> tuple[str, ...]:
         """Return the findings in words, the most important first."""
-        said = [*self._jumped(), *self._swaps()]
+        said = [*self._jumps(), *self._swaps()]
         if not said:
             said.append("In all draws the measured modes are in the same order as in the model before updating.")
         if self.constant:
@@ -113,7 +113,7 @@ class PairingChanges:
         shown = self.table().to_html(float_format=significant, border=0)
         return f"<ul>{items}</ul>{shown}"
 
-    def _jumped(self) -> list[str]:
+    def _jumps(self) -> list[str]:
         of = f"of {self.project} draws examined"
         return [
             f"Mode {self.labels[i]} is not paired with the same computed mode as at the most probable draw in "

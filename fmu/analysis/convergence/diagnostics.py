@@ -243,7 +243,7 @@ def convergence_failures(
 
 
 def few_ensembles(trace: xr.DataTree) -> str:
-    """Say that fewer than four emcee ensembles cannot exclude separate modes, and the remedy; else empty."""
+    """Warn that fewer than four emcee ensembles cannot exclude separate modes; empty if there are four."""
     n = trace["posterior"].sizes["chain"]
     if not is_imported(trace) or n >= MIN_ENSEMBLES:
         return ""

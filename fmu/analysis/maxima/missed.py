@@ -95,10 +95,10 @@ def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
     list of str
         One sentence a maximum with what to do about it, and one that says where the chains are.
     """
-    return compared(trace, maxima).reasons
+    return compare_shares(trace, maxima).reasons
 
 
-def compared(trace: xr.DataTree, maxima: Maxima) -> Comparison:
+def compare_shares(trace: xr.DataTree, maxima: Maxima) -> Comparison:
     """Compare the shares of a run's draws with the shares of the maxima.
 
     If they differ by more than a factor `OUT_OF_PROPORTION`, one of them is wrong. The one with the larger
@@ -216,7 +216,7 @@ def _is_out_of_proportion(visits: float, mass: float) -> bool:
 
 
 def _whereabouts(nearest: IntArray, maxima: Maxima) -> str:
-    """Say which chains or walkers are where, by the maximum nearest to each draw (chains, steps, walkers)."""
+    """List the chains or walkers around each maximum; `nearest` has that of each draw (chains, steps, walkers)."""
     kind = "chain" if nearest.shape[2] == 1 else "walker"
     homes = np.array(
         [np.bincount(path + 1, minlength=len(maxima) + 1).argmax() - 1 for path in _each_path(nearest)]

@@ -1,4 +1,4 @@
-"""The maxima of a posterior as a result: where they are, what they weigh, and how a trace keeps them."""
+"""The maxima of a posterior as a result: their places and weights, and their form in a trace."""
 
 from __future__ import annotations
 

@@ -113,7 +113,7 @@ def in_solves(trace: xr.DataTree, n_solves: Any, n_gradients: Any) -> Any:
 
 
 def used_modes(trace: xr.DataTree) -> BoolArray:
-    """Say which of the measured modes were used in updating, shape (n_modes,)."""
+    """Return whether each measured mode was used in updating, shape (n_modes,)."""
     observed = trace["observed_data"]
     return np.asarray(observed["used"] if "used" in observed else np.ones(observed.sizes["mode"], dtype=bool))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmu.analysis.fit.checks import LEVEL, failed
+from fmu.analysis.fit.checks import LEVEL, failed_checks
 from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, UNKNOWN, ModelFit
 from fmu.analysis.held_out.modes import left_out_warnings
 from fmu.analysis.information import information_warnings
@@ -41,7 +41,7 @@ def model_fit(run: ReportedRun) -> Verdict:
 
 def _strongest_evidence(fit: ModelFit) -> str:
     """Name the check that speaks most against the model; else count the checks that could have contradicted it."""
-    against = failed(fit.checks)
+    against = failed_checks(fit.checks)
     if against:
         p = f" (p = {significant(against[0].p, 2)})" if np.isfinite(against[0].p) else ""
         return f"Strongest evidence: {against[0].of}{p}."

@@ -11,7 +11,7 @@ from fmu.analysis.evidence import PSEUDO, WHAT, found_evidences
 from fmu.analysis.information import PRIOR, information
 from fmu.analysis.maxima.missed import Visits, visits
 from fmu.analysis.maxima.results import MOST_SHOWN, NEGLIGIBLE, Maxima, share_of_mass
-from fmu.analysis.prediction import measured_tests, measurement_in_words, pinned
+from fmu.analysis.prediction import measured_tests, measurement_in_words, pinned_parameters
 from fmu.analysis.trace.reading import constant, is_pseudo, mode_names, walkers_of
 from fmu.numbers import (
     MISSING,
@@ -45,7 +45,7 @@ NO_FREQUENCIES = "the trace holds no frequencies to compare with measured ones"
 def parameters(run: ReportedRun) -> PageSection:
     """Return the updated parameters beside prior, bounds and start; those not informed by the data are grey."""
     found = information(run.trace)
-    rows, greyed, seen, stopped = [], [], [], pinned(run.trace)
+    rows, greyed, seen, stopped = [], [], [], pinned_parameters(run.trace)
     for k, name in enumerate(run.names):
         unit = run.unit(name)
         start, lower, upper = (constant(run.trace, c, name) / unit.factor for c in ("start", "lower", "upper"))
@@ -147,7 +147,7 @@ def frequencies(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _mean_error(run: ReportedRun, before: FloatArray) -> str:
-    """Return the mean error of the frequencies before and after updating, and the modes that did not come closer."""
+    """Return the mean error of the frequencies before and after updating, and modes that did not come closer."""
     table = run.prediction
     if table is None:
         raise ValueError("run: must predict frequencies (got none)")

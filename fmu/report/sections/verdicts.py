@@ -11,7 +11,7 @@ from fmu.analysis.convergence.diagnostics import RHAT_LIMIT
 from fmu.analysis.convergence.remedies import required_ess
 from fmu.analysis.fit.model_fit import CONTRADICTED
 from fmu.analysis.information import DATA, information
-from fmu.analysis.prediction import at_bounds, pinned
+from fmu.analysis.prediction import at_bounds, pinned_parameters
 from fmu.analysis.trace.damage import GROUP as LOSSES
 from fmu.analysis.trace.damage import is_loss
 from fmu.analysis.trace.reading import constant, has, mode_names
@@ -131,7 +131,7 @@ def judge_data(run: ReportedRun) -> Verdict:
         narrowed = "The data narrowed every combination of the parameters."
         said = f"The least informed direction keeps {share(float(found.remaining_sd[0]))} of its prior sd."
         answer, why = "No", "Why we say the data determine the parameters"
-        stopped = pinned(run.trace)
+        stopped = pinned_parameters(run.trace)
         if stopped:
             few = names_in_words(stopped) if len(stopped) <= _FEW else f"{len(stopped)} parameters"
             answer, why = f"Yes, beyond the bounds: {few}", "What data and bounds determine"
