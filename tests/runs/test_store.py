@@ -18,6 +18,7 @@ from fmu.runs.store import (
     CheckpointWarning,
     OtherArithmeticWarning,
     Store,
+    numbered_files,
     read_state,
 )
 from fmu.samplers import Ensemble, HamiltonianMonteCarlo, MetropolisHastings, MixtureSampler, Run, Slice, Tempering
