@@ -30,7 +30,7 @@ from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions, assumptions
 from fmu.posterior.joint.joint_problem import JointProblem
 from fmu.posterior.parameters import prior_in_words
 from fmu.posterior.prior_doubts import prior_doubts
-from fmu.tables import data_frame, text_table, wrapped
+from fmu.tables import data_frame, text_table, wrap_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -326,7 +326,7 @@ class Check:
         """Return the warnings as a list, or that there are none."""
         if not self.doubts:
             return "No warnings."
-        return "Warnings\n" + "\n".join(wrapped(doubt, "  - ", "    ") for doubt in self.doubts)
+        return "Warnings\n" + "\n".join(wrap_text(doubt, "  - ", "    ") for doubt in self.doubts)
 
     def _repr_html_(self) -> str:
         def words(title: str, sentences: Iterable[str]) -> str:
@@ -345,7 +345,7 @@ _WORDS = ("", "point", "sensor", "unit", "prior", "changes", "measured mode", "m
 
 
 def _lines(sentences: Iterable[str]) -> str:
-    return "\n".join(map(wrapped, sentences))
+    return "\n".join(map(wrap_text, sentences))
 
 
 def _as_text(table: pd.DataFrame) -> str:

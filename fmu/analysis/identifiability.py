@@ -20,7 +20,7 @@ from fmu.arguments import ArgumentError, check_arguments
 from fmu.box import find_inside
 from fmu.numbers import fixed, names_in_words, share, significant
 from fmu.progress.phases import phase
-from fmu.tables import data_frame, distinct, text_table, wrapped
+from fmu.tables import data_frame, distinct, text_table, wrap_text
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -156,7 +156,7 @@ class Identifiability:
         table = self.table()
         rows = [[str(k), *map(significant, row)] for k, row in zip(table.index, table.to_numpy(), strict=True)]
         text = text_table(["", *map(str, table.columns)], rows)
-        return "\n".join([*map(wrapped, self.sentences()), "", "Directions, in prior standard deviations", text])
+        return "\n".join([*map(wrap_text, self.sentences()), "", "Directions, in prior standard deviations", text])
 
     def _repr_html_(self) -> str:
         said = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in self.sentences())

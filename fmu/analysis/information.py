@@ -25,7 +25,7 @@ from fmu.analysis.trace.modal_states import MAXIMUM, START
 from fmu.analysis.trace.reading import has, parameter_draws, parameter_names
 from fmu.arguments import check_arguments
 from fmu.numbers import fixed, given, names_in_words, share, significant
-from fmu.tables import data_frame, text_table, wrapped
+from fmu.tables import data_frame, text_table, wrap_text
 from fmu.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ class Information:
         each = zip(self.names, self.contraction, self.basis, strict=True)
         rows = [[name, fixed(float(contraction), 2), by] for name, contraction, by in each]
         text = text_table(["", "contraction", "determined by"], rows, words=(0, 2))
-        return "\n".join([*map(wrapped, [*self.sentences(), CRITERION]), "", text])
+        return "\n".join([*map(wrap_text, [*self.sentences(), CRITERION]), "", text])
 
     def _repr_html_(self) -> str:
         said = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in [*self.sentences(), CRITERION])

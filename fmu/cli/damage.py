@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from fmu.numbers import decimals, fixed, interval, share, shown
-from fmu.tables import text_table, wrapped
+from fmu.tables import text_table, wrap_text
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -27,7 +27,7 @@ def echo_losses(trace: xr.DataTree, diagnosis: Diagnosis, beyond: Sequence[float
 
     table, values = damage(trace, beyond), before_and_after(trace)
     header = ["", "before", "after", "loss", "90 % interval", *(f"P > {share(x)}" for x in beyond)]
-    click.echo(wrapped(f"Losses since {before_in_words(trace)}", width=_WIDTH))
+    click.echo(wrap_text(f"Losses since {before_in_words(trace)}", width=_WIDTH))
     for state in table.index.unique("state"):
         rows = []
         for name, (mean, sd, low, high, *exceeded) in table.loc[state].iterrows():
@@ -42,13 +42,13 @@ def echo_losses(trace: xr.DataTree, diagnosis: Diagnosis, beyond: Sequence[float
             places = decimals(abs(before) * sd)
             label = f"{name} ({unit.name})" if unit.name else str(name)
             rows.append([label, fixed(before, places), fixed(after, places), *cells])
-        click.echo("\n" + wrapped(f"After: {state_in_words(trace, state)}", width=_WIDTH))
+        click.echo("\n" + wrap_text(f"After: {state_in_words(trace, state)}", width=_WIDTH))
         click.echo(text_table(header, rows, width=_WIDTH))
     answer = f"The model: {diagnosis.fit.answer}. " if diagnosis.fit.checks else ""
     rests = "P is the probability of a loss beyond that limit, given the model, its errors and its priors."
-    click.echo("\n" + wrapped(answer + rests, width=_WIDTH))
+    click.echo("\n" + wrap_text(answer + rests, width=_WIDTH))
     if diagnosis.doubts:
-        click.echo(wrapped(f"Do not rely on P: {' and '.join(diagnosis.doubts)}.", width=_WIDTH))
+        click.echo(wrap_text(f"Do not rely on P: {' and '.join(diagnosis.doubts)}.", width=_WIDTH))
 
 
 @click.command()

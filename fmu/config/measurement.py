@@ -212,7 +212,7 @@ class MeasurementTable(TomlTable):
         except ValueError as error:
             wrong = ArgumentError.of(error)
             for key in ("frequencies", "sd", "covariance"):  # keys of the file have no units in their names
-                wrong = wrong.moved(f"{key}_hz", key).moved(f"{key}_hz2", key)
+                wrong = wrong.replace_key(f"{key}_hz", key).replace_key(f"{key}_hz2", key)
             raise BrokenError([wrong.under("measurement")]) from None
 
     def _covariance(self, folder: Path) -> ArrayLike | None:
@@ -225,7 +225,7 @@ class MeasurementTable(TomlTable):
                 raise ValueError(f"must have at most {MOST_MODES} rows (got {matrix.shape[0]})")
         except ValueError as error:
             raise BrokenError(
-                [ArgumentError.of(error).moved("variable", "").under("measurement.covariance")]
+                [ArgumentError.of(error).replace_key("variable", "").under("measurement.covariance")]
             ) from None
         return np.asarray(matrix.toarray())
 
@@ -314,7 +314,7 @@ def _at(where: str) -> Iterator[None]:
     except ModesError as error:
         raise BrokenError([ArgumentError(where, mistake) for mistake in error.mistakes]) from None
     except (OSError, ImportError) as error:
-        raise BrokenError([ArgumentError.of(error).moved("path", "").under(where)]) from None
+        raise BrokenError([ArgumentError.of(error).replace_key("path", "").under(where)]) from None
 
 
 def _mean(key: str, values: ArrayLike, scatter: str) -> dict[str, Any]:
@@ -322,7 +322,7 @@ def _mean(key: str, values: ArrayLike, scatter: str) -> dict[str, Any]:
     try:
         tests = RepeatedTests(values, scatter)
     except ValueError as error:
-        raise BrokenError([ArgumentError.of(error).moved("frequencies", f"measurement.{key}")]) from None
+        raise BrokenError([ArgumentError.of(error).replace_key("frequencies", f"measurement.{key}")]) from None
     return {**tests.mean()._asdict(), "tests": tests}
 
 
@@ -346,4 +346,4 @@ def _repeated_shapes(shapes: list[list[list[float]]], tests: RepeatedTests) -> d
     try:
         return {"shapes": mean_shapes(values), "shapes_sd": shapes_sd(values)}
     except ValueError as error:
-        raise BrokenError([ArgumentError.of(error).moved("shapes", where)]) from None
+        raise BrokenError([ArgumentError.of(error).replace_key("shapes", where)]) from None

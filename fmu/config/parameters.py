@@ -152,7 +152,7 @@ def build_parameters(
         try:
             parameters[table.name] = table.build()
         except ValueError as error:
-            found.append(ArgumentError.of(error).moved(table.name, "").under(f"{key}.{i}"))
+            found.append(ArgumentError.of(error).replace_key(table.name, "").under(f"{key}.{i}"))
     return parameters, found
 
 

@@ -189,7 +189,7 @@ class ProblemFile(TomlTable):
             of_one = [ArgumentError(key, rule) for key, value in keys.items() if value is not None]
             return self.measured.mistakes(needs_trust) + of_several_tests(self.parameters) + of_one
         return [
-            mistake.moved("measurement", f"tests.{i}")
+            mistake.replace_key("measurement", f"tests.{i}")
             for i, table in enumerate(self.tests)
             for mistake in table.mistakes(needs_trust)
         ]

@@ -282,7 +282,7 @@ def arguments(make: Maker) -> dict[str, tuple[Any, Any]]:
 
 
 def _ways(makes: tuple[Maker, ...]) -> str:
-    """Say which arguments each constructor has that some other one lacks."""
+    """Return, in words, the arguments that only some of the constructors have."""
     every = [arguments(make) for make in makes]
     ways = [[key for key in names if any(key not in other for other in every)] for names in every]
     return ", or ".join(map(names_in_words, ways))
@@ -297,7 +297,7 @@ def _descriptions(make: Maker) -> dict[str, str]:
 
 
 def tuple_as_list(annotation: Any) -> Any:
-    """Return the type of a list in place of that of a tuple, which TOML lacks; other types as they are."""
+    """Return a type of lists for a type of tuples, which TOML lacks; any other type as it is."""
     parts = get_args(annotation)
     if type(None) in parts and any(get_origin(part) is tuple for part in parts):
         return tuple_as_list(next(part for part in parts if get_origin(part) is tuple)) | None

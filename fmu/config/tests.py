@@ -64,7 +64,7 @@ class TestTable(MeasurementTable):
         try:
             data = self.build(folder, built, needs_trust)
         except BrokenError as error:
-            raise BrokenError([mistake.moved("measurement", where) for mistake in error.mistakes]) from None
+            raise BrokenError([mistake.replace_key("measurement", where) for mistake in error.mistakes]) from None
         if self.beta is not None:
             data = type(data)(**{**vars(data), "sd_hz": np.sqrt(0.5 / np.asarray(self.beta))})
         place = {str(name): node for name, node in built.places.items()}

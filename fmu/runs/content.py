@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.durable_files import DamagedError, digest, payload_of, signed
+from fmu.durable_files import DamagedError, add_checksum, digest, payload_of
 from fmu.posterior.failures import Failure
 from fmu.samplers.loop.group import GroupState
 from fmu.samplers.loop.record import Steps
@@ -153,7 +153,7 @@ def numbered_files(directory: Path, kind: str) -> list[tuple[int, Path]]:
 
 def state_file(state: SavedState) -> bytes:
     """Return the content of a file that holds a state and its checksum."""
-    return signed(TITLE, packed_state(state))
+    return add_checksum(TITLE, packed_state(state))
 
 
 def read_state(path: Path) -> SavedState:

@@ -216,7 +216,7 @@ def _is_out_of_proportion(visits: float, mass: float) -> bool:
 
 
 def _whereabouts(nearest: IntArray, maxima: Maxima) -> str:
-    """List the chains or walkers around each maximum; `nearest` has that of each draw (chains, steps, walkers)."""
+    """List the chains or walkers around each maximum; `nearest` has one per draw (chains, steps, walkers)."""
     kind = "chain" if nearest.shape[2] == 1 else "walker"
     homes = np.array(
         [np.bincount(path + 1, minlength=len(maxima) + 1).argmax() - 1 for path in _each_path(nearest)]

@@ -14,7 +14,7 @@ from fmu.analysis.maxima.kinds import EDGE, JUMP, KINK, MAXIMUM, SLOPE, are_negl
 from fmu.analysis.trace.provenance import configuration_hash
 from fmu.numbers import apart, given, hertz, rounded, share, shown, significant, with_unit
 from fmu.samplers.mixture.quadratic import Quadratic
-from fmu.tables import data_frame, distinct, text_table, wrapped
+from fmu.tables import data_frame, distinct, text_table, wrap_text
 from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -306,7 +306,7 @@ class Maxima:
         rows = [[str(name), *row] for name, row in zip(table.index, table.to_numpy().tolist(), strict=True)]
         words = [i for i, name in enumerate(header) if name in ("", "unit")]
         lines = [text_table(["maximum", *header[1:]], rows, words=words)]
-        return "\n".join([*lines, *(wrapped(said, others="  ") for said in self.no_maxima() + self.at_bounds())])
+        return "\n".join([*lines, *(wrap_text(said, others="  ") for said in self.no_maxima() + self.at_bounds())])
 
     def __str__(self) -> str:
         return self.as_text()

@@ -68,7 +68,7 @@ class ExportsTable(TomlTable):
         try:
             mesh = None if self.mesh is None else read_mesh(folder / self.mesh)
         except ValueError as error:
-            raise BrokenError([ArgumentError.of(error).moved("path", "model.mesh")]) from error
+            raise BrokenError([ArgumentError.of(error).replace_key("path", "model.mesh")]) from error
         exports, found = list[Export](), list[ArgumentError]()
         for i, one in enumerate(self.exports):
             values = {p.name: one.values.get(p.name, nominal[p.name]) for p in parameters}
@@ -79,7 +79,7 @@ class ExportsTable(TomlTable):
                 exports.append(Export(values, read, one.check, one.stiffness))
             except ValueError as error:
                 wrong, here = ArgumentError.of(error), f"exports.{i}"
-                wrong = wrong.moved("path", f"{here}.stiffness").moved("mass", f"{here}.mass")
+                wrong = wrong.replace_key("path", f"{here}.stiffness").replace_key("mass", f"{here}.mass")
                 found.append(wrong.under("model"))
         if found:
             raise BrokenError(found)

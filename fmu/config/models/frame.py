@@ -56,7 +56,7 @@ def _spring(
     try:
         return JointSpring("", ends, stiffness, tied)  # type: ignore[arg-type]
     except ArgumentError as error:
-        raise error.moved("spring ''", "") from None
+        raise error.replace_key("spring ''", "") from None
 
 
 class Member(TomlTable):

@@ -119,7 +119,7 @@ class MatricesTable(TomlTable):
             try:
                 mesh = read_mesh(folder / self.mesh)
             except ValueError as error:
-                found.append(ArgumentError.of(error).moved("path", "model.mesh"))
+                found.append(ArgumentError.of(error).replace_key("path", "model.mesh"))
         if found:
             raise BrokenError(found)
         joined = self._on_the_same_dofs(read, mesh)
@@ -145,7 +145,7 @@ class MatricesTable(TomlTable):
             advice = "" if self.free else "; set free = true if it is free on purpose"
             raise BrokenError([ArgumentError("model", f"{error}, at the start{advice}")]) from error
         except ValueError as error:
-            wrong = ArgumentError.of(error).moved("K_terms", "stiffness").moved("M_terms", "mass")
+            wrong = ArgumentError.of(error).replace_key("K_terms", "stiffness").replace_key("M_terms", "mass")
             raise BrokenError([ArgumentError("model", f"{wrong}, at the start")]) from error
         return Built(model, {}, model.n_dof)
 
@@ -201,7 +201,7 @@ class MatricesTable(TomlTable):
                     files = [Path(table.file) for _, table in self._terms() if table.file is not None]
                     require_nodes(found.dofs, found.motions, mesh, files)
             except ValueError as error:
-                raise BrokenError([ArgumentError.of(error).moved("mesh", "model.mesh")]) from error
+                raise BrokenError([ArgumentError.of(error).replace_key("mesh", "model.mesh")]) from error
             return found
         matrices = [one.matrix for one in read]
         dofs = named or [(i, "x") for i in range(rows[0])]

@@ -62,7 +62,7 @@ class OpenSeesTable(TomlTable):
             advice = "; with per_theta = true the model may depend on the parameters in any way"
             raise BrokenError([ArgumentError(WHERE, f"{error}{advice}")]) from error
         except ValueError as error:
-            wrong = ArgumentError.of(error).moved("build", "")
+            wrong = ArgumentError.of(error).replace_key("build", "")
             raise BrokenError([ArgumentError(WHERE, str(wrong))]) from error
         try:
             require_stable(model, start, self.free)

@@ -183,7 +183,7 @@ def from_opensees(
     try:
         model = from_exports(exports, bounds)
     except ValueError as error:
-        raise ArgumentError.of(error).moved("exports", "") from error
+        raise ArgumentError.of(error).replace_key("exports", "") from error
     model.notes = (*model.notes, *exports[0].model.notes)
     return model
 

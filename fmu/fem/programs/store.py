@@ -19,7 +19,7 @@ import numpy as np
 from filelock import FileLock
 
 from fmu.arguments import check_arguments
-from fmu.durable_files import digest, payload_of, signed, write_durably
+from fmu.durable_files import add_checksum, digest, payload_of, write_durably
 from fmu.fem.pairing.correlation import CLOSE, subspace_mac
 from fmu.formats.shown import quote
 from fmu.numbers import significant
@@ -100,7 +100,7 @@ class SolveStore:
         payload = json.dumps({**solve._asdict(), **lists}).encode()
         path = self._paths(solve.theta)[bool(solve.reason)]
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_durably(path, signed(TITLE, payload))
+        write_durably(path, add_checksum(TITLE, payload))
         if not solve.reason:  # it may have failed before
             self._paths(solve.theta)[1].unlink(missing_ok=True)
 

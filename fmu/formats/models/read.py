@@ -298,5 +298,5 @@ def _name_argument(argument: str, read: Callable[[], Any]) -> Any:
     try:
         return read()
     except ValueError as error:
-        text = str(ArgumentError.of(error).moved("variable", ""))
+        text = str(ArgumentError.of(error).replace_key("variable", ""))
         raise ArgumentError(argument, one_line(text)) from error

@@ -114,7 +114,7 @@ def _read_printed(
     try:
         axes = {} if deck is None else read_mesh(deck).axes
     except ValueError as error:
-        raise ModesError(file.name, [str(ArgumentError.of(error).moved("path", "deck"))]) from None
+        raise ModesError(file.name, [str(ArgumentError.of(error).replace_key("path", "deck"))]) from None
     shapes = [[_at(found.shapes[number], sensor, axes, file.name) for number in numbers] for sensor in sensors]
     if not np.all(np.isfinite(shapes)):
         raise ModesError(file.name, ["shapes: must be finite at the sensors"])
