@@ -25,9 +25,7 @@ def test_another_key_keeps_rule_and_value():
     assert str(error.under("tests.1")) == "tests.1.frequencies_hz.2: must be positive (got 0 Hz)"
     assert str(error.replace_key("frequencies_hz", "frequencies")) == "frequencies.2: must be positive (got 0 Hz)"
     assert str(error.replace_key("frequencies_hz", "")) == "2: must be positive (got 0 Hz)"
-    assert str(error.replace_key("frequencies", "tests")) == str(
-        error
-    )  # of another key
+    assert str(error.replace_key("frequencies", "tests")) == str(error)  # of another key
     assert str(error.at("measurement")) == "measurement: must be positive (got 0 Hz)"
     assert ArgumentError("path", "must be a file").replace_key("path", "").key == ""
     assert str(ArgumentError("", "must be a file").under("model.mesh")) == "model.mesh: must be a file"

@@ -1,4 +1,4 @@
-"""A problem before sampling: its model, its modes, its gradient, what its data can tell."""
+"""A problem before sampling: its model, its modes, its gradient, and the identifiability of its parameters."""
 
 from __future__ import annotations
 
@@ -152,7 +152,7 @@ def _changes(structure: SeparableModel, j: int) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Check:
-    """What `check` found.
+    """The findings of `check`.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a run will cost: model solves, and seconds at the measured cost of one; what a gradient costs."""
+"""The cost of a run in solves and, by the measured time of one, in seconds; and the cost of a gradient."""
 
 from __future__ import annotations
 

@@ -133,7 +133,7 @@ class Identifiability:
         return data_frame(columns, "direction", range(1, len(s) + 1))
 
     def sentences(self) -> list[str]:
-        """Return in words what the linearised model says of the directions; the bounds are not counted in it."""
+        """Return the findings on the directions of the linearised model, which ignores the bounds, in words."""
         n, k = len(self.names), self.n_informed
         said = [
             f"Linearised, and without the bounds, the data constrain {k} of {n} directions of the parameter space "

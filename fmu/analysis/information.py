@@ -48,7 +48,7 @@ _ALONE, _AGREE = 0.9, 0.1
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What the data determine, judged from the draws of a run: parameter by parameter, and along directions.
+    """Parameters and directions that the data determine, judged from the draws of a run.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ class Information:
         return said
 
     def sentences(self) -> list[str]:
-        """Return in words what the draws say of the directions, the least informed first."""
+        """Return the directions of the draws in words, the least informed first."""
         n, k = len(self.names), self.n_informed
         said = [
             f"By the draws the data inform {k} of {n} directions of the parameter space, with a contraction of "

@@ -22,7 +22,7 @@ BEYOND = (0.05, 0.1)
 
 
 def echo_losses(trace: xr.DataTree, diagnosis: Diagnosis, beyond: Sequence[float] = BEYOND) -> None:
-    """Print losses and values before and after of each later state, and what their probabilities rest on."""
+    """Print losses and values before and after each later state, and the doubts about their probabilities."""
     from fmu.analysis.trace.damage import ANY, before_and_after, before_in_words, damage, probably, state_in_words
 
     table, values = damage(trace, beyond), before_and_after(trace)

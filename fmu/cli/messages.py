@@ -1,4 +1,4 @@
-"""What goes to standard error: an error is one line, without a traceback; a warning of fmu is a note."""
+"""Standard error: an error is one line, without a traceback; a warning of fmu is a note."""
 
 from __future__ import annotations
 

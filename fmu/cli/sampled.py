@@ -1,4 +1,4 @@
-"""What ``fmu run`` does with a problem: search for maxima, draw with each sampler, write and print the results."""
+"""The work of ``fmu run``: search for maxima, draw with each sampler, write and print the results."""
 
 from __future__ import annotations
 
@@ -214,7 +214,7 @@ def _write_csv(table: pd.DataFrame, path: Path) -> None:
 
 
 def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Mapping[str, Any]) -> int:
-    """Print what is known after the draws have been told, and write the comparison; return the exit code."""
+    """Print evidences, comparison and the verdict on the model, and write the comparison; return the exit code."""
     from fmu.analysis.certificate import exact_in_words, surrogate_in_words
     from fmu.analysis.convergence.diagnosis import choose_run, is_enough
     from fmu.analysis.evidence import found_evidences
@@ -280,7 +280,7 @@ def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Ite
 
 @contextmanager
 def _explain_failure(problem: UpdatingProblem) -> Iterator[None]:
-    """Add to an error why the user's function failed, if it did."""
+    """Add the first failure of the user's function, if there is one, to an error."""
     try:
         yield
     except ValueError as error:

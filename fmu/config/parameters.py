@@ -23,7 +23,7 @@ KEYS = dict.fromkeys(PROPERTIES, "groups") | {"mass": "masses", "inertia": "mass
 
 
 class Target(TomlTable):
-    """The quantities of a frame that a parameter is the value of, or multiplies.
+    """The quantities of a frame that a parameter sets or multiplies.
 
     A ``property`` of ``groups`` of members (or ``"all"``), ``masses`` or ``springs``; of the last two in the given
     ``directions``, or in all.

@@ -179,7 +179,7 @@ class ProblemFile(TomlTable):
             raise ConfigurationError(source, [ArgumentError.of(error)]) from error
 
     def _of_measurements(self, needs_trust: bool) -> list[ArgumentError]:
-        """Return the mistakes in what was measured that its tables alone show."""
+        """Return the mistakes that the tables of the measurement show by themselves."""
         if (self.measurement is None) == (self.tests is None):
             given = "none" if self.tests is None else "both"
             return [ArgumentError("measurement", f"must be given, or several [[tests]] instead (got {given})")]

@@ -229,7 +229,7 @@ class OneOf:
 
 
 class Of:
-    """What a constructor makes of a table: ``Annotated[Material, Of("material", Material)]``.
+    """A value of the file that a constructor makes of a table: ``Annotated[Material, Of("material", Material)]``.
 
     Parameters
     ----------

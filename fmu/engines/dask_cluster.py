@@ -170,7 +170,7 @@ class DaskCluster(RemoteEngine):
 
 
 class _Thread(threading.local):
-    """What a thread of a worker has unpickled last: threads may not be able to use one copy together."""
+    """The object that a thread of a worker unpickled last: threads may not be able to share one copy."""
 
     name = ""
     shared = Shared(b"")

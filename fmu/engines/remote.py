@@ -1,4 +1,4 @@
-"""What engines with worker processes share: tasks and their outcomes as bytes, and the loop over the tasks.
+"""The common part of engines with worker processes: tasks and outcomes as bytes, and the loop over the tasks.
 
 `RemoteEngine` and `unpack_outcome` run in the calling process, `carry_out` and `limit_blas_threads` in a worker.
 """

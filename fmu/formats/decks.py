@@ -39,7 +39,7 @@ _WORD = re.compile(r"[^\W\d]\w*")
 
 
 def read_deck(path: Path) -> str:
-    """Return the text of a deck, its line ends and its bytes that are not UTF-8 kept; ValueError if it is none."""
+    """Read the text of a deck, with its line ends and bytes that are not UTF-8; ValueError if it is no text."""
     wrong = why_no_file(path) or too_large(path, LARGEST_DECK)
     if wrong:
         raise ValueError(f"must be a text file ({wrong})")

@@ -1,4 +1,4 @@
-"""What is looked at before a file is read: whether it is one, and how large it is."""
+"""Checks before a file is read: whether there is one, and how large it is."""
 
 from __future__ import annotations
 

@@ -267,7 +267,7 @@ def frequency_table(result: Result) -> pd.DataFrame:
 
 
 def comparison_table(result: Result) -> pd.DataFrame:
-    """Return `fmu.compare` of the long runs with what the paper's protocol cost beside it, one row per sampler.
+    """Return `fmu.compare` of the long runs beside the cost of the paper's protocol, one row per sampler.
 
     Solves are log-probabilities, and an exact gradient counts as ``gradient_cost`` of them.
     ``sampling_solves`` and ``ess_per_sampling_solve`` leave the warm-up out.
@@ -303,7 +303,7 @@ def comparison_table(result: Result) -> pd.DataFrame:
 
 
 class OneStart(NamedTuple):
-    """What chains from one start vector came to.
+    """Length, convergence and error of chains from one start vector.
 
     Attributes
     ----------

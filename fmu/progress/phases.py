@@ -97,7 +97,7 @@ _teller: ContextVar[Callable[[str], None] | None] = ContextVar("teller", default
 def told_to(
     report: Report | None, note: Note | None = None, tell: Callable[[str], None] | None = None
 ) -> Iterator[None]:
-    """Have the phases of a block reported to callbacks too; one that is None leaves those that are set.
+    """Report the phases of a block to callbacks too; None leaves the callbacks that are set.
 
     Every `note` that is set is called, and the last `report` and `tell`.
     """

@@ -172,7 +172,7 @@ def _modes(found: Check) -> PageSection:
 
 
 def _sensors(found: Check) -> list[PageSection]:
-    """Return where test and model disagree, if shapes were measured."""
+    """Return the section on sensors where test and model disagree, if shapes were measured."""
     alike = found.modes.correlation
     if alike is None:
         return []

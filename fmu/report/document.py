@@ -1,4 +1,4 @@
-"""What a page of a report consists of; the templates say how it looks."""
+"""The parts of a page of a report; templates give them their look."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ class Pictures:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A drawing to be turned, for the script ``structure.js``; hidden where scripts are off, and in print.
+    """A drawing that readers turn, by the script ``structure.js``; hidden where scripts are off, and in print.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""A structure to be turned on a page: its modes before and after updating, and what changed where."""
+"""A structure that readers turn on a page: its modes before and after updating, and changes as colours."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def damage_view(found: Sketch, names: Sequence[str], table: pd.DataFrame, beyond
 
 
 def _structure(found: Sketch, names: Sequence[str], said: Mapping[str, str]) -> dict[str, Any]:
-    """Return nodes, elements, and what is said of each element: elements of the same parameters are one group."""
+    """Return nodes, elements and the text of each element; elements of the same parameters are one group."""
     combinations, groups = np.unique(found.changed, axis=0, return_inverse=True)
     tips = [
         "; ".join(said[name] for name, is_changed in zip(names, row, strict=True) if is_changed and name in said)

@@ -130,7 +130,7 @@ def _judged_run(runs: Mapping[str, ReportedRun]) -> ReportedRun:
 
 
 def _common_verdicts(compared: comparison.Compared) -> tuple[Verdict, ...]:
-    """Return the verdicts on the samplers, and what one of them says of the model: its page has the reasons."""
+    """Return the verdicts on the samplers, and on the model by one of them, whose page has the reasons."""
     told = _judged_run(compared.runs)
     first, *others = (replace(one, reasons=(), notes=()) for one in of_the_model(told))
     by = f"This and the rest by the draws of {told.title}."
@@ -237,7 +237,7 @@ def render(page: Page) -> str:
 
 
 def prose(text: str) -> Markup:
-    """Return a text as HTML, what stands between backticks as code."""
+    """Return a text as HTML, with words between backticks as code."""
     parts = str(text).split("`")
     if len(parts) % 2 == 0:  # a backtick of somebody's name
         return escape(text)

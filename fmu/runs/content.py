@@ -23,7 +23,7 @@ _EARLIER = (b"fmu state 1\n", b"fmu state 2\n")
 
 
 class Segment(NamedTuple):
-    """What a state says about a file of steps.
+    """A file of steps, as a saved state describes it.
 
     Attributes
     ----------

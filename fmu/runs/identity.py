@@ -1,4 +1,4 @@
-"""What the draws of a saved run depend on: its configuration, and the versions of packages."""
+"""The identity of a saved run: its configuration and the versions of packages, which determine the draws."""
 
 from __future__ import annotations
 

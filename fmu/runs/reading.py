@@ -146,7 +146,7 @@ class KeptGroup(NamedTuple):
 
 
 class _Steps(NamedTuple):
-    """What is needed of a file of steps: how many of how many moves were accepted, and the draws."""
+    """The content of a file of steps that diagnostics need: moves, accepted moves, and the draws."""
 
     accepted: int
     moves: int

@@ -228,7 +228,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.connection.shutdown(socket.SHUT_RDWR)
 
     def do_GET(self) -> None:
-        """Send the page, or what happens to the run for as long as the page is open."""
+        """Send the page, or the events of the run for as long as the page is open."""
         if not self._is_admitted():
             return
         what = self.path.split("/", 2)[2] if self.path.count("/") > 1 else None

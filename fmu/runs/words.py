@@ -1,4 +1,4 @@
-"""What a reading of a run says in words: its state, a table of samplers and groups, and how to resume it."""
+"""A reading of a run in words: its state, a table of samplers and groups, and how to resume it."""
 
 from __future__ import annotations
 

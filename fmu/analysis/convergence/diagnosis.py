@@ -136,7 +136,7 @@ class Diagnosis:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What probabilities from the draws do not allow for: no convergence, a model that is contradicted."""
+        """Reasons to doubt probabilities from the draws: no convergence, a model that is contradicted."""
         unfinished = () if self.converged else ("the draws have not converged",)
         return (*unfinished, f"the model is {self.fit.answer}") if self.fit.against else unfinished
 

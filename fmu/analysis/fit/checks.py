@@ -130,7 +130,7 @@ def checks_of(trace: xr.DataTree) -> list[Check]:
 
 
 def _predictions(trace: xr.DataTree) -> pd.DataFrame | None:
-    """Return how each mode is predicted without it; NaN where that is not known, None without frequencies."""
+    """Return the prediction of each mode without it; NaN where it is not known, None without frequencies."""
     if not has(trace, "posterior_predictive", "frequency"):
         return None
     kept = kept_table(trace)
@@ -181,7 +181,7 @@ def _mode(trace: xr.DataTree, mode: str, row: pd.Series[Any], level: float) -> C
 
 
 def _limits(row: pd.Series[Any], level: float) -> tuple[float, float]:
-    """Return between what a measured frequency has at least the two-sided tail probability `level`, Hz.
+    """Return the limits, Hz, at which a measured frequency has the two-sided tail probability `level`.
 
     On either side the tail is that of the errors, as wide as the 90 % interval is there: exact if it has their
     shape. On the side of what was measured it goes through the known probability of that as well, so that a mode
@@ -318,7 +318,7 @@ def _larger(squares: FloatArray, freedom: int, limit: float) -> float:
 
 
 def _noise(trace: xr.DataTree, table: pd.DataFrame | None, level: float) -> list[Check]:
-    """Return a check of each inferred standard deviation: whether it is what its prior expected."""
+    """Return a check of each inferred standard deviation: whether it agrees with its prior."""
     group, found = trace[GROUP].to_dataset(), []
     names = [str(name) for name in group["noise"].to_numpy()]
     units = dict(zip(map(str, trace["posterior"].data_vars), parameter_units(trace), strict=True))
@@ -385,7 +385,7 @@ def noise_sd(trace: xr.DataTree, mode: str) -> float:
 
 
 def _quantities(trace: xr.DataTree, level: float) -> list[Check]:
-    """Return a check of each datum that is not of modes: whether the updated model gives it."""
+    """Return a check of each datum that is not of modes: whether the updated model reproduces it."""
     group = trace[QUANTITIES].to_dataset()
     found, limit = [], level / (2 * group.sizes["datum"])
     for label in map(str, group["datum"].to_numpy()):

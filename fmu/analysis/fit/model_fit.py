@@ -91,7 +91,7 @@ class ModelFit:
 
     @property
     def against(self) -> tuple[str, ...]:
-        """What the checks that failed found, a sentence each, the least probable first."""
+        """The findings of the checks that failed, a sentence each, the least probable first."""
         return tuple(check.sentence for check in failed_checks(self.checks))
 
     @property
@@ -117,7 +117,7 @@ class ModelFit:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """How often a correct model would fail, and what inferred noise is beside what its prior expected."""
+        """The false-alarm rate of the checks, and inferred noise beside its prior."""
         level = () if self.verdict in (UNKNOWN, NOT_TESTABLE) else (self._level,)
         return (*level, *self._noise)
 
@@ -126,7 +126,7 @@ class ModelFit:
 
     @property
     def _could_fail(self) -> tuple[str, ...]:
-        """Say of each kind of check what passed that could have failed, and what says nothing."""
+        """Sentences on the checks that passed: which could have failed, and which test nothing."""
         said = []
         for kind, by in ((PREDICTED, "by the other modes"), (HELD_OUT, "though not used in updating")):
             telling = [check for check in self._of(kind) if check.could_fail and np.isfinite(check.below)]

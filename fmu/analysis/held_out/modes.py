@@ -187,7 +187,7 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
 
 
 def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -> dict[int, HeldOut]:
-    """Return each mode predicted after updating without it, by its number; those that the solves suffice for.
+    """Return each mode predicted after updating without it, by its number, as far as the solves suffice.
 
     First all by the same candidates; those that these do not cover well by candidates of their own. The results
     are remembered: they depend on the problem alone, and not on the draws, so that one serves all samplers.

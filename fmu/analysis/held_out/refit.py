@@ -52,7 +52,7 @@ _SHARE, _COMPARED, _SLIGHT = 0.75, 128, 0.5
 
 @dataclass(frozen=True, eq=False)
 class Approximation:
-    """What is known of a posterior before it is sampled by importance, scaled.
+    """Gaussians that approximate a posterior, from which importance sampling draws, scaled.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What ends an ascent: a vanishing gradient, a wall, a kink or jump of the log-probability, or nothing.
+"""The end of an ascent: a vanishing gradient, a wall, a kink or jump of the log-probability, or a slope.
 
 Where computed modes swap or coincide, the log-probability of paired modes has a kink or, with shapes, a jump. An
 ascent that meets a jump ends there with a gradient that points across it: the place is no maximum, and the
@@ -99,5 +99,5 @@ def basin(model: Quadratic, kind: str, at_bound: FloatArray | IntArray) -> Quadr
 
 
 def are_negligible(log_prob: FloatArray, ndim: int) -> BoolArray:
-    """Say of places with the log-probabilities (n,) whether each is too low to have mass, however wide it is."""
+    """Return whether each place, with log-probability (n,), is too low to have mass, however wide it is."""
     return np.asarray(log_prob < np.max(log_prob) - _LOW - _WIDER * ndim)

@@ -28,7 +28,7 @@ _ABOVE = 0.1
 
 
 class Comparison(NamedTuple):
-    """How the draws of a run are divided among the maxima, beside what the maxima hold.
+    """Shares of a run's draws around the maxima, beside the shares of the maxima.
 
     Attributes
     ----------

@@ -188,7 +188,7 @@ class Maxima:
 
     @property
     def are_weighed(self) -> bool:
-        """Whether those that matter are maxima, and enough effective draws tell their mass."""
+        """Whether all places with mass are maxima, each weighed by enough effective draws."""
         return self.effective_draws >= RELIABLE and all(m.is_maximum for m in self.maxima if m.share > NEGLIGIBLE)
 
     @property
@@ -298,7 +298,7 @@ class Maxima:
         ]
 
     def as_text(self, most_rows: int | None = None) -> str:
-        """Return the table as text; of one with more rows only how probable the maxima are."""
+        """Return the table as text; if it has more rows, only the probabilities of the maxima."""
         table = self.side_by_side()
         if most_rows is not None and len(table) > most_rows:
             table = table.iloc[: len(_PROBABLE), 2:-1]

@@ -155,7 +155,7 @@ def _most_solves(problem: UpdatingProblem) -> float:
 
 
 def _search_plain(density: PlainDensity, starts: int | None, seed: int) -> Maxima:
-    """Search a plain log-density, and say what that cannot exclude."""
+    """Search a plain log-density, and note the doubts that the search leaves."""
     from fmu.posterior.maxima import maxima_from
 
     most = MOST_EVALUATIONS if starts is None else np.inf

@@ -1,4 +1,4 @@
-"""``[model.points]`` and ``[[model.lines]]``: what the pictures show of a structure given by its matrices."""
+"""``[model.points]`` and ``[[model.lines]]``: the lines that pictures draw of a structure given by matrices."""
 
 from __future__ import annotations
 

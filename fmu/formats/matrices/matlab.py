@@ -41,7 +41,7 @@ _HEAD = 4096
 
 
 class _Variable(NamedTuple):
-    """The header of a matrix, and the position of its bytes; of a struct, and which field it is."""
+    """The header of a matrix and the position of its bytes; `field` is its number in a struct."""
 
     kind: int
     shape: tuple[int, ...]

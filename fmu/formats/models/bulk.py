@@ -42,7 +42,7 @@ _SET = ("ASET", "ASET1", "SPC", "SPC1")
 
 @dataclass(eq=False)
 class _Deck:
-    """What is found of a deck."""
+    """The entries of a deck."""
 
     grids: dict[int, tuple[int, FloatArray]] = field(default_factory=dict)
     outputs: dict[int, int] = field(default_factory=dict)

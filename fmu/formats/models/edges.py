@@ -85,7 +85,7 @@ def _outer(faces: IntArray) -> IntArray:
 
 
 def _of_faces(faces: IntArray, coordinates: FloatArray) -> IntArray:
-    """Return the edges of faces: all, or if they are many those that show the shape, see `MOST_EDGES`."""
+    """Return the edges of faces: all, or if they are many, those that show the shape, see `MOST_EDGES`."""
     if not len(faces):
         return np.zeros((0, 2), dtype=np.int64)
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)

@@ -49,7 +49,7 @@ class ModesError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class MeasuredModes:
-    """Frequencies, and what there is of shapes and uncertainty: arguments of `fmu.ModalData`.
+    """Frequencies, with shapes and uncertainty where they are known: arguments of `fmu.ModalData`.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What the data told: prior and posterior of each parameter, and how strongly the modes feel the parameters."""
+"""Information in the data: prior and posterior of each parameter, and sensitivities of the modes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What all figures share: colours of samplers and chains (Okabe & Ito's, colour-blind safe), sizes, units."""
+"""The style of all figures: colours of samplers and chains (Okabe & Ito's, colour-blind safe), sizes, units."""
 
 from __future__ import annotations
 

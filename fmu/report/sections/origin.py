@@ -1,4 +1,4 @@
-"""What a run cost and where it comes from: cost, certificate, settings, versions."""
+"""Cost and origin of a run: cost, certificate, settings, versions."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def cost(run: ReportedRun) -> PageSection:
 
 
 def certificate(run: ReportedRun) -> PageSection | Omitted:
-    """Return how far the reduced model is from the full one at the draws."""
+    """Return the section on the error of the reduced model at the draws."""
     title, attrs = "Certificate of the reduced model", run.trace.attrs
     if "surrogate_solves" in attrs:
         return _of_surrogate(attrs)
@@ -97,7 +97,7 @@ def certificate(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _of_surrogate(attrs: Mapping[Any, Any]) -> PageSection:
-    """Return how far the surrogate of a slow model is from it at draws of the posterior."""
+    """Return the section on the error of the surrogate of a slow model at draws of the posterior."""
     shift, allowed = float(attrs["certificate_shift"]), float(attrs["certificate_shift_tolerance"])
     exact = exact_in_words(attrs)
     if exact:

@@ -1,4 +1,4 @@
-"""What the data can tell, and what the model looks like before updating and after it."""
+"""Identifiability of the parameters, and the model before updating and after it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Several tests of one structure: how much it varies, what the next test will measure, and damage."""
+"""Several tests of one structure: variation between them, prediction of the next one, and damage."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ _ADDRESS = ' xmlns="http://www.w3.org/2000/svg"'
 
 
 def population(run: ReportedRun) -> PageSection | Omitted:
-    """Return how much the structure varies between the tests, and what the next one will measure."""
+    """Return the section on the variation of the structure between the tests, and on the next test."""
     title = "Variability between tests"
     if not has(run.trace, "tests"):
         return Omitted(title, ONE_TEST)

@@ -1,4 +1,4 @@
-"""What updating changed: parameters, frequencies, the maxima of the posterior and the evidence."""
+"""The effect of updating: parameters, frequencies, the maxima of the posterior and the evidence."""
 
 from __future__ import annotations
 

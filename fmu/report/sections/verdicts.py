@@ -1,4 +1,4 @@
-"""The first screen: what changed, how sure that is, what stays open, fit and convergence."""
+"""The first screen: changes, their certainty, undetermined parameters, fit and convergence."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ _INCLUDE = re.compile(r"\s*INCLUDE(?=[\s'\"=])\s*=?\s*(.*)", re.IGNORECASE)
 
 @dataclass
 class _Count:
-    """What has been opened of a deck."""
+    """The number and the size of the files read for a deck."""
 
     files: int = 0
     size: int = 0
