@@ -25,7 +25,7 @@ from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.static import TRANSLATIONS, rigid_translation
 from fmu.fem.pairing.correlation import LOOK_AT_SENSORS
 from fmu.fem.pairing.paired_model import elsewhere
-from fmu.numbers import fixed, given, listed, names_in_words, shown, significant, with_sd
+from fmu.numbers import customary_unit, fixed, given, listed, names_in_words, significant, with_sd
 from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions, assumptions
 from fmu.posterior.joint.joint_problem import JointProblem
 from fmu.posterior.parameters import prior_in_words
@@ -74,7 +74,7 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
     """Return one row per parameter: unit, start, bounds, prior in words, and the matrices that it changes."""
     rows = []
     for k, parameter in enumerate(problem.parameters):
-        found, unit = problem.model.matrices_of(k), shown(parameter.unit)
+        found, unit = problem.model.matrices_of(k), customary_unit(parameter.unit)
         changes = "" if found is None else _changes(*found)
         if k >= problem.model.n_parameters:
             changes = "measurement errors"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fmu.numbers import decimals, fixed, interval, share, shown
+from fmu.numbers import customary_unit, decimals, fixed, interval, share
 from fmu.tables import text_table, wrap_text
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def echo_losses(trace: xr.DataTree, diagnosis: Diagnosis, beyond: Sequence[float
             if name == ANY:
                 rows.append(["the largest", "", "", *cells])
                 continue
-            unit = shown(trace["tests"][name].attrs.get("units", ""))
+            unit = customary_unit(trace["tests"][name].attrs.get("units", ""))
             before, after = (values.loc[(state, name), when] / unit.factor for when in ("before", "after"))
             places = decimals(abs(before) * sd)
             label = f"{name} ({unit.name})" if unit.name else str(name)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from fmu.numbers import MISSING, apart, fixed, rounded, shown, significant
+from fmu.numbers import MISSING, apart, customary_unit, fixed, round_by_sd, significant
 from fmu.tables import text_table, wrap_text
 
 if TYPE_CHECKING:
@@ -56,7 +56,10 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
     n_scores = len(table) - len(told)
     table = table.loc[[name for name in told if not is_loss(trace, name)]]
     table.attrs = attributes
-    columns, units = {"": list(map(str, table.index))}, [shown(table.attrs["units"][name]) for name in table.index]
+    columns, units = (
+        {"": list(map(str, table.index))},
+        [customary_unit(table.attrs["units"][name]) for name in table.index],
+    )
     for column in _beside_the_ends(list(map(str, table.columns))):
         scales = (1.0 if column in _DECIMALS else unit.factor for unit in units)
         cells = zip(table[column], table["sd"], scales, strict=True)
@@ -157,7 +160,7 @@ def _summary_cell(name: str, value: float, sd: float) -> str:
     if name in _DECIMALS:
         return fixed(value, _DECIMALS[name])
     is_spread = name == "sd" or name.startswith("mcse_")
-    return apart(value, digits=2)[0] if is_spread else rounded(value, sd)
+    return apart(value, digits=2)[0] if is_spread else round_by_sd(value, sd)
 
 
 def _beside_the_ends(columns: list[str]) -> list[str]:

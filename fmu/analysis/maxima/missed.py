@@ -14,7 +14,7 @@ from fmu.analysis.convergence.effective import by_walker, ess_mean, mcse_mean
 from fmu.analysis.convergence.remedies import for_chains_apart, for_missed_maximum
 from fmu.analysis.maxima.results import NEGLIGIBLE, Maxima, mass_in_words, theta_in_words
 from fmu.analysis.trace.reading import array_of, parameter_draws, parameter_names, parameter_units, walkers_of
-from fmu.numbers import apart, rounded, share, whole
+from fmu.numbers import apart, round_by_sd, share, whole
 from fmu.types import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -227,7 +227,7 @@ def _whereabouts(nearest: IntArray, maxima: Maxima) -> str:
         where = "near no maximum"
         if k >= 0:
             where = (
-                f"around {_name(maxima, k)} (log-probability {rounded(maxima[k].log_prob, 1.0)}, "
+                f"around {_name(maxima, k)} (log-probability {round_by_sd(maxima[k].log_prob, 1.0)}, "
                 f"{mass_in_words(maxima[k].share)} of the probability)"
             )
         parts.append(f"{count} {kind}{'s are' if count > 1 else ' is'} {where}")

@@ -12,7 +12,7 @@ import numpy as np
 
 from fmu.analysis.maxima.kinds import EDGE, JUMP, KINK, MAXIMUM, SLOPE, are_negligible, basin
 from fmu.analysis.trace.provenance import configuration_hash
-from fmu.numbers import apart, given, hertz, rounded, share, shown, significant, with_unit
+from fmu.numbers import apart, customary_unit, given, hertz, round_by_sd, share, significant, with_unit
 from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.tables import data_frame, distinct, text_table, wrap_text
 from fmu.types import FloatArray, IntArray
@@ -262,11 +262,11 @@ class Maxima:
 
         best = self.maxima[:most]
         rows = [
-            ["", "", *(rounded(m.log_prob, 1.0) for m in best), ""],
+            ["", "", *(round_by_sd(m.log_prob, 1.0) for m in best), ""],
             ["", "", *(share_of_mass(m.share) for m in best), ""],
             ["", "", *(str(m.starts) for m in best), ""],
         ]
-        for k, (factor, unit) in enumerate(map(shown, self.units)):
+        for k, (factor, unit) in enumerate(map(customary_unit, self.units)):
             sd = min((float(m.sd[k]) for m in best if m.share > NEGLIGIBLE and m.sd[k] > 0), default=np.nan)
             values = (float(x[k]) / factor for x in (self.start, *(m.theta for m in best)))
             rows.append([unit, *apart(*values, sd=sd / factor), ""])

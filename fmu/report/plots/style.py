@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fmu.analysis.trace.reading import walkers_of
 from fmu.fem.frame import drawing
-from fmu.numbers import Unit, shown
+from fmu.numbers import Unit, customary_unit
 from fmu.samplers.registry import SAMPLERS, sampler_class
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def legend_of_chains(figure: Figure, trace: xr.DataTree) -> None:
 
 def unit_of(trace: xr.DataTree, name: str) -> Unit:
     """Return the unit in which a parameter of a trace is shown."""
-    return shown(trace["posterior"][name].attrs.get("units", ""))
+    return customary_unit(trace["posterior"][name].attrs.get("units", ""))
 
 
 def finish(axes: Axes, x: str = "", y: str = "") -> None:

@@ -16,6 +16,7 @@ from fmu.analysis.trace.reading import constant, is_pseudo, mode_names, walkers_
 from fmu.numbers import (
     MISSING,
     change,
+    customary_unit,
     decimals,
     fixed,
     given,
@@ -23,9 +24,8 @@ from fmu.numbers import (
     hertz,
     interval,
     names_in_words,
-    rounded,
+    round_by_sd,
     share,
-    shown,
     significant,
     whole,
 )
@@ -206,14 +206,14 @@ def _maxima_table(run: ReportedRun, found: Maxima, seen: Visits) -> PageTable:
     names = tuple(found.title(k) for k in range(len(best)))
     nothing = (MISSING,) * 2
     rows = [
-        ("log-probability", "nats", MISSING, *(rounded(m.log_prob, 1.0) for m in best), *nothing),
+        ("log-probability", "nats", MISSING, *(round_by_sd(m.log_prob, 1.0) for m in best), *nothing),
         ("share", "", MISSING, *(share_of_mass(m.share) for m in best), *nothing),
         ("starts", "", MISSING, *(str(m.starts) for m in best), *nothing),
     ]
     if len(found) > 1:
         rows.insert(2, ("share of the draws", "", MISSING, *_shares_of_draws(seen)[: len(best)], *nothing))
     for k, (name, si) in enumerate(zip(found.names, found.units, strict=True)):
-        unit = shown(si)
+        unit = customary_unit(si)
         n = decimals(run.value(name, "sd"))
         values = [found.start[k], *(m.theta[k] for m in best), float(run.summary["mean"][name])]
         rows.append((name, unit.name, *(fixed(value / unit.factor, n) for value in values), MISSING))
