@@ -56,10 +56,8 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
     n_scores = len(table) - len(told)
     table = table.loc[[name for name in told if not is_loss(trace, name)]]
     table.attrs = attributes
-    columns, units = (
-        {"": list(map(str, table.index))},
-        [customary_unit(table.attrs["units"][name]) for name in table.index],
-    )
+    columns = {"": list(map(str, table.index))}
+    units = [customary_unit(table.attrs["units"][name]) for name in table.index]
     for column in _beside_the_ends(list(map(str, table.columns))):
         scales = (1.0 if column in _DECIMALS else unit.factor for unit in units)
         cells = zip(table[column], table["sd"], scales, strict=True)
