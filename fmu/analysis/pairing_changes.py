@@ -54,10 +54,10 @@ class PairingChanges:
     project : int
         Number of draws examined for `changed` and `gap`.
     changed : ndarray, shape (n_modes,)
-        Share of these in which another computed mode (block, or number within it) answers to the measured one than
-        at the most probable draw.
+        Share of these draws that pair the measured mode with another computed mode (block, or number within it)
+        than the most probable draw does.
     jumps : int
-        In how many of these that holds for any mode.
+        Number of these draws with such a change in any mode.
     gap : ndarray, shape (n_modes,)
         How near in frequency another computed mode came, relative, at the nearest of these draws; infinite where
         there is no other. Where the pairing is constant, of the paired modes alone, over all draws.

@@ -104,7 +104,7 @@ class WatchServer(ThreadingHTTPServer):
     def stop_run(self) -> str:
         """Send the process of the run SIGTERM; return why that is not possible, or nothing.
 
-        A reading under way is not waited for long: then the one before it says which process that is.
+        It waits only briefly for a reading under way; otherwise the reading before it tells the process.
         """
         reading = self._reading
         if self._lock.acquire(timeout=_PATIENCE):

@@ -297,9 +297,9 @@ def _tests(trace: xr.DataTree, level: float) -> list[Check]:
 
 
 def _follows(trace: xr.DataTree, larger: float) -> str:
-    """Return why residuals that could be `larger` times as large are no check; empty if they are one.
+    """Say why residuals that could be `larger` times as large are no check; empty if they are one.
 
-    With a degree of freedom left there are errors that no parameter can follow, however well it follows these.
+    With a degree of freedom left, parameters cannot fit every error, even where they fit these errors well.
     """
     if larger <= _MOST or int(trace[GROUP].attrs["n_data"]) > len(parameter_units(trace)):
         return ""

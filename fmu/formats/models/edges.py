@@ -33,7 +33,7 @@ SOLID_EDGES = {
 def edges(mesh: Mesh | ExportedModel) -> IntArray:
     """Return the rows of `mesh.nodes` at both ends of each line to draw, shape (n_lines, 2), each once.
 
-    Midside nodes are left out. Of solids the surface is drawn.
+    Midside nodes are left out. Solids are drawn by their surfaces.
     """
     lines, faces = _lines_and_faces(mesh)
     drawn = [lines, _of_faces(faces, mesh.coordinates)]

@@ -81,7 +81,7 @@ def read_f06(
 def computed_f06(path: Path, sensors: Sensors, deck: Path) -> Computed:
     """Return all modes of an F06 file, see `fmu.formats.modes.measured_modes.ModesFormat`.
 
-    The axes of nodes are those of the deck that the program had, if that is bulk data.
+    Nodes have the axes that the deck of the program gives them, if it is bulk data.
     """
     return _read_printed(path, sensors, deck if deck.suffix.lower() in BULK_DATA else None)[:2]
 

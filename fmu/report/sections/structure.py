@@ -108,7 +108,7 @@ def _drawn_directions(found: Information) -> PageTable:
 def directions(found: Identifiability, lead: str, drawn: FloatArray | None = None) -> PageTable:
     """Return the directions of a linearised model; the caption begins with `lead`.
 
-    With `drawn` (`fmu.analysis.information.left_along`) what the draws have left along the same directions.
+    With `drawn` (`fmu.analysis.information.left_along`) a column has the spread of the draws along each direction.
     """
     rows = tuple(
         (
