@@ -210,8 +210,8 @@ class InitialModes:
     def table(self) -> pd.DataFrame:
         """Return one row per computed mode: number, Hz, measured mode, error in %, MAC, energy, seen or not.
 
-        ``subspace_mac`` is that of a group of close modes (`fmu.fem.pairing.correlation`), ``mpc`` that of
-        measured shapes which were complex.
+        ``subspace_mac`` belongs to a group of close modes (`fmu.fem.pairing.correlation`), ``mpc`` to a
+        measured shape that was complex.
         """
         import pandas as pd
 

@@ -32,7 +32,7 @@ _THINNED = 4
 
 
 def wants_surrogate(problem: UpdatingProblem, asked: bool | None) -> bool:
-    """Return whether a surrogate is to be learnt: as asked for, or where a solve of a user's function is slow.
+    """Return whether to learn a surrogate: on request, or where a solve of a user's function is slow.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def with_surrogate(
 
 
 def _budget(problem: UpdatingProblem, orders: Mapping[str, Any]) -> int:
-    """Return how many solves a surrogate may take: as asked for, but for exact draws some must be left."""
+    """Return the limit of solves of a surrogate: the requested one, but at most the default for exact draws."""
     from fmu.surrogates.learning import most_solves
 
     by_default, most = most_solves(problem), int(orders["max_solves"])
@@ -100,7 +100,7 @@ def may_learn_more(problem: UpdatingProblem, orders: Mapping[str, Any]) -> bool:
 
 
 def of_its_surrogate(asked: KeptProblem, problem: UpdatingProblem, running: RunDirectory) -> KeptProblem:
-    """Note in the options of a run which solves its surrogate has learnt from; return them.
+    """Note the solves from which the surrogate of a run learnt in the options of the run; return them.
 
     A run that is resumed with more solves has another surrogate. What was drawn of the earlier one is removed.
     """
@@ -119,7 +119,7 @@ def of_its_surrogate(asked: KeptProblem, problem: UpdatingProblem, running: RunD
 def exact_draws(
     problem: UpdatingProblem, name: str, *, until_ess: float, most: int | None, workers: Engine, **arguments: Any
 ) -> xr.DataTree:
-    """Return exact draws with the surrogate's as proposals: as many of these as are needed, of a longer run if so.
+    """Return exact draws that have a surrogate's draws as proposals, from a longer run if more are needed.
 
     Parameters
     ----------

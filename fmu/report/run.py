@@ -53,7 +53,7 @@ class ReportedRun:
 
     @property
     def title(self) -> str:
-        """The full name of the sampler, or the name of the run if that is not the name of a sampler."""
+        """The full name of the sampler; the name of the run if that names no sampler."""
         return TITLES.get(self.name, self.name)
 
     @property

@@ -22,7 +22,7 @@ _TRIES = 5
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a group of chains has got, or all groups of a sampler together. NaN and None mean not known.
+    """The progress of a group of chains, or of all groups of a sampler together. NaN and None mean not known.
 
     Attributes
     ----------

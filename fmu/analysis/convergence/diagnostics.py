@@ -294,7 +294,7 @@ def _trajectories(trace: xr.DataTree) -> list[str]:
 
 
 def _trajectories_that_diverged(trace: xr.DataTree) -> FloatArray:
-    """Say of each trajectory whether it diverged; of none where most steps are candidates of a mixture.
+    """Return whether each trajectory diverged; none if most steps are candidates of a mixture.
 
     A trajectory that diverges stays where it began. The candidates do not depend on that place, and how well they
     fit the posterior shows in their weights.

@@ -144,7 +144,7 @@ def approximation(problem: UpdatingProblem, near: FloatArray, rng: np.random.Gen
 def cheaper(problem: UpdatingProblem, u: FloatArray, log_p: FloatArray) -> UpdatingProblem:
     """Return the problem by `_SHARE` of the reduced basis, if log P at the highest of its points hardly changes.
 
-    Chains on it are for proposals, which need not be exact.
+    Its chains only make proposals, which need not be exact.
     """
     if problem.model.coarser(_SHARE) is problem.model:
         return problem

@@ -106,7 +106,7 @@ def _scatter_starts(density: PlainDensity, n: int, seed: int) -> FloatArray:
 def worth_starting_from(density: LogDensity, maxima: Maxima) -> Maxima | None:
     """Return the maxima of a plain log-density if chains had better start there than from its prior, else None.
 
-    They had if there are several, or no prior, and if the maxima are where the mass is: not those of a funnel.
+    That is so with several maxima, or without a prior, if the mass is around the maxima, unlike in a funnel.
     """
     several = sum(m.share > NEGLIGIBLE for m in maxima) > 1
     return maxima if maxima.are_weighed and (several or not hasattr(density, "sample_prior")) else None

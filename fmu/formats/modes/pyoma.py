@@ -130,8 +130,8 @@ def pyoma_modes(
 def _unit_sd(shapes: FloatArray, phi_std: FloatArray) -> FloatArray | None:
     """Return standard deviations of shapes of unit length (n_sensors, n_modes); None for one sensor.
 
-    The component that scales a shape has none. It is given one so small that the ratios of the others to it keep
-    theirs: with σ_0 = `FIXED` times the least of the others, a variance changes by less than `FIXED`² of it.
+    The component that scales a shape has no standard deviation. It gets `FIXED` times the smallest of the others,
+    so that no variance of a ratio changes by more than `FIXED`² of itself.
     """
     if not np.all(np.isfinite(phi_std)) or np.any(phi_std < 0.0):
         raise ArgumentError("Phi_std", "must be finite and not negative")

@@ -16,8 +16,8 @@ LARGEST_ID = 10**9
 def cards(lines: Iterator[str]) -> Iterator[tuple[str, list[str]]]:
     """Yield the name and the fields of each entry, in upper case and without blanks around them.
 
-    Continuations are taken to follow the entry that they continue. What stands before the bulk data is yielded
-    too: its lines do not begin with the names of entries that have a meaning here.
+    Continuations must follow the entry that they continue. Lines before the bulk data are yielded too: none begins
+    with the name of an entry that fmu reads.
 
     Raises
     ------
