@@ -99,7 +99,7 @@ class ArgumentError(ValueError):
         """Return the error with its key below a place: ``lower`` under ``parameters.1``."""
         return self.at(".".join(filter(None, (place, self.key))))
 
-    def moved(self, old: str, new: str) -> Self:
+    def replace_key(self, old: str, new: str) -> Self:
         """Return the error with another key in place of an old one, also where the old one is the first part."""
         rest = f"{self.key}.".removeprefix(f"{old}.")
         return self if rest == f"{self.key}." else self.at(rest[:-1]).under(new)

@@ -56,7 +56,7 @@ def digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def signed(title: str, payload: bytes) -> bytes:
+def add_checksum(title: str, payload: bytes) -> bytes:
     """Return the content of a file: its title, the checksum of the payload, and the payload."""
     return f"{title}\n{digest(payload)}\n".encode() + payload
 
@@ -67,7 +67,7 @@ def payload_of(title: str, content: bytes) -> bytes:
     Raises
     ------
     DamagedError
-        If the content is not one that `signed` returned with this title.
+        If the content is not one that `add_checksum` returned with this title.
     """
     head = len(title) + 1
     if content[:head] != f"{title}\n".encode():

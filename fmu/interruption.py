@@ -16,7 +16,7 @@ _HAS_TIMER = hasattr(signal, "setitimer")  # not on Windows
 
 
 class _Stop:
-    """The handlers of the signals, and what they know.
+    """The handlers of the signals, and the signals that have come.
 
     Attributes
     ----------

@@ -39,16 +39,16 @@ class Unit(NamedTuple):
         return f"{quantity} / {self.name}" if self.name else quantity
 
 
-def shown(unit: str) -> Unit:
+def customary_unit(unit: str) -> Unit:
     """Return the customary unit for numbers in `unit`: the unit itself if there is no other."""
     return Unit(*_SHOWN.get(unit, (1.0, unit)))
 
 
 def with_unit(value: float, unit: str, sd: float = math.nan) -> str:
     """Format a value in an SI unit with the customary one, to the digits that `sd` supports: ``"170 GPa"``."""
-    factor, name = shown(unit)
+    factor, name = customary_unit(unit)
     value, sd = value / factor, sd / factor
-    return f"{given(value) if math.isnan(sd) else rounded(value, sd)} {name}".rstrip()
+    return f"{given(value) if math.isnan(sd) else round_by_sd(value, sd)} {name}".rstrip()
 
 
 def decimals(spread: float) -> int:
@@ -60,7 +60,7 @@ def decimals(spread: float) -> int:
 
 def fixed(value: float | None, places: int) -> str:
     """Format with a number of decimals; a dash for None, NaN and infinity."""
-    return MISSING if value is None or not math.isfinite(value) else _signed(f"{value:.{places}f}")
+    return MISSING if value is None or not math.isfinite(value) else _drop_sign_of_zero(f"{value:.{places}f}")
 
 
 def significant(value: float | None, digits: int = 3) -> str:
@@ -75,7 +75,7 @@ def significant(value: float | None, digits: int = 3) -> str:
     return _power(text)
 
 
-def rounded(value: float, sd: float, digits: int = 4) -> str:
+def round_by_sd(value: float, sd: float, digits: int = 4) -> str:
     """Format to two significant digits of the standard deviation.
 
     Parameters
@@ -91,7 +91,7 @@ def rounded(value: float, sd: float, digits: int = 4) -> str:
 def with_sd(value: float, sd: float) -> str:
     """Format a value with its standard deviation: ``"41.26 ± 0.15"``, ``"1.729e11 ± 0.022e11"``."""
     if not (math.isfinite(value) and math.isfinite(sd) and sd > 0):
-        return f"{rounded(value, math.nan)} ± {significant(sd, 2)}"
+        return f"{round_by_sd(value, math.nan)} ± {significant(sd, 2)}"
     largest, place = max(abs(value), sd), max(_last_place(sd, 2), _last_place(value, _MOST_DIGITS))
     if _is_plain(largest):
         return f"{_at(value, place, True)} ± {_at(sd, place, True)}"
@@ -196,7 +196,7 @@ def share(part: float, digits: int = 2) -> str:
         return "> 99.99 %"
     place = min(_last_place(100.0 * part, digits), _last_place(100.0 * (1.0 - part), digits - 1))
     text = f"{100.0 * part:.{max(0, -place)}f}"
-    return f"{_signed(text.rstrip('0').rstrip('.') if '.' in text else text)} %"
+    return f"{_drop_sign_of_zero(text.rstrip('0').rstrip('.') if '.' in text else text)} %"
 
 
 def change(ratio: float) -> str:
@@ -211,7 +211,7 @@ def change(ratio: float) -> str:
     if ratio == 0.0:
         return "0 %"
     places = min(2, max(0, -_last_place(100.0 * ratio, 3)))
-    return _signed(f"{100.0 * ratio:+.{places}f} %")
+    return _drop_sign_of_zero(f"{100.0 * ratio:+.{places}f} %")
 
 
 def whole(value: Any) -> str:
@@ -252,9 +252,9 @@ def _is_plain(scale: float) -> bool:
 
 
 def _at(value: float, place: int, is_plain: bool) -> str:
-    """Format a number whose last digit stands for 10^place, written out or with a power of ten."""
+    """Format a number to the place of 10^place, written out or with a power of ten."""
     if is_plain:
-        return _signed(f"{value:.{max(0, -place)}f}")
+        return _drop_sign_of_zero(f"{value:.{max(0, -place)}f}")
     digits = _exponent(value) - place
     if value == 0.0 or digits < 0:
         near = round(value / 10.0**place) if value else 0
@@ -269,11 +269,11 @@ def _infinite(value: float) -> str:
 def _power(text: str) -> str:
     """Write a power of ten without a plus sign and leading zeros."""
     mantissa, e, exponent = text.partition("e")
-    return _signed(f"{mantissa}e{int(exponent)}" if e else mantissa)
+    return _drop_sign_of_zero(f"{mantissa}e{int(exponent)}" if e else mantissa)
 
 
-def _signed(text: str) -> str:
-    """Write no minus before a zero."""
+def _drop_sign_of_zero(text: str) -> str:
+    """Write a zero without a minus."""
     if text.startswith("-") and not any(digit in "123456789" for digit in text.partition("e")[0]):
         text = text[1:]
     return text

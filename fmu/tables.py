@@ -49,12 +49,12 @@ def text_table(
     width : int
     """
     columns = [[str(cell) for cell in column] for column in zip(header, *rows, strict=True)]
-    widths = _folded([max(map(len, column)) for column in columns], words, width)
+    widths = _fold_columns([max(map(len, column)) for column in columns], words, width)
     blocks = _blocks(widths, width)
     return "\n\n".join("\n".join(_lines(columns, widths, words, block)) for block in blocks)
 
 
-def wrapped(text: str, first: str = "", others: str = "", width: int = WIDTH) -> str:
+def wrap_text(text: str, first: str = "", others: str = "", width: int = WIDTH) -> str:
     """Return a text in indented lines that fit on a terminal; words are not broken."""
     return textwrap.fill(
         text, width, initial_indent=first, subsequent_indent=others, break_long_words=False, break_on_hyphens=False
@@ -71,8 +71,8 @@ def distinct(names: Iterable[str]) -> list[str]:
     return found
 
 
-def _folded(widths: list[int], words: Collection[int], width: int) -> list[int]:
-    """Return the widths of the columns; those of words are narrowed until the table fits, if it can."""
+def _fold_columns(widths: list[int], words: Collection[int], width: int) -> list[int]:
+    """Return the widths of the columns; columns of words are narrowed until the table fits, if it can."""
     widths = list(widths)
     narrowest = [width // 3] + [_NARROWEST] * (len(widths) - 1)  # names of rows are better read in one line
     while sum(widths) + len(_GAP) * (len(widths) - 1) > width:

@@ -81,15 +81,14 @@ def _no_lines_of_a_log():
         yield
 
 
-CERTIFIED = {name: getattr(certificate, name) for name in ("_MOST", "_FEWEST", "_FEWEST_SOLVED", "_WORST")}
+AS_USUAL = certificate.USUAL
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _few_draws_certified():
     """Certify reduced models at a few draws, or that takes longer than most runs; `certified` asks for all."""
     with pytest.MonkeyPatch.context() as patch:
-        for name, n in zip(CERTIFIED, (6, 6, 4, 2), strict=True):
-            patch.setattr(certificate, name, n)
+        patch.setattr(certificate, "USUAL", certificate.Effort(fewest=6, most=6, solved=4, worst=2))
         yield
 
 
@@ -97,8 +96,7 @@ def _few_draws_certified():
 def certified():
     """Certify runs at as many draws as a user's are."""
     with pytest.MonkeyPatch.context() as patch:
-        for name, n in CERTIFIED.items():
-            patch.setattr(certificate, name, n)
+        patch.setattr(certificate, "USUAL", AS_USUAL)
         yield
 
 

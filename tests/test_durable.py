@@ -3,7 +3,7 @@ import os
 
 import pytest
 
-from fmu.durable_files import DamagedError, digest, payload_of, signed, write_durably
+from fmu.durable_files import DamagedError, add_checksum, digest, payload_of, write_durably
 
 TITLE = "fmu test 1"
 
@@ -49,14 +49,14 @@ def test_no_directory(tmp_path):
 
 @pytest.mark.parametrize("payload", [b"", b"x", bytes(range(256)), b"\n\n" * 10])
 def test_signed_content_comes_back(payload):
-    assert payload_of(TITLE, signed(TITLE, payload)) == payload
-    assert signed(TITLE, payload).split(b"\n")[1].decode() == digest(payload)
+    assert payload_of(TITLE, add_checksum(TITLE, payload)) == payload
+    assert add_checksum(TITLE, payload).split(b"\n")[1].decode() == digest(payload)
 
 
 def test_every_damaged_byte_is_found():
     """But for the line break after the checksum, of which nothing depends."""
     payload = b"some payload"
-    content = signed(TITLE, payload)
+    content = add_checksum(TITLE, payload)
     unfound = []
     for i in range(len(content)):
         for flipped in (content[i] ^ 1, content[i] ^ 0x80, 0):
@@ -72,7 +72,7 @@ def test_every_damaged_byte_is_found():
 
 
 def test_every_torn_file_is_found():
-    content = signed(TITLE, b"some payload")
+    content = add_checksum(TITLE, b"some payload")
     for length in range(len(content)):
         with pytest.raises(DamagedError):
             payload_of(TITLE, content[:length])
@@ -82,4 +82,4 @@ def test_every_torn_file_is_found():
 
 def test_another_kind_of_file_is_named():
     with pytest.raises(DamagedError, match="it does not begin with 'fmu test 1'"):
-        payload_of(TITLE, signed("fmu test 2", b"some payload"))
+        payload_of(TITLE, add_checksum("fmu test 2", b"some payload"))

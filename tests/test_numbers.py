@@ -34,7 +34,7 @@ def is_within_half_a_digit(text, value):
 @example(3e-9, 1e-8)
 @example(-0.04, 1.0)
 def test_a_rounded_value_lies_within_half_its_last_digit(value, sd):
-    text = n.rounded(value, sd)
+    text = n.round_by_sd(value, sd)
     said, _ = read(text)
     assert is_within_half_a_digit(text, value) or (said == 0 and abs(value) < 0.1 * sd)
     assert abs(said - value) <= 0.051 * sd + 1e-14 * abs(value)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from fmu.tables import WIDTH, distinct, text_table, wrapped
+from fmu.tables import WIDTH, distinct, text_table, wrap_text
 
 
 def test_columns_are_as_wide_as_their_cells():
@@ -31,7 +31,7 @@ def test_columns_without_room_follow_below(columns):
 
 
 def test_a_sentence_is_wrapped_at_spaces_alone():
-    text = wrapped("a-b " * 40 + "x" * 120, "  - ", "    ")
+    text = wrap_text("a-b " * 40 + "x" * 120, "  - ", "    ")
     *lines, last = text.splitlines()
     assert max(map(len, lines)) <= WIDTH
     assert lines[0].startswith("  - a-b")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,22 +24,52 @@ if TYPE_CHECKING:
 
 
 _AT_ONCE = 16  # draws
-_WORK, _FEWEST, _MOST = 150_000, 64, 512
-"""Degrees of freedom times draws at which the bound is evaluated; at least and at most so many draws."""
-_EACH, _FEWEST_SOLVED, _FEWEST_OF_LARGE, _WORST = 12, 16, 8, 4
-"""One of so many of these draws is solved with the full model, at least so many, or so many where the structure is
-large (`fmu.fem.reduced.confirming.LARGE`), and so many that have the largest bounds."""
 _MOST_BY_FULL = 0.03
 """Share of the draws at which the full model may answer in place of the reduced one without a word."""
-_ROUNDING = 0.01
-"""Part of the tolerance by which the full model's own rounding may exceed the bound."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How many draws a certificate is of.
+
+    Attributes
+    ----------
+    work : int
+        Degrees of freedom times draws at which the bound is evaluated.
+    fewest, most : int
+        At least and at most so many draws.
+    each : int
+        One of so many of these draws is solved with the full model.
+    solved, solved_of_large : int
+        At least so many are solved; of structures with `large` degrees of freedom or more, so many.
+    worst : int
+        So many of them are those with the largest bounds.
+    large : int
+    rounding : float
+        Part of the tolerance by which the full model's own rounding may exceed the bound.
+    """
+
+    work: int = 150_000
+    fewest: int = 64
+    most: int = 512
+    each: int = 12
+    solved: int = 16
+    solved_of_large: int = 8
+    worst: int = 4
+    large: int = LARGE
+    rounding: float = 0.01
+
+
+USUAL = Effort()
 
 
 class CertificateWarning(UserWarning):
     """The reduced model misses its tolerance at retained draws, or the bound of its error."""
 
 
-def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> Certificate | None:
+def certify(
+    trace: xr.DataTree, problem: Any, full_solves: int = 0, effort: Effort | None = None
+) -> Certificate | None:
     """Bound the error of the reduced model at retained draws, and solve some of them with the full model.
 
     The errors of the frequencies are bounded by their residuals (`fmu.fem.reduced.residuals`) at up to 512 draws
@@ -53,6 +84,8 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> Certifica
         The problem that was sampled.
     full_solves : int
         ``problem.model.full_solves`` before the run.
+    effort : Effort, optional
+        `USUAL` by default.
 
     Returns
     -------
@@ -76,9 +109,10 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> Certifica
     draws = np.unique(parameter_draws(trace).reshape(-1, problem.ndim), axis=0)
     rng = np.random.default_rng(int(trace.attrs["seed"]))
     largest = max(len(block.dofs) for one in parts for block in one.truth.blocks)
-    enough = _FEWEST_OF_LARGE if largest >= LARGE else _FEWEST_SOLVED
-    fewest, fewest_solved, worst = (-(-n // model.n_tests) for n in (_FEWEST, enough, _WORST))
-    most = int(np.clip(_WORK // (largest * model.n_tests), fewest, _MOST))
+    effort = effort or USUAL
+    enough = effort.solved_of_large if largest >= effort.large else effort.solved
+    fewest, fewest_solved, worst = (-(-n // model.n_tests) for n in (effort.fewest, enough, effort.worst))
+    most = int(np.clip(effort.work // (largest * model.n_tests), fewest, effort.most))
     outside = float(np.mean(model.of_modes(draws, _is_outside)))
     theta = draws[rng.permutation(len(draws))[:most]]
     bound = np.concatenate(
@@ -88,7 +122,7 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> Certifica
     # where a basis is poor is not left to chance
     solved = np.argsort(-np.max(bound, axis=1), kind="stable")[:worst]
     others = np.setdiff1d(np.arange(n_bounded), solved)
-    solved = np.concatenate([solved, others[: max(n_bounded // _EACH, fewest_solved) - worst]])
+    solved = np.concatenate([solved, others[: max(n_bounded // effort.each, fewest_solved) - worst]])
     theta = theta[solved]
     exact = np.concatenate(by_parts("certificate", lambda part: model.of_modes(part, _by_full), theta, _AT_ONCE))
     found = model.of_modes(theta, _by_reduced)
@@ -104,7 +138,7 @@ def certify(trace: xr.DataTree, problem: Any, full_solves: int = 0) -> Certifica
         log_prob_error = float(np.max(np.abs(np.sum(of_reduced - of_exact, axis=1)[plausible])))
     changed = np.any(exact[..., 1:] != found[..., 1:], axis=(1, 2))
     # with another pairing these are not the modes that were bounded
-    exceeded = ~changed & np.any(errors > bound[solved] + _ROUNDING * tolerance.frequency, axis=1)
+    exceeded = ~changed & np.any(errors > bound[solved] + effort.rounding * tolerance.frequency, axis=1)
     certificate = ReductionCertificate(
         draws=len(theta),
         frequency_error=frequency_error,
@@ -147,7 +181,7 @@ def certificate_failures(attrs: Mapping[Any, Any]) -> list[str]:
 
 
 def exact_in_words(attrs: Mapping[Any, Any]) -> list[str]:
-    """Return what delayed acceptance made of a surrogate's draws, in sentences; none if it was not asked for."""
+    """Return sentences on the second stage of delayed acceptance; none if the run has none."""
     if "second_stage_proposals" not in attrs:
         return []
     proposals, accepted, failed = (
@@ -186,13 +220,13 @@ def _by_full_too_often(outside: float) -> str:
 
 
 def _by_full(structure: Any, points: FloatArray) -> FloatArray:
-    return _stacked(structure.confirmed_modes(points))
+    return _stack_modes(structure.confirmed_modes(points))
 
 
 def _by_reduced(structure: Any, points: FloatArray) -> FloatArray:
-    return _stacked(structure.modes(points))
+    return _stack_modes(structure.modes(points))
 
 
-def _stacked(modes: Any) -> FloatArray:
+def _stack_modes(modes: Any) -> FloatArray:
     """Return eigenvalue, block and rank of each mode, (n, n_modes, 3)."""
     return np.stack([modes.eigenvalues, modes.block, modes.rank], axis=2)

@@ -1,4 +1,4 @@
-"""A problem before sampling: its model, its modes, its gradient, what its data can tell."""
+"""A problem before sampling: its model, its modes, its gradient, and the identifiability of its parameters."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from fmu.fem.modes.static import TRANSLATIONS, rigid_translation
 from fmu.fem.pairing.correlation import LOOK_AT_SENSORS
 from fmu.fem.pairing.paired_structure import structure_of
 from fmu.fem.reduced.reduced_structure import largest_tolerance_elsewhere
-from fmu.numbers import fixed, given, listed, names_in_words, shown, significant, with_sd
+from fmu.numbers import customary_unit, fixed, given, listed, names_in_words, significant, with_sd
 from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions, assumptions
 from fmu.posterior.joint.joint_problem import JointProblem
 from fmu.posterior.parameters import prior_in_words
 from fmu.posterior.prior_doubts import prior_doubts
-from fmu.tables import data_frame, text_table, wrapped
+from fmu.tables import data_frame, text_table, wrap_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -72,10 +72,10 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
 
 
 def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
-    """Return one row per parameter: unit, start and bounds in it, prior in words, what it changes if known."""
+    """Return one row per parameter: unit, start, bounds, prior in words, and the matrices that it changes."""
     rows = []
     for k, parameter in enumerate(problem.parameters):
-        found, unit = problem.model.matrices_of(k), shown(parameter.unit)
+        found, unit = problem.model.matrices_of(k), customary_unit(parameter.unit)
         changes = "" if found is None else _changes(*found)
         if k >= problem.model.n_parameters:
             changes = "measurement errors"
@@ -153,7 +153,7 @@ def _changes(structure: SeparableModel, j: int) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Check:
-    """What `check` found.
+    """The findings of `check`.
 
     Attributes
     ----------
@@ -268,7 +268,7 @@ class Check:
         """Return the sections below the model: titles, sentences, and tables as text."""
         blocks: list[tuple[str, Iterable[str], pd.DataFrame | None]] = [
             ("Parameters", (), self.parameter_table().reset_index(names="")),
-            *self._assumed(),
+            *self._assumption_block(),
             *self._points(),
             ("Modes at the start", self.modes.notes, self.mode_table()),
             *self._sensors(),
@@ -305,7 +305,7 @@ class Check:
         title = "Sensors" if every else f"The {len(worst)} sensors with the largest ECoMAC"
         return [(title, (LOOK_AT_SENSORS,), worst)]
 
-    def _assumed(self) -> list[tuple[str, Iterable[str], pd.DataFrame | None]]:
+    def _assumption_block(self) -> list[tuple[str, Iterable[str], pd.DataFrame | None]]:
         import pandas as pd
 
         if self.assumptions is None:
@@ -327,7 +327,7 @@ class Check:
         """Return the warnings as a list, or that there are none."""
         if not self.doubts:
             return "No warnings."
-        return "Warnings\n" + "\n".join(wrapped(doubt, "  - ", "    ") for doubt in self.doubts)
+        return "Warnings\n" + "\n".join(wrap_text(doubt, "  - ", "    ") for doubt in self.doubts)
 
     def _repr_html_(self) -> str:
         def words(title: str, sentences: Iterable[str]) -> str:
@@ -346,7 +346,7 @@ _WORDS = ("", "point", "sensor", "unit", "prior", "changes", "measured mode", "m
 
 
 def _lines(sentences: Iterable[str]) -> str:
-    return "\n".join(map(wrapped, sentences))
+    return "\n".join(map(wrap_text, sentences))
 
 
 def _as_text(table: pd.DataFrame) -> str:

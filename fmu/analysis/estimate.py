@@ -1,4 +1,4 @@
-"""What a run will cost: model solves, and seconds at the measured cost of one; what a gradient costs."""
+"""The cost of a run in solves and, by the measured time of one, in seconds; and the cost of a gradient."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
             predicted = lines * draws * settings.cost[2]
             found.append(Estimate(f"predictions of {name}", predicted, predicted * one_s))
     if problem.model.sizes:
-        full_s = _timed(lambda: problem.model.truth.frequencies(problem.start[None, : problem.n_structural]))
+        full_s = _time_call(lambda: problem.model.truth.frequencies(problem.start[None, : problem.n_structural]))
         of_each = Estimate("certificate", _CERTIFIED, _CERTIFIED * full_s)
         found += [of_each] * len(orders["samplers"])
     if sum(part.seconds for part in found) < _WORTH_S:
@@ -109,7 +109,7 @@ def estimates_in_words(parts: list[Estimate]) -> str:
     found = []
     for name, solves, seconds, most in parts:
         longest = "" if most is None else f" (at most {whole(most)} solves)"
-        found.append(f"{name}: about {_rounded(solves)} solves, {time_in_words(seconds)}{longest}")
+        found.append(f"{name}: about {_round_number(solves)} solves, {time_in_words(seconds)}{longest}")
     return "; ".join(found)
 
 
@@ -142,10 +142,10 @@ def gradient_cost(density: LogDensity, theta: FloatArray) -> float:
 def seconds_of_a_solve(problem: UpdatingProblem) -> float:
     """Return the time of one solve; for a function, of one call, or of as many as there are different tests."""
     of_calls = problem.model.seconds_at(problem.start[: problem.n_structural])
-    return _timed(lambda: problem.log_prob(problem.start)) if of_calls is None else of_calls
+    return _time_call(lambda: problem.log_prob(problem.start)) if of_calls is None else of_calls
 
 
-def _timed(work: Callable[[], object]) -> float:
+def _time_call(work: Callable[[], object]) -> float:
     """Return the time of a call in seconds; a short call is timed twice, since the first may load modules."""
     took = 0.0
     for _ in range(2):
@@ -181,7 +181,7 @@ def _seconds_in_a_sampler(
     return float(np.median(each_s))  # the first loads modules, and the machine may be busy
 
 
-def _rounded(number: float) -> str:
+def _round_number(number: float) -> str:
     """Return a number in two digits, thousands apart."""
     digits = len(str(int(number))) - 2
     return whole(round(number, -max(digits, 0)))

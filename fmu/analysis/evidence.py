@@ -185,11 +185,11 @@ def _of_mixture(trace: xr.DataTree, method: str) -> Evidence:
     candidates = np.where(np.isfinite(of_candidates), of_candidates, -np.inf)[:, jumped]
     ratio = min(1.0, effective.ess_bulk(of_draws) / of_draws.size)
 
-    def estimated(q: FloatArray, p: FloatArray) -> tuple[float, float]:
+    def estimate(q: FloatArray, p: FloatArray) -> tuple[float, float]:
         return by_importance(q) if method == "importance" else by_bridge(q, p, ratio)
 
-    value, within = estimated(candidates.ravel(), of_draws)
-    alone = [estimated(q, p[None])[0] for q, p in zip(candidates, of_draws, strict=True)]
+    value, within = estimate(candidates.ravel(), of_draws)
+    alone = [estimate(q, p[None])[0] for q, p in zip(candidates, of_draws, strict=True)]
     between, error = _errors(within, alone)
     table = data_frame({"log_evidence": alone}, "chain", range(len(alone)))
     shape = pareto_k(candidates[np.isfinite(candidates)])
@@ -199,10 +199,10 @@ def _of_mixture(trace: xr.DataTree, method: str) -> Evidence:
 def _places_left_out(trace: xr.DataTree) -> tuple[str, ...]:
     """Return why candidates may leave out a part of the posterior, judged by the maxima kept in the trace."""
     from fmu.analysis.convergence.diagnosis import doubts_of_search, maxima_of
-    from fmu.analysis.maxima.missed import compared
+    from fmu.analysis.maxima.missed import compare_shares
 
     known = maxima_of(trace)
-    missed = [] if known is None else compared(trace, known).reasons
+    missed = [] if known is None else compare_shares(trace, known).reasons
     return (*missed[:1], *doubts_of_search(trace, known))
 
 
@@ -381,7 +381,7 @@ def found_evidences(
     if maxima is not None:
         reached = max(float(array_of(trace, "sample_stats", "lp").max()) for trace in traces.values())
         found.append(_of_maxima(maxima, reached))
-    return _compared(found)
+    return _compare_evidences(found)
 
 
 def _of_tempering(name: str, trace: xr.DataTree, verdict: Diagnosis) -> FoundEvidence:
@@ -424,7 +424,7 @@ def _of_maxima(maxima: Maxima, reached: float) -> FoundEvidence:
     return FoundEvidence(maxima.log_evidence, maxima.log_evidence_error, method, tuple(doubts))
 
 
-def _compared(found: list[FoundEvidence]) -> list[FoundEvidence]:
+def _compare_evidences(found: list[FoundEvidence]) -> list[FoundEvidence]:
     """Return the evidences, with a doubt for each that disagrees with a reliable one."""
     reliable = [one for one in found if not one.doubts]
     compared = []

@@ -20,7 +20,7 @@ from fmu.arguments import ArgumentError, check_arguments
 from fmu.box import find_inside
 from fmu.numbers import fixed, names_in_words, share, significant
 from fmu.progress.phases import phase
-from fmu.tables import data_frame, distinct, text_table, wrapped
+from fmu.tables import data_frame, distinct, text_table, wrap_text
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -133,7 +133,7 @@ class Identifiability:
         return data_frame(columns, "direction", range(1, len(s) + 1))
 
     def sentences(self) -> list[str]:
-        """Return in words what the linearised model says of the directions; the bounds are not counted in it."""
+        """Return the findings on the directions of the linearised model, which ignores the bounds, in words."""
         n, k = len(self.names), self.n_informed
         said = [
             f"Linearised, and without the bounds, the data constrain {k} of {n} directions of the parameter space "
@@ -156,7 +156,7 @@ class Identifiability:
         table = self.table()
         rows = [[str(k), *map(significant, row)] for k, row in zip(table.index, table.to_numpy(), strict=True)]
         text = text_table(["", *map(str, table.columns)], rows)
-        return "\n".join([*map(wrapped, self.sentences()), "", "Directions, in prior standard deviations", text])
+        return "\n".join([*map(wrap_text, self.sentences()), "", "Directions, in prior standard deviations", text])
 
     def _repr_html_(self) -> str:
         said = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in self.sentences())
@@ -165,7 +165,7 @@ class Identifiability:
 
 @check_arguments
 def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) -> Identifiability:
-    """Return which directions of the parameter space the data constrain, by a linearised model.
+    """Find the directions of the parameter space that the data constrain, by a linearised model.
 
     Parameters
     ----------
@@ -298,12 +298,15 @@ def left_to_prior(found: Identifiability) -> list[Uninformed]:
         rest = np.flatnonzero(~alone)
         values, rows = np.linalg.svd(S[:, rest])[1:]
         left = rows[np.concatenate([values, np.zeros(len(rest))])[: len(rest)] <= most]
-        for row in eliminated(left):
+        for row in eliminate(left):
             directions.append(np.zeros(n))
             directions[-1][rest] = row / np.linalg.norm(row)
     with np.errstate(divide="ignore", invalid="ignore"):  # a parameter that is 0 has no relative change
         relative = [direction * found.prior_sd / found.theta for direction in directions]
-    return [named(direction, found.names, change) for direction, change in zip(directions, relative, strict=True)]
+    return [
+        name_direction(direction, found.names, change)
+        for direction, change in zip(directions, relative, strict=True)
+    ]
 
 
 def doubts(found: Identifiability) -> list[str]:
@@ -403,7 +406,7 @@ def hardest_pair(found: Identifiability, covariance: FloatArray) -> Pair | None:
     return Pair(names, direction, float(np.sqrt(most)), change, combination(direction, found.names))
 
 
-def eliminated(rows: FloatArray) -> FloatArray:
+def eliminate(rows: FloatArray) -> FloatArray:
     """Return a basis of the span of orthonormal `rows` with zeros in it, by Gauss–Jordan elimination."""
     rows = rows.copy()
     free = np.ones(rows.shape[1], dtype=bool)
@@ -418,7 +421,7 @@ def eliminated(rows: FloatArray) -> FloatArray:
     return rows
 
 
-def named(direction: FloatArray, names: tuple[str, ...], relative: FloatArray) -> Uninformed:
+def name_direction(direction: FloatArray, names: tuple[str, ...], relative: FloatArray) -> Uninformed:
     """Name a direction; `relative` is the change of each parameter along it over its own size."""
     size = np.abs(direction)
     large = np.argsort(-size, kind="stable")
@@ -429,11 +432,11 @@ def named(direction: FloatArray, names: tuple[str, ...], relative: FloatArray) -
         direction,
         tuple(names[k] for k in sorted(large)),
         combination(direction, names),
-        _told(relative, large, names),
+        _constant_in_words(relative, large, names),
     )
 
 
-def _told(relative: FloatArray, large: NDArray[np.int64], names: tuple[str, ...]) -> str:
+def _constant_in_words(relative: FloatArray, large: NDArray[np.int64], names: tuple[str, ...]) -> str:
     """Return the ratio or product that is constant along a direction: ``"k/m"``; empty if there is none."""
     change = relative[large]
     if not np.all(np.isfinite(relative)) or np.ptp(np.abs(change)) > _ALIKE * np.abs(change).max():

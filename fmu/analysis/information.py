@@ -14,18 +14,18 @@ from fmu.analysis.identifiability import (
     Identifiability,
     Uninformed,
     combination,
-    eliminated,
+    eliminate,
     hardest_pair,
     kept_identifiability,
     left_to_prior,
-    named,
+    name_direction,
 )
 from fmu.analysis.prediction import at_bounds
 from fmu.analysis.trace.modal_states import MAXIMUM, START
 from fmu.analysis.trace.reading import has, parameter_draws, parameter_names
 from fmu.arguments import check_arguments
 from fmu.numbers import fixed, given, names_in_words, share, significant
-from fmu.tables import data_frame, text_table, wrapped
+from fmu.tables import data_frame, text_table, wrap_text
 from fmu.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ _ALONE, _AGREE = 0.9, 0.1
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What the data determine, judged from the draws of a run: parameter by parameter, and along directions.
+    """Parameters and directions that the data determine, judged from the draws of a run.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ class Information:
         return said
 
     def sentences(self) -> list[str]:
-        """Return in words what the draws say of the directions, the least informed first."""
+        """Return the directions of the draws in words, the least informed first."""
         n, k = len(self.names), self.n_informed
         said = [
             f"By the draws the data inform {k} of {n} directions of the parameter space, with a contraction of "
@@ -137,7 +137,7 @@ class Information:
         each = zip(self.names, self.contraction, self.basis, strict=True)
         rows = [[name, fixed(float(contraction), 2), by] for name, contraction, by in each]
         text = text_table(["", "contraction", "determined by"], rows, words=(0, 2))
-        return "\n".join([*map(wrapped, [*self.sentences(), CRITERION]), "", text])
+        return "\n".join([*map(wrap_text, [*self.sentences(), CRITERION]), "", text])
 
     def _repr_html_(self) -> str:
         said = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in [*self.sentences(), CRITERION])
@@ -146,7 +146,7 @@ class Information:
 
 @check_arguments
 def information(trace: xr.DataTree) -> Information | None:
-    """Return what the data determine, by the contraction of the draws.
+    """Find the parameters and directions that the data determine, by the contraction of the draws.
 
     One criterion serves for parameters and for the principal directions of the draws: below a contraction of 0.3
     (`CONTRACTED`) the data have not informed them. A wide spread over separate narrow peaks is not a lack of
@@ -168,7 +168,7 @@ def information(trace: xr.DataTree) -> Information | None:
     if not has(trace, "prior"):
         return None
     names = parameter_names(trace)
-    x, prior, of_logarithm = standardised(trace)
+    x, prior, of_logarithm = standardise_draws(trace)
     if len(x) < 2 or not np.any(x.std(axis=0) > 0):
         return None
     n = len(names)
@@ -177,11 +177,11 @@ def information(trace: xr.DataTree) -> Information | None:
     values, directions = np.maximum(values[::-1], 0.0), vectors.T[::-1]
 
     is_left = np.array([not _is_informed(x, prior, direction) for direction in directions])
-    told, U = _told_instead(trace), directions[is_left]
+    told, U = _determined_instead(trace), directions[is_left]
     found: list[tuple[Uninformed, float]] = []
-    for row in eliminated(U):
+    for row in eliminate(U):
         unit = row / np.linalg.norm(row)
-        one = named(unit, names, np.full(n, np.nan))
+        one = name_direction(unit, names, np.full(n, np.nan))
         found.append((one._replace(told=told.get(frozenset(one.names), "")), float(np.sqrt(unit @ C @ unit))))
     from_prior = np.einsum("ui,uv,vi->i", U, U @ C @ U.T, U)
     informed = np.array([_is_informed(x, prior, direction) for direction in np.eye(n)])
@@ -219,13 +219,13 @@ def separation_in_words(trace: xr.DataTree, linearised: Identifiability) -> str:
         pair = hardest_pair(linearised, linearised.covariance)
         return "" if pair is None else pair.sentence(pair.remaining_sd < LINEARISED_LEFT)
     n = len(linearised.names)
-    x, prior = (draws[:, :n] for draws in standardised(trace)[:2])
+    x, prior = (draws[:, :n] for draws in standardise_draws(trace)[:2])
     pair = hardest_pair(linearised, np.atleast_2d(np.cov(x.T)))
     return "" if pair is None else pair.sentence(_is_informed(x, prior, pair.direction))
 
 
-def _told_instead(trace: xr.DataTree) -> dict[frozenset[str], str]:
-    """Return what the data determine instead of parameters that a linearised model cannot separate."""
+def _determined_instead(trace: xr.DataTree) -> dict[frozenset[str], str]:
+    """Return the combinations that the data determine of parameters which a linearised model cannot separate."""
     kept = kept_identifiability(trace)
     if not kept:
         return {}
@@ -277,7 +277,7 @@ def compared_with_draws(
     ]
     if not converged:
         return [*said, "Neither is to be relied on before the draws have converged."]
-    involved = named(linearised.directions[k], linearised.names, np.full(len(s), np.nan)).names
+    involved = name_direction(linearised.directions[k], linearised.names, np.full(len(s), np.nan)).names
     why = [
         f"{share(one.near)} of the draws of {one.name} lie at its {one.side} bound"
         for one in at_bounds(trace)
@@ -304,7 +304,7 @@ def information_warnings(trace: xr.DataTree) -> list[str]:
     return [] if found is None else found.warnings()
 
 
-def standardised(trace: xr.DataTree) -> tuple[FloatArray, FloatArray, tuple[bool, ...]]:
+def standardise_draws(trace: xr.DataTree) -> tuple[FloatArray, FloatArray, tuple[bool, ...]]:
     """Return posterior and prior draws in prior standard deviations from the prior mean, each (n, ndim).
 
     And for each parameter whether the logarithm of the draws is meant, as it is where the prior is log-normal.
@@ -324,7 +324,7 @@ def standardised(trace: xr.DataTree) -> tuple[FloatArray, FloatArray, tuple[bool
 
 
 def _entropy_sd(x: FloatArray, prior: FloatArray) -> float:
-    """Return the ratio of exp(entropy) of `x` to that of the prior's draws, by histograms.
+    """Return exp(entropy) of `x` over exp(entropy) of the prior's draws, by histograms.
 
     For two distributions of one shape it is the ratio of their standard deviations.
     """

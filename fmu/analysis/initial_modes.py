@@ -104,7 +104,7 @@ def close(
     return doubts
 
 
-def disordered(labels: tuple[str, ...], paired: list[int], measured: FloatArray) -> list[str]:
+def warn_of_order(labels: tuple[str, ...], paired: list[int], measured: FloatArray) -> list[str]:
     """Return a warning if the paired modes are not in the order of the measured frequencies."""
     order = np.argsort(measured, kind="stable")
     numbers = [paired[k] for k in order]
@@ -117,7 +117,7 @@ def disordered(labels: tuple[str, ...], paired: list[int], measured: FloatArray)
     ]
 
 
-def unmeasured(found: Sequence[ComputedMode]) -> list[str]:
+def note_unmeasured(found: Sequence[ComputedMode]) -> list[str]:
     """Return notes on rigid-body modes, and on unmeasured ones between the measured ones, seen or not."""
     last = max(i for i, mode in enumerate(found) if mode.measured is not None)
     rigid = [mode.number for mode in found if mode.is_rigid]
@@ -210,8 +210,8 @@ class InitialModes:
     def table(self) -> pd.DataFrame:
         """Return one row per computed mode: number, Hz, measured mode, error in %, MAC, energy, seen or not.
 
-        ``subspace_mac`` is that of a group of close modes (`fmu.fem.pairing.correlation`), ``mpc`` that of
-        measured shapes which were complex.
+        ``subspace_mac`` belongs to a group of close modes (`fmu.fem.pairing.correlation`), ``mpc`` to a
+        measured shape that was complex.
         """
         import pandas as pd
 
@@ -276,7 +276,7 @@ def _of_structure(
     with single_thread():
         shapes = model.blocks.shapes(point[None], spectrum)
     observation = model.structure.observation(problem.data.sensors) if problem.data.sensors else None
-    seen = _seen(model, shapes, observation, spectrum.eigenvalues[0])
+    seen = _find_seen(model, shapes, observation, spectrum.eigenvalues[0])
     moves = _moves(model, point, shapes)
     rigid = is_rigid(spectrum.eigenvalues[0])
     answers = {number: k for k, number in enumerate(paired)}
@@ -287,13 +287,13 @@ def _of_structure(
     alike = correlation = None
     if problem.data.shapes is not None and observation is not None:
         alike = mac(observation @ shapes, np.asarray(problem.data.shapes))
-        correlation = correlated(problem.data, (observation @ shapes)[:, paired], frequencies[paired])
+        correlation = correlate_shapes(problem.data, (observation @ shapes)[:, paired], frequencies[paired])
     by_number = not model.by_shape
     doubts = [*unlike(labels, paired, alike, correlation), *close(labels, paired, frequencies, seen, by_number)]
     given = bool(problem.data.counterparts) and not by_number
-    doubts += [] if given else disordered(labels, paired, measured)
-    notes = unmeasured(found)
-    return _compared(
+    doubts += [] if given else warn_of_order(labels, paired, measured)
+    notes = note_unmeasured(found)
+    return _compare_shapes(
         InitialModes(labels, measured, found, alike, tuple(doubts), tuple(notes), correlation), problem
     )
 
@@ -311,7 +311,7 @@ def _of_function(
     if problem.model.by_shape and answer.shapes is not None:
         alike = mac(answer.shapes, np.asarray(problem.data.shapes))
         paired = [int(column) for column in assign(alike[None])[0]]
-        correlation = correlated(problem.data, answer.shapes[:, paired], answer.frequencies[paired])
+        correlation = correlate_shapes(problem.data, answer.shapes[:, paired], answer.frequencies[paired])
     else:
         paired = [number - 1 for number in problem.data.numbers]
     answers = {number: k for k, number in enumerate(paired)}
@@ -321,21 +321,23 @@ def _of_function(
     seen = np.ones(len(found), dtype=bool)
     doubts = [*unlike(labels, paired, alike, correlation)]
     doubts += close(labels, paired, frequencies, seen, alike is None)
-    doubts += disordered(labels, paired, measured)
+    doubts += warn_of_order(labels, paired, measured)
     how = "by number, in the order of the function" if alike is None else "by MAC with the measured shapes"
-    notes = (f"Modes are paired {how}.", *(unmeasured(found) if alike is not None else ()))
-    return _compared(InitialModes(labels, measured, found, alike, tuple(doubts), notes, correlation), problem)
+    notes = (f"Modes are paired {how}.", *(note_unmeasured(found) if alike is not None else ()))
+    return _compare_shapes(
+        InitialModes(labels, measured, found, alike, tuple(doubts), notes, correlation), problem
+    )
 
 
-def correlated(data: ModalData, computed: FloatArray, frequencies_hz: FloatArray) -> Correlation:
+def correlate_shapes(data: ModalData, computed: FloatArray, frequencies_hz: FloatArray) -> Correlation:
     """Return measured shapes beside those computed at the sensors (n_sensors, n_modes), paired with them."""
     sensors = tuple(f"{place} {direction}" for place, direction in data.sensors)
     groups = close_groups(data.frequencies_hz, frequencies_hz)
     return Correlation(sensors, tuple(map(str, data.labels)), np.asarray(data.shapes), computed, groups)
 
 
-def _compared(found: InitialModes, problem: UpdatingProblem) -> InitialModes:
-    """Return the modes with what their shapes at the sensors show."""
+def _compare_shapes(found: InitialModes, problem: UpdatingProblem) -> InitialModes:
+    """Add the doubts and notes that the shapes at the sensors raise, and their MPC."""
     mpc = None if problem.data.mpc is None else np.asarray(problem.data.mpc)
     if found.correlation is None:
         return replace(found, mpc=mpc)
@@ -362,8 +364,8 @@ def _spectrum(model: PairedStructure, point: FloatArray) -> tuple[Any, list[int]
         count = min(total, 2 * count)
 
 
-def _seen(model: PairedStructure, shapes: FloatArray, observation: Any, eigenvalues: FloatArray) -> BoolArray:
-    """Say which modes move a sensor, by the rule of `fmu.fem.pairing.rules.reference_modes`."""
+def _find_seen(model: PairedStructure, shapes: FloatArray, observation: Any, eigenvalues: FloatArray) -> BoolArray:
+    """Find the modes that move a sensor, by the rule of `fmu.fem.pairing.rules.reference_modes`."""
     rows = selection(model.structure.translations, model.structure.n_dof)
     seen = np.abs((rows if observation is None else observation) @ shapes)
     elastic = ~is_rigid(eigenvalues)

@@ -55,10 +55,10 @@ class PairingChanges:
     project : int
         Number of draws examined for `changed` and `gap`.
     changed : ndarray, shape (n_modes,)
-        Share of these in which another computed mode (block, or number within it) answers to the measured one than
-        at the most probable draw.
+        Share of these draws that pair the measured mode with another computed mode (block, or number within it)
+        than the most probable draw does.
     jumps : int
-        In how many of these that holds for any mode.
+        Number of these draws with such a change in any mode.
     gap : ndarray, shape (n_modes,)
         How near in frequency another computed mode came, relative, at the nearest of these draws; infinite where
         there is no other. Where the pairing is constant, of the paired modes alone, over all draws.
@@ -88,7 +88,7 @@ class PairingChanges:
 
     def sentences(self) -> tuple[str, ...]:
         """Return the findings in words, the most important first."""
-        said = [*self._jumped(), *self._swaps()]
+        said = [*self._jumps(), *self._swaps()]
         if not said:
             said.append("In all draws the measured modes are in the same order as in the model before updating.")
         if self.constant:
@@ -114,7 +114,7 @@ class PairingChanges:
         shown = self.table().to_html(float_format=significant, border=0)
         return f"<ul>{items}</ul>{shown}"
 
-    def _jumped(self) -> list[str]:
+    def _jumps(self) -> list[str]:
         of = f"of {self.project} draws examined"
         return [
             f"Mode {self.labels[i]} is not paired with the same computed mode as at the most probable draw in "

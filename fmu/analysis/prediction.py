@@ -71,7 +71,7 @@ def expectation(trace: xr.DataTree, G: Callable[[FloatArray], FloatArray] | str)
         If no variable has the name `G`, or the callable returns another shape or values that are not finite.
     """
     check_trace(trace)
-    values = _named(trace, G) if isinstance(G, str) else _computed(trace, G)
+    values = _read_draws(trace, G) if isinstance(G, str) else _evaluate(trace, G)
     walkers = walkers_of(trace)
     columns = values.reshape(*values.shape[:2], -1)
     mean = columns.mean(axis=(0, 1))
@@ -147,7 +147,7 @@ def measurement_in_words(tests: FloatArray | None) -> str:
     return f"the mean of {most} tests" if least == most else f"the mean of {least} to {most} tests"
 
 
-def _named(trace: xr.DataTree, name: str) -> FloatArray:
+def _read_draws(trace: xr.DataTree, name: str) -> FloatArray:
     """Return the draws of a stored variable, shape (chains, draws) or (chains, draws, k)."""
     known = []
     for group in ("posterior", "posterior_predictive"):
@@ -158,7 +158,7 @@ def _named(trace: xr.DataTree, name: str) -> FloatArray:
     raise ValueError(f"G: must be a callable or one of {', '.join(map(str, known))} (got {name!r})")
 
 
-def _computed(trace: xr.DataTree, G: Callable[[FloatArray], FloatArray]) -> FloatArray:
+def _evaluate(trace: xr.DataTree, G: Callable[[FloatArray], FloatArray]) -> FloatArray:
     """Return G at every draw, shape (chains, draws) or (chains, draws, k)."""
     draws = parameter_draws(trace)
     n = draws.shape[0] * draws.shape[1]
@@ -213,8 +213,8 @@ PINNED = 0.5
 """Share of the draws next to a bound with which the bound determines a parameter, together with the data."""
 
 
-def pinned(trace: xr.DataTree) -> list[str]:
-    """Return the parameters most of whose draws lie next to a bound; no losses, which physics bounds."""
+def pinned_parameters(trace: xr.DataTree) -> list[str]:
+    """Return parameters with most draws next to a bound, except losses, which physics bounds."""
     return [one.name for one in at_bounds(trace) if one.near > PINNED and not is_loss(trace, one.name)]
 
 
@@ -228,7 +228,7 @@ def bound_warnings(trace: xr.DataTree) -> list[str]:
 
 
 def _prior_share(trace: xr.DataTree, name: str, bound: float, sign: float, margin: float) -> float:
-    """Return the share of the prior near a bound; that of a uniform prior if the trace has no draws from it."""
+    """Return the share of the prior near a bound; a uniform prior is assumed if the trace has no prior draws."""
     if not has(trace, "prior"):
         return NEAR_A_BOUND
     return float(np.mean(sign * (trace["prior"][name].to_numpy() - bound) < margin))

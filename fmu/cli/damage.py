@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fmu.numbers import decimals, fixed, interval, share, shown
-from fmu.tables import text_table, wrapped
+from fmu.numbers import customary_unit, decimals, fixed, interval, share
+from fmu.tables import text_table, wrap_text
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -22,12 +22,12 @@ BEYOND = (0.05, 0.1)
 
 
 def echo_losses(trace: xr.DataTree, diagnosis: Diagnosis, beyond: Sequence[float] = BEYOND) -> None:
-    """Print losses and values before and after of each later state, and what their probabilities rest on."""
+    """Print losses and values before and after each later state, and the doubts about their probabilities."""
     from fmu.analysis.trace.damage import ANY, before_and_after, before_in_words, damage, probably, state_in_words
 
     table, values = damage(trace, beyond), before_and_after(trace)
     header = ["", "before", "after", "loss", "90 % interval", *(f"P > {share(x)}" for x in beyond)]
-    click.echo(wrapped(f"Losses since {before_in_words(trace)}", width=_WIDTH))
+    click.echo(wrap_text(f"Losses since {before_in_words(trace)}", width=_WIDTH))
     for state in table.index.unique("state"):
         rows = []
         for name, (mean, sd, low, high, *exceeded) in table.loc[state].iterrows():
@@ -37,18 +37,18 @@ def echo_losses(trace: xr.DataTree, diagnosis: Diagnosis, beyond: Sequence[float
             if name == ANY:
                 rows.append(["the largest", "", "", *cells])
                 continue
-            unit = shown(trace["tests"][name].attrs.get("units", ""))
+            unit = customary_unit(trace["tests"][name].attrs.get("units", ""))
             before, after = (values.loc[(state, name), when] / unit.factor for when in ("before", "after"))
             places = decimals(abs(before) * sd)
             label = f"{name} ({unit.name})" if unit.name else str(name)
             rows.append([label, fixed(before, places), fixed(after, places), *cells])
-        click.echo("\n" + wrapped(f"After: {state_in_words(trace, state)}", width=_WIDTH))
+        click.echo("\n" + wrap_text(f"After: {state_in_words(trace, state)}", width=_WIDTH))
         click.echo(text_table(header, rows, width=_WIDTH))
     answer = f"The model: {diagnosis.fit.answer}. " if diagnosis.fit.checks else ""
     rests = "P is the probability of a loss beyond that limit, given the model, its errors and its priors."
-    click.echo("\n" + wrapped(answer + rests, width=_WIDTH))
+    click.echo("\n" + wrap_text(answer + rests, width=_WIDTH))
     if diagnosis.doubts:
-        click.echo(wrapped(f"Do not rely on P: {' and '.join(diagnosis.doubts)}.", width=_WIDTH))
+        click.echo(wrap_text(f"Do not rely on P: {' and '.join(diagnosis.doubts)}.", width=_WIDTH))
 
 
 @click.command()
@@ -64,10 +64,10 @@ def damage(directory: Path, beyond: tuple[float, ...], sampler: str | None) -> N
 
     For a problem with several [[tests]] in groups, and parameters that vary by group or by damage.
     """
-    from fmu.report.export import chosen
+    from fmu.report.export import read_choice
     from fmu.report.plots import DPI, plot_losses
 
-    name, trace, diagnosis = chosen(directory, sampler)
+    name, trace, diagnosis = read_choice(directory, sampler)
     echo_losses(trace, diagnosis, beyond)
     path = directory / "damage.png"
     plot_losses(trace, beyond[0])[0].figure.savefig(path, dpi=DPI)

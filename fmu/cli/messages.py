@@ -1,4 +1,4 @@
-"""What goes to standard error: an error is one line, without a traceback; a warning of fmu is a note."""
+"""Standard error: an error is one line, without a traceback; a warning of fmu is a note."""
 
 from __future__ import annotations
 
@@ -96,17 +96,17 @@ def _of_system(error: OSError) -> str:
 
 def _fail(message: str, *mistakes: object, code: int = BAD_INPUT) -> None:
     """Print one line, and one more for each of the first mistakes in a file; exit."""
-    from fmu.formats.shown import one_line, told
+    from fmu.formats.shown import list_mistakes, one_line
 
     click.echo(f"Error: {one_line(message)}", err=True)
-    for line in told(mistakes):
+    for line in list_mistakes(mistakes):
         click.echo(f"  {line}", err=True)
     sys.exit(code)
 
 
 @contextmanager
 def warnings_as_notes() -> Iterator[None]:
-    """Print fmu's warnings on what it kept, learnt or reduced without the line of code they come from."""
+    """Print warnings of stores, rounding and reduced models as notes, without the line of code they come from."""
     from fmu.fem.programs.store import StoreWarning
     from fmu.posterior.rounding import RoundingWarning
     from fmu.posterior.train_reduced import ReductionWarning

@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 @contextmanager
-def claimed(directory: Path, overwrite: bool) -> Iterator[Path]:
+def claim_directory(directory: Path, overwrite: bool) -> Iterator[Path]:
     """Make a new output directory; remove it again if the block fails before anything was written to it."""
     if os.path.lexists(directory) and not overwrite and not _is_left_empty(directory):
         from fmu.config.kept import ORIGIN
@@ -34,7 +34,7 @@ def claimed(directory: Path, overwrite: bool) -> Iterator[Path]:
 
 
 def _is_left_empty(directory: Path) -> bool:
-    """Return whether a directory holds nothing but what a run that was killed in its first seconds leaves."""
+    """Return whether a directory holds only the files of a run that was killed in its first seconds."""
     from fmu.runs.lock import FILE, LOCK, PHASE
 
     if directory.is_symlink() or not directory.is_dir():

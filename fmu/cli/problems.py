@@ -54,7 +54,7 @@ def problem_of(case: str, pairing: str | None) -> KeptProblem:
     return KeptProblem(path, path.parent, pairing or found.pairing)
 
 
-def built(problem: KeptProblem, engine: Engine | None = None) -> UpdatingProblem:
+def build_problem(problem: KeptProblem, engine: Engine | None = None) -> UpdatingProblem:
     """Build a problem; an engine, if one is given, trains its reduced model."""
     if sys.stderr.isatty():  # a large structure takes minutes, once
         click.echo(f"Preparing {problem.file.name} …", err=True)
@@ -133,7 +133,7 @@ def check(case: str, pairing: str | None, draws: int, seed: int, out: Path | Non
 
         directory = out or Path("check") / asked.file.stem
         with warnings_as_notes():
-            problem = built(asked)
+            problem = build_problem(asked)
         make_writable(directory)
         found = check(problem, draws, seed)
         page = write_check(found, directory)

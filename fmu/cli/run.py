@@ -15,11 +15,11 @@ import click
 from click.core import ParameterSource
 
 from fmu.cli.messages import STOPPED, warnings_as_notes
-from fmu.cli.output import claimed, make_writable
-from fmu.cli.problems import built, pairing_option, problem_of
-from fmu.cli.sampled import sampled, tell
+from fmu.cli.output import claim_directory, make_writable
+from fmu.cli.problems import build_problem, pairing_option, problem_of
+from fmu.cli.sampled import sample_problem, tell
 from fmu.cli.surrogate import MAX_SOLVES, NO_SURROGATE, of_its_surrogate, wants_surrogate, with_surrogate
-from fmu.config.kept import ORIGIN, KeptProblem, kept
+from fmu.config.kept import ORIGIN, KeptProblem, read_saved
 from fmu.interruption import stoppable
 from fmu.progress import Report, json_lines, progress_bars
 from fmu.progress.lines import progress_lines
@@ -125,11 +125,11 @@ def run(
     with ExitStack() as stack:
         stack.enter_context(stoppable())
         if resume is None:
-            asked = _asked(context, case, pairing, orders)
+            asked = _read_order(context, case, pairing, orders)
             directory = out or Path("runs") / f"{asked.file.stem}-{asked.pairing}"
-            stack.enter_context(claimed(directory, overwrite))
+            stack.enter_context(claim_directory(directory, overwrite))
         else:
-            asked, directory = _resumed(context, resume, orders), resume
+            asked, directory = _read_resumed(context, resume, orders), resume
             make_writable(directory)
         speaks = progress != "json"  # JSON lines on standard error are for programs
         if speaks and sys.stderr.isatty():  # what follows is silent for a second or more
@@ -144,7 +144,7 @@ def run(
         running = stack.enter_context(RunDirectory(directory))
         try:
             with _reporting(progress, running) as report:
-                problem = _begun(asked, running, at_work, new=resume is None, overwrite=overwrite)
+                problem = _begin_run(asked, running, at_work, new=resume is None, overwrite=overwrite)
                 samplers = asked.orders["samplers"] or (default_sampler(problem),)
                 takes = wants_surrogate(problem, asked.orders.get("surrogate", False))
                 if asked.orders.get("exact") and not takes:
@@ -156,7 +156,7 @@ def run(
                     asked = of_its_surrogate(asked, problem, running)
                 if resume is None and speaks:
                     _echo_estimate(problem, asked.orders, at_work.workers)
-                outcome = sampled(problem, asked, running, at_work, report, speaks)
+                outcome = sample_problem(problem, asked, running, at_work, report, speaks)
             try:
                 code = tell(outcome, problem, directory, asked.orders)
                 if reports:
@@ -168,20 +168,22 @@ def run(
                     click.echo(f"Report: {index}")
             finally:
                 if not outcome.limited:
-                    running.ended()
+                    running.end_run()
         except StoppedRun as stop:
-            return _stopped(directory, f": {stop.where}")
+            return _tell_stop(directory, f": {stop.where}")
         except KeyboardInterrupt:
-            return _stopped(directory)
+            return _tell_stop(directory)
         return code
 
 
-def _stopped(directory: Path, where: str = "") -> int:
+def _tell_stop(directory: Path, where: str = "") -> int:
     click.echo(f"Stopped{where}. To resume: fmu run --resume {directory}", err=True)
     return STOPPED
 
 
-def _asked(context: click.Context, case: str | None, pairing: str | None, orders: dict[str, Any]) -> KeptProblem:
+def _read_order(
+    context: click.Context, case: str | None, pairing: str | None, orders: dict[str, Any]
+) -> KeptProblem:
     """Return the problem and the options of a new run; an error if they conflict."""
     if case is None:
         raise click.MissingParameter(ctx=context, param_hint="'CASE'", param_type="argument")
@@ -210,9 +212,9 @@ def _asked(context: click.Context, case: str | None, pairing: str | None, orders
     return replace(problem, orders=orders)
 
 
-def _resumed(context: click.Context, directory: Path, orders: dict[str, Any]) -> KeptProblem:
+def _read_resumed(context: click.Context, directory: Path, orders: dict[str, Any]) -> KeptProblem:
     """Return the problem and the options of the run in a directory; BadParameter if one must not be changed."""
-    from fmu.runs.run_directory import unfinished
+    from fmu.runs.run_directory import folder_of_order
 
     default = ParameterSource.DEFAULT
     given = [p for p in context.command.params if context.get_parameter_source(str(p.name)) is not default]
@@ -223,15 +225,15 @@ def _resumed(context: click.Context, directory: Path, orders: dict[str, Any]) ->
             f"{what} cannot be changed when the run in {directory} is resumed: leave it out.",
             param_hint="'--resume'",
         )
-    where = unfinished(directory)
-    found = kept(where) if (where / ORIGIN).is_file() else None
+    where = folder_of_order(directory)
+    found = read_saved(where) if (where / ORIGIN).is_file() else None
     if found is None or not found.orders:
         raise click.BadParameter(f"{directory} contains no run that can be resumed.", param_hint="'--resume'")
     anew = {str(p.name): orders[str(p.name)] for p in given if p.name in found.orders}
     return replace(found, orders={**found.orders, **anew})
 
 
-def _begun(
+def _begin_run(
     asked: KeptProblem, running: RunDirectory, engine: Engine, *, new: bool, overwrite: bool
 ) -> UpdatingProblem:
     """Build the problem, and save what a new run was asked for, so that it can be resumed.
@@ -241,7 +243,7 @@ def _begun(
     if new and not overwrite:
         running.begin(asked)
     try:
-        problem = built(asked, engine)
+        problem = build_problem(asked, engine)
     except OSError:  # a file cannot be read, for example; a ValueError leaves nothing behind either
         running.abandon()
         raise
@@ -255,7 +257,7 @@ def _begun(
 
 
 def _echo_estimate(problem: UpdatingProblem, orders: Any, workers: int) -> None:
-    """Say what the run will cost."""
+    """Print an estimate of the time and the solves that the run will take."""
     from fmu.analysis.estimate import estimates, estimates_in_words
     from fmu.analysis.maxima.search import default_starts
 

@@ -1,4 +1,4 @@
-"""What ``fmu run`` does with a problem: search for maxima, draw with each sampler, write and print the results."""
+"""The work of ``fmu run``: search for maxima, draw with each sampler, write and print the results."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Sampled(NamedTuple):
         return [name for name, trace in self.traces.items() if "limit" in trace.attrs]
 
 
-def sampled(
+def sample_problem(
     problem: UpdatingProblem,
     asked: KeptProblem,
     running: RunDirectory,
@@ -70,7 +70,7 @@ def sampled(
     from fmu.runs.maxima import keep_maxima, kept_maxima
     from fmu.samplers.registry import plan_steps
 
-    with _explained(problem), _spread(problem, engine, asked.orders["groups"]) as workers:
+    with _explain_failure(problem), _spread(problem, engine, asked.orders["groups"]) as workers:
         maxima = kept_maxima(running.folder)  # of another posterior: the checkpoints refuse that
         if maxima is None and is_searchable(problem):
             starts = asked.orders["starts"] or default_starts(problem)
@@ -98,14 +98,14 @@ def sampled(
                 progress = report and add_label(report, name)
                 warmup, draws = plan_steps(name, asked.orders["warmup"], asked.orders["draws"])
                 arguments |= {"warmup": warmup, "draws": draws, "checkpoint": checkpoint, "progress": progress}
-                trace = _drawn(draw, name, problem, running, on_draws=tell_draws, **arguments)
+                trace = _draw_trace(draw, name, problem, running, on_draws=tell_draws, **arguments)
             outcome.traces[name] = trace
             if name in outcome.limited:
                 asked.save(running.path)
             elif name not in asked.finished:
                 asked = replace(asked, finished=(*asked.finished, name))
                 with shielded():
-                    running.finished(name, asked)
+                    running.finish_sampler(name, asked)
     end_bars(report)
     if asked.orders.get("exact"):  # those of the model, and not of its surrogate
         outcome = outcome._replace(maxima=maxima_of(next(iter(outcome.traces.values()))))
@@ -149,7 +149,7 @@ def _tell_draws(
 
 
 def _is_certified(problem: UpdatingProblem, orders: Mapping[str, Any]) -> bool:
-    """Say whether no surrogate stands for the model, or one that keeps its tolerance, or draws are made exact."""
+    """Say whether the model has no surrogate, or a certified one, or draws are made exact."""
     certificate = problem.model.certificate
     return certificate is None or bool(orders.get("exact")) or certificate.ok
 
@@ -166,7 +166,7 @@ def _until(orders: Mapping[str, Any]) -> dict[str, Any]:
     return arguments | {"max_solves": None}
 
 
-def _drawn(
+def _draw_trace(
     draw: Callable[..., xr.DataTree], name: str, problem: UpdatingProblem, running: RunDirectory, **arguments: Any
 ) -> xr.DataTree:
     """Draw with one sampler and write its trace; StoppedRun says which sampler was stopped."""
@@ -212,7 +212,7 @@ def _write_csv(table: pd.DataFrame, path: Path) -> None:
 
 
 def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Mapping[str, Any]) -> int:
-    """Print what is known after the draws have been told, and write the comparison; return the exit code."""
+    """Print evidences, comparison and the verdict on the model, and write the comparison; return the exit code."""
     from fmu.analysis.certificate import exact_in_words
     from fmu.analysis.convergence.diagnosis import choose_run, is_enough
     from fmu.analysis.evidence import found_evidences
@@ -277,8 +277,8 @@ def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Ite
 
 
 @contextmanager
-def _explained(problem: UpdatingProblem) -> Iterator[None]:
-    """Add to an error why the user's function failed, if it did."""
+def _explain_failure(problem: UpdatingProblem) -> Iterator[None]:
+    """Add the first failure of the user's function, if there is one, to an error."""
     try:
         yield
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""Whether ``fmu run`` lets a surrogate stand for a slow model, and what it says of that."""
+"""Surrogates in ``fmu run``: whether one replaces a slow model, and what is printed about it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _THINNED = 4
 
 
 def wants_surrogate(problem: UpdatingProblem, asked: bool | None) -> bool:
-    """Return whether a surrogate is to be learnt: as asked for, or where a solve of a user's function is slow.
+    """Return whether to learn a surrogate: on request, or where a solve of a user's function is slow.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def wants_surrogate(problem: UpdatingProblem, asked: bool | None) -> bool:
 def with_surrogate(
     problem: UpdatingProblem, orders: Mapping[str, Any], engine: Engine, speaks: bool
 ) -> UpdatingProblem:
-    """Learn the surrogate; say before what it will cost, and after what it is worth."""
+    """Learn the surrogate; print its cost beforehand and its certificate afterwards."""
     from fmu.analysis.estimate import seconds_of_a_solve, time_in_words
     from fmu.surrogates.delayed_acceptance import proposals
     from fmu.surrogates.learning import certificate_of, expected_solves, surrogate
@@ -84,7 +84,7 @@ def with_surrogate(
 
 
 def _budget(problem: UpdatingProblem, orders: Mapping[str, Any]) -> int:
-    """Return how many solves a surrogate may take: as asked for, but for exact draws some must be left."""
+    """Return the limit of solves of a surrogate: the requested one, but at most the default for exact draws."""
     from fmu.surrogates.learning import most_solves
 
     by_default, most = most_solves(problem), int(orders["max_solves"])
@@ -99,7 +99,7 @@ def may_learn_more(problem: UpdatingProblem, orders: Mapping[str, Any]) -> bool:
 
 
 def of_its_surrogate(asked: KeptProblem, problem: UpdatingProblem, running: RunDirectory) -> KeptProblem:
-    """Note in the options of a run which solves its surrogate has learnt from; return them.
+    """Note the solves from which the surrogate of a run learnt in the options of the run; return them.
 
     A run that is resumed with more solves has another surrogate. What was drawn of the earlier one is removed.
     """
@@ -118,7 +118,7 @@ def of_its_surrogate(asked: KeptProblem, problem: UpdatingProblem, running: RunD
 def exact_draws(
     problem: UpdatingProblem, name: str, *, until_ess: float, most: int | None, workers: Engine, **arguments: Any
 ) -> xr.DataTree:
-    """Return exact draws with the surrogate's as proposals: as many of these as are needed, of a longer run if so.
+    """Return exact draws that have a surrogate's draws as proposals, from a longer run if more are needed.
 
     Parameters
     ----------

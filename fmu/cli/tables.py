@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from fmu.numbers import MISSING, apart, fixed, rounded, shown, significant
-from fmu.tables import text_table, wrapped
+from fmu.numbers import MISSING, apart, customary_unit, fixed, round_by_sd, significant
+from fmu.tables import text_table, wrap_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -56,7 +56,8 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
     n_scores = len(table) - len(told)
     table = table.loc[[name for name in told if not is_loss(trace, name)]]
     table.attrs = attributes
-    columns, units = {"": list(map(str, table.index))}, [shown(table.attrs["units"][name]) for name in table.index]
+    columns = {"": list(map(str, table.index))}
+    units = [customary_unit(table.attrs["units"][name]) for name in table.index]
     for column in _beside_the_ends(list(map(str, table.columns))):
         scales = (1.0 if column in _DECIMALS else unit.factor for unit in units)
         cells = zip(table[column], table["sd"], scales, strict=True)
@@ -80,9 +81,9 @@ def echo_verdict(name: str, found: Diagnosis, width: int = 0) -> None:
     """Print the verdict on a sampler's run and its reasons; names take up at least `width` columns."""
     width = max(width, len(name)) + 2
     indent = " " * width
-    click.echo(wrapped(found.verdict, f"{name:{width}}", indent))
+    click.echo(wrap_text(found.verdict, f"{name:{width}}", indent))
     for remark in found.remarks[not found.converged :]:  # the verdict has the first reason
-        click.echo(wrapped(remark, f"{indent}- ", f"{indent}  "))
+        click.echo(wrap_text(remark, f"{indent}- ", f"{indent}  "))
 
 
 def echo_comparison(
@@ -129,20 +130,20 @@ def _echo_costs(
     from fmu.analysis.convergence.agreement import agreement
     from fmu.analysis.convergence.comparison import COUNTED, at_both_points, cost_rows, costs_side_by_side
 
-    click.echo("\n" + wrapped(agreement(traces, summaries).sentence))
+    click.echo("\n" + wrap_text(agreement(traces, summaries).sentence))
     costs = costs_side_by_side(traces)
-    click.echo("\n" + wrapped(COUNTED))
+    click.echo("\n" + wrap_text(COUNTED))
     click.echo(text_table(["", *map(str, costs.index)], cost_rows(costs)))
     said = at_both_points(costs, {name: one.converged for name, one in verdicts.items()}, traces)
     if said:
-        click.echo(wrapped(said))
+        click.echo(wrap_text(said))
     return costs
 
 
 def _echo_list(title: str, items: Iterable[str]) -> None:
     click.echo(f"\n{title}")
     for item in items:
-        click.echo(wrapped(item, "  - ", "    "))
+        click.echo(wrap_text(item, "  - ", "    "))
 
 
 def echo_evidences(found: Sequence[FoundEvidence]) -> None:
@@ -150,14 +151,14 @@ def echo_evidences(found: Sequence[FoundEvidence]) -> None:
     if found:
         click.echo()
     for one in found:
-        click.echo(wrapped(str(one), others="  "))
+        click.echo(wrap_text(str(one), others="  "))
 
 
 def _summary_cell(name: str, value: float, sd: float) -> str:
     if name in _DECIMALS:
         return fixed(value, _DECIMALS[name])
     is_spread = name == "sd" or name.startswith("mcse_")
-    return apart(value, digits=2)[0] if is_spread else rounded(value, sd)
+    return apart(value, digits=2)[0] if is_spread else round_by_sd(value, sd)
 
 
 def _beside_the_ends(columns: list[str]) -> list[str]:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Never
 import click
 
 from fmu.progress.words import as_json
-from fmu.tables import text_table, wrapped
+from fmu.tables import text_table, wrap_text
 
 if TYPE_CHECKING:
     from fmu.runs.status import RunReading
@@ -99,7 +99,7 @@ def _lines(reading: RunReading) -> Iterator[str]:
         width = max(map(len, verdicts)) + 2
         yield ""
         for name, verdict in verdicts.items():
-            yield from wrapped(verdict, f"{name:{width}}", " " * width).splitlines()
+            yield from wrap_text(verdict, f"{name:{width}}", " " * width).splitlines()
     if reading.notes or reading.state not in ("running", "finished"):
         yield ""
     for note in reading.notes:

@@ -19,7 +19,7 @@ from fmu.arguments import ArgumentError, check_arguments
 from fmu.config.mistakes import ConfigurationError as ConfigurationError
 from fmu.config.mistakes import of_validation, place
 from fmu.formats.files import why_no_file
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 from fmu.numbers import typed
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def read(path: Path) -> ProblemFile:
     if why:
         raise FileNotFoundError(f"path: must be a TOML file ({why})")
     try:
-        content = _parsed(path)
+        content = _parse_toml(path)
     except ValueError as error:
         raise ConfigurationError(path.name, [ArgumentError("", str(error))]) from error
     beyond = list(_out_of_size(content))
@@ -98,7 +98,7 @@ def read(path: Path) -> ProblemFile:
         raise ConfigurationError(path.name, of_validation(error)) from error
 
 
-def _parsed(path: Path) -> dict[str, Any]:
+def _parse_toml(path: Path) -> dict[str, Any]:
     """Return the content of a TOML file; ValueError if it is broken.
 
     Dotted keys are checked first: the parser's memory grows with the square of their length.
@@ -140,7 +140,7 @@ def _out_of_size(content: Any) -> Iterator[ArgumentError]:
             ahead += [((*where, key), inner) for key, inner in reversed(items)]
         elif isinstance(value, float | int) and _is_out_of_size(value):
             rule = f"must be 0, or from {typed(SMALLEST_NUMBER)} to {typed(LARGEST_NUMBER)} in size"
-            yield ArgumentError(place(where), rule, shown(value))
+            yield ArgumentError(place(where), rule, quote(value))
 
 
 def _is_out_of_size(value: float) -> bool:

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 from pydantic import Tag
 
 from fmu.arguments import ArgumentError
-from fmu.config.tables import Declared, Name, Number, Numbers, OneOf, Positive, by_kind, listed
-from fmu.formats.shown import names_shown, shown
+from fmu.config.tables import Declared, Name, Number, Numbers, OneOf, Positive, by_kind, tuple_as_list
+from fmu.formats.shown import names_shown, quote
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors import ERROR_MODELS
 from fmu.posterior.errors.base import ErrorModel
@@ -33,7 +33,7 @@ def _in_a_file(annotation: Any) -> Any:
     parts = set(get_args(annotation))
     is_array, optional = parts >= _ARRAY, type(None) in parts
     if not is_array and Parameter not in parts:
-        return listed(annotation)
+        return tuple_as_list(annotation)
     found: Any = (Deviation if Parameter in parts else list[Positive]) if is_array else Name
     return found | None if optional else found
 
@@ -41,7 +41,7 @@ def _in_a_file(annotation: Any) -> Any:
 ErrorTable = Annotated[Declared, OneOf("of", {name: (model,) for name, model in ERROR_MODELS.items()}, _in_a_file)]
 
 
-def built_errors(
+def build_error_models(
     tables: Sequence[Declared], noise: Mapping[str, Parameter], known: Sequence[str]
 ) -> tuple[list[ErrorModel], list[ArgumentError]]:
     """Return the error models of tables, and what is wrong between them and the noises that they name.
@@ -60,14 +60,14 @@ def built_errors(
         names = _noises(table)
         used |= set(names.values())
         found += [
-            ArgumentError(f"error.{i}.{key}", rule, shown(name))
+            ArgumentError(f"error.{i}.{key}", rule, quote(name))
             for key, name in names.items()
             if name not in known
         ]
         models.append(table.build(**{key: noise.get(name) for key, name in names.items()}))
     rule = "must be used as sd or discrepancy of an [[error]]"
     found += [
-        ArgumentError(f"noise.{i}.name", rule, shown(name)) for i, name in enumerate(known) if name not in used
+        ArgumentError(f"noise.{i}.name", rule, quote(name)) for i, name in enumerate(known) if name not in used
     ]
     return models, found
 
@@ -87,7 +87,7 @@ def _noises(table: Declared) -> dict[str, str]:
     hints = get_type_hints(table.makes[0])
     return {
         key: value
-        for key, value in table.given().items()
+        for key, value in table.given_arguments().items()
         if isinstance(value, str) and Parameter in get_args(hints[key])
     }
 
@@ -99,7 +99,7 @@ def beside_tests(tables: Sequence[Declared], models: Sequence[ErrorModel], data:
         "use discrepancy for the model error, or replace tests by frequencies (the means) with an sd"
     )
     return [
-        ArgumentError(f"error.{i}.sd", rule, shown(table.given()["sd"]))
+        ArgumentError(f"error.{i}.sd", rule, quote(table.given_arguments()["sd"]))
         for i, (table, model) in enumerate(zip(tables, models, strict=True))
         if model.sd is not None and data.tests is not None and model.data_give_sd(data)
     ]
@@ -137,5 +137,5 @@ def vanishing(
                 f"must be positive (or use a log-normal prior): {n_parameters} parameters can fit these {n} "
                 f"errors exactly, and the probability density is unbounded as the deviation tends to zero"
             )
-            found.append(ArgumentError(f"noise.{i}.lower", rule, shown(parameter.lower)))
+            found.append(ArgumentError(f"noise.{i}.lower", rule, quote(parameter.lower)))
     return found

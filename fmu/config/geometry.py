@@ -68,4 +68,4 @@ class GeometryTable(TomlTable):
         except ModesError as error:
             raise BrokenError([ArgumentError(f"{WHERE}.file", mistake) for mistake in error.mistakes]) from None
         except (OSError, ImportError) as error:
-            raise BrokenError([ArgumentError.of(error).moved("path", "").under(f"{WHERE}.file")]) from None
+            raise BrokenError([ArgumentError.of(error).replace_key("path", "").under(f"{WHERE}.file")]) from None

@@ -52,7 +52,7 @@ class KeptProblem:
         return config.read(self.file).build(self.file.name, self.folder, self.pairing, engine=engine)
 
     def save(self, directory: Path) -> None:
-        """Write a copy of the problem file and the options of the run into a directory, for `kept` to read."""
+        """Write a copy of the problem file and the options of the run into a directory, for `read_saved`."""
         origin = {
             "about": _ABOUT,
             "file": self.file.name,
@@ -66,7 +66,7 @@ class KeptProblem:
         write_durably(directory / ORIGIN, text.encode())
 
 
-def kept(directory: Path, model: Path | None = None) -> KeptProblem:
+def read_saved(directory: Path, model: Path | None = None) -> KeptProblem:
     """Return the problem and the options that a run saved.
 
     Parameters

@@ -24,9 +24,9 @@ from fmu.config.tables import (
     SensorTable,
     TomlTable,
     arguments,
-    declared,
+    declare_table,
     one_length,
-    required,
+    required_arguments,
     with_keys,
 )
 from fmu.fem.pairing.matching import Matching
@@ -34,7 +34,7 @@ from fmu.formats.matrices.read import read_matrix
 from fmu.formats.modes import READERS
 from fmu.formats.modes.csv import read_frequencies, read_shapes, read_tests
 from fmu.formats.modes.measured_modes import MOST_MODES, ModesError, ModesFormat, Place, Sensors
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 from fmu.posterior.data.covariance import checked_covariance
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
@@ -64,7 +64,7 @@ _FILES = ("file", "deck")
 
 
 def _of_reader(key: str, form: ModesFormat) -> Any:
-    table = declared(key, form.read, in_a_file=lambda annotation: _IN_A_FILE.get(annotation, annotation))
+    table = declare_table(key, form.read, in_a_file=lambda annotation: _IN_A_FILE.get(annotation, annotation))
     return table | None, Field(None, description=table.__doc__)
 
 
@@ -131,10 +131,10 @@ class MeasurementTable(TomlTable):
     def _fits(self) -> Self:
         given = [key for key in _SOURCES if getattr(self, key) is not None]
         if len(given) != 1:
-            raise ArgumentError("", f"must have one of {', '.join(_SOURCES)}", shown(given))
+            raise ArgumentError("", f"must have one of {', '.join(_SOURCES)}", quote(given))
         trust = [key for key in _TRUST if getattr(self, key) is not None]
         if len(trust) > 1:
-            raise ArgumentError("", _ONE_TRUST, shown(trust))
+            raise ArgumentError("", _ONE_TRUST, quote(trust))
         if trust and given[0] in _TESTS:
             raise ValueError(
                 f"{trust[0]} must not be given together with {given[0]}, whose scatter gives the error"
@@ -148,7 +148,7 @@ class MeasurementTable(TomlTable):
             raise ValueError("sensors must not be given together with shapes_file, which defines them")
         if self._reads_shapes and shapes:
             raise ValueError(f"shapes must not be given together with {given[0]}, which defines them")
-        if self._reads_shapes and not self.sensors and "sensors" in required(READERS[given[0]].read):
+        if self._reads_shapes and not self.sensors and "sensors" in required_arguments(READERS[given[0]].read):
             raise ValueError(f"sensors must be given with {given[0]}, one per channel")
         self._check_lengths()
         return self
@@ -177,7 +177,7 @@ class MeasurementTable(TomlTable):
         given = [key for key in _TRUST if getattr(self, key) is not None]
         if given or not needs_trust or self.frequencies is None:
             return []
-        return [ArgumentError("measurement", _ONE_TRUST, shown(given))]
+        return [ArgumentError("measurement", _ONE_TRUST, quote(given))]
 
     def build(self, folder: Path, built: Built, needs_trust: bool = True) -> ModalData:
         """Return the data at sensors of the model; BrokenError if they cannot be built.
@@ -192,7 +192,7 @@ class MeasurementTable(TomlTable):
         """
         given = self._read(folder)
         points = None if self.geometry is None else self.geometry.build(folder, built)
-        given |= {"points": points} | self._turned(given, points)
+        given |= {"points": points} | self._turn_sensors(given, points)
         parallel = points if points is not None and points.is_parallel else None
         given["sensors"] = self._sensors(given.get("sensors", ()), built, parallel)
         n, most = len(given["frequencies_hz"]), built.most_modes
@@ -212,7 +212,7 @@ class MeasurementTable(TomlTable):
         except ValueError as error:
             wrong = ArgumentError.of(error)
             for key in ("frequencies", "sd", "covariance"):  # keys of the file have no units in their names
-                wrong = wrong.moved(f"{key}_hz", key).moved(f"{key}_hz2", key)
+                wrong = wrong.replace_key(f"{key}_hz", key).replace_key(f"{key}_hz2", key)
             raise BrokenError([wrong.under("measurement")]) from None
 
     def _covariance(self, folder: Path) -> ArrayLike | None:
@@ -225,12 +225,12 @@ class MeasurementTable(TomlTable):
                 raise ValueError(f"must have at most {MOST_MODES} rows (got {matrix.shape[0]})")
         except ValueError as error:
             raise BrokenError(
-                [ArgumentError.of(error).moved("variable", "").under("measurement.covariance")]
+                [ArgumentError.of(error).replace_key("variable", "").under("measurement.covariance")]
             ) from None
         return np.asarray(matrix.toarray())
 
-    def _turned(self, given: Mapping[str, Any], points: Matching | None) -> dict[str, Any]:
-        """Return sensors and shapes turned into the axes of the model where those of the test are not parallel."""
+    def _turn_sensors(self, given: Mapping[str, Any], points: Matching | None) -> dict[str, Any]:
+        """Turn sensors and shapes into the axes of the model, unless the axes of the test are parallel."""
         if points is None or points.is_parallel:
             return {}
         if self.test_shapes is not None and given.get("shapes_sd") is not None:
@@ -250,7 +250,7 @@ class MeasurementTable(TomlTable):
     def _sensors(
         self, given: tuple[tuple[Any, str], ...], built: Built, points: Matching | None
     ) -> tuple[tuple[Any, str], ...]:
-        """Return sensors of the model for those of the file."""
+        """Return the sensors of the model at the places and directions that the file gives."""
         sensors, found = [], []
         for i, (place, direction) in enumerate(given):
             where = f"sensors.{i}" if self.sensors else self._where
@@ -263,7 +263,7 @@ class MeasurementTable(TomlTable):
             sensors.append(sensor)
             if not built.model.sees(sensor):
                 rule = "must be a point and a direction that are free to move"
-                found.append(ArgumentError(f"measurement.{where}", rule, shown([place, direction])))
+                found.append(ArgumentError(f"measurement.{where}", rule, quote([place, direction])))
         if found:
             raise BrokenError(found)
         return tuple(sensors)
@@ -296,7 +296,9 @@ class MeasurementTable(TomlTable):
         with _at(f"measurement.{self._source}"):
             if self._source in READERS:
                 table: Declared = getattr(self, self._source)
-                files = {key: folder / str(given) for key, given in table.given().items() if key in _FILES}
+                files = {
+                    key: folder / str(given) for key, given in table.given_arguments().items() if key in _FILES
+                }
                 return dict(vars(table.build(**files, **options)))
             if self.file is not None:
                 return dict(vars(read_frequencies(folder / self.file)))
@@ -312,7 +314,7 @@ def _at(where: str) -> Iterator[None]:
     except ModesError as error:
         raise BrokenError([ArgumentError(where, mistake) for mistake in error.mistakes]) from None
     except (OSError, ImportError) as error:
-        raise BrokenError([ArgumentError.of(error).moved("path", "").under(where)]) from None
+        raise BrokenError([ArgumentError.of(error).replace_key("path", "").under(where)]) from None
 
 
 def _mean(key: str, values: ArrayLike, scatter: str) -> dict[str, Any]:
@@ -320,7 +322,7 @@ def _mean(key: str, values: ArrayLike, scatter: str) -> dict[str, Any]:
     try:
         tests = RepeatedTests(values, scatter)
     except ValueError as error:
-        raise BrokenError([ArgumentError.of(error).moved("frequencies", f"measurement.{key}")]) from None
+        raise BrokenError([ArgumentError.of(error).replace_key("frequencies", f"measurement.{key}")]) from None
     return {**tests.mean()._asdict(), "tests": tests}
 
 
@@ -337,11 +339,11 @@ def _repeated_shapes(shapes: list[list[list[float]]], tests: RepeatedTests) -> d
     ]
     lengths = sorted({len(row) for test in shapes for row in test})
     if not wrong and len(lengths) > 1:
-        wrong = [ArgumentError(where, "must have rows of one length, one value per sensor", shown(lengths))]
+        wrong = [ArgumentError(where, "must have rows of one length, one value per sensor", quote(lengths))]
     if wrong:
         raise BrokenError(wrong)
     values = np.swapaxes(np.array(shapes, dtype=float), 1, 2)
     try:
         return {"shapes": mean_shapes(values), "shapes_sd": shapes_sd(values)}
     except ValueError as error:
-        raise BrokenError([ArgumentError.of(error).moved("shapes", where)]) from None
+        raise BrokenError([ArgumentError.of(error).replace_key("shapes", where)]) from None

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from fmu.arguments import ArgumentError
-from fmu.formats.shown import shown, told
+from fmu.formats.shown import list_mistakes, quote
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
@@ -59,7 +59,7 @@ class ConfigurationError(ValueError):
         return f"{self.source}: {n} error{'s' if n > 1 else ''}"
 
     def __str__(self) -> str:
-        return "\n".join([f"{self.headline}:", *(f"  {line}" for line in told(self.mistakes))])
+        return "\n".join([f"{self.headline}:", *(f"  {line}" for line in list_mistakes(self.mistakes))])
 
 
 def place(parts: Sequence[int | str]) -> str:
@@ -76,7 +76,7 @@ def of_validation(error: ValidationError) -> list[ArgumentError]:
 
 def _of_one(error: dict[str, Any]) -> ArgumentError:
     where = place(_in_the_file(error["loc"]))
-    kind, value = error["type"], shown(error["input"])
+    kind, value = error["type"], quote(error["input"])
     if kind == "extra_forbidden":
         return ArgumentError(where, "is not a known key")
     if kind == "missing":
@@ -105,7 +105,7 @@ def _of_tag(where: str, error: dict[str, Any]) -> ArgumentError:
     if "tag" not in context:
         return ArgumentError(where, "is missing")
     known = ", ".join(tag.strip("'") for tag in context["expected_tags"].split(", "))
-    return ArgumentError(where, f"must be one of {known}", shown(context["tag"]))
+    return ArgumentError(where, f"must be one of {known}", quote(context["tag"]))
 
 
 def _in_the_file(where: tuple[int | str, ...]) -> list[int | str]:

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from fmu.arguments import ArgumentError
 from fmu.config.tables import Declared, Name, NotNegative, OneOf, ParameterName, Positive, TomlTable
 from fmu.fem.frame.updates import PROPERTIES
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors import PRIORS
 from fmu.types import Direction
@@ -23,7 +23,7 @@ KEYS = dict.fromkeys(PROPERTIES, "groups") | {"mass": "masses", "inertia": "mass
 
 
 class Target(TomlTable):
-    """The quantities of a frame that a parameter is the value of, or multiplies.
+    """The quantities of a frame that a parameter sets or multiplies.
 
     A ``property`` of ``groups`` of members (or ``"all"``), ``masses`` or ``springs``; of the last two in the given
     ``directions``, or in all.
@@ -36,7 +36,7 @@ class Target(TomlTable):
     directions: list[Direction] = []
     scaling: Literal["absolute", "factor"] = "absolute"
 
-    def named(self, key: str, groups: Sequence[str] = ()) -> list[str]:
+    def names_at(self, key: str, groups: Sequence[str] = ()) -> list[str]:
         """Return the names listed by a key; all `groups` where it is ``"all"``."""
         names = {"groups": self.groups, "masses": self.masses, "springs": self.springs}[key]
         return list(groups) if names == "all" else list(names)
@@ -128,7 +128,7 @@ class NoiseTable(Uncertain):
     upper: Positive | None = None
 
 
-def built(
+def build_parameters(
     key: str, tables: Sequence[Uncertain], taken: Sequence[str] = ()
 ) -> tuple[dict[str, Parameter], list[ArgumentError]]:
     """Return the parameters by name, in the order of the file, and the mistakes in their tables.
@@ -146,13 +146,13 @@ def built(
     for i, table in enumerate(tables):
         if table.name in names:
             found.append(
-                ArgumentError(f"{key}.{i}.name", "must not be the name of another parameter", shown(table.name))
+                ArgumentError(f"{key}.{i}.name", "must not be the name of another parameter", quote(table.name))
             )
         names.append(table.name)
         try:
             parameters[table.name] = table.build()
         except ValueError as error:
-            found.append(ArgumentError.of(error).moved(table.name, "").under(f"{key}.{i}"))
+            found.append(ArgumentError.of(error).replace_key(table.name, "").under(f"{key}.{i}"))
     return parameters, found
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, cast
 from pydantic import Field, Tag
 
 from fmu.arguments import ArgumentError
-from fmu.config.errors import ErrorTable, beside_tests, built_errors, is_of_modes, vanishing, with_places
+from fmu.config.errors import ErrorTable, beside_tests, build_error_models, is_of_modes, vanishing, with_places
 from fmu.config.measurement import MeasurementTable
 from fmu.config.mistakes import BrokenError, ConfigurationError
 from fmu.config.models.command import CommandTable
@@ -19,13 +19,13 @@ from fmu.config.models.frame import FrameTable
 from fmu.config.models.matrices import MatricesTable
 from fmu.config.models.opensees import OpenSeesTable
 from fmu.config.models.python import PythonTable
-from fmu.config.parameters import NoiseTable, ParameterTable, built, of_several_tests
+from fmu.config.parameters import NoiseTable, ParameterTable, build_parameters, of_several_tests
 from fmu.config.tables import Built, FileName, Name, Positive, TomlTable, by_kind
-from fmu.config.tests import MOST_TESTS, TestTable, built_tests, in_the_file, variations
+from fmu.config.tests import MOST_TESTS, TestTable, build_tests, in_the_file, variations
 from fmu.engines.base import Engine
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.rules import SOFTNESS
-from fmu.formats.decks import EXPORTED, filled, filled_name, read_deck
+from fmu.formats.decks import EXPORTED, fill_deck, filled_name, read_deck
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import ErrorModel
 from fmu.posterior.joint.joint_problem import JointProblem
@@ -66,7 +66,7 @@ class ExportTable(TomlTable):
                 if name in made:
                     raise ValueError(f"must give a file of another name (got {name})")
                 made.append(name)
-                filled(read_deck(folder / template), given)
+                fill_deck(read_deck(folder / template), given)
             except ValueError as error:
                 found.append(ArgumentError(f"export.templates.{i}", str(error)))
         return found
@@ -139,11 +139,11 @@ class ProblemFile(TomlTable):
         ConfigurationError
             Lists every mistake, if there is one.
         """
-        parameters, found = built("parameters", self.parameters)
+        parameters, found = build_parameters("parameters", self.parameters)
         found += self.model.mistakes(self.parameters)
-        noise, wrong = built("noise", self.noise, [table.name for table in self.parameters])
+        noise, wrong = build_parameters("noise", self.noise, [table.name for table in self.parameters])
         tables = [] if isinstance(self.error, str) else self.error
-        errors, unnamed = built_errors(tables, noise, [table.name for table in self.noise])
+        errors, unnamed = build_error_models(tables, noise, [table.name for table in self.noise])
         found += wrong + unnamed + self._of_measurements(needs_trust=not any(map(is_of_modes, errors)))
         if self.export is not None:
             found += self.export.mistakes(folder, [table.name for table in (*self.parameters, *self.noise)])
@@ -180,7 +180,7 @@ class ProblemFile(TomlTable):
             raise ConfigurationError(source, [ArgumentError.of(error)]) from error
 
     def _of_measurements(self, needs_trust: bool) -> list[ArgumentError]:
-        """Return the mistakes in what was measured that its tables alone show."""
+        """Return the mistakes that the tables of the measurement show by themselves."""
         if (self.measurement is None) == (self.tests is None):
             given = "none" if self.tests is None else "both"
             return [ArgumentError("measurement", f"must be given, or several [[tests]] instead (got {given})")]
@@ -190,14 +190,14 @@ class ProblemFile(TomlTable):
             of_one = [ArgumentError(key, rule) for key, value in keys.items() if value is not None]
             return self.measured.mistakes(needs_trust) + of_several_tests(self.parameters) + of_one
         return [
-            mistake.moved("measurement", f"tests.{i}")
+            mistake.replace_key("measurement", f"tests.{i}")
             for i, table in enumerate(self.tests)
             for mistake in table.mistakes(needs_trust)
         ]
 
     @property
     def decks(self) -> list[str]:
-        """Templates that ``fmu export`` fills: that of a program's model, and those of ``[export]``."""
+        """Templates that ``fmu export`` fills: the deck of a program's model, and those below ``[export]``."""
         own = [self.model.template] if isinstance(self.model, CommandTable) else []
         return list(dict.fromkeys([*own, *([] if self.export is None else self.export.templates)]))
 
@@ -222,7 +222,7 @@ class ProblemFile(TomlTable):
         if beta is not None:
             raise ValueError(f"beta: must not be given for several tests (got {beta})")
         errors = with_places(errors, structure.places)
-        tests, found = built_tests(self.tests or [], folder, structure, not any(map(is_of_modes, errors)))
+        tests, found = build_tests(self.tests or [], folder, structure, not any(map(is_of_modes, errors)))
         if found:
             raise BrokenError(found)
         try:

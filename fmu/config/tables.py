@@ -1,7 +1,7 @@
 """Tables of a problem file.
 
 `TomlTable` is the base of all. A table that only collects the arguments of one of the library's constructors is
-not written out: `declared` makes it from the constructor's annotations (keys, types, ranges), defaults and
+not written out: `declare_table` makes it from the constructor's annotations (keys, types, ranges), defaults and
 docstring (descriptions). In the file, a key ``Annotated[Material, Of("material", Material)]`` is a table with E,
 nu and rho; its value here is a `Material`.
 """
@@ -31,7 +31,7 @@ from pydantic_core import core_schema
 from fmu.arguments import ArgumentError
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 from fmu.numbers import names_in_words
 from fmu.posterior.parameters import require_name
 from fmu.types import NotNegative as NotNegative
@@ -93,13 +93,13 @@ SensorTable = Annotated[list[int | str], Field(min_length=2, max_length=2)]
 def one_length(what: str) -> AfterValidator:
     """Return a validator that refuses rows of different lengths: each has a value per mode, sensor or the like."""
 
-    def checked(rows: list[list[float]]) -> list[list[float]]:
+    def check(rows: list[list[float]]) -> list[list[float]]:
         lengths = [len(row) for row in rows]
         if len(set(lengths)) > 1:
-            raise ArgumentError("", f"must have rows of one length, one value per {what}", shown(lengths))
+            raise ArgumentError("", f"must have rows of one length, one value per {what}", quote(lengths))
         return rows
 
-    return AfterValidator(checked)
+    return AfterValidator(check)
 
 
 class TomlTable(BaseModel):
@@ -114,7 +114,7 @@ class TomlTable(BaseModel):
 
 
 class Declared(TomlTable):
-    """A table whose keys are the arguments of a constructor, or of one of several; see `declared`."""
+    """A table whose keys are the arguments of a constructor, or of one of several; see `declare_table`."""
 
     model_config = ConfigDict(use_attribute_docstrings=False)  # there is no source to look for them
     makes: ClassVar[tuple[Maker, ...]] = ()
@@ -128,7 +128,7 @@ class Declared(TomlTable):
         """The value of the key that says what kind of table it is."""
         return str(getattr(self, self.tag))
 
-    def given(self) -> dict[str, Any]:
+    def given_arguments(self) -> dict[str, Any]:
         """Return the arguments that the file gives."""
         keys = [key for key in type(self).model_fields if key in self.model_fields_set and key != self.tag]
         return {self.renamed.get(key, key): getattr(self, key) for key in keys}
@@ -141,11 +141,11 @@ class Declared(TomlTable):
         ValueError
             If the keys are not the arguments of one of the constructors, or it refuses their values.
         """
-        given = self.given() | others
+        given = self.given_arguments() | others
         for make in self.makes:
-            if required(make) <= given.keys() <= arguments(make).keys():
+            if required_arguments(make) <= given.keys() <= arguments(make).keys():
                 return make(**given)
-        raise ArgumentError("", f"must have either {_ways(self.makes)}", shown(list(given)))
+        raise ArgumentError("", f"must have either {_ways(self.makes)}", quote(list(given)))
 
     @model_validator(mode="after")
     def _can_be_built(self) -> Self:
@@ -154,7 +154,7 @@ class Declared(TomlTable):
         return self
 
 
-def declared(
+def declare_table(
     name: str,
     *makes: Maker,
     tag: str = "",
@@ -183,10 +183,10 @@ def declared(
     fields: dict[str, Any] = {tag: (Literal[name], ...)} if tag else {}
     for names in every:
         for argument, (annotation, default) in names.items():
-            is_required = all(argument in required(make) for make in makes)
+            is_required = all(argument in required_arguments(make) for make in makes)
             if not is_required and default is inspect.Parameter.empty:
                 annotation, default = annotation | None, None
-            annotation = Name if argument in key_of else (in_a_file or listed)(annotation)
+            annotation = Name if argument in key_of else (in_a_file or tuple_as_list)(annotation)
             if annotation is not None:
                 field = Field(... if is_required else default, description=described.get(argument))
                 fields[key_of.get(argument, argument)] = (annotation, field)
@@ -208,9 +208,9 @@ class OneOf:
     tag : str
         The key.
     kinds : mapping of str to tuple of callable
-        The constructors of each kind, see `declared`.
+        The constructors of each kind, see `declare_table`.
     in_a_file : callable, optional
-        See `declared`.
+        See `declare_table`.
     """
 
     def __init__(
@@ -220,27 +220,29 @@ class OneOf:
         in_a_file: Callable[[Any], Any] | None = None,
     ) -> None:
         self._tag = tag
-        self._tables = tuple(declared(name, *makes, tag=tag, in_a_file=in_a_file) for name, makes in kinds.items())
+        self._tables = tuple(
+            declare_table(name, *makes, tag=tag, in_a_file=in_a_file) for name, makes in kinds.items()
+        )
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
         return handler(Annotated[Union[self._tables], Field(discriminator=self._tag)])  # noqa: UP007
 
 
 class Of:
-    """What a constructor makes of a table: ``Annotated[Material, Of("material", Material)]``.
+    """A value of the file that a constructor makes of a table: ``Annotated[Material, Of("material", Material)]``.
 
     Parameters
     ----------
     name : str
         Name of the table in the schema.
     *makes : callable
-        See `declared`.
+        See `declare_table`.
     **renamed : str
         Keys in the file, each with the name of the argument that it stands for: a name of something in the file.
     """
 
     def __init__(self, name: str, *makes: Maker, **renamed: str) -> None:
-        self._table = declared(name, *makes, renamed=renamed)
+        self._table = declare_table(name, *makes, renamed=renamed)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
         return core_schema.no_info_after_validator_function(lambda table: table.build(), handler(self._table))
@@ -249,15 +251,15 @@ class Of:
 def inside(key: str, make: Maker) -> Maker:
     """Return a constructor whose only argument is the table of another: ``{ tube = { diameter = …, … } }``."""
 
-    def made(**given: Any) -> Any:
+    def take_argument(**given: Any) -> Any:
         return given[key]
 
     annotation = Annotated[Any, Of(key, make)]
-    made.__annotations__ = {key: annotation}
-    made.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+    take_argument.__annotations__ = {key: annotation}
+    take_argument.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         [inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, annotation=annotation)]
     )
-    return made
+    return take_argument
 
 
 def with_keys[Table: TomlTable](fields: Mapping[str, Any]) -> Callable[[type[Table]], type[Table]]:
@@ -266,7 +268,7 @@ def with_keys[Table: TomlTable](fields: Mapping[str, Any]) -> Callable[[type[Tab
 
 
 @cache
-def required(make: Maker) -> set[str]:
+def required_arguments(make: Maker) -> set[str]:
     """Return the names of the arguments that a constructor cannot do without."""
     return {key for key, (_, default) in arguments(make).items() if default is inspect.Parameter.empty}
 
@@ -280,7 +282,7 @@ def arguments(make: Maker) -> dict[str, tuple[Any, Any]]:
 
 
 def _ways(makes: tuple[Maker, ...]) -> str:
-    """Return which arguments the constructors have that are not common to all."""
+    """Return, in words, the arguments that only some of the constructors have."""
     every = [arguments(make) for make in makes]
     ways = [[key for key in names if any(key not in other for other in every)] for names in every]
     return ", or ".join(map(names_in_words, ways))
@@ -294,11 +296,11 @@ def _descriptions(make: Maker) -> dict[str, str]:
     return {key: " ".join(about.split()) for keys, about in entries for key in keys.split(", ") if about.strip()}
 
 
-def listed(annotation: Any) -> Any:
-    """Return a list of as many items where an annotation is a tuple, which TOML has not, or a tuple or None."""
+def tuple_as_list(annotation: Any) -> Any:
+    """Return a type of lists for a type of tuples, which TOML lacks; any other type as it is."""
     parts = get_args(annotation)
     if type(None) in parts and any(get_origin(part) is tuple for part in parts):
-        return listed(next(part for part in parts if get_origin(part) is tuple)) | None
+        return tuple_as_list(next(part for part in parts if get_origin(part) is tuple)) | None
     if get_origin(annotation) is not tuple:
         return annotation
     item, n = Union[tuple(dict.fromkeys(parts))], len(parts)  # noqa: UP007

@@ -63,7 +63,7 @@ class TestTable(MeasurementTable):
         try:
             data = self.build(folder, built, needs_trust)
         except BrokenError as error:
-            raise BrokenError([mistake.moved("measurement", where) for mistake in error.mistakes]) from None
+            raise BrokenError([mistake.replace_key("measurement", where) for mistake in error.mistakes]) from None
         if self.beta is not None:
             data = type(data)(**{**vars(data), "sd_hz": np.sqrt(0.5 / np.asarray(self.beta))})
         place = {str(name): node for name, node in built.places.items()}
@@ -81,7 +81,7 @@ class TestTable(MeasurementTable):
             raise BrokenError([ArgumentError.of(error).under(where)]) from None
 
 
-def built_tests(
+def build_tests(
     tables: Sequence[TestTable], folder: Path, built: Built, needs_trust: bool
 ) -> tuple[list[Test], list[ArgumentError]]:
     """Return the tests, and the mistakes in their tables."""

@@ -118,14 +118,14 @@ class DaskCluster(RemoteEngine):
             or self._shared[1].status not in ("pending", "finished")
         ):
             key, packed = f"fmu-shared-{uuid.uuid4().hex}", Bytes(cloudpickle.dumps(shared))
-            self._shared = shared, self._submit(key, return_unchanged, packed)
+            self._shared = shared, self._submit(key, return_argument, packed)
         return self._shared[1]
 
     def _submit(self, key: str, function: Callable[..., Any], *arguments: Any) -> Any:
         with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 TB"}):
             return self._client.submit(function, *arguments, key=key, pure=False)
 
-    def _end_tasks(self, report: Report | None) -> Iterator[tuple[Task, Outcome]]:
+    def _take_ended(self, report: Report | None) -> Iterator[tuple[Task, Outcome]]:
         try:
             kind, content = self._inbox.get(timeout=_CHECK_INTERVAL_S)
         except queue.Empty:
@@ -170,7 +170,7 @@ class DaskCluster(RemoteEngine):
 
 
 class _Thread(threading.local):
-    """What a thread of a worker has unpickled last: threads may not be able to use one copy together."""
+    """The object that a thread of a worker unpickled last: threads may not be able to share one copy."""
 
     name = ""
     shared = Shared(b"")
@@ -191,7 +191,7 @@ class Bytes:
         self.content = content
 
 
-def return_unchanged(packed: Bytes) -> Bytes:
+def return_argument(packed: Bytes) -> Bytes:
     """Return the argument."""
     return packed
 

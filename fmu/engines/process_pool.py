@@ -117,7 +117,7 @@ class ProcessPool(RemoteEngine):
             process.stop()
 
     def _start(self, waiting: deque[Task], shared: Any) -> bool:
-        packed = self._pack(shared)
+        packed = self._pack_shared(shared)
         idle = [process for process in self._processes if process.task is None]
         for _ in range(min(len(waiting) - len(idle), self.workers - len(self._processes))):
             idle.append(WorkerProcess())
@@ -126,7 +126,7 @@ class ProcessPool(RemoteEngine):
             process.give(waiting.popleft(), packed)
         return any(process.task is not None for process in self._processes)
 
-    def _end_tasks(self, report: Report | None) -> Iterator[tuple[Task, Outcome]]:
+    def _take_ended(self, report: Report | None) -> Iterator[tuple[Task, Outcome]]:
         busy = {p.connection: (p, p.task) for p in self._processes if p.task is not None}
         wait([*busy, *(process.process.sentinel for process, _ in busy.values())], timeout=_CHECK_INTERVAL_S)
         for process, task in busy.values():
@@ -149,7 +149,7 @@ class ProcessPool(RemoteEngine):
         self._processes.remove(process)
         process.stop()
 
-    def _pack(self, shared: Any) -> bytes:
+    def _pack_shared(self, shared: Any) -> bytes:
         """Return `shared` pickled: the same bytes as last time if it is the same object."""
         if self._shared is None or self._shared[0] is not shared:
             self._shared = shared, cloudpickle.dumps(shared)

@@ -1,6 +1,6 @@
-"""What engines with worker processes share: tasks and their outcomes as bytes, and the loop over the tasks.
+"""The common part of engines with worker processes: tasks and outcomes as bytes, and the loop over the tasks.
 
-`RemoteEngine` and `unpack` run in the calling process, `carry_out` and `limit_blas_threads` in a worker.
+`RemoteEngine` and `unpack_outcome` run in the calling process, `carry_out` and `limit_blas_threads` in a worker.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Task(NamedTuple):
     """How many workers have died while they ran it."""
 
     def pack(self) -> bytes:
-        """Return the shared data that a worker needs, pickled."""
+        """Return the work, its argument and whether it reports, pickled for a worker."""
         return bytes(cloudpickle.dumps((self.work, self.argument, self.reports)))
 
 
@@ -78,11 +78,11 @@ class RemoteEngine(Engine):
         waiting = deque(Task(i, work, task, report is not None) for i, task in enumerate(tasks))
         try:
             while self._start(waiting, shared):
-                for task, outcome in self._end_tasks(report):
+                for task, outcome in self._take_ended(report):
                     if outcome.deaths:
                         waiting.appendleft(_again(task, outcome))
                         continue
-                    results[task.sequence] = unpack(outcome.packed)
+                    results[task.sequence] = unpack_outcome(outcome.packed)
                     self._start(waiting, shared)  # no worker is idle while `follow` runs
                     following = None if follow is None else follow(task.sequence, results[task.sequence])
                     if following is not None:
@@ -99,8 +99,8 @@ class RemoteEngine(Engine):
         """Start as many of the waiting tasks as there are idle workers; return whether any task is running."""
 
     @abstractmethod
-    def _end_tasks(self, report: Report | None) -> Iterator[tuple[Task, Outcome]]:
-        """Wait for the workers, pass their reports on, and give the tasks that have ended since the last call."""
+    def _take_ended(self, report: Report | None) -> Iterator[tuple[Task, Outcome]]:
+        """Wait for the workers, pass their reports on, and yield the tasks that have ended since the last call."""
 
     @abstractmethod
     def _abandon(self) -> None:
@@ -129,7 +129,7 @@ def carry_out(task: bytes, shared: Callable[[], Any], send: Callable[[tuple[Any,
     """
     try:
         work, argument, reports = cloudpickle.loads(task)
-        result = work(shared(), argument, _throttle(send) if reports else None)
+        result = work(shared(), argument, _throttle_reports(send) if reports else None)
         return bytes(cloudpickle.dumps((result, None, "")))
     except BaseException as error:
         where = traceback.format_exc()
@@ -142,7 +142,7 @@ def carry_out(task: bytes, shared: Callable[[], Any], send: Callable[[tuple[Any,
         return packed
 
 
-def unpack(outcome: bytes) -> Any:
+def unpack_outcome(outcome: bytes) -> Any:
     """Return the result of a task, or raise its exception."""
     result, error, where = cloudpickle.loads(outcome)
     if error is not None:
@@ -169,7 +169,7 @@ def _again(task: Task, outcome: Outcome) -> Task:
     return task._replace(deaths=deaths)
 
 
-def _throttle(send: Callable[[tuple[Any, ...]], None]) -> Report:
+def _throttle_reports(send: Callable[[tuple[Any, ...]], None]) -> Report:
     throttle = Throttle(_REPORT_INTERVAL_S)
 
     def report(phase: str, done: int, total: int, info: Mapping[str, Any]) -> None:

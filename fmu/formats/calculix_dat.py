@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from fmu.formats.files import too_large, why_no_file
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 from fmu.types import FloatArray
 
 DIRECTIONS = ("x", "y", "z")
@@ -92,7 +92,7 @@ def _frequencies(text: str, name: str) -> FloatArray:
         words = line.split()
         if words and words[0].isdecimal():
             if len(words) != _COLUMNS or int(words[0]) != len(found) + 1:
-                raise ValueError(f"{name}: its table of eigenvalues is cut off (got {shown(line.strip())})")
+                raise ValueError(f"{name}: its table of eigenvalues is cut off (got {quote(line.strip())})")
             found.append(_number(words[_FREQUENCY], name))
         elif found:
             break
@@ -125,4 +125,4 @@ def _number(word: str, name: str) -> float:
     try:
         return float(_NO_LETTER.sub(r"E\1", word))
     except ValueError:
-        raise ValueError(f"{name}: must have numbers (got {shown(word)})") from None
+        raise ValueError(f"{name}: must have numbers (got {quote(word)})") from None

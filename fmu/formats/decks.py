@@ -22,7 +22,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from fmu.formats.files import too_large, why_no_file
-from fmu.formats.shown import names_shown, told
+from fmu.formats.shown import list_mistakes, names_shown
 
 MESH_MODES, UPDATED_MODES, MEASURED_MODES = "modes.vtu", "updated.uff", "measured.uff"
 VALUES, STIFFNESS, MASS, DOFS, PROBLEM = "theta.csv", "K.mtx", "M.mtx", "dofs.csv", "updated.toml"
@@ -39,7 +39,7 @@ _WORD = re.compile(r"[^\W\d]\w*")
 
 
 def read_deck(path: Path) -> str:
-    """Return the text of a deck, its line ends and its bytes that are not UTF-8 kept; ValueError if it is none."""
+    """Read the text of a deck, with its line ends and bytes that are not UTF-8; ValueError if it is no text."""
     wrong = why_no_file(path) or too_large(path, LARGEST_DECK)
     if wrong:
         raise ValueError(f"must be a text file ({wrong})")
@@ -74,7 +74,7 @@ def filled_name(name: str) -> str:
     return (path.with_suffix("") if is_inside else Path(path.stem)).as_posix()
 
 
-def filled(text: str, values: Mapping[str, float]) -> str:
+def fill_deck(text: str, values: Mapping[str, float]) -> str:
     """Return a deck with numbers for its placeholders.
 
     Parameters
@@ -91,9 +91,9 @@ def filled(text: str, values: Mapping[str, float]) -> str:
     if not wrong and not placeholders(text) & values.keys():
         wrong = [f"must have a placeholder, as {{{next(iter(values), 'E')}}} (it has none)"]
     if wrong:
-        raise ValueError("; ".join(told(wrong)))
+        raise ValueError("; ".join(list_mistakes(wrong)))
 
-    def put(match: re.Match[str]) -> str:
+    def write_number(match: re.Match[str]) -> str:
         if match[1] is not None:
             return f"{{{match[1]}}}"
         if match[2] not in values:
@@ -103,7 +103,7 @@ def filled(text: str, values: Mapping[str, float]) -> str:
             return number(value)
         return columns(value, int(form)) if form.isdecimal() else format(value, form)
 
-    return _BRACES.sub(put, text)
+    return _BRACES.sub(write_number, text)
 
 
 def _mistakes(text: str, values: Mapping[str, float]) -> Iterator[str]:

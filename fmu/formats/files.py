@@ -1,4 +1,4 @@
-"""What is looked at before a file is read: whether it is one, and how large it is."""
+"""Checks before a file is read: whether there is one, and how large it is."""
 
 from __future__ import annotations
 
@@ -24,6 +24,6 @@ def why_no_file(path: Path) -> str:
 
 
 def too_large(path: Path, most: int) -> str:
-    """Say that a file has more than so many bytes; empty if it has not."""
+    """Return a complaint about a file of more than `most` bytes; empty if it has no more."""
     size = path.stat().st_size
     return f"must have at most {most} bytes (got {size})" if size > most else ""

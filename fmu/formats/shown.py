@@ -47,7 +47,7 @@ class _Shown(Repr):
 _SHOWN = _Shown()
 
 
-def shown(value: Any) -> str:
+def quote(value: Any) -> str:
     """Return a value as text, at most `MOST` characters of it."""
     text = _SHOWN.repr(value)
     return text if len(text) <= MOST + 2 or text.endswith(" …") else f"{text[:MOST]} …"
@@ -67,7 +67,7 @@ def one_line(text: str, most: int = MOST_OF_A_LINE) -> str:
     return _cut(line, most)
 
 
-def told(mistakes: Sequence[object]) -> list[str]:
+def list_mistakes(mistakes: Sequence[object]) -> list[str]:
     """Return a line for each of the first mistakes, and one that says how many more there are."""
     lines = [one_line(str(mistake)) for mistake in mistakes[:MOST_TOLD]]
     more = len(mistakes) - MOST_TOLD

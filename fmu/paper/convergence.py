@@ -45,7 +45,7 @@ class Reference:
         return float(np.sqrt(np.mean((self.mcse / self.sd) ** 2)))
 
 
-def pooled(traces: Mapping[str, xr.DataTree], origin: str) -> Reference:
+def pool_traces(traces: Mapping[str, xr.DataTree], origin: str) -> Reference:
     """Return the mean of several traces, each weighted by its effective sample size, and their sd."""
     tables = [summary(trace) for trace in traces.values()]
     mean, sd, mcse, ess = (
@@ -152,7 +152,7 @@ def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str
     step_s = (float(attrs["wall_s"]) - before_s) / steps
     needed = Needed()
     for length in lengths_up_to(steps, GROWTH, SHORTEST)[::-1]:
-        if failures(shortened(trace, int(length) * walkers)):
+        if failures(shorten_trace(trace, int(length) * walkers)):
             break
         samples = trace["posterior"].sizes["chain"] * walkers * (int(attrs["warmup"]) + int(length))
         needed = Needed(int(length), samples, float(solves[length - 1]), before_s + step_s * int(length))
@@ -179,7 +179,7 @@ def solves_by_step(trace: xr.DataTree) -> FloatArray:
     return before.sum(axis=1, keepdims=True) + np.cumsum(kept, axis=1)
 
 
-def shortened(trace: xr.DataTree, draws: int) -> xr.DataTree:
+def shorten_trace(trace: xr.DataTree, draws: int) -> xr.DataTree:
     """Return the first `draws` draws of a trace, with the groups that a verdict needs."""
     import xarray as xr
 

@@ -85,8 +85,8 @@ def recomputed_page(table: pd.DataFrame) -> str:
     return (
         "# The published frequencies, recomputed\n\n"
         "Tables 2 and 4 beside the model at the parameters of Tables 1 and 3, modes paired by number: "
-        f"{reproduced(table)}. All within {share(TOLERANCE)} beyond the rounding of the printed digit, or as the "
-        "table says; differences are from what was meant.\n\n"
+        f"{count_reproduced(table)}. All within {share(TOLERANCE)} beyond the rounding of the printed digit, or "
+        "as the table says; differences are from what was meant.\n\n"
         + markdown_table(
             (
                 "table",
@@ -105,7 +105,7 @@ def recomputed_page(table: pd.DataFrame) -> str:
     )
 
 
-def reproduced(table: pd.DataFrame) -> str:
+def count_reproduced(table: pd.DataFrame) -> str:
     """Say how many published frequencies the model reproduces as printed, and which need a correction.
 
     Parameters
@@ -173,7 +173,7 @@ def computed_errata(
 
 
 def _mode_pairing(by_number: UpdatingProblem, by_shape: UpdatingProblem) -> Iterator[Erratum]:
-    """Yield the modes of section 5.1 whose number in the spectrum at the start is that of another mode."""
+    """Yield the modes of section 5.1 whose number at the start belongs to another mode."""
     experiment = EXPERIMENTS[YOUNG]
     start = experiment.columns["initial"]
     numbers = by_number.data.numbers
@@ -300,7 +300,7 @@ the corrected version.
 
 
 def errata_page(errata: list[Erratum], recomputed: str) -> str:
-    """Return errata.md; `recomputed` says how many frequencies the model reproduces (`reproduced`)."""
+    """Return errata.md; `recomputed` says how many frequencies the model reproduces (`count_reproduced`)."""
     planes = ", ".join(f"{letter}: {words}" for letter, words in spectrum.PLANES.items())
     rows = [(str(k), *erratum) for k, erratum in enumerate(errata, start=1)]
     return (

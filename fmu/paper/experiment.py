@@ -20,7 +20,7 @@ from fmu.paper.convergence import (
     Needed,
     Reference,
     around_the_maxima,
-    pooled,
+    pool_traces,
     running_error,
     solves_at_this_pace,
     solves_needed,
@@ -160,7 +160,7 @@ def compute(case: str, pairing: str, plan: Plan, progress: Report | None = None)
         reference=reference,
         diagnoses=diagnoses,
         comparison=comparison,
-        needed={s: _needed(trace, diagnoses[s], maxima) for s, trace in long.items()},
+        needed={s: _length_needed(trace, diagnoses[s], maxima) for s, trace in long.items()},
         curves={
             s: tuple(running_error(t, reference) for t in (trace, paper.get(s)) if t is not None)
             for s, trace in long.items()
@@ -169,8 +169,8 @@ def compute(case: str, pairing: str, plan: Plan, progress: Report | None = None)
     )
 
 
-def _needed(trace: xr.DataTree, diagnosis: Diagnosis, maxima: Maxima) -> Needed:
-    """Return the length from which on a run passed for converged."""
+def _length_needed(trace: xr.DataTree, diagnosis: Diagnosis, maxima: Maxima) -> Needed:
+    """Return the length at which a run first passed for converged."""
     if not diagnosis.converged:
         return Needed()
     return solves_needed(trace, lambda short: missed_maxima(short, maxima) + convergence_failures(short))
@@ -193,11 +193,11 @@ def _reference(long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosi
     good = {s: long[s] for s in TRUSTED if diagnoses[s].converged}
     if not good:
         return around_the_maxima(maxima)
-    return pooled(good, f"long runs of {' and '.join(TITLES[s] for s in good)}, pooled")
+    return pool_traces(good, f"long runs of {' and '.join(TITLES[s] for s in good)}, pooled")
 
 
 def _places(problem: UpdatingProblem, trace: xr.DataTree) -> dict[str, float]:
-    """Return which physical modes are paired at about 2000 draws spread over a trace."""
+    """Return the share of each set of paired physical modes, from about 2000 draws spread over a trace."""
     draws = parameter_draws(trace)
     every = max(1, draws.shape[0] * draws.shape[1] // _LOOKED_AT)
     return shares(paired_names(problem, draws.reshape(-1, draws.shape[-1])[::every]))
@@ -267,7 +267,7 @@ def frequency_table(result: Result) -> pd.DataFrame:
 
 
 def comparison_table(result: Result) -> pd.DataFrame:
-    """Return `fmu.compare` of the long runs with what the paper's protocol cost beside it, one row per sampler.
+    """Return `fmu.compare` of the long runs beside the cost of the paper's protocol, one row per sampler.
 
     Solves are log-probabilities, and an exact gradient counts as ``gradient_cost`` of them.
     ``sampling_solves`` and ``ess_per_sampling_solve`` leave the warm-up out.
@@ -303,7 +303,7 @@ def comparison_table(result: Result) -> pd.DataFrame:
 
 
 class OneStart(NamedTuple):
-    """What chains from one start vector came to.
+    """Length, convergence and error of chains from one start vector.
 
     Attributes
     ----------
@@ -325,7 +325,7 @@ class OneStart(NamedTuple):
 
 
 def one_start(result: Result) -> OneStart:
-    """Return what the chains from the start vector came to."""
+    """Return length, convergence and error of the chains that began at the start vector."""
     trace = result.one_start
     of_run = compare_runs({"hmc": trace})
     table = of_run.summaries["hmc"]

@@ -242,7 +242,7 @@ def maxima(findings: Findings) -> str:
 
 
 def one_start(findings: Findings) -> str:
-    """Return what R-hat says of chains that all start at one vector, and what is true."""
+    """Return the paragraph on chains that all start at one vector: their R-hat, and their error."""
     run = findings.one_start
     text = (
         f"HMC without jumps, {run.chains} chains of {whole(run.draws)} draws, all from the paper's start vector: "
@@ -269,7 +269,7 @@ def fit(findings: Findings) -> str:
 
 
 def places(findings: Findings) -> str:
-    """Return which physical modes were paired in each long run, if they changed."""
+    """Return the table of the physical modes paired in each long run; empty if they never changed."""
     if len({combination for parts in findings.places.values() for combination in parts}) < 2:
         return ""
     rows = [

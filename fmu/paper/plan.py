@@ -1,4 +1,4 @@
-"""What is run: the paper's protocol and the long runs, with all their lengths and settings."""
+"""The plan of the runs: the paper's protocol and the long runs, with all their lengths and settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables 1 to 4 of the paper as data: what was printed, digit by digit, and what it must have meant.
+"""Tables 1 to 4 of the paper as data: the printed digits, and the values meant by misprints.
 
 Boulkaibet, Marwala, Mthembu, Friswell & Adhikari, *Sampling Techniques in Bayesian Finite Element Model
 Updating*, section 5: Tables 1 and 3 hold the updated parameters, Tables 2 and 4 the frequencies that the model has

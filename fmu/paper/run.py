@@ -12,7 +12,7 @@ from fmu.analysis.trace.provenance import versions
 from fmu.engines import default_workers, engine
 from fmu.fem.modes.modal import single_thread
 from fmu.numbers import fixed, share
-from fmu.paper.errata import Erratum, computed_errata, errata_page, recompute, recomputed_page, reproduced
+from fmu.paper.errata import Erratum, computed_errata, count_reproduced, errata_page, recompute, recomputed_page
 from fmu.paper.experiment import Result, compute, directory_of
 from fmu.paper.figures import write_figures
 from fmu.paper.findings import Findings
@@ -69,7 +69,7 @@ def run_paper(
     plan = plan or Plan()
     directory = OutputDirectory(out)
     directory.check(file_names(plan))
-    with directory.staged() as stage:
+    with directory.stage_files() as stage:
         # the experiments by number take longest, so they start first
         tasks = sorted(plan.experiments, key=_by_shape)
         with engine(min(default_workers() if workers is None else workers, len(tasks))) as pool:
@@ -85,13 +85,13 @@ def run_experiment(case: str, pairing: str, plan: Plan, stage: Path, progress: R
     """Compute one experiment and write its directory and its traces below `stage`."""
     with single_thread():
         result = compute(case, pairing, plan, progress)
-        weighted = _weighted(result, plan, stage, progress) if (case, pairing) in plan.weighted else None
+        weighted = _run_weighted(result, plan, stage, progress) if (case, pairing) in plan.weighted else None
         findings = Findings.of(result, weighted)
         write_experiment(result, findings, stage)
     return findings
 
 
-def _weighted(result: Result, plan: Plan, stage: Path, progress: Report | None) -> VectorBeta:
+def _run_weighted(result: Result, plan: Plan, stage: Path, progress: Report | None) -> VectorBeta:
     """Make the run with a β for every mode, and write its trace."""
     trace = sample_weighted(result, plan, progress)
     (stage / "traces").mkdir(parents=True, exist_ok=True)
@@ -153,8 +153,8 @@ def write_closing_pages(everything: Sequence[Findings], plan: Plan, stage: Path)
     errata += [erratum for findings in everything for erratum in separated_modes(findings)]
     pages = {
         "recomputed.md": recomputed_page(recomputed),
-        "errata.md": errata_page(errata, reproduced(recomputed)),
-        "README.md": summary_page(everything, reproduced(recomputed), plan.seed, versions()),
+        "errata.md": errata_page(errata, count_reproduced(recomputed)),
+        "README.md": summary_page(everything, count_reproduced(recomputed), plan.seed, versions()),
     }
     for name, text in pages.items():
         (stage / name).write_text(text, encoding="utf-8")

@@ -33,7 +33,7 @@ def summary_page(everything: Sequence[Findings], recomputed: str, seed: int, ver
     ----------
     everything : sequence of Findings
     recomputed : str
-        How many published frequencies were reproduced (`fmu.paper.errata.reproduced`).
+        How many published frequencies were reproduced (`fmu.paper.errata.count_reproduced`).
     seed : int
     versions : mapping of str to str
     """

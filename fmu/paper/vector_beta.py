@@ -11,7 +11,7 @@ import numpy as np
 from fmu.analysis.convergence.diagnosis import diagnose
 from fmu.analysis.convergence.diagnostics import summary
 from fmu.analysis.maxima.search import find_map
-from fmu.numbers import fixed, given, share, shown, with_sd
+from fmu.numbers import customary_unit, fixed, given, share, with_sd
 from fmu.paper.experiment import PAIRED_BY, Result, directory_of, posterior_mean, rows_of
 from fmu.paper.plan import Plan, Runs, long_settings
 from fmu.paper.published import EXPERIMENTS
@@ -97,7 +97,7 @@ def sample_weighted(result: Result, plan: Plan, progress: Report | None = None) 
 
 
 def side_by_side(result: Result, weighted: xr.DataTree) -> VectorBeta:
-    """Return tables of the long HMC run with the scalar β beside those of `sample_weighted`."""
+    """Return tables that compare the long HMC run, of one β, with the run of `sample_weighted`."""
     import pandas as pd
 
     traces = {SCALAR: result.long[SAMPLER], VECTOR: weighted}
@@ -204,7 +204,7 @@ def _modes(study: VectorBeta) -> str:
 def _parameters(study: VectorBeta) -> str:
     rows = []
     for name, row in rows_of(study.parameters):
-        unit = shown(row.unit)
+        unit = customary_unit(row.unit)
         moments = [[getattr(row, f"{b}_{of}") / unit.factor for of in ("mean", "sd")] for b in NAMES]
         cells = [with_sd(mean, sd) for mean, sd in moments]
         rows.append((unit.label(name), *cells))

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from fmu.fem.frame.drawing import draw_svg, is_drawable, parameter_colours, sketch
-from fmu.numbers import change, given, rounded, shown, significant
+from fmu.numbers import change, customary_unit, given, round_by_sd, significant
 from fmu.posterior.parameters import prior_in_words
 from fmu.posterior.protocol import Problem
 
@@ -46,7 +46,7 @@ def _parameters(problem: Problem, colours: Sequence[str | None]) -> str:
     rows = []
     for p, colour in zip(problem.parameters, colours, strict=True):
         mark = f'<span style="color:{colour}" aria-hidden="true">&#9632;</span> ' if colour else ""
-        factor, unit = shown(p.unit)
+        factor, unit = customary_unit(p.unit)
         prior = prior_in_words(p.prior.as_dict(), p.unit)
         values = (given(value / factor) for value in (p.start, p.lower, p.upper))
         rows.append([mark + html.escape(p.name), html.escape(unit), *values, html.escape(prior)])
@@ -64,7 +64,7 @@ def _modes(problem: Problem) -> str:
             html.escape(str(label)) + ("" if used else " (not used)"),
             given(m),
             significant(s),
-            rounded(f, s),
+            round_by_sd(f, s),
             change(f / m - 1),
         ]
         for label, used, m, s, f in zip(problem.data.labels, problem.data.use, measured, sd, initial, strict=True)

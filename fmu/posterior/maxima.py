@@ -15,7 +15,7 @@ from fmu.numbers import names_in_words
 from fmu.posterior.parameters import box
 from fmu.posterior.protocol import Problem
 from fmu.posterior.scaled import ScaledDensity, ascent_coordinates
-from fmu.progress.phases import count_steps, phase, solves
+from fmu.progress.phases import advance_phase, phase, solves
 from fmu.types import BoolArray, FloatArray, IntArray
 
 STARTS = 256
@@ -218,7 +218,7 @@ def _climb(scaled: ScaledDensity, start: FloatArray, starts: int = 1) -> Maximum
         options={"ftol": 1e-13, "gtol": 1e-7, "maxiter": 500, "maxcor": 20},
     )
     theta = scaled.to_theta(result.x)
-    count_steps(starts)
+    advance_phase(starts)
     return Maximum(theta, float(scaled.density.log_prob(theta)), starts)
 
 
@@ -312,12 +312,12 @@ def ascend(
     stationary = np.zeros(len(u), dtype=bool)
     i = np.arange(u.shape[1])
     going = np.flatnonzero(np.isfinite(V))
-    count_steps(len(u) - len(going))
+    advance_phase(len(u) - len(going))
     step = 0
     for step in range(max_steps):  # noqa: B007
         stationary[going] = decrement(u[going], g[going], H[going], lower, upper) < tolerance
         on = going[~stationary[going] & (damping[going] < _MOST_DAMPING)]
-        count_steps(len(going) - len(on))
+        advance_phase(len(going) - len(on))
         going = on
         if not going.size:
             break

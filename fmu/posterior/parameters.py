@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fmu.arguments import ArgumentError, Bound, check_arguments
-from fmu.numbers import given, shown, typed
+from fmu.numbers import customary_unit, given, typed
 from fmu.posterior.priors.base import Normal, Prior, Uniform
 from fmu.types import FloatArray
 
@@ -98,7 +98,7 @@ class Parameter:
 
 def prior_in_words(settings: Mapping[str, Any], unit: str) -> str:
     """Return the name and the numbers of a prior, those in `unit` as they are shown: ``"normal, sd 200"``."""
-    factor = 1.0 if str(settings["distribution"]).startswith("scipy") else shown(unit).factor
+    factor = 1.0 if str(settings["distribution"]).startswith("scipy") else customary_unit(unit).factor
     parts = [
         f"{key} {given(value / (factor if key in _IN_THE_UNIT else 1.0)) if isinstance(value, float) else value}"
         for key, value in settings.items()

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from fmu.numbers import given, names_in_words, share, shown, significant, with_unit
+from fmu.numbers import customary_unit, given, names_in_words, share, significant, with_unit
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors import prior_of
 
@@ -149,12 +149,12 @@ def _centre(one: Parameter, fit: Fit) -> str:
 
 
 def _value(x: float, unit: str) -> str:
-    factor, name = shown(unit)
+    factor, name = customary_unit(unit)
     return f"{significant(x / factor, 4)} {name}".rstrip()
 
 
 def _bounds(one: Parameter) -> str:
-    factor, unit = shown(one.unit)
+    factor, unit = customary_unit(one.unit)
     return f"{given(one.lower / factor)} to {given(one.upper / factor)} {unit}".rstrip()
 
 

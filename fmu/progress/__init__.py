@@ -43,7 +43,7 @@ def json_lines(stream: TextIO) -> JSONLines:
 
 @contextmanager
 def reporting(progress: Report | bool | None, label: str) -> Iterator[Report | None]:
-    """Give the callback of the argument `progress`: itself; bars if True; bars in a notebook only if None.
+    """Give the callback of an argument `progress`: itself; bars if True; bars in a notebook only if None.
 
     The bars show the `label` before the name of the phase.
     """
@@ -62,7 +62,7 @@ def end_bars(report: Report | None) -> None:
 
 
 def add_label(report: Report, label: str) -> Report:
-    """Return a callback that passes reports on with a ``label``."""
+    """Return a callback that adds ``label`` to the information of every report."""
 
     def report_labelled(phase: str, done: int, total: int, info: Info) -> None:
         report(phase, done, total, {"label": label, **info})

@@ -97,7 +97,7 @@ _teller: ContextVar[Callable[[str], None] | None] = ContextVar("teller", default
 def told_to(
     report: Report | None, note: Note | None = None, tell: Callable[[str], None] | None = None
 ) -> Iterator[None]:
-    """Have the phases of a block reported to callbacks too; one that is None leaves those that are set.
+    """Report the phases of a block to callbacks too; None leaves the callbacks that are set.
 
     Every `note` that is set is called, and the last `report` and `tell`.
     """
@@ -139,7 +139,7 @@ def phase(name: str, total: int = 0) -> Iterator[Phase]:
             note("" if outer is None else outer.name, 0 if outer is None else outer.done, 0)
 
 
-def count_steps(steps: int = 1) -> None:
+def advance_phase(steps: int = 1) -> None:
     """Count steps that are done in the phase under way, if there is one."""
     under_way = _phase.get()
     if under_way is not None:

@@ -1,4 +1,4 @@
-"""What a report of progress says, in words and as JSON: short numbers that keep their place."""
+"""Reports of progress in words and as JSON: short numbers that keep their place."""
 
 from __future__ import annotations
 

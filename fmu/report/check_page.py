@@ -33,7 +33,7 @@ from fmu.report.pages import INDEX, render
 from fmu.report.plots.correlation import plot_mac_matrix, plot_sensors
 from fmu.report.plots.frequencies import Frequencies, plot_frequency_errors
 from fmu.report.plots.modes import plot_mode
-from fmu.report.plots.style import COLOURS, GREY, NARROW, literal, new_figure, turned
+from fmu.report.plots.style import COLOURS, GREY, NARROW, literal, new_figure, rotate_labels
 from fmu.report.sections.origin import assumption_parts
 from fmu.report.sections.structure import directions, legend_of_parameters
 
@@ -66,7 +66,7 @@ def write_check(found: Check, directory: str | os.PathLike[str]) -> Path:
     output = OutputDirectory(directory)
     name = f"{INDEX}.html"
     output.check([name])
-    with output.staged() as stage:
+    with output.stage_files() as stage:
         (stage / name).write_text(render(check_page(found)), encoding="utf-8")
     return output.root / name
 
@@ -75,7 +75,7 @@ def check_page(found: Check) -> Page:
     """Return the page: verdicts, structure, modes, prior prediction, identifiability and gradient."""
     sections = [_model(found), _modes(found), *_sensors(found), _prior(found)]
     if found.identifiability is not None:
-        sections.append(_informed(found.identifiability))
+        sections.append(_identifiability(found.identifiability))
     sections.append(_gradient(found))
     lead = (
         f"{len(found.parameters)} parameters, {len(found.modes.labels)} measured modes. Checked on {date.today()}."
@@ -172,7 +172,7 @@ def _modes(found: Check) -> PageSection:
 
 
 def _sensors(found: Check) -> list[PageSection]:
-    """Return where test and model disagree, if shapes were measured."""
+    """Return the section on sensors where test and model disagree, if shapes were measured."""
     alike = found.modes.correlation
     if alike is None:
         return []
@@ -224,7 +224,7 @@ def _prior(found: Check) -> PageSection:
             Frequencies("at the start", start, GREY, filled=False),
             Frequencies("prior: mean, 90 % interval", prior.mean, COLOURS["hmc"], interval_hz=prior.interval),
         )
-        figure = new_figure(NARROW, 5.2 if turned(labels, NARROW) else 4.2)
+        figure = new_figure(NARROW, 5.2 if rotate_labels(labels, NARROW) else 4.2)
         axes = plot_frequency_errors(prior.measured, series, [literal(label) for label in labels], figure)
         said = "; ".join(
             f"mode {label} measured {given(m)}, at the start {hertz(f, measured=m)[0]}, prior prediction "
@@ -243,7 +243,7 @@ def _prior(found: Check) -> PageSection:
     return PageSection("prior", "Prior prediction", tuple(parts))
 
 
-def _informed(informed: Identifiability) -> PageSection:
+def _identifiability(informed: Identifiability) -> PageSection:
     table = Details("Directions and singular values", (directions(informed, "Before updating, at the start"),))
     later = Text("Bounds, curvature and several maxima are not counted: after a run the draws tell what is left.")
     return PageSection("informed", "Identifiability", (Items(tuple(informed.sentences())), later, table))

@@ -1,4 +1,4 @@
-"""What a page of a report consists of; the templates say how it looks."""
+"""The parts of a page of a report; templates give them their look."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup
 
 from fmu.report.figure_data import figure_data
-from fmu.report.packed import packed
+from fmu.report.packed import pack
 from fmu.report.svg import inline_svg
 
 
@@ -88,7 +88,7 @@ class PageTable:
 
     @property
     def least_width(self) -> float:
-        """Its width beside a figure, CSS pixels, about: that of the words of its header or its longest cells."""
+        """Its width beside a figure, about, CSS pixels: room for the words of its header and its longest cells."""
         columns = zip(self.header, *self.rows, strict=True)
         letters = sum(max(_longest(head.split()), _longest(map(_words, cells))) for head, *cells in columns)
         return _LETTER * letters + _PADDING * len(self.header)
@@ -132,7 +132,7 @@ class Picture:
     @property
     def packed(self) -> str:
         """The content as the script reads it."""
-        return packed(self.content)
+        return pack(self.content)
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ class Pictures:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A drawing to be turned, for the script ``structure.js``; hidden where scripts are off, and in print.
+    """A drawing that readers turn, by the script ``structure.js``; hidden where scripts are off, and in print.
 
     Attributes
     ----------
@@ -164,7 +164,7 @@ class View:
     @property
     def packed(self) -> str:
         """The content as the script reads it."""
-        return packed(self.content)
+        return pack(self.content)
 
 
 @dataclass(frozen=True)
@@ -223,7 +223,7 @@ NOTES = "Notes on the model and the data"
 
 @dataclass(frozen=True)
 class Verdict:
-    """An answer to one question about a run: a line of the first screen, and reasons below it.
+    """The answer to one question about a run: a line of the first screen, and reasons below it.
 
     Attributes
     ----------

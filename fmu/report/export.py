@@ -20,7 +20,7 @@ from fmu.analysis.trace.conversion import load_trace
 from fmu.analysis.trace.provenance import canonical_json
 from fmu.analysis.trace.reading import array_of, constant, has, parameter_draws, parameter_names, parameter_units
 from fmu.arguments import check_arguments
-from fmu.config.kept import kept
+from fmu.config.kept import read_saved
 from fmu.fem.modes.separable import SeparableModel
 from fmu.formats.decks import (
     DOFS,
@@ -29,7 +29,7 @@ from fmu.formats.decks import (
     PROBLEM,
     STIFFNESS,
     VALUES,
-    filled,
+    fill_deck,
     filled_name,
     placeholders,
     read_deck,
@@ -128,15 +128,15 @@ def export(
     directory = Path(run_directory)
     if at not in AT:
         raise ValueError(f"at: must be one of {AT} (got {at!r})")
-    name, trace, diagnosis = chosen(directory, sampler)
+    name, trace, diagnosis = read_choice(directory, sampler)
     theta = _theta(trace, at)
-    source = kept(directory, None if model is None else Path(model))
+    source = read_saved(directory, None if model is None else Path(model))
     described, problem = _problem_again(source.file, source.folder, source.pairing)
     _check_same(problem, trace)
     what = f"{_WORDS[at]} of {problem.name!r}, sampled by {name}."
     names = parameter_names(trace)
     output = OutputDirectory(Path(out) if out is not None else directory / FOLDER)
-    with output.staged() as stage:
+    with output.stage_files() as stage:
         found = information(trace)
         left = () if found is None else found.not_informed
         _values(trace, theta, found).to_csv(stage / VALUES)
@@ -166,9 +166,9 @@ def export(
 
 
 def in_the_file(parameters: Sequence[str], names: Sequence[str]) -> dict[str, str]:
-    """Return, for each parameter of the structure, the inferred one that stands for it in the problem file.
+    """Return the name of the inferred quantity that gives each parameter of the structure its value in the file.
 
-    That is itself, the mean or median of its population, or its value in the first test or group.
+    It is the parameter itself, the mean or median of its population, or its value in the first test or group.
     """
     found = {}
     for parameter in parameters:
@@ -178,8 +178,8 @@ def in_the_file(parameters: Sequence[str], names: Sequence[str]) -> dict[str, st
     return found
 
 
-def chosen(directory: Path, sampler: str | None) -> tuple[str, xr.DataTree, Diagnosis]:
-    """Return the name, trace and verdict of the given sampler, else of the one that `choose_run` gives."""
+def read_choice(directory: Path, sampler: str | None) -> tuple[str, xr.DataTree, Diagnosis]:
+    """Return name, trace and verdict of the given sampler, or of the sampler that `choose_run` prefers."""
     traces = {path.stem: load_trace(path) for path in sorted(directory.glob("*.nc"))}
     if not traces:
         raise ValueError(f"run_directory: {why_no_traces(Path(directory))}")
@@ -315,7 +315,7 @@ def write_decks(templates: Sequence[str], source: Path, values: Mapping[str, flo
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists():  # a copy of a file of the model
             path = path.with_name(f"updated-{path.name}")
-        write_deck(path, filled(text, values))
+        write_deck(path, fill_deck(text, values))
         unused -= placeholders(text)
     return unused
 

@@ -144,7 +144,7 @@ def _axis(axis: Any, limits: tuple[float, float], label: str) -> dict[str, Any]:
 
 
 def _paths(axes: Axes) -> list[Any]:
-    """Return the lines of some axes that are data: not the marks at a value, whose ends are those of the axes."""
+    """Return the lines of some axes that are data, without marks that cross the whole axes at a value."""
     return [
         line for line in axes.lines if line.get_transform() == axes.transData and len(np.asarray(line.get_xdata()))
     ]

@@ -52,7 +52,7 @@ class OutputDirectory:
             )
 
     @contextmanager
-    def staged(self) -> Iterator[Path]:
+    def stage_files(self) -> Iterator[Path]:
         """Yield an empty directory to write into, and publish its files at the end, unless there was an error."""
         made = [path for path in (self.root, *self.root.parents) if not path.exists()]
         self.root.mkdir(parents=True, exist_ok=True)

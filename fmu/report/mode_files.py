@@ -44,16 +44,16 @@ def write_modes(problem: UpdatingProblem, theta: FloatArray, folder: Path) -> li
     model, geometry, data = paired.structure, paired.structure.geometry, problem.data
     structural = theta[: problem.n_structural]
     shapes, hz = paired.shapes(structural), problem.frequencies(theta)
-    vectors = {f"updated {label}: {hertz(f)[0]} Hz": _moved(model, x)
+    vectors = {f"updated {label}: {hertz(f)[0]} Hz": _move_nodes(model, x)
                for label, f, x in zip(data.labels, hz, shapes.T, strict=True)}  # fmt: skip
-    found, remarks = _expanded(problem, model, structural, shapes)
+    found, remarks = _expand_shapes(problem, model, structural, shapes)
     if found is not None:
         seen = model.observation(data.sensors)
         for label, f, x, y in zip(
             data.labels, np.asarray(data.frequencies_hz), shapes.T, found.shapes.T, strict=True
         ):
             scale = float((seen @ x) @ (seen @ y)) / float(np.sum((seen @ y) ** 2))
-            vectors[f"measured {label}: {given(f)} Hz, expanded"] = _moved(model, scale * y)
+            vectors[f"measured {label}: {given(f)} Hz, expanded"] = _move_nodes(model, scale * y)
     places, ids = np.asarray(geometry.nodes, dtype=float), list(geometry.row_of)
     elements: list[list[int]] = np.asarray(geometry.elements).tolist()
     kinds = ["line"] * len(elements)
@@ -83,7 +83,7 @@ def write_modes(problem: UpdatingProblem, theta: FloatArray, folder: Path) -> li
     return remarks
 
 
-def _moved(model: SeparableModel, shape: FloatArray) -> FloatArray:
+def _move_nodes(model: SeparableModel, shape: FloatArray) -> FloatArray:
     """Return the displacements of all nodes of the mesh, shape (n_nodes, 3), in a shape (n_dof,)."""
     assert model.geometry is not None
     moved = np.zeros((len(model.geometry.nodes), 3))
@@ -93,7 +93,7 @@ def _moved(model: SeparableModel, shape: FloatArray) -> FloatArray:
     return moved
 
 
-def _expanded(
+def _expand_shapes(
     problem: UpdatingProblem, model: SeparableModel, theta: FloatArray, shapes: FloatArray
 ) -> tuple[Expanded | None, list[str]]:
     """Return the measured shapes at all degrees of freedom, if there are any, and warnings about them."""

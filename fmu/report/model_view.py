@@ -1,4 +1,4 @@
-"""A structure to be turned on a page: its modes before and after updating, and what changed where."""
+"""A structure that readers turn on a page: its modes before and after updating, and changes as colours."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def damage_view(found: Sketch, names: Sequence[str], table: pd.DataFrame, beyond
             largest = np.where(found.changed, of_parameter, -1.0).max(axis=1)
             values = np.where(largest < 0.0, np.nan, largest)
             if np.isfinite(values).any():
-                colourings.append(coloured(f"{state}: {what}", values, False))
+                colourings.append(colour_scale(f"{state}: {what}", values, False))
     content = _structure(found, names, {name: "; ".join(words) for name, words in said.items()})
     content |= {"modes": [], "shapes": {}, "colourings": colourings, "colour": UNCHANGED, "view": _CORNER}
     content |= _sensors(found, None)
@@ -95,7 +95,7 @@ def damage_view(found: Sketch, names: Sequence[str], table: pd.DataFrame, beyond
 
 
 def _structure(found: Sketch, names: Sequence[str], said: Mapping[str, str]) -> dict[str, Any]:
-    """Return nodes, elements, and what is said of each element: elements of the same parameters are one group."""
+    """Return nodes, elements and the text of each element; elements of the same parameters are one group."""
     combinations, groups = np.unique(found.changed, axis=0, return_inverse=True)
     tips = [
         "; ".join(said[name] for name, is_changed in zip(names, row, strict=True) if is_changed and name in said)
@@ -136,12 +136,12 @@ def _colourings(run: ReportedRun, found: Sketch, names: Sequence[str]) -> list[d
     largest, is_known = np.argmax(of_element, axis=1), of_element.max(axis=1) >= 0
     values = np.where(is_known, ratio[largest], np.nan)
     return [
-        coloured("Change of the parameter", values, True),
-        coloured("Standard deviation of the change", np.where(is_known, spread[largest], np.nan), False),
+        colour_scale("Change of the parameter", values, True),
+        colour_scale("Standard deviation of the change", np.where(is_known, spread[largest], np.nan), False),
     ]
 
 
-def coloured(label: str, values: FloatArray, both: bool) -> dict[str, Any]:
+def colour_scale(label: str, values: FloatArray, both: bool) -> dict[str, Any]:
     """Return values of the elements, shares of one, as colours: of both signs, or from zero."""
     largest = float(np.nanmax(np.abs(values)))
     ends = (change(-largest), change(largest)) if both else ("0 %", share(largest))

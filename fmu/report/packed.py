@@ -34,7 +34,7 @@ class Rounded:
     bits: int = 16
 
 
-def packed(content: Any) -> str:
+def pack(content: Any) -> str:
     """Return content as base64 of zlib's deflate of its JSON and, after that, its arrays.
 
     Parameters
@@ -59,15 +59,15 @@ def _plain(content: Any, arrays: list[bytes]) -> Any:
             return [_plain(value, arrays) for value in content.ravel().tolist()]
         if content.dtype.kind == "f":
             return _plain(Rounded(content), arrays)
-        return _kept(content.astype("u2" if content.max() < 2**16 else "u4"), arrays)
+        return _append_array(content.astype("u2" if content.max() < 2**16 else "u4"), arrays)
     if isinstance(content, Rounded):
-        return _rounded(content, arrays)
+        return _pack_rounded(content, arrays)
     if isinstance(content, (float, np.floating)):
         return float(f"{content:.7g}") if np.isfinite(content) else None
     return content.item() if isinstance(content, np.generic) else content
 
 
-def _rounded(content: Rounded, arrays: list[bytes]) -> dict[str, Any]:
+def _pack_rounded(content: Rounded, arrays: list[bytes]) -> dict[str, Any]:
     """Return the middle and the step of numbers that are integers in `arrays`."""
     missing, x = _MISSING[content.bits], np.asarray(content.values, dtype=float)
     known = np.isfinite(x)
@@ -78,11 +78,11 @@ def _rounded(content: Rounded, arrays: list[bytes]) -> dict[str, Any]:
     elif low <= 0.0 <= high:  # zero, which is most of many shapes, stays zero
         middle, step = 0.0, max(high, -low) / (missing - 1) or 1.0
     levels = np.where(known, np.rint((np.where(known, x, middle) - middle) / step), missing)
-    return _kept(levels.astype(_INTEGERS[content.bits]), arrays) | {"middle": middle, "step": step}
+    return _append_array(levels.astype(_INTEGERS[content.bits]), arrays) | {"middle": middle, "step": step}
 
 
-def _kept(array: NDArray[Any], arrays: list[bytes]) -> dict[str, Any]:
-    """Append an array at a multiple of four bytes and return where it is."""
+def _append_array(array: NDArray[Any], arrays: list[bytes]) -> dict[str, Any]:
+    """Append an array at a multiple of four bytes, and return its place."""
     kept = array.astype(array.dtype.newbyteorder("<")).tobytes()
     at = sum(map(len, arrays))
     arrays.append(kept + b"\0" * (-len(kept) % 4))

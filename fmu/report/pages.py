@@ -105,7 +105,7 @@ def index_page(runs: Mapping[str, ReportedRun], files: Mapping[str, str]) -> Pag
         comparison.costs(compared, files),
         comparison.marginals(compared),
         comparison.paths(compared),
-        updating.maxima(_told(runs)),
+        updating.maxima(_judged_run(runs)),
         updating.evidences(runs),
     )
     first = next(iter(runs.values()))
@@ -123,15 +123,15 @@ def index_page(runs: Mapping[str, ReportedRun], files: Mapping[str, str]) -> Pag
     )
 
 
-def _told(runs: Mapping[str, ReportedRun]) -> ReportedRun:
-    """Return the run by whose draws the model is judged, see `choose_run`."""
+def _judged_run(runs: Mapping[str, ReportedRun]) -> ReportedRun:
+    """Return the run whose draws judge the model, see `choose_run`."""
     verdicts = {name: run.diagnosis for name, run in runs.items()}
     return runs[choose_run(verdicts, {name: run.summary for name, run in runs.items()})]
 
 
 def _common_verdicts(compared: comparison.Compared) -> tuple[Verdict, ...]:
-    """Return the verdicts on the samplers, and what one of them says of the model: its page has the reasons."""
-    told = _told(compared.runs)
+    """Return the verdicts on the samplers, and on the model by one of them, whose page has the reasons."""
+    told = _judged_run(compared.runs)
     first, *others = (replace(one, reasons=(), notes=()) for one in of_the_model(told))
     by = f"This and the rest by the draws of {told.title}."
     first = replace(first, said=f"{first.said} {by}".strip())
@@ -179,7 +179,7 @@ def publish(traces: Mapping[str, xr.DataTree], run_directory: str | os.PathLike[
     """Write the report of traces in memory as `write_report` does, and return its index."""
     output = OutputDirectory(Path(run_directory) / FOLDER)
     output.check([f"{INDEX}.html", *file_names(traces).values()])
-    with output.staged() as stage:
+    with output.stage_files() as stage:
         index = write_pages(traces, stage)
     return output.root / index.name
 
@@ -203,10 +203,10 @@ def write_pages(traces: Mapping[str, xr.DataTree], directory: str | os.PathLike[
     with phase("report", len(traces) + 2) as under_way:
         runs = runs_of(traces)
         under_way.advance()
-        return _written(runs, directory, under_way)
+        return _write_pages(runs, directory, under_way)
 
 
-def _written(runs: dict[str, ReportedRun], directory: Path, under_way: Phase) -> Path:
+def _write_pages(runs: dict[str, ReportedRun], directory: Path, under_way: Phase) -> Path:
     """Write the pages of runs, and return the index."""
     files = file_names(runs)
     directory.mkdir(parents=True, exist_ok=True)
@@ -237,7 +237,7 @@ def render(page: Page) -> str:
 
 
 def prose(text: str) -> Markup:
-    """Return a text as HTML, what stands between backticks as code."""
+    """Return a text as HTML, with words between backticks as code."""
     parts = str(text).split("`")
     if len(parts) % 2 == 0:  # a backtick of somebody's name
         return escape(text)

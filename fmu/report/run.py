@@ -53,7 +53,7 @@ class ReportedRun:
 
     @property
     def title(self) -> str:
-        """The full name of the sampler, or the name of the run if that is not the name of a sampler."""
+        """The full name of the sampler; the name of the run if that names no sampler."""
         return TITLES.get(self.name, self.name)
 
     @property
@@ -121,12 +121,12 @@ def runs_of(traces: Mapping[str, xr.DataTree]) -> dict[str, ReportedRun]:
             verdicts[name],
             costs[name],
             maxima_of(trace),
-            _predicted(trace),
+            _predict(trace),
         )
         for name, trace in traces.items()
     }
 
 
-def _predicted(trace: xr.DataTree) -> pd.DataFrame | None:
+def _predict(trace: xr.DataTree) -> pd.DataFrame | None:
     has_frequencies = has(trace, "posterior_predictive") and has(trace, "observed_data")
     return predict_frequencies(trace) if has_frequencies else None

@@ -112,7 +112,7 @@ def _clean(tag: str, key: str, used: set[str]) -> str:
     """Return a tag without font names, with short numbers, and with the prefix before ids that are referenced."""
     tag = re.sub(r" ?font-family: [^;\"]*;?", "", tag).replace("xlink:href", "href")
     tag = re.sub(r' d="([^"]*)"', _short_path, tag)
-    tag = re.sub(r' (?:x|y|transform|points)="[^"]*"', _rounded, tag)
+    tag = re.sub(r' (?:x|y|transform|points)="[^"]*"', _round_coordinates, tag)
     tag = re.sub(r' transform="rotate\(-0 [^"]*"', "", tag)
     tag = re.sub(r'(?<=style=")[^"]*', _of_scheme, tag)
     tag = re.sub(r"(?<=data:image/png;base64,)[^\"]*", _fewer_colours, tag)
@@ -153,7 +153,7 @@ def _without_repetition(body: str) -> str:
     return _TAG.sub(shorter, body)
 
 
-def _rounded(attribute: re.Match[str]) -> str:
+def _round_coordinates(attribute: re.Match[str]) -> str:
     """Write coordinates to a hundredth of a point."""
     return re.sub(r"\d+\.\d{3,}", lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."), attribute[0])
 
@@ -162,7 +162,7 @@ def _short_path(attribute: re.Match[str]) -> str:
     """Write a path of straight lines relative to its last point: a long one to a tenth of a point."""
     path = attribute[1]
     if path.count("L") < _SHORT_PATH or not _STRAIGHT.fullmatch(path):
-        return _rounded(attribute)
+        return _round_coordinates(attribute)
     pieces, last = [], np.zeros(2, dtype=np.int64)
     for piece in path.split("M")[1:]:
         points = np.rint(10.0 * np.array(piece.replace("L", " ").replace("z", " ").split(), dtype=float))

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fmu.durable_files import DamagedError, digest, payload_of, signed
+from fmu.durable_files import DamagedError, add_checksum, digest, payload_of
 from fmu.posterior.failures import Failure
 from fmu.samplers.loop.group import GroupState
 from fmu.samplers.loop.record import Steps
@@ -23,7 +23,7 @@ _EARLIER = (b"fmu state 1\n", b"fmu state 2\n")
 
 
 class Segment(NamedTuple):
-    """What a state says about a file of steps.
+    """A file of steps, as a saved state describes it.
 
     Attributes
     ----------
@@ -145,7 +145,7 @@ def unpacked_state(payload: bytes) -> SavedState:
         raise DamagedError(f"it contains no state ({error})") from error
 
 
-def numbered(directory: Path, kind: str) -> list[tuple[int, Path]]:
+def numbered_files(directory: Path, kind: str) -> list[tuple[int, Path]]:
     """Return the files of one kind in a directory, such as ``state-000007``, sorted by number."""
     matches = ((re.fullmatch(rf"{kind}-(\d+)", path.name), path) for path in directory.glob(f"{kind}-*"))
     return sorted((int(match[1]), path) for match, path in matches if match)
@@ -153,7 +153,7 @@ def numbered(directory: Path, kind: str) -> list[tuple[int, Path]]:
 
 def state_file(state: SavedState) -> bytes:
     """Return the content of a file that holds a state and its checksum."""
-    return signed(TITLE, packed_state(state))
+    return add_checksum(TITLE, packed_state(state))
 
 
 def read_state(path: Path) -> SavedState:

@@ -1,4 +1,4 @@
-"""What the draws of a saved run depend on: its configuration, and the versions of packages."""
+"""The identity of a saved run: its configuration and the versions of packages, which determine the draws."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from fmu.analysis.trace.provenance import canonical_json, configuration_hash, versions
-from fmu.durable_files import DamagedError, payload_of, signed, write_durably
+from fmu.durable_files import DamagedError, add_checksum, payload_of, write_durably
 
 TITLE = "fmu run 1"
 FILE = "run"
@@ -40,7 +40,7 @@ class Identity:
     def write(self, directory: Path) -> None:
         """Write the identity into the directory of the run."""
         payload = canonical_json({"configuration": self.configuration, "versions": self.versions}).encode()
-        write_durably(directory / FILE, signed(TITLE, payload))
+        write_durably(directory / FILE, add_checksum(TITLE, payload))
 
     @classmethod
     def read(cls, directory: Path) -> Identity | None:

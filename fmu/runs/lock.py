@@ -92,7 +92,7 @@ def announce(directory: Path) -> None:
 
 
 def leave(directory: Path) -> None:
-    """Remove the note: one that stays behind is that of a process that was killed."""
+    """Remove the note of this process; a note that stays behind is of a process that was killed."""
     with suppress(OSError):
         for name in (PHASE, FILE):
             (directory / name).unlink(missing_ok=True)
@@ -120,7 +120,7 @@ class PhaseNote:
         self._noted = ("", 0.0)
 
     def note(self, phase: str, done: int, total: int) -> None:
-        """Note how far a phase has got, at most twice a second; an empty name stands for no phase."""
+        """Note how far a phase has got, at most twice a second; an empty name means no phase."""
         now = time.monotonic()
         name, at = self._noted
         if name == phase and now < at + _NOTED_S:

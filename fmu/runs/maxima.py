@@ -42,6 +42,6 @@ def kept_maxima(directory: str | os.PathLike[str], problem: Any = None) -> Maxim
 
 def _posterior(problem: Any) -> str:
     """Return a hash of what defines the posterior."""
-    from fmu.analysis.trace.provenance import configuration_hash, described
+    from fmu.analysis.trace.provenance import configuration_hash, describe_inputs
 
-    return configuration_hash(described(problem, "", {}, {})["problem"])
+    return configuration_hash(describe_inputs(problem, "", {}, {})["problem"])

@@ -11,7 +11,7 @@ import numpy as np
 
 from fmu.analysis.convergence.effective import live_diagnostics
 from fmu.durable_files import DamagedError
-from fmu.runs.content import SavedState, Segment, numbered, read_segment, read_state, unpacked_steps
+from fmu.runs.content import SavedState, Segment, numbered_files, read_segment, read_state, unpacked_steps
 from fmu.samplers.loop.group import DRAWS, WARMUP
 from fmu.types import FloatArray
 
@@ -22,7 +22,7 @@ _TRIES = 5
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a group of chains has got, or all groups of a sampler together. NaN and None mean not known.
+    """The progress of a group of chains, or of all groups of a sampler together. NaN and None mean not known.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ class KeptGroup(NamedTuple):
 
 
 class _Steps(NamedTuple):
-    """What is needed of a file of steps: how many of how many moves were accepted, and the draws."""
+    """The content of a file of steps that diagnostics need: moves, accepted moves, and the draws."""
 
     accepted: int
     moves: int
@@ -192,7 +192,7 @@ class GroupReader:
         """Return the newest undamaged state, and when it was written; say which are damaged."""
         for _ in range(_TRIES):
             damaged.clear()
-            for _, path in reversed(numbered(self.directory, "state")):
+            for _, path in reversed(numbered_files(self.directory, "state")):
                 try:
                     return read_state(path), path.stat().st_mtime
                 except FileNotFoundError:  # removed, because two newer ones have appeared

@@ -50,7 +50,7 @@ class RunDirectory:
     def abandon(self) -> None:
         """Remove everything if nothing has been drawn: the run cannot be made."""
         if not any(self.folder.glob("*/*/state-*")):
-            self.ended()
+            self.end_run()
 
     def begin(self, problem: KeptProblem) -> None:
         """Remove what an earlier run has left to resume it, and save the problem and the options of this one."""
@@ -66,26 +66,26 @@ class RunDirectory:
         return self.folder / name
 
     def take_ledger(self, sampler: str, to: Path) -> None:
-        """Copy the list of a sampler's failed solves; if there is none, remove that of an earlier run."""
+        """Copy the list of a sampler's failed solves; if there is none, remove the list of an earlier run."""
         ledger = self.of_sampler(sampler) / LEDGER
         if ledger.is_file():
             shutil.copyfile(ledger, to)
         else:
             to.unlink(missing_ok=True)
 
-    def finished(self, sampler: str, problem: KeptProblem) -> None:
-        """Save that the trace of a sampler is written, and remove the sampler's checkpoint."""
+    def finish_sampler(self, sampler: str, problem: KeptProblem) -> None:
+        """Note that the trace of a sampler is written, and remove the sampler's checkpoint."""
         for directory in (self.path, self.folder):
             problem.save(directory)
         shutil.rmtree(self.of_sampler(sampler), ignore_errors=True)
 
-    def ended(self) -> None:
-        """Remove what is only needed to resume the run: it has ended."""
+    def end_run(self) -> None:
+        """Remove the files that only a resumed run needs, and release the lock."""
         (self.folder / ORIGIN).unlink(missing_ok=True)  # first: without it, the rest counts for nothing
         self._lock.release()
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
-def unfinished(directory: Path) -> Path:
-    """Return where the problem and the options of a run are saved: in ``checkpoints`` until it has ended."""
+def folder_of_order(directory: Path) -> Path:
+    """Return the folder with the problem and the options of a run: ``checkpoints`` until the run has ended."""
     return directory / FOLDER if (directory / FOLDER / ORIGIN).is_file() else directory

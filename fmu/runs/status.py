@@ -9,15 +9,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from fmu.config.kept import ORIGIN, kept
+from fmu.config.kept import ORIGIN, read_saved
 from fmu.durable_files import DamagedError
-from fmu.runs.content import numbered
+from fmu.runs.content import numbered_files
 from fmu.runs.identity import FILE as IDENTITY
 from fmu.runs.identity import Identity
 from fmu.runs.lock import FILE as PRESENCE
 from fmu.runs.lock import LOCK, ProcessInfo, noted_phase, present
 from fmu.runs.reading import GroupReader, KeptGroup, Progress, of_trace, together, why
-from fmu.runs.run_directory import FOLDER, unfinished
+from fmu.runs.run_directory import FOLDER, folder_of_order
 
 WAITING, RUNNING, STOPPED, KILLED, SILENT, FINISHED = (
     "waiting", "running", "stopped", "killed", "silent", "finished",
@@ -104,17 +104,17 @@ class RunReader:
         """
         for _ in range(_TRIES):
             self._notes.clear()
-            where = unfinished(self.directory)
+            where = folder_of_order(self.directory)
             is_store = any((self.directory / name).exists() for name in (IDENTITY, PRESENCE, LOCK, "group-1"))
             reading = self._of_python() if is_store else self._of_command(where)
-            if unfinished(self.directory) == where:  # otherwise it has begun or ended meanwhile
+            if folder_of_order(self.directory) == where:  # otherwise it has begun or ended meanwhile
                 break
         return reading
 
     def _of_python(self) -> RunReading:
         """Return how far a run of `fmu.sample` has got, whose checkpoint the directory is."""
         at_work = present(self.directory)
-        sampler = self._unfinished("", self.directory, _state(at_work, self.directory), {})
+        sampler = self._read_sampler("", self.directory, _state(at_work, self.directory), {})
         groups = sampler.groups or (sampler.together,)
         if at_work is None and all(group.phase == "draws" and group.done == group.total for group in groups):
             sampler = replace(sampler, state=FINISHED)
@@ -125,7 +125,7 @@ class RunReader:
         folder = self.directory / FOLDER
         at_work = present(folder)
         traces = sorted(path.stem for path in self.directory.glob("*.nc"))
-        orders, finished = self._asked(where)
+        orders, finished = self._read_order(where)
         if not (orders or traces or folder.is_dir()):
             raise ValueError(f"directory: must be the directory of a run (got {self.directory})")
         if not orders and not folder.is_dir():  # there are only traces
@@ -141,25 +141,25 @@ class RunReader:
                 path = self.directory / f"{name}.nc"
                 samplers.append(SamplerReading(name, FINISHED, self._trace(path), (), verdicts.get(name, "")))
             else:
-                samplers.append(self._unfinished(name, where / name, its, orders))
+                samplers.append(self._read_sampler(name, where / name, its, orders))
                 its = WAITING
         phase = noted_phase(folder) if now == RUNNING else None
         under_way = "" if phase is None else f"{phase[0]} {phase[1]}/{phase[2]}"
         return RunReading(self.directory, now, at_work, tuple(samplers), True, under_way, tuple(self._notes))
 
-    def _asked(self, where: Path) -> tuple[Mapping[str, Any], tuple[str, ...]]:
+    def _read_order(self, where: Path) -> tuple[Mapping[str, Any], tuple[str, ...]]:
         """Return the options of the run and the samplers that have finished, as far as they can be read."""
         if not (where / ORIGIN).is_file():
             return {}, ()
         try:
-            found = kept(where)
+            found = read_saved(where)
         except (ValueError, OSError) as error:
             self._note(str(error))
             return {}, ()
         return found.orders, found.finished
 
-    def _unfinished(self, name: str, directory: Path, state: str, orders: Mapping[str, Any]) -> SamplerReading:
-        """Return how far a sampler has got that has not finished."""
+    def _read_sampler(self, name: str, directory: Path, state: str, orders: Mapping[str, Any]) -> SamplerReading:
+        """Return the progress of a sampler that has not finished."""
         try:
             identity = Identity.read(directory)
         except (DamagedError, OSError) as error:
@@ -167,7 +167,7 @@ class RunReader:
             self._note(f"{directory / IDENTITY} is damaged: {error}")
         known = {} if identity is None else identity.configuration
         run = known.get("run", {})
-        files = dict(numbered(directory, "group"))
+        files = dict(numbered_files(directory, "group"))
         n = max([run.get("groups") or 1, *files])
         found = [self._group(files[k]) if k in files else None for k in range(1, n + 1)]
         length = run.get("warmup", orders.get("warmup") or 0), orders.get("draws")

@@ -18,7 +18,7 @@ from fmu.runs import Checkpoint
 from fmu.runs.content import (
     SavedState,
     Segment,
-    numbered,
+    numbered_files,
     packed_steps,
     read_segment,
     read_state,
@@ -135,7 +135,7 @@ class Store:
                 self._is_named = True
             segment = self._files(group).append(self.identity.hash, pending)
             if segment.failed:
-                self._note([_failed(group, segment, failures)])
+                self._note([_failed_solves(group, segment, failures)])
         except OSError as error:
             raise OSError(
                 f"checkpoint: cannot write to {self.directory} ({error.strerror or error}); everything before "
@@ -183,7 +183,7 @@ class _GroupFiles:
 
     def last_intact(self, configuration: str) -> SavedState | None:
         """Return the newest state that is undamaged, like all steps it lists; what is appended follows it."""
-        states = numbered(self.directory, "state")
+        states = numbered_files(self.directory, "state")
         self._number = states[-1][0] if states else 0
         for _, path in reversed(states):
             try:
@@ -208,7 +208,7 @@ class _GroupFiles:
     def failures(self, group: int) -> list[FailedSolves]:
         """Return the failed solves of all steps."""
         return [
-            _failed(group, segment, unpacked_failures(read_segment(self.directory, segment)))
+            _failed_solves(group, segment, unpacked_failures(read_segment(self.directory, segment)))
             for segment in self.segments
             if segment.failed
         ]
@@ -237,12 +237,12 @@ class _GroupFiles:
         self.segments = segments
         self._number += 1
         self._intact = [*self._intact, path][-_STATES:]
-        for _, old in numbered(self.directory, "state"):
+        for _, old in numbered_files(self.directory, "state"):
             if old not in self._intact:
                 with suppress(OSError):  # it does no harm
                     old.unlink()
         return segment
 
 
-def _failed(group: int, segment: Segment, failures: Sequence[Failure]) -> FailedSolves:
+def _failed_solves(group: int, segment: Segment, failures: Sequence[Failure]) -> FailedSolves:
     return FailedSolves(group, segment.phase, segment.first + segment.steps, failures, segment.failed)

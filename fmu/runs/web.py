@@ -104,7 +104,7 @@ class WatchServer(ThreadingHTTPServer):
     def stop_run(self) -> str:
         """Send the process of the run SIGTERM; return why that is not possible, or nothing.
 
-        A reading under way is not waited for long: then the one before it says which process that is.
+        It waits only briefly for a reading under way; otherwise the reading before it tells the process.
         """
         reading = self._reading
         if self._lock.acquire(timeout=_PATIENCE):
@@ -180,8 +180,8 @@ def why_not_to_stop(reading: RunReading) -> str:
     return ""
 
 
-def told(reading: RunReading) -> dict[str, Any]:
-    """Return what the page shows: the reading, as ``fmu watch --json`` prints it, and the same in words."""
+def page_content(reading: RunReading) -> dict[str, Any]:
+    """Return the content of the page: the reading, as ``fmu watch --json`` prints it, and the same in words."""
     return {
         "reading": asdict(reading),
         "runs": reading.state == RUNNING,
@@ -228,7 +228,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.connection.shutdown(socket.SHUT_RDWR)
 
     def do_GET(self) -> None:
-        """Send the page, or what happens to the run for as long as the page is open."""
+        """Send the page, or the events of the run for as long as the page is open."""
         if not self._is_admitted():
             return
         what = self.path.split("/", 2)[2] if self.path.count("/") > 1 else None
@@ -294,7 +294,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         while not self.server.closing.is_set():
             try:
-                what = told(self.server.reading())
+                what = page_content(self.server.reading())
             except (ValueError, OSError) as error:
                 what = {"gone": str(error)}
             self.wfile.write(f"data: {as_json(what)}\n\n".encode())

@@ -1,4 +1,4 @@
-"""What a reading of a run says in words: its state, a table of samplers and groups, and how to resume it."""
+"""A reading of a run in words: its state, a table of samplers and groups, and how to resume it."""
 
 from __future__ import annotations
 
@@ -79,13 +79,13 @@ def _row(name: str, group: str, state: str, at: Progress) -> tuple[str, ...]:
         str(at.chains or ""),
         f"{_steps(at.done)}/{'?' if at.total is None else _steps(at.total)}",
         "" if at.kept_s is None else _age(at.kept_s),
-        _fixed(at.accept, 2),
-        _fixed(at.rhat, 3),
+        _format_number(at.accept, 2),
+        _format_number(at.rhat, 3),
         _number(at.ess),
         number(at.solves),
         _number(at.solves_per_s),
         number(at.failed),
-        "" if at.remaining_s is None or at.done == at.total else _left(at.remaining_s),
+        "" if at.remaining_s is None or at.done == at.total else _time_left(at.remaining_s),
     )
 
 
@@ -97,7 +97,7 @@ def _number(value: float) -> str:
     return "" if math.isnan(value) else number(value)
 
 
-def _fixed(value: float, digits: int) -> str:
+def _format_number(value: float, digits: int) -> str:
     return fixed(value, digits) if abs(value) < 10.0 else _number(value)
 
 
@@ -109,5 +109,5 @@ def _age(seconds: float) -> str:
     return f"{fixed(seconds, 0)} s"
 
 
-def _left(seconds: float) -> str:
+def _time_left(seconds: float) -> str:
     return duration(seconds) if seconds < _LONG_S else f"{number(seconds / 3600.0)} h"

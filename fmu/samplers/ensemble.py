@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -161,18 +161,10 @@ class _Tally(Target):
 
 def _mixture(moves: Any) -> tuple[tuple[str, float], ...]:
     """Return the moves as (name, weight) pairs."""
-    if isinstance(moves, str):
-        pairs: list[tuple[Any, Any]] = [(moves, 1.0)]
-    elif isinstance(moves, Mapping):
-        pairs = list(moves.items())
-    elif isinstance(moves, Iterable):
-        pairs = [
-            tuple(move) if isinstance(move, Sequence) and not isinstance(move, str) else (move, 1.0)
-            for move in moves
-        ]
-    else:
-        pairs = []
-    if not pairs or any(len(pair) != 2 for pair in pairs):
+    given = [moves] if isinstance(moves, str) else moves.items() if isinstance(moves, Mapping) else moves
+    listed = given if isinstance(given, Iterable) else ()
+    pairs = [(move, 1.0) if isinstance(move, str) else move for move in listed]
+    if not pairs or any(np.size(pair) != 2 for pair in pairs):
         raise ValueError(f"moves: must name one move or weigh several (got {moves!r})")
     return tuple((one_of("moves", name, MOVES), positive_number("moves", weight)) for name, weight in pairs)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmu.arguments import check_arguments
-from fmu.samplers.kernel import Info, State, Target, Tree
+from fmu.samplers.kernel import Index, Info, State, Target, Tree
 from fmu.samplers.local import LocalKernel, LocalSampler, accept_or_reject
 from fmu.samplers.settings import Scale, cholesky_factor, fits, positive_scale, vector
 from fmu.samplers.slice import Slice, SliceKernel, SliceTuner
@@ -221,7 +221,8 @@ class MetropolisKernel(LocalKernel):
         candidate = self.proposal.sample(rng, state.position)
         new = self.target.evaluate(candidate)
         log_ratio = np.full(len(candidate), -np.inf)
-        alive = np.isfinite(new.log_prob)
+        finite = np.isfinite(new.log_prob)
+        alive: Index = slice(None) if np.count_nonzero(finite) == len(finite) else finite  # as a rule no copies
         log_ratio[alive] = (
             new.log_prob[alive]
             - state.log_prob[alive]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -112,22 +113,18 @@ def fits(name: str, value: ArrayLike, ndim: int) -> FloatArray:
 
 def describe(settings: Any) -> dict[str, Any]:
     """Return the fields of a settings dataclass as plain JSON-able data, the nested ones with their class name."""
-    fields = (field for field in dataclasses.fields(settings) if field.init)
-    return {field.name: _plain(getattr(settings, field.name)) for field in fields}
+    fields = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings) if field.init}
+    described: dict[str, Any] = json.loads(json.dumps(fields, default=_make_plain))
+    return described
 
 
-def _plain(value: Any) -> Any:
+def _make_plain(value: Any) -> Any:
+    """Return what JSON has in place of a value that it cannot hold."""
     if dataclasses.is_dataclass(value):
         return {"type": type(value).__name__, **describe(value)}
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    if isinstance(value, tuple | list):
-        return [_plain(item) for item in value]
-    if value is None or isinstance(value, bool | int | float | str):
-        return value
-    return repr(value)
+        return dict(value)
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else repr(value)
 
 
 def _as_floats(name: str, value: ArrayLike) -> FloatArray:

@@ -251,7 +251,7 @@ def _as_trace(task: Task, beginning: Beginning, result: RunResult, *, prediction
 def _store(task: Task, beginning: Beginning, saved: Checkpoint) -> Store:
     """Return the checkpoint of a run, open."""
     from fmu.analysis.trace.conversion import names_of, units_of
-    from fmu.analysis.trace.provenance import described
+    from fmu.analysis.trace.provenance import describe_inputs
     from fmu.runs.identity import Identity
     from fmu.runs.store import Store
     from fmu.samplers.settings import describe
@@ -260,7 +260,7 @@ def _store(task: Task, beginning: Beginning, saved: Checkpoint) -> Store:
     run = {**task.numbers, "walkers": settings.walkers, "init": beginning.starts.origin}
     if task.warmup < task.numbers["warmup"]:
         run[_SHORTENED] = task.warmup
-    configuration = described(problem, settings.name, describe(settings), run)
+    configuration = describe_inputs(problem, settings.name, describe(settings), run)
     return Store(saved, Identity.of(configuration), names_of(problem), units_of(problem))
 
 

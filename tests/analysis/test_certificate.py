@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.analysis.certificate import CertificateWarning, certify
+from fmu.analysis.certificate import CertificateWarning, Effort, certify
 from fmu.fem.modes.modal import BlockModel
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.posterior.train_reduced import Tolerance
@@ -64,22 +64,18 @@ def test_a_basis_that_is_too_small_is_found_out(trace, problem, monkeypatch):
 def test_a_bound_that_does_not_hold_is_found_out(trace, problem, monkeypatch):
     whole = problem.model.frequency_bound
     monkeypatch.setattr(problem.model, "frequency_bound", lambda theta: 0.0 * whole(theta))
-    monkeypatch.setattr("fmu.analysis.certificate._ROUNDING", 0.0)
     with pytest.warns(CertificateWarning, match="error above its bound at 16 draws"):
-        assert certify(trace, problem).bound_exceeded == 16
+        assert certify(trace, problem, effort=Effort(rounding=0.0)).bound_exceeded == 16
 
 
-def test_of_a_large_structure_fewer_draws_are_bounded(trace, problem, monkeypatch):
-    monkeypatch.setattr("fmu.analysis.certificate._WORK", 0)
-    certificate = certify(trace, problem)
+def test_of_a_large_structure_fewer_draws_are_bounded(trace, problem):
+    certificate = certify(trace, problem, effort=Effort(work=0))
     assert certificate.bound_draws == 64
     assert certificate.draws == 16
 
 
-def test_of_a_large_structure_fewer_draws_are_solved(trace, problem, monkeypatch):
-    monkeypatch.setattr("fmu.analysis.certificate._WORK", 0)
-    monkeypatch.setattr("fmu.analysis.certificate.LARGE", 100)
-    assert certify(trace, problem).draws == 8
+def test_of_a_large_structure_fewer_draws_are_solved(trace, problem):
+    assert certify(trace, problem, effort=Effort(work=0, large=100)).draws == 8
 
 
 def test_a_tolerance_that_holds_where_the_posterior_lives_is_told_with_the_other(trace, problem, monkeypatch):

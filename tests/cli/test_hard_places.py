@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from fmu.cli import main
 from fmu.cli.messages import _of_system
-from fmu.cli.output import claimed
+from fmu.cli.output import claim_directory
 from fmu.config.kept import ORIGIN
 from fmu.runs.run_directory import FOLDER
 
@@ -53,12 +53,12 @@ def test_standard_output_on_a_full_device():
 def test_what_a_run_killed_at_once_leaves_is_no_obstacle(tmp_path):
     (tmp_path / "run" / FOLDER).mkdir(parents=True)
     (tmp_path / "run" / FOLDER / "lock").touch()
-    with claimed(tmp_path / "run", False) as directory:
+    with claim_directory(tmp_path / "run", False) as directory:
         assert directory == tmp_path / "run"
     (tmp_path / "run" / "notes.txt").touch()
     with (
         pytest.raises(ValueError, match=r"exists; choose another directory or add --overwrite"),
-        claimed(tmp_path / "run", False),
+        claim_directory(tmp_path / "run", False),
     ):
         pass
 
@@ -69,7 +69,7 @@ def test_a_run_that_was_killed_is_to_be_resumed(tmp_path):
     (run / FOLDER / ORIGIN).write_text("{}")
     with (
         pytest.raises(ValueError, match=rf"not ended: resume it with fmu run --resume {run}, choose"),
-        claimed(run, False),
+        claim_directory(run, False),
     ):
         pass
     for command in ("report", "export", "damage", "compare"):

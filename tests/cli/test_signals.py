@@ -65,12 +65,12 @@ def test_a_stop_in_the_search_for_maxima(folder, whole, monkeypatch):
 
 
 def test_a_stop_at_the_very_end_of_a_sampler_begins_no_other(folder, whole, monkeypatch):
-    def ended(directory, sampler, problem, finished=RunDirectory.finished):
+    def ended(directory, sampler, problem, finished=RunDirectory.finish_sampler):
         finished(directory, sampler, problem)
         signal.raise_signal(signal.SIGINT)
 
     with monkeypatch.context() as patch:
-        patch.setattr(RunDirectory, "finished", ended)
+        patch.setattr(RunDirectory, "finish_sampler", ended)
         stopped = invoke("run", "two.toml", *of("mh", "hmc"), "--out", "out", *QUIET)
     assert stopped.exit_code == 130
     assert "Stopped. To resume: fmu run --resume out" in stopped.stderr

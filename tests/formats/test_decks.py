@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from fmu.formats.decks import columns, filled, filled_name, number, placeholders, read_deck, write_deck
+from fmu.formats.decks import columns, fill_deck, filled_name, number, placeholders, read_deck, write_deck
 
 VALUES = [
     2.1e11,
@@ -61,7 +61,7 @@ def test_a_field_has_the_closest_number_that_fits():
 def test_a_deck_is_filled_and_otherwise_unchanged():
     text = "MAT1    1       {E1:8}                .3\r\nif {$x > 0} {puts {a b}}\n{'a': {E1}} {{E1}} {E1 sd}\n"
     assert placeholders(text) >= {"E1", "E1 sd"}
-    found = filled(text, {"E1": 2.1e11, "E1 sd": 3e9, "t": 1.0})
+    found = fill_deck(text, {"E1": 2.1e11, "E1 sd": 3e9, "t": 1.0})
     assert found == (
         "MAT1    1       2.1+11                  .3\r\nif {$x > 0} {puts {a b}}\n"
         f"{{'a': {number(2.1e11)}}} {{E1}} {number(3e9)}\n"
@@ -79,13 +79,13 @@ def test_a_deck_is_filled_and_otherwise_unchanged():
 )
 def test_a_deck_that_cannot_be_filled(text, message):
     with pytest.raises(ValueError, match=message):
-        filled(text, {"E1": -3e-120, "t": 1.0})
+        fill_deck(text, {"E1": -3e-120, "t": 1.0})
 
 
 @pytest.mark.parametrize("encoding", ["latin-1", "utf-8"])
 def test_the_encoding_of_a_deck_is_kept(encoding, tmp_path):
     (tmp_path / "a.inp.in").write_bytes("** Träger {E1}\r\n".encode(encoding))
-    write_deck(tmp_path / "a.inp", filled(read_deck(tmp_path / "a.inp.in"), {"E1": 1.5}))
+    write_deck(tmp_path / "a.inp", fill_deck(read_deck(tmp_path / "a.inp.in"), {"E1": 1.5}))
     assert (tmp_path / "a.inp").read_bytes() == "** Träger 1.5\r\n".encode(encoding)
 
 

@@ -11,9 +11,9 @@ from fmu.paper.convergence import (
     Reference,
     around_the_maxima,
     lengths_up_to,
-    pooled,
+    pool_traces,
     running_error,
-    shortened,
+    shorten_trace,
     solves_at_this_pace,
     solves_by_step,
     solves_needed,
@@ -90,7 +90,7 @@ def test_lengths_grow_geometrically_and_end_at_the_whole_run():
 
 def test_shortened_trace_keeps_the_first_draws():
     trace = make_trace([np.arange(10.0)], [np.arange(10.0)])
-    short = shortened(trace, 4)
+    short = shorten_trace(trace, 4)
     np.testing.assert_array_equal(short["posterior"]["a"], [[0, 1, 2, 3]])
     assert short.attrs == trace.attrs
 
@@ -147,7 +147,7 @@ def test_a_run_that_misses_the_maximum_is_measured_against_it(result):
 def test_pooled_reference_weighs_by_effective_draws():
     rng = np.random.default_rng(1)
     short, long = (make_trace(*rng.standard_normal((2, 4, n))) for n in (300, 4_000))
-    reference = pooled({"short": short, "long": long}, "both")
+    reference = pool_traces({"short": short, "long": long}, "both")
     every = np.concatenate(
         [trace["posterior"][name].to_numpy().ravel() for trace in (short, long) for name in "a"]
     )

@@ -10,7 +10,7 @@ import scipy.linalg as sl
 
 from fmu import cases
 from fmu.paper import spectrum
-from fmu.paper.errata import computed_errata, errata_page, recompute, recomputed_page, reproduced
+from fmu.paper.errata import computed_errata, count_reproduced, errata_page, recompute, recomputed_page
 from fmu.paper.published import EXPERIMENTS
 from fmu.paper.run import separated_modes
 from tests import cantilever
@@ -136,12 +136,12 @@ def test_all_forty_frequencies_recomputed(by_number):
     assert row["tolerance_hz"] == pytest.approx(0.005 + 1.09999)
     misprint = table[table["remark"].str.contains("misprint")].iloc[0]
     assert (misprint["printed_hz"], misprint["meant_hz"]) == ("183.3", 183.85)
-    assert reproduced(table) in recomputed_page(table)
+    assert count_reproduced(table) in recomputed_page(table)
 
 
 def test_what_is_reproduced_only_with_a_correction_is_told(by_number):
     """The misprint and the column whose inputs are misprinted: none of the six agrees as printed."""
-    assert reproduced(recompute(by_number)) == (
+    assert count_reproduced(recompute(by_number)) == (
         "34 of 40 published frequencies come out of one model as printed; 5 more from corrected inputs (Table 4, "
         "Initial: Ix1 = 7e-9, printed 5e-9, Ix2 = 7e-9, printed 5e-9); 1 more against the frequency that its "
         "error column means (Table 4, Slice Sampling Method, mode 2: 183.85 Hz, printed 183.3 Hz)"

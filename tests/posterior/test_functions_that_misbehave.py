@@ -111,7 +111,7 @@ def test_of_several_tests_of_matrices_too():
 
 def test_behind_a_surrogate_the_reason_is_that_of_the_function(wrong):
     answer, sentence = wrong
-    learnt = fmu.surrogate(single(Function(answer)), max_solves=80)
+    learnt = fmu.surrogate(single(Function(answer)), max_solves=30)
     assert learnt.model.certificate.failed > 0
     assert learnt.log_prob([1.3, 1.0]) == -np.inf
     (failed,) = learnt.take_failures()

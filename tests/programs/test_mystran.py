@@ -11,7 +11,7 @@ from scipy.linalg import eigh
 import fmu
 from fmu import cli
 from fmu.config.template import write_template
-from fmu.formats.decks import filled, read_deck
+from fmu.formats.decks import fill_deck, read_deck
 from fmu.formats.matrices.nastran.cards import number
 from fmu.formats.modes import READERS
 
@@ -46,7 +46,7 @@ def solve(tmp_path_factory):
 
     def solved(name, **values):
         folder = tmp_path_factory.mktemp(name)
-        (folder / "plate.bdf").write_text(filled(template, NOMINAL | values))
+        (folder / "plate.bdf").write_text(fill_deck(template, NOMINAL | values))
         return run(folder)
 
     return solved

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fmu.progress import phases
-from fmu.progress.phases import by_parts, count_solves, count_steps, phase, solves, told_to
+from fmu.progress.phases import advance_phase, by_parts, count_solves, phase, solves, told_to
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ def test_steps_and_solves(told):
     with phase("search", 3) as climbs:
         count_solves(10)
         climbs.advance(2)
-        count_steps()
+        advance_phase()
     assert told == [
         ("search", 0, 3, {"solves": 0}),
         ("search", 0, 3, {"solves": 10}),
@@ -35,7 +35,7 @@ def test_one_within_another_is_told_by_itself_and_counted_in_both(told):
     with phase("training", 2) as outer:
         with phase("search", 1):
             count_solves(4)
-            count_steps()
+            advance_phase()
         outer.advance(2)
     assert told[-2:] == [("search", 1, 1, {"solves": 4}), ("training", 2, 2, {"solves": 4})]
 
@@ -53,7 +53,7 @@ def test_what_takes_no_time_is_not_told():
         climbs.advance()
     assert lines == []
     assert notes == [("search", 0, 1), ("search", 1, 1), ("", 0, 0)]
-    count_steps()  # without a phase nothing happens
+    advance_phase()  # without a phase nothing happens
 
 
 def test_parts_are_the_whole(told):

@@ -143,11 +143,11 @@ BEAM = """*NODE, NSET=ALL
 @pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not installed")
 def test_calculix_reads_all_digits_of_a_number(tmp_path):
     """A number of 22 characters, as Python prints it, CalculiX reads without its exponent."""
-    from fmu.formats.decks import filled
+    from fmu.formats.decks import fill_deck
 
     found = []
     for value in (2.0734567890123456e11, 4 * 2.0734567890123456e11):
-        (tmp_path / "beam.inp").write_text(filled(BEAM, {"a": value}))
+        (tmp_path / "beam.inp").write_text(fill_deck(BEAM, {"a": value}))
         subprocess.run(["ccx", "beam"], cwd=tmp_path, check=True, capture_output=True, timeout=60)
         rows = re.findall(r"^\s+1\s+(\S+)\s+(\S+)\s+(\S+)", (tmp_path / "beam.dat").read_text(), re.MULTILINE)
         found.append(float(rows[0][2]))

@@ -10,7 +10,7 @@ import pytest
 from fmu.report import plots
 from fmu.report.document import picture
 from fmu.report.figure_data import figure_data, linked_draws
-from fmu.report.packed import packed
+from fmu.report.packed import pack
 from tests.report.browser import needs_browser
 from tests.report.parsed import IMAGE
 from tests.report.test_structure_view import unpacked
@@ -69,7 +69,7 @@ def test_draws_and_their_frequencies_belong_together(beam_traces):
     hz = trace["posterior_predictive"]["model_frequency"].to_numpy().reshape(-1, 5)
     np.testing.assert_array_equal(np.transpose([mode["hz"] for mode in found["modes"]]), hz)
     assert [mode["measured"] for mode in found["modes"]] == trace["observed_data"]["frequency"].to_numpy().tolist()
-    unpacked(packed(found))
+    unpacked(pack(found))
 
 
 # ---- in a browser

@@ -14,7 +14,7 @@ def publish(root, **files):
 
 def write(directory, **files):
     """Write files, a double underscore standing for a slash."""
-    with directory.staged() as stage:
+    with directory.stage_files() as stage:
         for name, text in files.items():
             path = stage / name.replace("__", "/")
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -109,7 +109,7 @@ def test_an_error_publishes_nothing(tmp_path):
 
 
 def test_an_error_leaves_no_directory_that_was_not_there(tmp_path):
-    with pytest.raises(RuntimeError), OutputDirectory(tmp_path / "a" / "b").staged():
+    with pytest.raises(RuntimeError), OutputDirectory(tmp_path / "a" / "b").stage_files():
         raise RuntimeError
     assert list(tmp_path.iterdir()) == []
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from fmu.numbers import shown, with_unit
+from fmu.numbers import customary_unit, with_unit
 from fmu.tables import markdown_table
 
 
@@ -27,8 +27,8 @@ def test_bars_in_names_end_no_cell():
      ("kg", 3.0, 3.0, "x / kg"), ("", 2.0, 2.0, "x")],
 )  # fmt: skip
 def test_units(unit, value, expected, label):
-    assert value / shown(unit).factor == pytest.approx(expected, rel=1e-12)
-    assert shown(unit).label("x") == label
+    assert value / customary_unit(unit).factor == pytest.approx(expected, rel=1e-12)
+    assert customary_unit(unit).label("x") == label
 
 
 @pytest.mark.parametrize(

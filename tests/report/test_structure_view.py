@@ -13,7 +13,7 @@ import scipy.sparse.linalg
 
 import fmu
 from fmu.report.model_view import model_view
-from fmu.report.packed import Rounded, packed
+from fmu.report.packed import Rounded, pack
 from fmu.report.pages import write_pages
 from fmu.report.run import runs_of
 from tests.report.browser import needs_browser
@@ -44,18 +44,18 @@ def unpacked(text):
 def test_packed_numbers_are_the_numbers(bits, error):
     rng = np.random.default_rng(1)
     for values in (rng.normal(size=500), 7.0 + rng.random(40), np.full(50, 3.5), np.zeros(33)):
-        found = unpacked(packed({"x": Rounded(values, bits)}))["x"]
+        found = unpacked(pack({"x": Rounded(values, bits)}))["x"]
         span = max(np.ptp(values), np.ptp([0.0, *values]) if values.min() <= 0.0 <= values.max() else 0.0)
         np.testing.assert_allclose(found, values, rtol=1e-12, atol=error * span)
     holes = np.where(rng.random(99) < 0.2, np.nan, 1.0 + rng.random(99))
-    np.testing.assert_array_equal(np.isnan(unpacked(packed([holes]))[0]), np.isnan(holes))
-    assert unpacked(packed([np.full(99, np.nan), np.arange(70_000), np.array([np.inf, 1.5])]))[2] == [None, 1.5]
+    np.testing.assert_array_equal(np.isnan(unpacked(pack([holes]))[0]), np.isnan(holes))
+    assert unpacked(pack([np.full(99, np.nan), np.arange(70_000), np.array([np.inf, 1.5])]))[2] == [None, 1.5]
 
 
 def test_packed_names_have_no_characters_of_html():
     content = {"name": [SCRIPT, "</script>", "<!--", "\u2028", "\"&'"]}
-    assert unpacked(packed(content)) == content
-    assert not set(packed(content)) & set("<>&\"'\u2028")
+    assert unpacked(pack(content)) == content
+    assert not set(pack(content)) & set("<>&\"'\u2028")
 
 
 def test_the_view_has_the_numbers_of_the_trace(beam_traces):

@@ -18,7 +18,7 @@ from fmu.report.plots.style import GREY
 from fmu.report.run import runs_of
 from fmu.report.sections import origin, prediction, updating
 from fmu.report.sections.fit import model_fit
-from fmu.report.sections.verdicts import updated
+from fmu.report.sections.verdicts import judge_data
 from tests.linear import LinearModel
 
 N = 40
@@ -115,7 +115,7 @@ def test_what_was_not_updated_is_not_among_what_was(run):
     assert {row["prior"] for row in rows} == {breaking_at_commas("normal, mean 0, sd 1")}
     assert table.greyed == (2,)
     assert "Grey: not informed by the data" in table.caption
-    verdict = updated(run)
+    verdict = judge_data(run)
     assert (verdict.answer, verdict.is_good) == ("c", False)
     assert verdict.said == "The data updated 2 of 3 parameters."
     assert verdict.reasons[0].startswith("c was not updated by the data: ")

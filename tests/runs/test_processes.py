@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fmu.durable_files import digest
-from fmu.runs.content import numbered, read_state
+from fmu.runs.content import numbered_files, read_state
 from tests.runs.watched import DRAWS, STEPS, Watched, main, sampled
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
@@ -98,7 +98,7 @@ def test_watched_from_outside(tmp_path, whole, started):
         with pytest.raises(ValueError, match="another run is running"):
             sampled(tmp_path)
         while process.is_alive():
-            for number, path in numbered(group, "state"):
+            for number, path in numbered_files(group, "state"):
                 with suppress(FileNotFoundError):  # replaced meanwhile by a later one
                     state = read_state(path)
                     seen.add(number)

@@ -18,7 +18,7 @@ from fmu.runs.store import (
     CheckpointWarning,
     OtherArithmeticWarning,
     Store,
-    numbered,
+    numbered_files,
     read_state,
 )
 from fmu.samplers import Ensemble, HamiltonianMonteCarlo, MetropolisHastings, MixtureSampler, Run, Slice, Tempering
@@ -217,7 +217,7 @@ class TestFiles:
         ]
         assert newest.group_state.done == {"warmup": WARMUP, "draws": HALF}
         assert newest.configuration == IDENTITY.hash
-        assert [number for number, _ in numbered(half / "group-1", "state")] == [6, 7]
+        assert [number for number, _ in numbered_files(half / "group-1", "state")] == [6, 7]
 
     def test_no_pickle(self, half):
         for path in half.rglob("*"):
@@ -295,7 +295,7 @@ class TestDamage:
         flip(files(half, "state")[-1], 0.5)
         with pytest.warns(CheckpointWarning), pytest.raises(Killed):
             ran(half, progress=killed_at("draws", 31))
-        assert [number for number, _ in numbered(half / "group-1", "state")] == [6, 8]
+        assert [number for number, _ in numbered_files(half / "group-1", "state")] == [6, 8]
         flip(files(half, "state")[-1], 0.5)
         with pytest.warns(CheckpointWarning, match="resumes from the state before it"):
             again = ran(half)

@@ -142,9 +142,9 @@ def test_a_mode_that_may_have_been_taken_for_another_is_told():
 def test_scatter_of_the_answers_is_estimated_and_told():
     rng = np.random.default_rng(1)
     with pytest.warns(SurrogateWarning, match="answers scatter"):
-        found = fmu.surrogate(problem(lambda theta: storeys(theta) * (1.0 + 1e-4 * rng.standard_normal(2))))
+        found = fmu.surrogate(problem(lambda theta: storeys(theta) * (1.0 + 5e-4 * rng.standard_normal(2))))
     record = found.model.certificate
-    assert record.scatter == pytest.approx(1e-4, rel=0.6)
+    assert record.scatter == pytest.approx(5e-4, rel=0.6)
     mean, sd = moments(problem())
     assert np.max(np.abs(moments(found)[0] - mean) / sd) <= record.shift
 

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from fmu.runs.content import numbered, read_state
+from fmu.runs.content import numbered_files, read_state
 from tests.validation.kills_run import LOSS_S, LOSS_STEPS, SIZES, drawn, load, same, teller
 
 KILLS, OF_THEM_WRITING, SEED = 20, 6, 1
@@ -115,7 +115,7 @@ class Row:
 
 def kept_steps(directory: Path) -> Mapping[str, int]:
     """Return how many steps of each phase are kept of a group."""
-    states = numbered(directory, "state")
+    states = numbered_files(directory, "state")
     return read_state(states[-1][1]).group_state.done if states else {WARMUP: 0, DRAWS: 0}
 
 
@@ -245,7 +245,7 @@ def killed(problem: Any, name: str) -> Row:
         if status or len(steps_told(reading)) == 0:
             raise RuntimeError(f"{name}: the run that nobody killed did not come to its end")
         row.went_on(drawn(problem, name, directory), reference)
-        writes = sum(2 * numbered(group, "state")[-1][0] for group in directory.glob("group-*"))
+        writes = sum(2 * numbered_files(group, "state")[-1][0] for group in directory.glob("group-*"))
     killed_once(problem, row, reference, rng, n_calls=3 * writes)
     killed_again_and_again(row, reference, rng)
     return row

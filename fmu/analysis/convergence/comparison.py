@@ -1,4 +1,4 @@
-"""Samplers side by side: verdicts, reliability, and what each cost, also as a multiple of a baseline."""
+"""Samplers side by side: verdicts, reliability, and costs, also as multiples of the cost of a baseline."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ def costs_side_by_side(
 
 
 def cost_rows(costs: pd.DataFrame) -> list[list[str]]:
-    """Return the costs as rows of text, one column per sampler; those that are unknown of all are left out."""
+    """Return the costs as rows of text, one column per sampler; costs that no sampler has are left out."""
     rows = []
     for column, label in _ROWS.items():
         values = list(map(float, costs[column]))

@@ -33,7 +33,7 @@ from fmu.analysis.fit.deviations import deviation_warnings
 from fmu.analysis.fit.model_fit import ModelFit, model_fit
 from fmu.analysis.held_out.modes import left_out_warnings
 from fmu.analysis.information import information_warnings
-from fmu.analysis.maxima.missed import Comparison, check_parameters, compared, missed_places
+from fmu.analysis.maxima.missed import Comparison, check_parameters, compare_shares, missed_places
 from fmu.analysis.maxima.results import NEGLIGIBLE, TYPICAL_POINT, Maxima
 from fmu.analysis.pairing_changes import jump_warnings
 from fmu.analysis.prediction import bound_warnings, search_warnings, shape_warnings
@@ -136,7 +136,7 @@ class Diagnosis:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What probabilities from the draws do not allow for: no convergence, a model that is contradicted."""
+        """Reasons to doubt probabilities from the draws: no convergence, a model that is contradicted."""
         unfinished = () if self.converged else ("the draws have not converged",)
         return (*unfinished, f"the model is {self.fit.answer}") if self.fit.against else unfinished
 
@@ -276,7 +276,7 @@ def _reasons(
     trace: xr.DataTree, best: Maxima | None, others: Mapping[str, xr.DataTree], table: pd.DataFrame | None
 ) -> tuple[list[str], list[str]]:
     """Return why a run has not converged, and what is doubtful of the shares of the maxima."""
-    against = Comparison([], []) if best is None else compared(trace, best)
+    against = Comparison([], []) if best is None else compare_shares(trace, best)
     reasons = against.reasons + missed_places(trace, others, best)
     is_single = best is not None and sum(m.share > NEGLIGIBLE for m in best) == 1
     places: Places = "missed" if reasons else "one" if is_single else "unknown"

@@ -243,7 +243,7 @@ def convergence_failures(
 
 
 def few_ensembles(trace: xr.DataTree) -> str:
-    """Say that fewer than four emcee ensembles cannot exclude separate modes, and the remedy; else empty."""
+    """Warn that fewer than four emcee ensembles cannot exclude separate modes; empty if there are four."""
     n = trace["posterior"].sizes["chain"]
     if not is_imported(trace) or n >= MIN_ENSEMBLES:
         return ""
@@ -294,7 +294,7 @@ def _trajectories(trace: xr.DataTree) -> list[str]:
 
 
 def _trajectories_that_diverged(trace: xr.DataTree) -> FloatArray:
-    """Say of each trajectory whether it diverged; of none where most steps are candidates of a mixture.
+    """Return whether each trajectory diverged; none if most steps are candidates of a mixture.
 
     A trajectory that diverges stays where it began. The candidates do not depend on that place, and how well they
     fit the posterior shows in their weights.

@@ -95,7 +95,7 @@ def _tail(log_w: FloatArray, efficiency: float = 1.0) -> _Tail:
 
 
 def _generalised_pareto(x: FloatArray) -> tuple[float, float]:
-    """Return shape k and scale of the distribution of `x` (n,), ascending; NaN where it is far from such a one.
+    """Return shape k and scale of the distribution of `x` (n,), ascending; NaN if it is far from a Pareto one.
 
     The mean of the posterior of b = −k/scale under the prior of Zhang & Stephens, on a grid; k is drawn towards
     0.5 as by ten further draws.

@@ -86,9 +86,9 @@ def rhat_excess(table: pd.DataFrame) -> float:
 def draws_to_come(draws: int, growth: float, is_reliable: bool = True, excess: float = 0.0) -> int:
     """Return how many steps to draw before an insufficient run is judged again.
 
-    Four fifths of those that `growth` asks for, and at the end all with 1 % more; but no more than the run has, as
-    the effective sample size is then better known. If only R-hat is too high, which scatters too much for a
-    prediction, the run grows by 5 to 15 %. In all other cases it is doubled.
+    That is four fifths of the steps that `growth` requires, and at the end all of them with 1 % more; but at most
+    as many as the run has, as the effective sample size is then better known. If only R-hat is too high, which
+    scatters too much for a prediction, the run grows by 5 to 15 %. In all other cases it is doubled.
 
     Parameters
     ----------

@@ -109,7 +109,7 @@ class Check:
 
 
 def checks_of(trace: xr.DataTree) -> list[Check]:
-    """Return the checks of a run; none if the errors are not those of measured quantities."""
+    """Return the checks of a run; none for the modal residual, which is no measured quantity."""
     if not has(trace, GROUP):
         return []
     kinds: list[Callable[[float], list[Check]]] = []
@@ -130,7 +130,7 @@ def checks_of(trace: xr.DataTree) -> list[Check]:
 
 
 def _predictions(trace: xr.DataTree) -> pd.DataFrame | None:
-    """Return how each mode is predicted without it; NaN where that is not known, None without frequencies."""
+    """Return the prediction of each mode without it; NaN where it is not known, None without frequencies."""
     if not has(trace, "posterior_predictive", "frequency"):
         return None
     kept = kept_table(trace)
@@ -148,7 +148,7 @@ def _modes(trace: xr.DataTree, rows: pd.DataFrame, level: float) -> list[Check]:
 
 def _mode(trace: xr.DataTree, mode: str, row: pd.Series[Any], level: float) -> Check:
     if not np.isfinite(row["p"]):
-        return _reached(trace, mode, row, level)
+        return _check_residual(trace, mode, row, level)
     kind = PREDICTED if row["used"] else HELD_OUT
     measured, mean, sd = float(row["measured"]), float(row["mean"]), float(row["sd"])
     low, high = _limits(row, level)
@@ -181,7 +181,7 @@ def _mode(trace: xr.DataTree, mode: str, row: pd.Series[Any], level: float) -> C
 
 
 def _limits(row: pd.Series[Any], level: float) -> tuple[float, float]:
-    """Return between what a measured frequency has at least the two-sided tail probability `level`, Hz.
+    """Return the limits, Hz, at which a measured frequency has the two-sided tail probability `level`.
 
     On either side the tail is that of the errors, as wide as the 90 % interval is there: exact if it has their
     shape. On the side of what was measured it goes through the known probability of that as well, so that a mode
@@ -213,7 +213,7 @@ def _how(trace: xr.DataTree, mode: str) -> str:
     return "" if tests is None else f" ({measurement_in_words(tests[:, at])})"
 
 
-def _reached(trace: xr.DataTree, mode: str, row: pd.Series[Any], level: float) -> Check:
+def _check_residual(trace: xr.DataTree, mode: str, row: pd.Series[Any], level: float) -> Check:
     """Return the check of a mode by its residuals after updating with it."""
     group = trace[GROUP].to_dataset()
     measured = f"{given(float(row['measured']))} Hz"
@@ -297,9 +297,9 @@ def _tests(trace: xr.DataTree, level: float) -> list[Check]:
 
 
 def _follows(trace: xr.DataTree, larger: float) -> str:
-    """Return why residuals that could be `larger` times as large are no check; empty if they are one.
+    """Say why residuals that could be `larger` times as large are no check; empty if they are one.
 
-    With a degree of freedom left there are errors that no parameter can follow, however well it follows these.
+    With a degree of freedom left, parameters cannot fit every error, even where they fit these errors well.
     """
     if larger <= _MOST or int(trace[GROUP].attrs["n_data"]) > len(parameter_units(trace)):
         return ""
@@ -318,7 +318,7 @@ def _larger(squares: FloatArray, freedom: int, limit: float) -> float:
 
 
 def _noise(trace: xr.DataTree, table: pd.DataFrame | None, level: float) -> list[Check]:
-    """Return a check of each inferred standard deviation: whether it is what its prior expected."""
+    """Return a check of each inferred standard deviation: whether it agrees with its prior."""
     group, found = trace[GROUP].to_dataset(), []
     names = [str(name) for name in group["noise"].to_numpy()]
     units = dict(zip(map(str, trace["posterior"].data_vars), parameter_units(trace), strict=True))
@@ -354,7 +354,7 @@ def _noise(trace: xr.DataTree, table: pd.DataFrame | None, level: float) -> list
 
 
 def _in_hertz(trace: xr.DataTree, of: str, factor: float) -> str:
-    """Return what noise so many times that of the draws is in Hz and per cent of the lowest mode; "" of shapes."""
+    """Return `factor` times the noise of the draws, in Hz and in per cent of the lowest mode; "" of shapes."""
     if of != "frequencies" or not has(trace, "posterior_predictive", "frequency"):
         return ""
     mode = trace["posterior_predictive"]["mode"].to_numpy()[0]
@@ -364,7 +364,7 @@ def _in_hertz(trace: xr.DataTree, of: str, factor: float) -> str:
 
 
 def _free(trace: xr.DataTree, table: pd.DataFrame | None, of: str, beyond: float, factor: float) -> str:
-    """Say that noise was free to grow, if it may hide what the parameters could change; else nothing."""
+    """Return a sentence on noise that was free to grow and may hide a misfit; empty if it cannot."""
     if of == "shapes":
         freedom = float(trace[GROUP].to_dataset()["freedom"].sel(quantity=of))
         hides = freedom * beyond**2 > 1.0 - ALIKE
@@ -385,7 +385,7 @@ def noise_sd(trace: xr.DataTree, mode: str) -> float:
 
 
 def _quantities(trace: xr.DataTree, level: float) -> list[Check]:
-    """Return a check of each datum that is not of modes: whether the updated model gives it."""
+    """Return a check of each datum that is not of modes: whether the updated model reproduces it."""
     group = trace[QUANTITIES].to_dataset()
     found, limit = [], level / (2 * group.sizes["datum"])
     for label in map(str, group["datum"].to_numpy()):
@@ -437,6 +437,6 @@ def probability(p: float) -> str:
     return "p < 1e-300" if p < 1e-300 else f"p = {significant(p, 1)}"
 
 
-def failed(checks: Sequence[Check]) -> list[Check]:
+def failed_checks(checks: Sequence[Check]) -> list[Check]:
     """Return the checks that failed, the least probable first."""
     return sorted((check for check in checks if check.failed), key=lambda check: np.nan_to_num(check.p, nan=1.0))

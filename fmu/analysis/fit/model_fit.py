@@ -18,7 +18,7 @@ from fmu.analysis.fit.checks import (
     Check,
     beyond,
     checks_of,
-    failed,
+    failed_checks,
 )
 from fmu.analysis.trace.misfit import GROUP
 from fmu.analysis.trace.reading import has, parameter_names
@@ -36,7 +36,7 @@ NO_HELD_OUT = "No mode was held out: `use = false` at a mode keeps it out of the
 
 @dataclass(frozen=True)
 class ModelFit:
-    """What the data say of a model, and what they could have said.
+    """The checks of a model against the data, and the verdict.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class ModelFit:
     @property
     def answer(self) -> str:
         """The verdict in a few words: ``"contradicted by 2 of 6 checks"``."""
-        told = len(failed(self.checks))
+        told = len(failed_checks(self.checks))
         if self.verdict == CONTRADICTED:
             return f"contradicted by {told} of {len(self.able)} checks"
         if self.verdict != NOT_TESTABLE:
@@ -91,12 +91,12 @@ class ModelFit:
 
     @property
     def against(self) -> tuple[str, ...]:
-        """What the checks that failed found, a sentence each, the least probable first."""
-        return tuple(check.sentence for check in failed(self.checks))
+        """The findings of the checks that failed, a sentence each, the least probable first."""
+        return tuple(check.sentence for check in failed_checks(self.checks))
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Why the verdict is what it is: what failed; else which checks could have, and what else there was."""
+        """The reasons of the verdict: checks that failed, or else checks that could have failed, and the rest."""
         if self.verdict == UNKNOWN:
             return ("Nothing that was measured can be compared with a prediction that has an error model.",)
         if self.verdict == CONTRADICTED:
@@ -117,7 +117,7 @@ class ModelFit:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """How often a correct model would fail, and what inferred noise is beside what its prior expected."""
+        """The false-alarm rate of the checks, and inferred noise beside its prior."""
         level = () if self.verdict in (UNKNOWN, NOT_TESTABLE) else (self._level,)
         return (*level, *self._noise)
 
@@ -126,7 +126,7 @@ class ModelFit:
 
     @property
     def _could_fail(self) -> tuple[str, ...]:
-        """Say of each kind of check what passed that could have failed, and what says nothing."""
+        """Sentences on the checks that passed: which could have failed, and which test nothing."""
         said = []
         for kind, by in ((PREDICTED, "by the other modes"), (HELD_OUT, "though not used in updating")):
             telling = [check for check in self._of(kind) if check.could_fail and np.isfinite(check.below)]
@@ -153,7 +153,7 @@ class ModelFit:
 
     @property
     def _noise(self) -> tuple[str, ...]:
-        """Say what inferred noise is beside what its prior expected, where it did not fail."""
+        """Sentences on inferred noise beside the expectation of its prior, for noise that did not fail."""
         return tuple(
             f"{check.of}: {check.found}. "
             + (f"{check.why_not[0].upper()}{check.why_not[1:]}: only beyond {check.limit} would it have counted "

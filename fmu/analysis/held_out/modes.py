@@ -174,21 +174,21 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
         doubtful = sorted(doubtful + [k for k, used in enumerate(use) if used])
     found |= _left_out_all(problem, doubtful, most / (len(doubtful) + 1))
     # weights with a Pareto k of 0.4 were off by 0.4 nats: only where no refit is affordable
-    smoothed = _smoothed(trace) if len(found) < len(use) else {}
+    smoothed = _smooth_weights(trace) if len(found) < len(use) else {}
     good = {label for label, one in smoothed.items() if one.is_good}
     poor = [k for k in doubtful if k not in found and problem.data.labels[k] not in good]
     if SOLVES * a_solve <= _A_REFIT * _FREE_S and a_solve > 0.0:
         found |= _left_out_all(problem, poor[: int(_REFITS * _FREE_S / (SOLVES * a_solve))], SOLVES)
     rows = []
     for k, label in enumerate(problem.data.labels):
-        row = found[k] if k in found else _weighted(problem, k, draws, smoothed.get(label))
+        row = found[k] if k in found else _predict_weighted(problem, k, draws, smoothed.get(label))
         rows.append(replace(row, measured=float(measured[k]), prior_sd=float(prior_sd[k]), used=use[k]))
     columns = {name: ("mode", np.array([getattr(row, name) for row in rows])) for name in _COLUMNS}
     return with_group(trace, GROUP, xr.Dataset(columns, coords={"mode": list(problem.data.labels)}))
 
 
 def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -> dict[int, HeldOut]:
-    """Return each mode predicted after updating without it, by its number; those that the solves suffice for.
+    """Return each mode predicted after updating without it, by its number, as far as the solves suffice.
 
     First all by the same candidates; those that these do not cover well by candidates of their own. The results
     are remembered: they depend on the problem alone, and not on the draws, so that one serves all samplers.
@@ -211,7 +211,7 @@ def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -
 
 
 def left_out_warnings(trace: xr.DataTree) -> list[str]:
-    """Say which used modes the others do not predict because neither weights nor a refit were to be had."""
+    """Warn of used modes without a prediction by the others, where neither weights nor a refit were reliable."""
     table = kept_table(trace)
     if table is None:
         return []
@@ -243,7 +243,7 @@ class _Smoothed(NamedTuple):
     mcse: float
 
 
-def _smoothed(trace: xr.DataTree) -> dict[str, _Smoothed]:
+def _smooth_weights(trace: xr.DataTree) -> dict[str, _Smoothed]:
     """Return the importance weights of each used mode; none if there are too few draws, or they do not move."""
     kept = list(map(str, trace["log_likelihood"].data_vars))
     # of correlated errors, the terms whose sum is the joint density are not those of each mode given the others
@@ -265,20 +265,20 @@ def _smoothed(trace: xr.DataTree) -> dict[str, _Smoothed]:
     return found
 
 
-def _weighted(problem: UpdatingProblem, k: int, draws: _Draws, smoothed: _Smoothed | None) -> HeldOut:
-    """Return a mode predicted by the weighted draws; without numbers where they do not cover what is wanted."""
+def _predict_weighted(problem: UpdatingProblem, k: int, draws: _Draws, smoothed: _Smoothed | None) -> HeldOut:
+    """Predict a mode by the weighted draws; without numbers where the draws do not cover the other posterior."""
     if smoothed is None:
         return HeldOut()
     if not smoothed.is_good:
         return HeldOut(pareto_k=smoothed.pareto_k)
-    row = _predicted(problem, k, draws._replace(log_weight=smoothed.log_weight))
+    row = _predict_mode(problem, k, draws._replace(log_weight=smoothed.log_weight))
     return replace(row, elpd=smoothed.elpd, mcse_elpd=smoothed.mcse, pareto_k=smoothed.pareto_k, method=WEIGHTS)
 
 
 def _not_used(trace: xr.DataTree, problem: UpdatingProblem, k: int, draws: _Draws) -> HeldOut:
     """Return a mode that was not used, predicted by the posterior."""
     log_p = _log_likelihood(_with(problem, k), draws) - _log_likelihood(problem, draws)
-    row = replace(_predicted(problem, k, draws), method=NOT_USED)
+    row = replace(_predict_mode(problem, k, draws), method=NOT_USED)
     shape = pareto_k(log_p)
     if not shape <= SMOOTHED_K:
         return replace(row, pareto_k=shape)
@@ -322,7 +322,7 @@ def _row(problem: UpdatingProblem, k: int, found: LeftOut) -> HeldOut:
     row = HeldOut(pareto_k=float(found.pareto_k.max()), used=used)
     if found.predicts:
         row = replace(
-            _predicted(problem, k, _Draws(found.theta, found.hz, found.log_weights[0])),
+            _predict_mode(problem, k, _Draws(found.theta, found.hz, found.log_weights[0])),
             pareto_k=row.pareto_k,
             method=REFIT if used else NOT_USED,
             used=used,
@@ -352,7 +352,7 @@ def _log_likelihood(problem: UpdatingProblem, draws: _Draws) -> FloatArray:
     return np.asarray(likelihood.terms_of_frequencies(draws.hz, draws.theta).sum(axis=1))
 
 
-def _predicted(problem: UpdatingProblem, k: int, draws: _Draws) -> HeldOut:
+def _predict_mode(problem: UpdatingProblem, k: int, draws: _Draws) -> HeldOut:
     """Return the distribution of a measurement of mode number k, given the measurements of the used ones.
 
     It is the mixture of the distributions of the measurement at the draws: Gaussian, or Student's where it is the
@@ -408,8 +408,8 @@ def _seconds_of_a_solve(problem: UpdatingProblem, theta: FloatArray) -> float:
 
 
 def _by_draws_alone(trace: xr.DataTree) -> pd.DataFrame:
-    """Return what the log-likelihood at the draws tells by itself."""
-    smoothed = _smoothed(trace)
+    """Predict the used modes from their log-likelihood at the draws, without a problem to refit."""
+    smoothed = _smooth_weights(trace)
     measured = trace["observed_data"]["frequency"].to_numpy()
     rows = []
     for k, label in enumerate(trace["observed_data"]["mode"].to_numpy()):

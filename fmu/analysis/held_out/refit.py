@@ -52,7 +52,7 @@ _SHARE, _COMPARED, _SLIGHT = 0.75, 128, 0.5
 
 @dataclass(frozen=True, eq=False)
 class Approximation:
-    """What is known of a posterior before it is sampled by importance, scaled.
+    """Gaussians that approximate a posterior, from which importance sampling draws, scaled.
 
     Attributes
     ----------
@@ -137,14 +137,14 @@ def approximation(problem: UpdatingProblem, near: FloatArray, rng: np.random.Gen
     log_w = np.where(np.isfinite(log_w), log_w, -np.inf)
     if effective_size(log_w) >= _EVEN * len(log_w):
         return Approximation(models, [])
-    walked = _walked(cheaper(problem, u[last], log_p[last]), u[last], log_w, rng)
+    walked = _walk_chains(cheaper(problem, u[last], log_p[last]), u[last], log_w, rng)
     return Approximation(models, gaussians_of_groups(walked, np.zeros(len(walked)), rng))
 
 
 def cheaper(problem: UpdatingProblem, u: FloatArray, log_p: FloatArray) -> UpdatingProblem:
     """Return the problem by `_SHARE` of the reduced basis, if log P at the highest of its points hardly changes.
 
-    Chains on it are for proposals, which need not be exact.
+    Its chains only make proposals, which need not be exact.
     """
     if problem.model.coarser(_SHARE) is problem.model:
         return problem
@@ -153,8 +153,10 @@ def cheaper(problem: UpdatingProblem, u: FloatArray, log_p: FloatArray) -> Updat
     return coarse if np.median(changes) <= _SLIGHT else problem
 
 
-def _walked(problem: UpdatingProblem, u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Return draws of short chains (n, ndim), scaled, that start at some of the weighted draws (n, ndim)."""
+def _walk_chains(
+    problem: UpdatingProblem, u: FloatArray, log_w: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Draw short chains (n, ndim), scaled, from starts among the weighted draws (n, ndim)."""
     scaled = ScaledDensity(problem)
     start = resample(rng, u, log_w, _WALKERS)
     seed = int(rng.integers(2**31))
@@ -194,7 +196,7 @@ def left_out(
     models = [one.quadratics for one in known]
     groups = [group for one in known for group in one.groups]
     for limit in _ROUNDS:
-        found, log_p = _drawn(without, whole, [*models[0], *models[1], *groups], rng, min(most, limit))
+        found, log_p = _draw_until_enough(without, whole, [*models[0], *models[1], *groups], rng, min(most, limit))
         most -= len(found.theta)
         if (found.predicts and found.is_known) or most < _LEAST:
             break
@@ -204,26 +206,26 @@ def left_out(
     return found
 
 
-def _drawn(
+def _draw_until_enough(
     without: UpdatingProblem,
     whole: UpdatingProblem,
     models: Sequence[Quadratic],
     rng: np.random.Generator,
     most: int,
 ) -> tuple[LeftOut, FloatArray]:
-    """Return the comparison by as many draws as it takes, up to `most`, and log P of both (2, n).
+    """Compare both posteriors by as many draws as needed, up to `most`; return that and log P of both (2, n).
 
     Where even `most` would be too few, it ends early: a mixture that fits better is needed.
     """
     scaled = ScaledDensity(whole)
     proposals: list[Proposal] = [*gaussians(models, scaled, WIDER), PriorCandidates(whole, scaled)]
 
-    def evaluated(u: FloatArray) -> FloatArray:
+    def evaluate(u: FloatArray) -> FloatArray:
         return log_prob_of_all((without, whole), scaled.to_theta(u))
 
     n = len(proposals)
     u, log_q = draw_mixture(proposals, [max(_FIRST, _FIRST_IN_ALL // n)] * n, rng)
-    values = np.concatenate(by_parts("importance sampling", evaluated, u))
+    values = np.concatenate(by_parts("importance sampling", evaluate, u))
     while True:
         found = compare_posteriors(scaled.to_theta(u), values[:, :2].T, values[:, 2:], log_q)
         is_accepted = found.error <= ACCEPTED and found.effective >= _EFFECTIVE
@@ -234,7 +236,7 @@ def _drawn(
             return found, values[:, :2].T
         more, more_q = draw_mixture(proposals, [len(u) // n] * n, rng)
         u, log_q = np.concatenate([u, more]), np.concatenate([log_q, more_q])
-        values = np.concatenate([values, *by_parts("importance sampling", evaluated, more)])
+        values = np.concatenate([values, *by_parts("importance sampling", evaluate, more)])
 
 
 def log_prob_of_all(problems: Sequence[UpdatingProblem], theta: FloatArray) -> FloatArray:

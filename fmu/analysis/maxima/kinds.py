@@ -1,4 +1,4 @@
-"""What ends an ascent: a vanishing gradient, a wall, a kink or jump of the log-probability, or nothing.
+"""The end of an ascent: a vanishing gradient, a wall, a kink or jump of the log-probability, or a slope.
 
 Where computed modes swap or coincide, the log-probability of paired modes has a kink or, with shapes, a jump. An
 ascent that meets a jump ends there with a gradient that points across it: the place is no maximum, and the
@@ -43,7 +43,7 @@ def slope(scaled: ScaledDensity, model: Quadratic) -> float:
 
 
 def kind_of(problem: UpdatingProblem, scaled: ScaledDensity, model: Quadratic) -> str:
-    """Return what is at the end of an ascent: `MAXIMUM`, `KINK`, `JUMP`, `EDGE` or `SLOPE`.
+    """Classify the end of an ascent: `MAXIMUM`, `KINK`, `JUMP`, `EDGE` or `SLOPE`.
 
     If the gradient does not vanish, log P is followed along the step that its quadratic model proposes, from 1e-8
     of the step to a tenth. The first place where it does not rise as its gradient says is then found by bisection.
@@ -58,34 +58,34 @@ def kind_of(problem: UpdatingProblem, scaled: ScaledDensity, model: Quadratic) -
     rise = slope(scaled, model)
     if rise <= VANISHING:
         return MAXIMUM
-    u, free = model.position, held(scaled, model) == 0
+    u, free = model.position, active_bounds(scaled, model) == 0
     step = np.zeros(len(u))
     H = model.hessian[np.ix_(free, free)]
     step[free] = np.linalg.solve(
         H + 1e-12 * (1.0 + np.trace(model.hessian)) * np.eye(int(free.sum())), model.gradient[free]
     )
 
-    def gained(t: FloatArray) -> FloatArray:
+    def gain(t: FloatArray) -> FloatArray:
         points = np.clip(u + t[:, None] * step, scaled.lower, scaled.upper)
         values = np.asarray(scaled.log_prob(points)) - model.log_prob
         return np.where(np.isfinite(values), values, -np.inf)
 
-    failing = np.flatnonzero(gained(_AHEAD) < 0.5 * rise**2 * _AHEAD * (1.0 - 0.5 * _AHEAD) - 1e-9)
+    failing = np.flatnonzero(gain(_AHEAD) < 0.5 * rise**2 * _AHEAD * (1.0 - 0.5 * _AHEAD) - 1e-9)
     if not len(failing):
         return SLOPE
     last, first = (0.0 if failing[0] == 0 else _AHEAD[failing[0] - 1]), _AHEAD[failing[0]]
     for _ in range(_HALVINGS):
         middle = 0.5 * (last + first)
-        rises = gained(np.array([middle]))[0] >= 0.5 * rise**2 * middle * (1.0 - 0.5 * middle) - 1e-9
+        rises = gain(np.array([middle]))[0] >= 0.5 * rise**2 * middle * (1.0 - 0.5 * middle) - 1e-9
         last, first = (middle, first) if rises else (last, middle)
-    before, just, after = gained(np.array([last, first, first + _WITHIN / rise]))
+    before, just, after = gain(np.array([last, first, first + _WITHIN / rise]))
     if np.isneginf(just):
         return EDGE
     return JUMP if before - min(just, after) > _FALL else KINK
 
 
-def held(scaled: ScaledDensity, model: Quadratic) -> FloatArray:
-    """Return −1 where the lower bound is active, 1 where the upper one is, 0 elsewhere, shape (ndim,)."""
+def active_bounds(scaled: ScaledDensity, model: Quadratic) -> FloatArray:
+    """Return −1 where the lower bound is active, 1 where the upper one is, 0 between them, shape (ndim,)."""
     above = (model.gradient > 0) & (model.position >= scaled.upper)
     below = (model.gradient < 0) & (model.position <= scaled.lower)
     return above.astype(float) - below.astype(float)
@@ -99,5 +99,5 @@ def basin(model: Quadratic, kind: str, at_bound: FloatArray | IntArray) -> Quadr
 
 
 def are_negligible(log_prob: FloatArray, ndim: int) -> BoolArray:
-    """Say of places with the log-probabilities (n,) whether each is too low to have mass, however wide it is."""
+    """Return whether each place, with log-probability (n,), is too low to have mass, however wide it is."""
     return np.asarray(log_prob < np.max(log_prob) - _LOW - _WIDER * ndim)

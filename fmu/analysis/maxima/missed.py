@@ -14,7 +14,7 @@ from fmu.analysis.convergence.effective import by_walker, ess_mean, mcse_mean
 from fmu.analysis.convergence.remedies import for_chains_apart, for_missed_maximum
 from fmu.analysis.maxima.results import NEGLIGIBLE, Maxima, mass_in_words, theta_in_words
 from fmu.analysis.trace.reading import array_of, parameter_draws, parameter_names, parameter_units, walkers_of
-from fmu.numbers import apart, rounded, share, whole
+from fmu.numbers import apart, round_by_sd, share, whole
 from fmu.types import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ _ABOVE = 0.1
 
 
 class Comparison(NamedTuple):
-    """How the draws of a run are divided among the maxima, beside what the maxima hold.
+    """Shares of a run's draws around the maxima, beside the shares of the maxima.
 
     Attributes
     ----------
@@ -95,10 +95,10 @@ def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
     list of str
         One sentence a maximum with what to do about it, and one that says where the chains are.
     """
-    return compared(trace, maxima).reasons
+    return compare_shares(trace, maxima).reasons
 
 
-def compared(trace: xr.DataTree, maxima: Maxima) -> Comparison:
+def compare_shares(trace: xr.DataTree, maxima: Maxima) -> Comparison:
     """Compare the shares of a run's draws with the shares of the maxima.
 
     If they differ by more than a factor `OUT_OF_PROPORTION`, one of them is wrong. The one with the larger
@@ -216,7 +216,7 @@ def _is_out_of_proportion(visits: float, mass: float) -> bool:
 
 
 def _whereabouts(nearest: IntArray, maxima: Maxima) -> str:
-    """Say which chains or walkers are where, by the maximum nearest to each draw (chains, steps, walkers)."""
+    """List the chains or walkers around each maximum; `nearest` has one per draw (chains, steps, walkers)."""
     kind = "chain" if nearest.shape[2] == 1 else "walker"
     homes = np.array(
         [np.bincount(path + 1, minlength=len(maxima) + 1).argmax() - 1 for path in _each_path(nearest)]
@@ -227,7 +227,7 @@ def _whereabouts(nearest: IntArray, maxima: Maxima) -> str:
         where = "near no maximum"
         if k >= 0:
             where = (
-                f"around {_name(maxima, k)} (log-probability {rounded(maxima[k].log_prob, 1.0)}, "
+                f"around {_name(maxima, k)} (log-probability {round_by_sd(maxima[k].log_prob, 1.0)}, "
                 f"{mass_in_words(maxima[k].share)} of the probability)"
             )
         parts.append(f"{count} {kind}{'s are' if count > 1 else ' is'} {where}")

@@ -84,8 +84,8 @@ def mode_weights(
     best = max(mass.log_mass for mass in found)
     chosen = [i for i, mass in enumerate(found) if mass.log_mass > best - _HOPELESS]
     u, log_w = _importance(log_prob, [maxima[i] for i in chosen], lower, upper, rng, draws)
-    reached = _divided(u, log_w, [maxima[i] for i in chosen])
-    masses = reached if basins is None else _divided(u, log_w, [basins[i] for i in chosen])
+    reached = _divide_draws(u, log_w, [maxima[i] for i in chosen])
+    masses = reached if basins is None else _divide_draws(u, log_w, [basins[i] for i in chosen])
     for i, mass, reach in zip(chosen, masses, reached, strict=True):
         if mass is not None:
             found[i] = replace(mass, log_reach=mass.log_mass if reach is None else reach.log_mass)
@@ -98,7 +98,7 @@ def _laplace(
     """Return mass and moments of exp(m) in the box."""
     proposal = maximum.proposal(lower, upper, 1.0)
     u = proposal.draw(rng, draws)
-    return _weighted(u, maximum(u) - proposal.log_density(u), 0.0)
+    return _weigh_draws(u, maximum(u) - proposal.log_density(u), 0.0)
 
 
 def log_shares(maxima: Sequence[Quadratic], u: FloatArray) -> FloatArray:
@@ -121,13 +121,13 @@ def _importance(
     return u, np.concatenate(by_parts("importance sampling", log_prob, u)) - log_q
 
 
-def _divided(u: FloatArray, log_w: FloatArray, maxima: Sequence[Quadratic]) -> list[ModeWeight | None]:
+def _divide_draws(u: FloatArray, log_w: FloatArray, maxima: Sequence[Quadratic]) -> list[ModeWeight | None]:
     """Return mass and moments of P around each maximum; None if no draw has a finite log-probability."""
     belongs = log_shares(maxima, u)
-    return [_weighted(u, log_w + part, None) if np.any(np.isfinite(log_w + part)) else None for part in belongs]
+    return [_weigh_draws(u, log_w + part, None) if np.any(np.isfinite(log_w + part)) else None for part in belongs]
 
 
-def _weighted(u: FloatArray, log_w: FloatArray, effective: float | None) -> ModeWeight:
+def _weigh_draws(u: FloatArray, log_w: FloatArray, effective: float | None) -> ModeWeight:
     """Return the mean of the weights and the weighted moments of the draws (n, ndim)."""
     log_sum = float(logsumexp(log_w))
     w = np.exp(log_w - log_sum)

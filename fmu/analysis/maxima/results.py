@@ -1,4 +1,4 @@
-"""The maxima of a posterior as a result: where they are, what they weigh, and how a trace keeps them."""
+"""The maxima of a posterior as a result: their places and weights, and their form in a trace."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 
 from fmu.analysis.maxima.kinds import EDGE, JUMP, KINK, MAXIMUM, SLOPE, are_negligible, basin
 from fmu.analysis.trace.provenance import configuration_hash
-from fmu.numbers import apart, given, hertz, rounded, share, shown, significant, with_unit
+from fmu.numbers import apart, customary_unit, given, hertz, round_by_sd, share, significant, with_unit
 from fmu.samplers.mixture.quadratic import Quadratic
-from fmu.tables import data_frame, distinct, text_table, wrapped
+from fmu.tables import data_frame, distinct, text_table, wrap_text
 from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -188,7 +188,7 @@ class Maxima:
 
     @property
     def are_weighed(self) -> bool:
-        """Whether those that matter are maxima, and enough effective draws tell their mass."""
+        """Whether all places with mass are maxima, each weighed by enough effective draws."""
         return self.effective_draws >= RELIABLE and all(m.is_maximum for m in self.maxima if m.share > NEGLIGIBLE)
 
     @property
@@ -262,11 +262,11 @@ class Maxima:
 
         best = self.maxima[:most]
         rows = [
-            ["", "", *(rounded(m.log_prob, 1.0) for m in best), ""],
+            ["", "", *(round_by_sd(m.log_prob, 1.0) for m in best), ""],
             ["", "", *(share_of_mass(m.share) for m in best), ""],
             ["", "", *(str(m.starts) for m in best), ""],
         ]
-        for k, (factor, unit) in enumerate(map(shown, self.units)):
+        for k, (factor, unit) in enumerate(map(customary_unit, self.units)):
             sd = min((float(m.sd[k]) for m in best if m.share > NEGLIGIBLE and m.sd[k] > 0), default=np.nan)
             values = (float(x[k]) / factor for x in (self.start, *(m.theta for m in best)))
             rows.append([unit, *apart(*values, sd=sd / factor), ""])
@@ -298,7 +298,7 @@ class Maxima:
         ]
 
     def as_text(self, most_rows: int | None = None) -> str:
-        """Return the table as text; of one with more rows only how probable the maxima are."""
+        """Return the table as text; if it has more rows, only the probabilities of the maxima."""
         table = self.side_by_side()
         if most_rows is not None and len(table) > most_rows:
             table = table.iloc[: len(_PROBABLE), 2:-1]
@@ -306,7 +306,7 @@ class Maxima:
         rows = [[str(name), *row] for name, row in zip(table.index, table.to_numpy().tolist(), strict=True)]
         words = [i for i, name in enumerate(header) if name in ("", "unit")]
         lines = [text_table(["maximum", *header[1:]], rows, words=words)]
-        return "\n".join([*lines, *(wrapped(said, others="  ") for said in self.no_maxima() + self.at_bounds())])
+        return "\n".join([*lines, *(wrap_text(said, others="  ") for said in self.no_maxima() + self.at_bounds())])
 
     def __str__(self) -> str:
         return self.as_text()

@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from annotated_types import Interval
 
-from fmu.analysis.maxima.kinds import basin, held, kind_of, slope
+from fmu.analysis.maxima.kinds import active_bounds, basin, kind_of, slope
 from fmu.analysis.maxima.mode_weights import DRAWS, TEMPERATURES, ModeWeight, mode_weights
 from fmu.analysis.maxima.plain import PlainDensity
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
@@ -147,7 +147,7 @@ def _search(problem: UpdatingProblem, starts: int, seed: int, most: float) -> Ma
 
 
 def _most_solves(problem: UpdatingProblem) -> float:
-    """Return the default limit of solves: for a slow function those of its surrogate, otherwise none."""
+    """Return the default limit of solves: for a slow function, as many as a surrogate takes; otherwise none."""
     if problem.solves_per_gradient == 1:
         return np.inf
     seconds = problem.model.seconds_at(problem.start[: problem.n_structural])
@@ -156,7 +156,7 @@ def _most_solves(problem: UpdatingProblem) -> float:
 
 
 def _search_plain(density: PlainDensity, starts: int | None, seed: int) -> Maxima:
-    """Search a plain log-density, and say what that cannot exclude."""
+    """Search a plain log-density, and note the doubts that the search leaves."""
     from fmu.posterior.maxima import maxima_from
 
     most = MOST_EVALUATIONS if starts is None else np.inf
@@ -201,7 +201,7 @@ def _weigh(
         left = int(most - solves() + solved) // (len(TEMPERATURES) * len(models))
         draws = max(_FEWEST_DRAWS, min(left, draws))
     kinds = [kind_of(problem, scaled, model) for model in models]
-    basins = [basin(model, kind, held(scaled, model)) for model, kind in zip(models, kinds, strict=True)]
+    basins = [basin(model, kind, active_bounds(scaled, model)) for model, kind in zip(models, kinds, strict=True)]
     are_divided = any(basin is not model for basin, model in zip(basins, models, strict=True))
     weighed = mode_weights(scaled.log_prob, models, scaled.lower, scaled.upper, rng, draws, basins)
     frequencies = problem.frequencies(theta)
@@ -257,7 +257,7 @@ def _in_si(
         log_prob=found.log_prob,
         frequencies=frequencies,
         starts=found.starts,
-        at_bound=held(scaled, model).astype(np.int64),
+        at_bound=active_bounds(scaled, model).astype(np.int64),
         gradient=model.gradient / scale,
         hessian=model.hessian / np.outer(scale, scale),
         curvature=curvature,

@@ -106,7 +106,7 @@ def _scatter_starts(density: PlainDensity, n: int, seed: int) -> FloatArray:
 def worth_starting_from(density: LogDensity, maxima: Maxima) -> Maxima | None:
     """Return the maxima of a plain log-density if chains had better start there than from its prior, else None.
 
-    They had if there are several, or no prior, and if the maxima are where the mass is: not those of a funnel.
+    That is so with several maxima, or without a prior, if the mass is around the maxima, unlike in a funnel.
     """
     several = sum(m.share > NEGLIGIBLE for m in maxima) > 1
     return maxima if maxima.are_weighed and (several or not hasattr(density, "sample_prior")) else None
@@ -150,10 +150,10 @@ def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: 
     """
     scaled, rng = ScaledDensity(density), generator(seed, START_STREAM)
     share = np.array([m.starting_share for m in maxima])
-    home = allotted(share, chains) if walkers == 1 else np.tile(allotted(share, walkers), chains)
+    home = allot_chains(share, chains) if walkers == 1 else np.tile(allot_chains(share, walkers), chains)
     u = np.empty((len(home), scaled.ndim))
     for k in np.unique(home):
-        u[home == k] = _around(_scaled(maxima[int(k)], scaled), scaled, rng, int(np.sum(home == k)))
+        u[home == k] = _around(_scale_maximum(maxima[int(k)], scaled), scaled, rng, int(np.sum(home == k)))
     theta: FloatArray = scaled.to_theta(u)
     return theta if walkers == 1 else theta.reshape(chains, walkers, -1)
 
@@ -182,10 +182,10 @@ def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadrat
     chosen = sorted((m for m in maxima if m.starting_share > _MAY_MATTER), key=lambda m: -m.starting_share)
     chosen = chosen[:_MOST_COMPONENTS]
     share = np.array([m.starting_share for m in chosen])
-    return [_scaled(m, scaled) for m in chosen], 0.5 * (share / share.sum() + 1.0 / len(chosen))
+    return [_scale_maximum(m, scaled) for m in chosen], 0.5 * (share / share.sum() + 1.0 / len(chosen))
 
 
-def _scaled(maximum: PosteriorMaximum, scaled: ScaledDensity) -> Quadratic:
+def _scale_maximum(maximum: PosteriorMaximum, scaled: ScaledDensity) -> Quadratic:
     """Return the log-probability around a maximum to second order, in scaled units."""
     return Quadratic(
         scaled.to_scaled(maximum.theta),
@@ -195,7 +195,7 @@ def _scaled(maximum: PosteriorMaximum, scaled: ScaledDensity) -> Quadratic:
     )
 
 
-def allotted(share: FloatArray, n: int) -> IntArray:
+def allot_chains(share: FloatArray, n: int) -> IntArray:
     """Return the maximum (from 0) at which each of `n` chains starts, shape (n,), in ascending order.
 
     By the method of Webster and Sainte-Laguë, whose whole numbers are closest to the shares; but every maximum

@@ -198,7 +198,7 @@ def units_of(density: LogDensity) -> tuple[str, ...]:
 
 
 def generator(seed: int, stream: int) -> np.random.Generator:
-    """Return a random generator from the run's seed tree, independent of those of the chains (tasks 0, 1, ...)."""
+    """Return a generator from the run's seed tree, independent of the chains' own (tasks 0, 1, ...)."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_OUTSIDE_THE_CHAINS, stream)))
 
 
@@ -219,9 +219,9 @@ def _variables(position: NDArray[np.float64], names: tuple[str, ...], units: tup
 
 
 def _stats(draws: Draws, density: Any) -> xr.Dataset:
-    """Return the sampler's statistics, one variable each, but for those of every rung.
+    """Return the sampler's statistics, one variable each, without the statistics of rungs.
 
-    Weights P/q of a mixture are those of a density in SI units.
+    Weights P/q of a mixture are of a density in SI units.
     """
     import xarray as xr
 
@@ -281,7 +281,7 @@ def _frequency_groups(
         if error.covariance_hz2 is not None:
             terms[GIVEN_OTHERS] = (dims, likelihood.of_used(error.log_prob_given_others(frequency)))
     else:
-        both = distinct.evaluate(lambda theta: _stacked(*problem.terms_and_misfit(theta)))
+        both = distinct.evaluate(lambda theta: _stack_terms(*problem.terms_and_misfit(theta)))
         together, squares = both[:, :, 0], both[:, :, 1:]
         terms = {likelihood.terms_name: (dims, together)}
         correlated = likelihood.correlated
@@ -318,7 +318,7 @@ def _frequency_groups(
 
 
 def _groups_of_tests(result: RunResult, problem: Any, predictions: bool) -> dict[str, xr.Dataset]:
-    """Return what the draws say of each test, and of the next one."""
+    """Return the groups of a trace on each test and on the next test."""
     import xarray as xr
 
     position = result.posterior.position
@@ -356,7 +356,7 @@ def _groups_of_tests(result: RunResult, problem: Any, predictions: bool) -> dict
     return found
 
 
-def _stacked(terms: FloatArray, squares: FloatArray) -> FloatArray:
+def _stack_terms(terms: FloatArray, squares: FloatArray) -> FloatArray:
     """Return terms (n, n_modes) and squares (n, n_kinds, n_modes) as one array, (n, 1 + n_kinds, n_modes)."""
     return np.concatenate([terms[:, None], squares], axis=1)
 
@@ -410,7 +410,7 @@ class DistinctDraws:
 
 
 def tempering_group(result: RunResult) -> xr.Dataset:
-    """Return what the rungs saw in a run of parallel tempering.
+    """Return log-likelihoods and swaps of the rungs in a run of parallel tempering.
 
     Returns
     -------

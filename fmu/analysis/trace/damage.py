@@ -1,4 +1,4 @@
-"""What a run says of damage: the loss of each parameter in each state, and how probable it is that it is large."""
+"""Damage by a run: the loss of each parameter in each state, and the probability that it is large."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What emcee stores of an ensemble, read from a sampler, a backend or an HDF file."""
+"""The stored steps of an emcee ensemble, read from a sampler, a backend or an HDF file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _THINNED = 1.02
 
 @dataclass(frozen=True, eq=False)
 class StoredEnsemble:
-    """What is stored of one ensemble.
+    """The stored steps of one ensemble.
 
     Attributes
     ----------

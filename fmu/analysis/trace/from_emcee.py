@@ -149,7 +149,7 @@ class _Unknown:
 
 @dataclass(frozen=True)
 class Kept:
-    """Which stored steps of every ensemble are draws, and which warm-up: equally many in all.
+    """The stored steps of every ensemble as warm-up and draws, equally many in all.
 
     Attributes
     ----------
@@ -363,7 +363,7 @@ def _dataset(blobs: Mapping[str, NDArray[Any]], trace: xr.DataTree) -> xr.Datase
 
 
 def _with_structure(trace: xr.DataTree, problem: Any, maxima: Maxima | None) -> xr.DataTree:
-    """Add to a trace what the model says at the draws."""
+    """Add certificate, modes, pairing and identifiability of the model to a trace."""
     certificate = certify(trace, problem, full_solves=problem.model.full_solves)
     trace.attrs |= {} if certificate is None else certificate.attributes()
     trace = with_pairing(with_modes(trace, problem, maxima), problem)

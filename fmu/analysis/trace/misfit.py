@@ -22,7 +22,7 @@ TAILS = np.logspace(-6.0, 0.0, 121)
 
 
 def misfit_group(problem: Any, squares: FloatArray, coordinates: Mapping[str, Any]) -> dict[str, xr.Dataset]:
-    """Return the group ``misfit`` of a trace; none where the errors are not those of measured quantities.
+    """Return the group ``misfit`` of a trace; empty for the modal residual.
 
     Parameters
     ----------

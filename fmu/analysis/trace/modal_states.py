@@ -15,7 +15,7 @@ from fmu.fem.frame.drawing import Sketch, sketch
 from fmu.fem.modes.modal import mac
 from fmu.fem.pairing.expansion import serep
 from fmu.fem.pairing.paired_structure import structure_of
-from fmu.progress.phases import count_steps, phase
+from fmu.progress.phases import advance_phase, phase
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
     }
     model = structure_of(problem.model)
     if model is not None:
-        shapes = _aligned(np.array([_shapes(model, point) for point in theta[:, : problem.n_structural]]))
+        shapes = _align_signs(np.array([_shapes(model, point) for point in theta[:, : problem.n_structural]]))
         variables |= _shape_variables(problem, model.structure, shapes)
     return xr.Dataset(
         variables,
@@ -104,11 +104,11 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
 def _shapes(model: PairedStructure, theta: FloatArray) -> FloatArray:
     """Return the shapes of the modes, (n_dof, n_modes), at one theta."""
     shapes = model.shapes(theta)
-    count_steps()
+    advance_phase()
     return shapes
 
 
-def _aligned(shapes: FloatArray) -> FloatArray:
+def _align_signs(shapes: FloatArray) -> FloatArray:
     """Return shapes (states, n_dof, n_modes) with the signs of the first state's."""
     sign = np.where(np.einsum("sdm,dm->sm", shapes, shapes[0]) < 0, -1.0, 1.0)
     return np.asarray(shapes * sign[:, None, :])
@@ -128,7 +128,7 @@ def _shape_variables(problem: UpdatingProblem, structure: SeparableModel, shapes
         drawn = {} if structure.picture is None else _sketch_variables(sketch(structure, data.sensors))
         return variables | drawn | _components(structure, data, shapes)
     sketched = sketch(structure, data.sensors)
-    moved = _drawn(structure, shapes)
+    moved = _displace_nodes(structure, shapes)
     size = np.max(np.linalg.norm(moved, axis=3), axis=2)
     size[size == 0] = 1.0
     variables |= _sketch_variables(sketched) | _components(structure, data, shapes, size)
@@ -136,18 +136,18 @@ def _shape_variables(problem: UpdatingProblem, structure: SeparableModel, shapes
     if data.shapes is not None:
         try:
             whole = serep(reference, structure.observation(data.sensors), shapes[min(1, len(shapes) - 1)])
-            variables["expanded"] = (("mode", "node", "direction"), _drawn(structure, whole[None])[0])
+            variables["expanded"] = (("mode", "node", "direction"), _displace_nodes(structure, whole[None])[0])
         except ValueError:  # too few sensors for so many modes
             pass
     if "component" in variables:
         sensors = zip(data.sensors, sketched.places[np.array(sketched.kinds) == "sensor"], strict=True)
-        site = {_unsigned(sensor): place for sensor, place in sensors}
+        site = {_without_sign(sensor): place for sensor, place in sensors}
         variables["site"] = (("place", "direction"), np.array(list(site.values())), {"units": "m"})
     return variables
 
 
-def _drawn(structure: SeparableModel, shapes: FloatArray) -> FloatArray:
-    """Return displacements (states, n_modes, n_nodes, 3) of what is drawn, for shapes (states, n_dof, n_modes)."""
+def _displace_nodes(structure: SeparableModel, shapes: FloatArray) -> FloatArray:
+    """Return displacements (states, n_modes, n_nodes, 3) of drawn nodes for shapes (states, n_dof, n_modes)."""
     assert structure.geometry is not None
     row_of_drawn = {int(row): i for i, row in enumerate(structure.geometry.drawn)}
     moved = np.zeros((len(shapes), shapes.shape[2], len(row_of_drawn), 3))
@@ -158,7 +158,7 @@ def _drawn(structure: SeparableModel, shapes: FloatArray) -> FloatArray:
     return moved
 
 
-def _unsigned(sensor: tuple[Any, str]) -> tuple[Any, str]:
+def _without_sign(sensor: tuple[Any, str]) -> tuple[Any, str]:
     """Return the name of a degree of freedom that a sensor reads, whatever its polarity."""
     return sensor[0], sensor[1].removeprefix("-")
 
@@ -171,7 +171,7 @@ def _components(
     measured: dict[tuple[Any, str], FloatArray] = {}
     if data.shapes is not None:
         rows = np.asarray(data.shapes) * np.array(sign)[:, None]
-        measured = dict(zip(map(_unsigned, data.sensors), rows, strict=True))
+        measured = dict(zip(map(_without_sign, data.sensors), rows, strict=True))
     places = list(measured)
     if structure.geometry is None and len(structure.translations) <= _MOST_COMPONENTS:
         places = [structure.dofs[i] for i in structure.translations]
@@ -192,7 +192,7 @@ def _components(
 
 
 def _sketch_variables(found: Sketch) -> dict[str, Any]:
-    """Return what is drawn of a structure as variables of a dataset, see `sketch_of`."""
+    """Return the sketch of a structure as variables of a dataset, see `sketch_of`."""
     variables = {
         "coordinates": (("node", "direction"), found.nodes, {"units": "m"}),
         "ends": (("element", "end"), found.elements),
@@ -228,7 +228,7 @@ def drawn_structure(problem: JointProblem) -> dict[str, xr.Dataset]:
 
 
 def sketch_of(trace: xr.DataTree) -> Sketch | None:
-    """Return what is drawn of the structure; None if it has no geometry, or an older version of fmu sampled it."""
+    """Return the sketch of the structure; None if it has no geometry, or an older version of fmu sampled it."""
     group = next((name for name in (GROUP, _STRUCTURE) if has(trace, name, "changed")), None)
     if group is None:
         return None

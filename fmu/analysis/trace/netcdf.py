@@ -120,7 +120,7 @@ def _read(group: Any) -> xr.Dataset:
 
 
 def _attributes(found: dict[str, Any]) -> dict[str, Any]:
-    """Return attributes without those of the format; arrays of one number are numbers."""
+    """Return the attributes that a user sees, without the format's own; arrays of one number become numbers."""
     return {
         name: value[0] if isinstance(value, np.ndarray) and value.size == 1 else value
         for name, value in found.items()

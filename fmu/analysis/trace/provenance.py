@@ -39,7 +39,7 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"a configuration must hold JSON values and NumPy arrays only (got {type(value).__name__})")
 
 
-def described(
+def describe_inputs(
     density: LogDensity, sampler: str, settings: Mapping[str, Any], run: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Return the inputs that determine the draws: problem, sampler with settings, and arguments of the run."""
@@ -66,7 +66,7 @@ def configuration(result: RunResult, density: LogDensity, start: Any = None) -> 
         "seed": result.seed,
         "init": result.init if start is None else start,
     }
-    return described(density, result.sampler, result.settings, run)
+    return describe_inputs(density, result.sampler, result.settings, run)
 
 
 def configuration_hash(settings: Mapping[str, Any]) -> str:
@@ -80,7 +80,7 @@ def versions() -> dict[str, str]:
 
 
 def _solver(density: LogDensity) -> str:
-    """Return what factorises the matrices of the full model; empty for a density without any."""
+    """Name the library that factorises the matrices of the full model; empty for a density without matrices."""
     from fmu.fem.pairing.paired_structure import structure_of
 
     model = getattr(density, "model", None)

@@ -1,4 +1,4 @@
-"""What is read from a trace: parameters, draws, walkers, and the groups that not every trace has.
+"""Reading a trace: parameters, draws, walkers, and the groups that not every trace has.
 
 A trace of an older version, of another sampler or of a plain log-density lacks some groups and variables.
 """
@@ -23,7 +23,7 @@ IMPORTED = "imported"
 
 
 def check_trace(trace: Any, origin: str = "trace") -> None:
-    """Raise ValueError unless `trace` has what the analysis relies on; `origin` names it in the message."""
+    """Raise ValueError unless `trace` has the groups that the analysis needs; `origin` names it in the message."""
     needed = ("posterior", "sample_stats")
     missing = [group for group in needed if group not in getattr(trace, "children", {})]
     missing += [name for name in ("sampler", "walkers", "wall_s") if name not in getattr(trace, "attrs", {})]
@@ -61,7 +61,7 @@ def parameter_names(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def told_names(trace: xr.DataTree) -> tuple[str, ...]:
-    """Return the parameters that tables and figures show: of many, those that are no scores of single tests."""
+    """Return the parameters in tables and figures: all, or if they are many those that are no scores of tests."""
     names = parameter_names(trace)
     roles = roles_of(trace)
     chosen = tuple(name for name in names if name not in roles or roles[name][0] != "score")
@@ -81,7 +81,7 @@ def roles_of(trace: xr.DataTree) -> dict[str, tuple[str, str, str]]:
 
 
 def without_scores(trace: xr.DataTree) -> xr.DataTree:
-    """Return a trace with the parameters of `told_names` alone; its group ``tests`` has what the others say."""
+    """Return a trace with the parameters of `told_names` alone; the rest is in its group ``tests``."""
     chosen = list(told_names(trace))
     if len(chosen) == len(parameter_names(trace)):
         return trace
@@ -125,7 +125,7 @@ def in_solves(trace: xr.DataTree, n_solves: Any, n_gradients: Any) -> Any:
 
 
 def used_modes(trace: xr.DataTree) -> BoolArray:
-    """Say which of the measured modes were used in updating, shape (n_modes,)."""
+    """Return whether each measured mode was used in updating, shape (n_modes,)."""
     observed = trace["observed_data"]
     return np.asarray(observed["used"] if "used" in observed else np.ones(observed.sizes["mode"], dtype=bool))
 

@@ -56,7 +56,7 @@ class CommandTable(TomlTable):
         return without_targets(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Return the model; BrokenError if a file or the program is missing, or the template is not of these."""
+        """Return the model; BrokenError if a file or the program is missing, or the template lacks a parameter."""
         given: dict[str, Any] = {key: getattr(self, key) for key in type(self).model_fields if key != "type"}
         try:
             return Built(CommandModel([p.name for p in parameters], folder=folder, **given), {})

@@ -19,7 +19,7 @@ from fmu.fem.frame.stability import require_stable
 from fmu.fem.modes.exports import from_exports
 from fmu.fem.modes.recovery import Export
 from fmu.formats.models.read import read_mesh, read_model
-from fmu.formats.shown import names_shown, shown
+from fmu.formats.shown import names_shown, quote
 
 MOST_EXPORTS = 1000
 
@@ -52,7 +52,7 @@ class ExportsTable(TomlTable):
         """Return the mistakes between tables: values of unknown parameters, and parameters without a value."""
         names = [parameter.name for parameter in parameters]
         found = [
-            ArgumentError(f"model.exports.{i}.values", f"must be of {names_shown(names)}", shown(name))
+            ArgumentError(f"model.exports.{i}.values", f"must be of {names_shown(names)}", quote(name))
             for i, one in enumerate(self.exports)
             for name in one.values
             if name not in names
@@ -60,7 +60,7 @@ class ExportsTable(TomlTable):
         for i, name in enumerate(names):
             if name not in self.exports[0].values:
                 rule = "must have a value in the first of model.exports"
-                found.append(ArgumentError(f"parameters.{i}.name", rule, shown(name)))
+                found.append(ArgumentError(f"parameters.{i}.name", rule, quote(name)))
         return found + without_targets(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
@@ -69,7 +69,7 @@ class ExportsTable(TomlTable):
         try:
             mesh = None if self.mesh is None else read_mesh(folder / self.mesh)
         except ValueError as error:
-            raise BrokenError([ArgumentError.of(error).moved("path", "model.mesh")]) from error
+            raise BrokenError([ArgumentError.of(error).replace_key("path", "model.mesh")]) from error
         exports, found = list[Export](), list[ArgumentError]()
         for i, one in enumerate(self.exports):
             values = {p.name: one.values.get(p.name, nominal[p.name]) for p in parameters}
@@ -80,7 +80,7 @@ class ExportsTable(TomlTable):
                 exports.append(Export(values, read, one.check, one.stiffness))
             except ValueError as error:
                 wrong, here = ArgumentError.of(error), f"exports.{i}"
-                wrong = wrong.moved("path", f"{here}.stiffness").moved("mass", f"{here}.mass")
+                wrong = wrong.replace_key("path", f"{here}.stiffness").replace_key("mass", f"{here}.mass")
                 found.append(wrong.under("model"))
         if found:
             raise BrokenError(found)

@@ -19,7 +19,7 @@ from fmu.fem.frame.frame import Frame
 from fmu.fem.frame.stability import require_stable
 from fmu.fem.frame.updates import ROTATIONS, Factor
 from fmu.fem.modes.separable import RigidArm
-from fmu.formats.shown import names_shown, shown
+from fmu.formats.shown import names_shown, quote
 from fmu.types import Direction, Positive
 
 MOST_ELEMENTS = 10_000
@@ -56,7 +56,7 @@ def _spring(
     try:
         return JointSpring("", ends, stiffness, tied)  # type: ignore[arg-type]
     except ArgumentError as error:
-        raise error.moved("spring ''", "") from None
+        raise error.replace_key("spring ''", "") from None
 
 
 class Member(TomlTable):
@@ -112,7 +112,7 @@ class FrameTable(TomlTable):
         for i, table in enumerate(parameters):
             if not table.is_positive():
                 rule = "must be positive, as the property is"
-                found.append(ArgumentError(f"parameters.{i}.lower", rule, shown(table.lower)))
+                found.append(ArgumentError(f"parameters.{i}.lower", rule, quote(table.lower)))
         return found
 
     def _of_targets(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
@@ -130,19 +130,19 @@ class FrameTable(TomlTable):
             key = KEYS.get(table.property or "E", "groups")
             where = f"parameters.{i}.{key}"
             found += _out_of_place(f"parameters.{i}", table, key)
-            names = table.named(key, self.groups)
+            names = table.names_at(key, self.groups)
             if not names:
                 found.append(ArgumentError(where, f"must name a {_SINGULAR[key]}"))
             for name in names if table.property else ():
                 if name not in known[key]:
-                    found.append(ArgumentError(where, f"must be among {names_shown(known[key])}", shown(name)))
+                    found.append(ArgumentError(where, f"must be among {names_shown(known[key])}", quote(name)))
                     continue
                 directions: Sequence[str] = table.directions
                 if key == "springs":
                     has: list[str] = list(self.springs[name].stiffness)
                     rule = f"must be among those of {name}: {', '.join(has) or 'none'}"
                     wrong = [d for d in directions if d not in has]
-                    found += [ArgumentError(f"parameters.{i}.directions", rule, shown(d)) for d in wrong]
+                    found += [ArgumentError(f"parameters.{i}.directions", rule, quote(d)) for d in wrong]
                     directions = directions or has
                 elif table.property == "inertia":
                     directions = directions or ROTATIONS
@@ -168,7 +168,7 @@ class FrameTable(TomlTable):
                     found.append(_unknown(f"model.members.{i}.{key}", name, known))
             if member.start == member.end:
                 found.append(
-                    ArgumentError(f"model.members.{i}.to", "must not be the same point as from", shown(member.end))
+                    ArgumentError(f"model.members.{i}.to", "must not be the same point as from", quote(member.end))
                 )
             elif self.points.get(member.start, 0) == self.points.get(member.end, 1):
                 rule = "must not be at the place of from: the member would have no length"
@@ -177,7 +177,7 @@ class FrameTable(TomlTable):
             found.append(ArgumentError("model.members", f"must have at most {MOST_ELEMENTS} elements in total"))
         names = [mass.name for mass in self.masses if mass.name]
         if len(set(names)) < len(names):
-            found.append(ArgumentError("model.masses", "must have distinct names", shown(names)))
+            found.append(ArgumentError("model.masses", "must have distinct names", quote(names)))
         if not (self.free or self.supports or any(spring.nodes[1] is None for spring in self.springs.values())):
             rule = (
                 "must restrain the structure (a spring to the ground does too); set free = true if it is "
@@ -243,7 +243,7 @@ class _Mesh:
 
     def targets(self, table: Target) -> list[tuple[str, ...]] | Factor:
         """Return the targets of a parameter, as `Frame.separable` takes them."""
-        named = table.named(KEYS[str(table.property)], self.table.groups)
+        named = table.names_at(KEYS[str(table.property)], self.table.groups)
         if table.property not in ("mass", "inertia", "stiffness"):
             named = [part for group in named for part in self.parts[group]]
         names = [(str(table.property), thing) for thing in named]
@@ -283,7 +283,7 @@ _SINGULAR = {"groups": "group", "masses": "mass", "springs": "spring"}
 
 def _out_of_place(where: str, table: Target, key: str) -> list[ArgumentError]:
     """Return the keys that a parameter with this property must not have."""
-    wrong = [other for other in _SINGULAR if other != key and table.named(other, ["all"])]
+    wrong = [other for other in _SINGULAR if other != key and table.names_at(other, ["all"])]
     if table.directions and table.property not in ("inertia", "stiffness"):
         wrong.append("directions")
     return [
@@ -298,9 +298,9 @@ def _ends(spring: JointSpring) -> list[Any]:
 
 
 def _known_as(mass: PointMass) -> str:
-    """Return the name by which parameters refer to a mass: its own, or that of its point."""
+    """Return the name by which parameters refer to a mass: its own, or the name of its point."""
     return mass.name or str(mass.node)
 
 
 def _unknown(where: str, name: str, known: Any) -> ArgumentError:
-    return ArgumentError(where, f"must be one of {names_shown(known)}", shown(name))
+    return ArgumentError(where, f"must be one of {names_shown(known)}", quote(name))

@@ -1,4 +1,4 @@
-"""``[model.points]`` and ``[[model.lines]]``: what the pictures show of a structure given by its matrices."""
+"""``[model.points]`` and ``[[model.lines]]``: the lines that pictures draw of a structure given by matrices."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fmu.arguments import ArgumentError
 from fmu.config.parameters import ParameterTable
 from fmu.config.tables import Name, TomlTable
 from fmu.fem.modes.line_picture import LinePicture
-from fmu.formats.shown import names_shown, shown
+from fmu.formats.shown import names_shown, quote
 
 
 class LineTable(TomlTable):
@@ -32,7 +32,7 @@ def mistakes_of_lines(
         at = f"model.lines.{i}"
         for key, given, known in (("points", line.points, list(points)), ("parameters", line.parameters, names)):
             found += [
-                ArgumentError(f"{at}.{key}", f"must name one of {names_shown(known)}", shown(name))
+                ArgumentError(f"{at}.{key}", f"must name one of {names_shown(known)}", quote(name))
                 for name in given
                 if name not in known
             ]

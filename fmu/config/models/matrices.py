@@ -23,10 +23,10 @@ from fmu.fem.modes.terms import Term
 from fmu.formats.matrices.abaqus import HELD
 from fmu.formats.matrices.limits import Labelled
 from fmu.formats.matrices.read import read_labelled, symmetric_matrix
-from fmu.formats.models.assembly import Assembled, assembled, notes_of
+from fmu.formats.models.assembly import Assembled, assemble, notes_of
 from fmu.formats.models.exported import NO_MESH, Mesh
 from fmu.formats.models.read import read_mesh, read_ties, require_nodes
-from fmu.formats.shown import names_shown, shown
+from fmu.formats.shown import names_shown, quote
 from fmu.numbers import typed
 from fmu.types import DIRECTIONS
 
@@ -92,14 +92,14 @@ class MatricesTable(TomlTable):
         for where, term in self._terms():
             used |= set(term.powers)
             found += [
-                ArgumentError(f"{where}.powers", f"must name one of {names_shown(names)}", shown(name))
+                ArgumentError(f"{where}.powers", f"must name one of {names_shown(names)}", quote(name))
                 for name in term.powers
                 if name not in names
             ]
         for i, table in enumerate(parameters):
             if table.name not in used:
                 found.append(
-                    ArgumentError(f"parameters.{i}.name", "must be in the powers of a term", shown(table.name))
+                    ArgumentError(f"parameters.{i}.name", "must be in the powers of a term", quote(table.name))
                 )
         found += mistakes_of_lines(self.points, self.lines, parameters, self.mesh is not None)
         return found + self._of_powers(parameters) + without_targets(parameters) + self._of_dofs()
@@ -120,7 +120,7 @@ class MatricesTable(TomlTable):
             try:
                 mesh = read_mesh(folder / self.mesh)
             except ValueError as error:
-                found.append(ArgumentError.of(error).moved("path", "model.mesh"))
+                found.append(ArgumentError.of(error).replace_key("path", "model.mesh"))
         if found:
             raise BrokenError(found)
         joined = self._on_the_same_dofs(read, mesh)
@@ -146,7 +146,7 @@ class MatricesTable(TomlTable):
             advice = "" if self.free else "; set free = true if it is free on purpose"
             raise BrokenError([ArgumentError("model", f"{error}, at the start{advice}")]) from error
         except ValueError as error:
-            wrong = ArgumentError.of(error).moved("K_terms", "stiffness").moved("M_terms", "mass")
+            wrong = ArgumentError.of(error).replace_key("K_terms", "stiffness").replace_key("M_terms", "mass")
             raise BrokenError([ArgumentError("model", f"{wrong}, at the start")]) from error
         return Built(model, {}, model.n_dof)
 
@@ -163,7 +163,7 @@ class MatricesTable(TomlTable):
                 power = term.powers.get(table.name, 1.0)
                 if (power < 0.0 or not power.is_integer()) and not table.is_positive():
                     rule = f"must be positive, as {where}.powers has it to the power {typed(power)}"
-                    found.append(ArgumentError(f"parameters.{i}.lower", rule, shown(table.lower)))
+                    found.append(ArgumentError(f"parameters.{i}.lower", rule, quote(table.lower)))
         return found
 
     def _of_dofs(self) -> list[ArgumentError]:
@@ -171,11 +171,11 @@ class MatricesTable(TomlTable):
         for i, (node, direction) in enumerate(self.dofs or []):
             if direction not in DIRECTIONS:
                 rule = f"must be a node and one of {', '.join(DIRECTIONS)}"
-                found.append(ArgumentError(f"model.dofs.{i}", rule, shown([node, direction])))
+                found.append(ArgumentError(f"model.dofs.{i}", rule, quote([node, direction])))
             if (node, direction) in seen:
                 found.append(
                     ArgumentError(
-                        f"model.dofs.{i}", "must not be the name of another row", shown([node, direction])
+                        f"model.dofs.{i}", "must not be the name of another row", quote([node, direction])
                     )
                 )
             seen.add((node, direction))
@@ -197,12 +197,12 @@ class MatricesTable(TomlTable):
             read = [one._replace(dofs=tuple(named)) for one in read]
         if self.mesh is not None or read[0].dofs is not None:
             try:
-                found = assembled(read, len(self.stiffness), [self._at(k) for k in range(len(read))], mesh)
+                found = assemble(read, len(self.stiffness), [self._at(k) for k in range(len(read))], mesh)
                 if self.mesh is not None:
                     files = [Path(table.file) for _, table in self._terms() if table.file is not None]
                     require_nodes(found.dofs, found.motions, mesh, files)
             except ValueError as error:
-                raise BrokenError([ArgumentError.of(error).moved("mesh", "model.mesh")]) from error
+                raise BrokenError([ArgumentError.of(error).replace_key("mesh", "model.mesh")]) from error
             return found
         matrices = [one.matrix for one in read]
         dofs = named or [(i, "x") for i in range(rows[0])]
@@ -222,7 +222,7 @@ class MatricesTable(TomlTable):
         return f"{where}.{table.source}"
 
     def _check(self, read: Sequence[Labelled], are_named: bool, by_mesh: bool = False) -> None:
-        """Refuse matrices that are not on the same degrees of freedom; files name those of all or of none."""
+        """Refuse matrices that are not on the same degrees of freedom; all files name their rows, or none does."""
         n, found = read[0].matrix.shape[0], []
         for (where, table), one in zip(self._terms(), read, strict=True):
             rows = one.matrix.shape[0]

@@ -14,7 +14,7 @@ from pydantic import Field, StringConstraints
 
 from fmu.arguments import ArgumentError
 from fmu.config.mistakes import PYTHON_FILE, BrokenError
-from fmu.config.models.python import imported
+from fmu.config.models.python import import_function
 from fmu.config.parameters import ParameterTable, without_targets
 from fmu.config.tables import Built, FileName, TomlTable
 from fmu.fem.frame.stability import require_stable
@@ -47,7 +47,7 @@ class OpenSeesTable(TomlTable):
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
         """Import the file, build the model at several theta, and return it; BrokenError if that fails."""
-        build = imported(f"{self.file.removesuffix('.py')}:build", folder, WHERE)
+        build = import_function(f"{self.file.removesuffix('.py')}:build", folder, WHERE)
         start = np.array([table.start for table in parameters], dtype=float)
         bounds = [[np.nan if end is None else end for end in (table.lower, table.upper)] for table in parameters]
         lower, upper = np.array(bounds, dtype=float).T
@@ -62,7 +62,7 @@ class OpenSeesTable(TomlTable):
             advice = "; with per_theta = true the model may depend on the parameters in any way"
             raise BrokenError([ArgumentError(WHERE, f"{error}{advice}")]) from error
         except ValueError as error:
-            wrong = ArgumentError.of(error).moved("build", "")
+            wrong = ArgumentError.of(error).replace_key("build", "")
             raise BrokenError([ArgumentError(WHERE, str(wrong))]) from error
         try:
             require_stable(model, start, self.free)

@@ -23,7 +23,7 @@ from fmu.config.tables import Built, FileName, TomlTable
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.programs.sources import source_digest
 from fmu.formats.files import too_large, why_no_file
-from fmu.formats.shown import in_words, shown
+from fmu.formats.shown import in_words, quote
 
 WHERE = "model.function"
 LARGEST_MODULE = 2**24
@@ -51,7 +51,7 @@ class PythonTable(TomlTable):
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
         """Import the function and return the model; BrokenError if there is none."""
-        function = imported(self.function, folder)
+        function = import_function(self.function, folder)
         store = folder / self.store if source_digest(function) else None
         model = BlackBoxModel(
             function, len(parameters), batched=self.batched, step=self.step, name=self.function, store=store
@@ -84,10 +84,10 @@ class Imported:
         return f"Imported({self._place!r})"
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[str, Path, str]]:
-        return imported, (self._place, self._folder, self._where)
+        return import_function, (self._place, self._folder, self._where)
 
 
-def imported(place: str, folder: Path, where: str = WHERE) -> Callable[..., Any]:
+def import_function(place: str, folder: Path, where: str = WHERE) -> Callable[..., Any]:
     """Return the function at ``module:function``, from a folder or from what is installed.
 
     Parameters
@@ -123,7 +123,7 @@ def imported(place: str, folder: Path, where: str = WHERE) -> Callable[..., Any]
         missing = str(error.name)
         if beside is None and (name == missing or name.startswith(f"{missing}.")):
             raise BrokenError(
-                [ArgumentError(where, "must be in a module beside the file or installed", shown(name))]
+                [ArgumentError(where, "must be in a module beside the file or installed", quote(name))]
             ) from error
         raise _not_importable(name, error, where) from error
     except KeyboardInterrupt:
@@ -131,7 +131,7 @@ def imported(place: str, folder: Path, where: str = WHERE) -> Callable[..., Any]
     except BaseException as error:  # GeneratorExit and others of the user's own among them
         raise _not_importable(name, error, where) from error
     if function is None:
-        raise BrokenError([ArgumentError(where, f"must be in the module {name}", shown(attribute))])
+        raise BrokenError([ArgumentError(where, f"must be in the module {name}", quote(attribute))])
     if not callable(function):
         raise BrokenError(
             [ArgumentError(where, "must be a function", f"{place}, of type {type(function).__name__}")]

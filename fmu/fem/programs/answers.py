@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 from fmu.types import FloatArray
 
 MOST_NUMBERS = 2**24
@@ -77,7 +77,7 @@ def _parts(given: Any) -> list[Any]:
         unknown = [key for key in given if key not in _PARTS]
         if unknown or "frequencies" not in given:
             raise AnswerError(
-                f"must return frequencies, and may return shapes and gradient (got {shown(list(given))})"
+                f"must return frequencies, and may return shapes and gradient (got {quote(list(given))})"
             )
         return [given.get(part) for part in _PARTS]
     if isinstance(given, tuple) and any(np.ndim(part) > 0 for part in given):

@@ -23,12 +23,12 @@ from fmu.fem.programs.found_frequencies import WORD, FoundFrequencies
 from fmu.fem.programs.program_run import OUTPUT, ProgramRun, place_beside
 from fmu.fem.programs.solves import Solves
 from fmu.fem.programs.store import SolveStore
-from fmu.formats.decks import filled, filled_name, placeholders, read_deck
+from fmu.formats.decks import fill_deck, filled_name, placeholders, read_deck
 from fmu.formats.files import why_no_file
 from fmu.formats.matrices.limits import RefusedError
 from fmu.formats.matrices.nastran.includes import BULK_DATA, included_files
 from fmu.formats.modes import READERS
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 
 STEP = 1e-3
 """Of central differences: decks and results often have seven figures."""
@@ -124,7 +124,7 @@ class CommandModel(BlackBoxModel):
         wrong = self._of_options()
         try:
             self.template = read_deck(template)
-            filled(self.template, dict.fromkeys(self.names, 1.0))
+            fill_deck(self.template, dict.fromkeys(self.names, 1.0))
             missing = [name for name in self.names if name not in placeholders(self.template)]
             wrong += [
                 ArgumentError("template", f"must have the placeholder {{{name}}} (it has none)")
@@ -231,7 +231,7 @@ class CommandModel(BlackBoxModel):
         if (self.found is None) == (self.reader is None):
             wrong.append(ArgumentError("frequencies", "must be given, or a reader instead"))
         if self.reader is not None and self.reader not in READERS:
-            wrong.append(ArgumentError("reader", f"must be one of {', '.join(READERS)}", shown(self.reader)))
+            wrong.append(ArgumentError("reader", f"must be one of {', '.join(READERS)}", quote(self.reader)))
         if self.result is not None and self.reader is None:
             wrong.append(ArgumentError("result", "must not be given without a reader"))
         for word in WORD.findall(self.result or ""):
@@ -255,7 +255,7 @@ class CommandModel(BlackBoxModel):
         if name and not found:
             where = "beside the file" if is_path else "installed, on the PATH"
             rule = f"must be a program that is {where}, and may be run"
-            return Path(), [ArgumentError("command.0", rule, shown(name))]
+            return Path(), [ArgumentError("command.0", rule, quote(name))]
         return Path(found or "").absolute(), []
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.formats.files import too_large, why_no_file
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 from fmu.numbers import significant
 from fmu.types import FloatArray
 
@@ -49,7 +49,7 @@ class FoundFrequencies:
             groups = re.compile(self.pattern, re.MULTILINE).groups
         except (re.error, OverflowError, RecursionError) as error:
             raise ArgumentError(
-                "pattern", f"must be a regular expression ({error}; got {shown(self.pattern)})"
+                "pattern", f"must be a regular expression ({error}; got {quote(self.pattern)})"
             ) from None
         if groups != 1:
             raise ArgumentError("pattern", "must have one group, as (…), for the frequency", f"{groups} groups")
@@ -64,7 +64,7 @@ class FoundFrequencies:
             raise ValueError(wrong)
         words = self._find(path, seconds)
         if not words:
-            raise ValueError(f"{path.name} has nothing that the pattern {shown(self.pattern)} matches")
+            raise ValueError(f"{path.name} has nothing that the pattern {quote(self.pattern)} matches")
         return np.array([_number(word, path.name) for word in words])
 
     def _find(self, path: Path, seconds: float) -> list[str | None]:
@@ -75,7 +75,7 @@ class FoundFrequencies:
         except subprocess.TimeoutExpired:
             rule = f"must be matched within {significant(seconds)} s"
             raise ArgumentError(
-                "pattern", f"{rule} in {path.name}", f"{shown(self.pattern)}, which took longer"
+                "pattern", f"{rule} in {path.name}", f"{quote(self.pattern)}, which took longer"
             ) from None
         except subprocess.CalledProcessError as error:
             raise ArgumentError(
@@ -96,4 +96,4 @@ def _number(word: str | None, name: str) -> float:
     try:
         return float((word or "").upper().replace("D", "E"))
     except ValueError:
-        raise ArgumentError(name, "the pattern must match numbers", shown(word)) from None
+        raise ArgumentError(name, "the pattern must match numbers", quote(word)) from None

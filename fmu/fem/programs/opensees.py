@@ -37,7 +37,7 @@ from fmu.fem.modes.terms import Term
 from fmu.fem.programs.followers import follower_motions
 from fmu.fem.programs.sources import source_digest
 from fmu.formats.models.exported import DofName, ExportedModel, mesh_of
-from fmu.formats.shown import in_words, shown
+from fmu.formats.shown import in_words, quote
 from fmu.numbers import typed
 from fmu.types import FloatArray, Positive
 
@@ -185,7 +185,7 @@ def from_opensees(
     try:
         model = from_exports(exports, bounds)
     except ValueError as error:
-        raise ArgumentError.of(error).moved("exports", "") from error
+        raise ArgumentError.of(error).replace_key("exports", "") from error
     model.notes = (*model.notes, *exports[0].model.notes)
     return model
 
@@ -359,7 +359,7 @@ def _matrix(ops: Any, what: str, n: int, factors: Sequence[float]) -> Any:
     apart = np.max(np.abs(matrix - matrix.T))
     if apart > _ASYMMETRIC * np.max(np.abs(matrix)):
         raise ArgumentError(
-            "build", f"the {what} must be symmetric (it differs from its transpose by {shown(apart)})"
+            "build", f"the {what} must be symmetric (it differs from its transpose by {quote(apart)})"
         )
     return sp.csr_array(0.5 * (matrix + matrix.T))
 

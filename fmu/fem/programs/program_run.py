@@ -14,9 +14,9 @@ from fmu.engines.program import TOO_LONG, last_lines, run_program
 from fmu.fem.programs.answers import AnswerError
 from fmu.fem.programs.found_frequencies import FoundFrequencies
 from fmu.fem.programs.store import Solve, SolveStore
-from fmu.formats.decks import filled, write_deck
+from fmu.formats.decks import fill_deck, write_deck
 from fmu.formats.modes import READERS
-from fmu.formats.shown import in_words, one_line, shown
+from fmu.formats.shown import in_words, one_line, quote
 from fmu.types import FloatArray
 
 OUTPUT = "output.txt"
@@ -82,7 +82,7 @@ class ProgramRun:
         """Make the folder of a run anew, with the deck and the other inputs."""
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
-        deck = filled(self.template, dict(zip(self.names, theta.tolist(), strict=True)))
+        deck = fill_deck(self.template, dict(zip(self.names, theta.tolist(), strict=True)))
         write_deck(folder / self.deck, deck)
         for name in self.inputs:
             copy = folder / place_beside(name)
@@ -100,7 +100,7 @@ class ProgramRun:
             frequencies, shapes = form.computed(path, self.sensors, folder / self.deck)
         for what, values in (("frequencies", frequencies), ("shapes", shapes)):
             if values is not None and not np.all(np.isfinite(values)):
-                raise ValueError(f"{what}: must be finite (got {shown(values.ravel().tolist())})")
+                raise ValueError(f"{what}: must be finite (got {quote(values.ravel().tolist())})")
         return frequencies, shapes
 
     def _name(self, text: str) -> str:

@@ -19,9 +19,9 @@ import numpy as np
 from filelock import FileLock
 
 from fmu.arguments import check_arguments
-from fmu.durable_files import digest, payload_of, signed, write_durably
+from fmu.durable_files import add_checksum, digest, payload_of, write_durably
 from fmu.fem.pairing.correlation import CLOSE, subspace_mac
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 from fmu.numbers import significant
 from fmu.types import FloatArray
 
@@ -100,7 +100,7 @@ class SolveStore:
         payload = json.dumps({**solve._asdict(), **lists}).encode()
         path = self._paths(solve.theta)[bool(solve.reason)]
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_durably(path, signed(TITLE, payload))
+        write_durably(path, add_checksum(TITLE, payload))
         if not solve.reason:  # it may have failed before
             self._paths(solve.theta)[1].unlink(missing_ok=True)
 
@@ -151,7 +151,7 @@ class SolveStore:
         if found != kept:
             differs = f"arrays of the shapes {found}, and not {kept}"
         elif not apart <= MOST_SCATTER:
-            now, then = (shown(f.tolist()) for f in (frequencies, stored.frequencies))
+            now, then = (quote(f.tolist()) for f in (frequencies, stored.frequencies))
             differs = f"frequencies that differ by {significant(100.0 * apart, 2)} %: {now} Hz, and not {then}"
         elif shapes is not None and stored.shapes is not None:
             turned = _shapes_apart(stored.frequencies, stored.shapes, shapes)

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.formats.matrices.isolated import isolated
+from fmu.formats.matrices.isolated import read_isolated
 from fmu.formats.matrices.limits import (
     Labelled,
     MatrixFormat,
     RefusedError,
-    chosen,
+    choose_variable,
     entries_within,
-    mirrored,
+    mirror_triangle,
     rows_within,
 )
 from fmu.types import DIRECTIONS
@@ -31,7 +31,7 @@ NAMES = ("stiffness", "mass")
 
 
 def full_arrays(path: Path) -> dict[str, Any]:
-    """Return what a ``.full`` file holds, as arrays; needs ansys-mapdl-reader.
+    """Return the arrays in a ``.full`` file; needs ansys-mapdl-reader.
 
     Raises
     ------
@@ -67,14 +67,14 @@ def full_arrays(path: Path) -> dict[str, Any]:
 @lru_cache(maxsize=1)
 def _arrays(path: Path, _modified: int, _size: int) -> dict[str, Any]:
     """Return the arrays of a file, of which the stiffness and the mass are asked for one after the other."""
-    return isolated(f"{__name__}:full_arrays", path, LIBRARY, EXTRA)
+    return read_isolated(f"{__name__}:full_arrays", path, LIBRARY, EXTRA)
 
 
 def _read(path: Path, variable: str | None) -> Labelled:
     """Return one of the matrices, both triangles filled, with the names of its rows."""
     status = path.stat()
     found = _arrays(path, status.st_mtime_ns, status.st_size)
-    name = chosen([name for name in NAMES if f"{name}_row" in found], variable)
+    name = choose_variable([name for name in NAMES if f"{name}_row" in found], variable)
     if name == NAMES[-1]:
         _arrays.cache_clear()
     nodes, directions, kinds = (found[key].astype(np.int64) for key in ("nodes", "directions", "kinds"))
@@ -92,7 +92,7 @@ def _read(path: Path, variable: str | None) -> Labelled:
     row, column = found[f"{name}_row"], found[f"{name}_column"]
     matrix = sp.csr_array((entries, (row, column)), shape=(n, n))
     dofs = tuple((int(node), DIRECTIONS[k - 1]) for node, k in zip(nodes, numbers, strict=True))
-    return Labelled(mirrored(matrix), dofs)
+    return Labelled(mirror_triangle(matrix), dofs)
 
 
 FORMAT = MatrixFormat((".full",), _read, has_names=True)

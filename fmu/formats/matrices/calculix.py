@@ -26,13 +26,13 @@ from fmu.formats.matrices.limits import (
     MatrixFormat,
     RefusedError,
     entries_within,
-    mirrored,
+    mirror_triangle,
     rows_within,
     tables,
     text_blocks,
     text_lines,
 )
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 from fmu.types import DIRECTIONS
 
 LARGEST_NODE = 10**9
@@ -72,7 +72,7 @@ def parse(file: BinaryIO, n_dof: int) -> Any:
         last = max(row.max(), column.max()) + 1
         raise RefusedError(f"must have the {n_dof} rows of the .dof file (its last is {last})")
     matrix = sp.csr_array((np.concatenate(entries), (row, column)), shape=(n_dof, n_dof))
-    return mirrored(matrix)
+    return mirror_triangle(matrix)
 
 
 def names(path: Path) -> list[tuple[int, str]]:
@@ -90,7 +90,7 @@ def names(path: Path) -> list[tuple[int, str]]:
                 node, dot, direction = word.partition(".")
                 is_name = node.isdecimal() and dot and direction in ("1", "2", "3", "4", "5", "6")
                 if not is_name or not 1 <= int(node[:12]) <= LARGEST_NODE:
-                    raise ValueError(f"line {len(found) + 1} must be node.direction (got {shown(word)})")
+                    raise ValueError(f"line {len(found) + 1} must be node.direction (got {quote(word)})")
                 found.append((int(node), DIRECTIONS[int(direction) - 1]))
             rows_within(len(found))
     return found
@@ -125,7 +125,7 @@ class _Expansion(NamedTuple):
 
 
 def _expansion(path: Path) -> _Expansion:
-    """Return what ``job.12d``, which CalculiX writes beside, says; nothing if there is no such file."""
+    """Read the expanded nodes from ``job.12d``, which CalculiX writes beside; none if there is no such file."""
     found = _Expansion({}, set())
     if why_no_file(path) or too_large(path, LARGEST_FILE):
         return found
@@ -148,7 +148,7 @@ def _expansion(path: Path) -> _Expansion:
 
 
 def _copies(is_shell: bool, k: int, n: int) -> int:
-    """Return how many nodes stand for the k-th of n of an element."""
+    """Return how many nodes CalculiX makes of the k-th of the n nodes of an element."""
     if is_shell:
         return 3 if n >= 6 and k < n // 2 else 2
     return 8 if n == 3 and k != 1 else 4

@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.formats.matrices.limits import Labelled, MatrixFormat, checked, entries_within, rows_within
+from fmu.formats.matrices.limits import Labelled, MatrixFormat, check_indices, entries_within, rows_within
 
 LONGEST_LINE = 4096
 """Bytes; the format has 80."""
@@ -55,7 +55,7 @@ def parse(file: BinaryIO) -> Any:
     matrix = sp.csc_array(
         (values, rows.astype(np.int64) - 1, starts.astype(np.int64) - 1), shape=(n_rows, n_columns)
     )
-    checked(matrix)
+    check_indices(matrix)
     if kind == "RSA":
         matrix = matrix + matrix.T - sp.diags_array(matrix.diagonal())
     return sp.csc_array(matrix)

@@ -1,4 +1,4 @@
-"""Matrices in HDF5 files, among them those of MATLAB 7.3.
+"""Matrices in HDF5 files, such as the files of MATLAB 7.3.
 
 A matrix is a dataset of two dimensions, or a group with the arrays of a sparse one: ``data``, ``indices``,
 ``indptr`` and ``shape`` (CSR, or CSC if its attribute ``format`` says so); ``data``, ``row``, ``col`` and
@@ -24,11 +24,11 @@ from fmu.formats.matrices.limits import (
     Labelled,
     MatrixFormat,
     RefusedError,
-    chosen,
+    choose_variable,
     entries_within,
     fitting,
 )
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 
 DEEPEST = 20
 """Groups within each other."""
@@ -56,7 +56,7 @@ def read(path: Path, variable: str | None) -> Labelled:
         found = {name: member for name, member in _members(file) if _is_matrix(member)}
         if "/" in found:
             found = {"/": file}
-        member = found[chosen(list(found), variable)]
+        member = found[choose_variable(list(found), variable)]
         if isinstance(member, h5py.Group):
             return Labelled(_sparse(member))
         matrix = _numbers(member)
@@ -163,7 +163,7 @@ def _sizes(given: Any, n: int) -> tuple[int, ...]:
     """Return numbers of rows and columns."""
     sizes = np.ravel(given)
     if len(sizes) != n or sizes.dtype.kind not in "iuf" or not np.all((sizes >= 1) & (sizes <= MOST_DOFS)):
-        raise RefusedError(f"must have a shape of {n} numbers from 1 to {MOST_DOFS} (got {shown(sizes.tolist())})")
+        raise RefusedError(f"must have a shape of {n} numbers from 1 to {MOST_DOFS} (got {quote(sizes.tolist())})")
     return tuple(int(size) for size in sizes)
 
 

@@ -25,7 +25,7 @@ _TOLD = 3
 """Exit code of a reader that says what is wrong."""
 
 
-def isolated(reader: str, path: Path, library: str, extra: str) -> dict[str, Any]:
+def read_isolated(reader: str, path: Path, library: str, extra: str) -> dict[str, Any]:
     """Return the arrays that ``reader(path)`` returns, called in another process.
 
     Parameters
@@ -78,7 +78,7 @@ def isolated(reader: str, path: Path, library: str, extra: str) -> dict[str, Any
 
 
 def main() -> None:
-    """Call the reader that the command line names, and save what it returns."""
+    """Call the reader named on the command line, and save its arrays."""
     name, path, out = sys.argv[1:]
     module, _, function = name.partition(":")
     warnings.simplefilter("ignore")

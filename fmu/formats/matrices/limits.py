@@ -106,7 +106,7 @@ class SeveralError(RefusedError):
         super().__init__(f"must be given, one of {names_shown(names)}", "variable")
 
 
-def chosen(names: Sequence[str], variable: str | None) -> str:
+def choose_variable(names: Sequence[str], variable: str | None) -> str:
     """Return the name of the variable to read."""
     if not names:
         raise NoMatrixError("must hold a matrix (it holds none)")
@@ -135,7 +135,7 @@ def rows_within(n_rows: int) -> None:
         raise RefusedError(f"must have at most {MOST_DOFS} degrees of freedom (got {n_rows})")
 
 
-def checked(matrix: Any) -> Any:
+def check_indices(matrix: Any) -> Any:
     """Return a compressed sparse matrix after checking its indices; ValueError if one lies outside.
 
     SciPy's own full check misses inner pointers where the last is zero, or where their difference overflows.
@@ -146,8 +146,8 @@ def checked(matrix: Any) -> Any:
     return matrix
 
 
-def mirrored(matrix: Any) -> Any:
-    """Return a sparse matrix of which the file has each pair of symmetric entries once, with both, a csr_array.
+def mirror_triangle(matrix: Any) -> Any:
+    """Return a symmetric csr_array from a file that has each pair of symmetric entries once.
 
     Raises
     ------

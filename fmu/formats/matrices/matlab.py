@@ -21,7 +21,7 @@ from fmu.formats.matrices.limits import (
     Labelled,
     MatrixFormat,
     RefusedError,
-    chosen,
+    choose_variable,
     entries_within,
     fitting,
     rows_within,
@@ -41,7 +41,7 @@ _HEAD = 4096
 
 
 class _Variable(NamedTuple):
-    """The header of a matrix, and the position of its bytes; of a struct, and which field it is."""
+    """The header of a matrix and the position of its bytes; `field` is its number in a struct."""
 
     kind: int
     shape: tuple[int, ...]
@@ -82,7 +82,7 @@ def parse(file: BinaryIO, n_bytes: int, variable: str | None) -> Labelled:
         raise ValueError("it is not of a version from 5 to 7.3")
     found = dict(_variables(file, n_bytes, order))
     matrices = [name for name, one in found.items() if max(one.shape) > 1 and not _is_names(name)] or list(found)
-    name = chosen(matrices if variable is None else list(found), variable)
+    name = choose_variable(matrices if variable is None else list(found), variable)
     matrix, names = (
         _matrix(file, found[name], order),
         found.get(name.rpartition(".")[0] + "." * ("." in name) + _NAMES),

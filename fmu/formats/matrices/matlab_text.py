@@ -21,12 +21,12 @@ from fmu.formats.matrices.limits import (
     Labelled,
     MatrixFormat,
     RefusedError,
-    chosen,
+    choose_variable,
     entries_within,
     from_triplets,
     text_lines,
 )
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 
 _COLUMN = r"\s*(?P={table})\s*\(\s*:\s*,\s*{k}\s*\)\s*"
 _STATEMENT = re.compile(
@@ -78,7 +78,7 @@ def _read(path: Path, variable: str | None) -> Labelled:
         lines = (line.partition("%")[0].rstrip() for line in text_lines(file))
         text = "".join(line[:-3] + " " if line.endswith("...") else line + "\n" for line in lines)
     places, tables = _places(text)
-    name = chosen([one for one in places if variable is not None or one not in tables], variable)
+    name = choose_variable([one for one in places if variable is not None or one not in tables], variable)
     return _matrix(text, name, places[name])
 
 
@@ -132,7 +132,7 @@ def _table(text: str, name: str, at: int) -> tuple[Any, int]:
         values = np.array([float(word) for row in rows for word in row])
     except ValueError as error:
         word = str(error).partition(": ")[2].strip("'")
-        raise ValueError(f"{name} must have its numbers written out (got {shown(word)})") from None
+        raise ValueError(f"{name} must have its numbers written out (got {quote(word)})") from None
     return values.reshape(len(rows), columns), end + 1
 
 

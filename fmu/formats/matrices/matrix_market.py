@@ -71,7 +71,7 @@ def parse(file: BinaryIO, n_bytes: int | None = None) -> Any:
         raise RefusedError(f"must hold a real square matrix (got {field}, {symmetry})")
     sizes = _sizes(file, layout)
     sign = _SYMMETRIES[symmetry]
-    announced = sizes[2] if layout == "coordinate" else _stored(sizes[0], sizes[1], sign)
+    announced = sizes[2] if layout == "coordinate" else _count_stored(sizes[0], sizes[1], sign)
     rows_within(max(sizes[:2]))
     if n_bytes is not None and announced * SHORTEST_ENTRY[layout] > n_bytes + 1:
         raise RefusedError(
@@ -114,7 +114,7 @@ def _sizes(file: BinaryIO, layout: str) -> list[int]:
     return [int(word) for word in words]
 
 
-def _stored(rows: int, columns: int, sign: float) -> int:
+def _count_stored(rows: int, columns: int, sign: float) -> int:
     """Return the number of values in the array format, which has only the lower triangle of a symmetric matrix."""
     if not sign:
         return rows * columns

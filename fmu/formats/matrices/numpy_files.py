@@ -18,14 +18,14 @@ from fmu.formats.matrices.limits import (
     Labelled,
     MatrixFormat,
     RefusedError,
-    chosen,
+    choose_variable,
     entries_within,
     fitting,
     tables,
 )
 
 
-def zipped(path: Path) -> dict[str, tuple[int, ...]]:
+def shapes_in_archive(path: Path) -> dict[str, tuple[int, ...]]:
     """Return the shapes of the arrays in an ``.npz`` file by name, after checking their number and size.
 
     Raises
@@ -49,11 +49,11 @@ def zipped(path: Path) -> dict[str, tuple[int, ...]]:
         shapes = {}
         for member in members:
             with archive.open(member) as file:
-                shapes[member.filename.removesuffix(".npy")] = announced(file)
+                shapes[member.filename.removesuffix(".npy")] = shape_in_header(file)
         return shapes
 
 
-def announced(file: Any) -> tuple[int, ...]:
+def shape_in_header(file: Any) -> tuple[int, ...]:
     """Return the shape of a saved array, from its header alone.
 
     Raises
@@ -78,9 +78,9 @@ def announced(file: Any) -> tuple[int, ...]:
 
 
 def _npz(path: Path, variable: str | None) -> Labelled:
-    shapes = zipped(path)
+    shapes = shapes_in_archive(path)
     if "format" not in shapes:
-        name = chosen([name for name, shape in shapes.items() if len(shape) == 2], variable)
+        name = choose_variable([name for name, shape in shapes.items() if len(shape) == 2], variable)
         with np.load(path, allow_pickle=False) as content:
             return Labelled(content[name])
     if variable is not None:
@@ -90,7 +90,7 @@ def _npz(path: Path, variable: str | None) -> Labelled:
 
 def _npy(path: Path, variable: str | None) -> Labelled:
     with open(path, "rb") as file:
-        announced(file)
+        shape_in_header(file)
         file.seek(0)
         return Labelled(np.load(file, allow_pickle=False))
 

@@ -47,7 +47,7 @@ from fmu.formats.matrices.limits import (
     MatrixFormat,
     NoMatrixError,
     RefusedError,
-    checked,
+    check_indices,
     from_triplets,
 )
 from fmu.numbers import significant
@@ -201,7 +201,7 @@ def _real_square(matrix: Any) -> Any:
         raise ValueError(f"must have 1 to {MOST_DOFS} degrees of freedom (got {matrix.shape[0]})")
     if sp.issparse(matrix) and matrix.format in ("csr", "csc"):
         try:
-            checked(matrix)
+            check_indices(matrix)
         except ValueError as error:
             raise ValueError(f"must hold a matrix ({error})") from error
     square = sp.csr_array(matrix, dtype=float)
@@ -213,7 +213,7 @@ def _real_square(matrix: Any) -> Any:
 
 def _symmetric(matrix: Any, triangle: Triangle) -> Any:
     if triangle:
-        return _mirrored(matrix, triangle)
+        return _mirror_triangle(matrix, triangle)
     n = matrix.shape[0]
     transposed = sp.csr_array(matrix.T)
     root = np.sqrt(np.abs(matrix.diagonal()))
@@ -252,7 +252,7 @@ def _off_diagonal(matrix: Any) -> tuple[int, int]:
     return int(np.sum(matrix.indices > row)), int(np.sum(matrix.indices < row))
 
 
-def _mirrored(matrix: Any, triangle: Triangle) -> Any:
+def _mirror_triangle(matrix: Any, triangle: Triangle) -> Any:
     above, below = _off_diagonal(matrix)
     if (triangle == "lower" and above) or (triangle == "upper" and below):
         there = f"{above} above the diagonal, {below} below it"

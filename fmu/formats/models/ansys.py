@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fmu.formats.matrices import ansys
-from fmu.formats.matrices.isolated import isolated
+from fmu.formats.matrices.isolated import read_isolated
 from fmu.formats.models.exported import Mesh, MeshFormat, mesh_of
 from fmu.types import FloatArray
 
@@ -61,7 +61,7 @@ def _arrays(grid: Any) -> dict[str, Any]:
     return {name: np.asarray(array) for name, array in found.items()}
 
 
-def rotated(angles: FloatArray) -> FloatArray:
+def node_axes(angles: FloatArray) -> FloatArray:
     """Return the axes (rows) that THXY, THYZ, THZX of ``NROTAT`` give, degrees: about z, then x', then y''."""
     (cz, cx, cy), (sz, sx, sy) = np.cos(np.radians(angles)), np.sin(np.radians(angles))
     about_z = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
@@ -90,16 +90,16 @@ def _mesh(found: dict[str, Any]) -> Mesh:
             left_out += 1
     notes = [f"{left_out} elements of unknown kinds are left out of the mesh."] if left_out else []
     angles = found.get("angles", np.zeros((len(nodes), 3)))
-    axes = {int(nodes[i]): rotated(angles[i]) for i in np.flatnonzero(np.any(angles, axis=1)) if nodes[i] > 0}
+    axes = {int(nodes[i]): node_axes(angles[i]) for i in np.flatnonzero(np.any(angles, axis=1)) if nodes[i] > 0}
     return mesh_of(places, elements, kinds, notes, axes)
 
 
 def _cdb(path: Path) -> Mesh:
-    return _mesh(isolated(f"{__name__}:cdb_arrays", path, "mapdl_archive", ansys.EXTRA))
+    return _mesh(read_isolated(f"{__name__}:cdb_arrays", path, "mapdl_archive", ansys.EXTRA))
 
 
 def _rst(path: Path) -> Mesh:
-    return _mesh(isolated(f"{__name__}:rst_arrays", path, ansys.LIBRARY, ansys.EXTRA))
+    return _mesh(read_isolated(f"{__name__}:rst_arrays", path, ansys.LIBRARY, ansys.EXTRA))
 
 
 CDB = MeshFormat((".cdb",), _cdb)

@@ -38,7 +38,7 @@ class Assembled(NamedTuple):
     notes: list[str]
 
 
-def assembled(read: Sequence[Labelled], n_stiffness: int, where: Sequence[str], mesh: Mesh = NO_MESH) -> Assembled:
+def assemble(read: Sequence[Labelled], n_stiffness: int, where: Sequence[str], mesh: Mesh = NO_MESH) -> Assembled:
     """Return matrices on the same degrees of freedom, without those that are held or empty.
 
     Parameters
@@ -60,15 +60,15 @@ def assembled(read: Sequence[Labelled], n_stiffness: int, where: Sequence[str], 
         If rows have no names, two matrices have no row in common, or no row is left.
     """
     assumed: dict[str, None] = {}
-    named = [_named(one, at, mesh, assumed) for one, at in zip(read, where, strict=True)]
+    named = [_name_rows(one, at, mesh, assumed) for one, at in zip(read, where, strict=True)]
     for names, at in zip(named, where, strict=True):
         if not set(names) & set(named[0]):
             rule = f"must have degrees of freedom that {where[0]} has"
-            raise ArgumentError(at, rule, f"{_shown(names)}; {where[0]} has {_shown(named[0])}")
+            raise ArgumentError(at, rule, f"{_show_names(names)}; {where[0]} has {_show_names(named[0])}")
     dofs = sorted({dof for names in named for dof in names}, key=_order)
     index = {dof: i for i, dof in enumerate(dofs)}
     matrices = [
-        _placed(one.matrix, [index[dof] for dof in names], len(dofs))
+        _place_rows(one.matrix, [index[dof] for dof in names], len(dofs))
         for one, names in zip(read, named, strict=True)
     ]
     largest = np.max([np.abs(matrix.diagonal()) for matrix in matrices[:n_stiffness]], axis=0)
@@ -83,7 +83,7 @@ def assembled(read: Sequence[Labelled], n_stiffness: int, where: Sequence[str], 
         if np.any(which)
     ]
     matrices, dofs = [matrix[rows][:, rows] for matrix in matrices], [dofs[i] for i in rows]
-    turn, motions, told = _turned(dofs, mesh.axes)
+    turn, motions, told = _turn_axes(dofs, mesh.axes)
     if turn is not None:
         matrices = [sp.csr_array(turn.T @ matrix @ turn) for matrix in matrices]
     means = {name: weights for one in read for name, weights in one.motions.items()}
@@ -95,8 +95,8 @@ def notes_of(read: Sequence[Labelled]) -> list[str]:
     return list(dict.fromkeys(note for one in read for note in one.notes))
 
 
-def _named(one: Labelled, where: str, mesh: Mesh, assumed: dict[str, None]) -> tuple[DofName, ...]:
-    """Return the names of the rows of a matrix; what is assumed for that is added."""
+def _name_rows(one: Labelled, where: str, mesh: Mesh, assumed: dict[str, None]) -> tuple[DofName, ...]:
+    """Return the names of the rows of a matrix, and add to `assumed` what this takes for granted."""
     n = one.matrix.shape[0]
     if one.dofs is not None and len(one.dofs) != n:
         raise ArgumentError(where, f"must name {n} degrees of freedom", len(one.dofs))
@@ -104,7 +104,7 @@ def _named(one: Labelled, where: str, mesh: Mesh, assumed: dict[str, None]) -> t
         if len(set(one.dofs)) < n:
             seen: set[DofName] = set()
             twice = next(dof for dof in one.dofs if dof in seen or seen.add(dof))  # type: ignore[func-returns-value]
-            raise ArgumentError(where, "must name each degree of freedom once", f"{_shown([twice])} twice")
+            raise ArgumentError(where, "must name each degree of freedom once", f"{_show_names([twice])} twice")
         return one.dofs
     for which, names in mesh.sets.items():
         if len(names) == n:
@@ -122,17 +122,17 @@ def _order(dof: DofName) -> tuple[int, int]:
     return dof[0], DIRECTIONS.index(dof[1])
 
 
-def _shown(names: Sequence[DofName]) -> str:
+def _show_names(names: Sequence[DofName]) -> str:
     return names_shown([f"{node} {direction}" for node, direction in names[:3]])
 
 
-def _placed(matrix: Any, rows: Sequence[int], n_dof: int) -> Any:
+def _place_rows(matrix: Any, rows: Sequence[int], n_dof: int) -> Any:
     """Return a matrix whose row i becomes rows[i] of n_dof, a csr_array; other rows are zero."""
     entries, at = sp.coo_array(matrix), np.asarray(rows)
     return sp.csr_array((entries.data, (at[entries.row], at[entries.col])), shape=(n_dof, n_dof))
 
 
-def _turned(
+def _turn_axes(
     dofs: Sequence[DofName], axes: Mapping[int, FloatArray]
 ) -> tuple[Any, dict[DofName, dict[DofName, float]], list[str]]:
     """Return T of u = T u_global, None for none, the global motions of nodes that keep their axes, and notes."""

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from fmu.formats.matrices.limits import MOST_DOFS, RefusedError
-from fmu.formats.matrices.nastran.cards import cards, components, identity, listed, number, whole
+from fmu.formats.matrices.nastran.cards import cards, components, expand_list, identity, number, whole
 from fmu.formats.matrices.nastran.includes import BULK_DATA, deck_lines
 from fmu.formats.models.coordinate_systems import Definition, Kind, Systems
 from fmu.formats.models.exported import MOST_ELEMENTS, MOST_NODES, DofName, Mesh, MeshFormat, mesh_of
@@ -42,7 +42,7 @@ _SET = ("ASET", "ASET1", "SPC", "SPC1")
 
 @dataclass(eq=False)
 class _Deck:
-    """What is found of a deck."""
+    """The entries of a deck."""
 
     grids: dict[int, tuple[int, FloatArray]] = field(default_factory=dict)
     outputs: dict[int, int] = field(default_factory=dict)
@@ -67,7 +67,7 @@ def _read(path: Path) -> Mesh:
         elif name[:4] == "CORD" and name[4:5] in ("1", "2") and name[5:] in ("R", "C", "S"):
             _system(deck, name[4], name[5], fields)  # type: ignore[arg-type]
         elif name == "SPOINT":
-            deck.scalars |= set(listed(fields, "SPOINT"))
+            deck.scalars |= set(expand_list(fields, "SPOINT"))
         elif name in _SET:
             _members(deck, name, fields)
         elif name in ("MPC", "RBE1", "RBE2", "RBE3", "RBAR", "RROD", "RTRPLT", "OMIT", "OMIT1"):
@@ -122,7 +122,7 @@ def _members(deck: _Deck, name: str, fields: list[str]) -> None:
     skipped = 0 if name.startswith("ASET") else 1
     if name.endswith("1"):
         which = components(fields[skipped], name)
-        for node in listed(fields[skipped + 1 :], name):
+        for node in expand_list(fields[skipped + 1 :], name):
             into.setdefault(node, set()).update(which)
         return
     for at in range(skipped, len(fields) - 1, 2 if name == "ASET" else 3):

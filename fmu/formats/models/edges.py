@@ -33,7 +33,7 @@ SOLID_EDGES = {
 def edges(mesh: Mesh | ExportedModel) -> IntArray:
     """Return the rows of `mesh.nodes` at both ends of each line to draw, shape (n_lines, 2), each once.
 
-    Midside nodes are left out. Of solids the surface is drawn.
+    Midside nodes are left out. Solids are drawn by their surfaces.
     """
     lines, faces = _lines_and_faces(mesh)
     drawn = [lines, _of_faces(faces, mesh.coordinates)]
@@ -85,7 +85,7 @@ def _outer(faces: IntArray) -> IntArray:
 
 
 def _of_faces(faces: IntArray, coordinates: FloatArray) -> IntArray:
-    """Return the edges of faces: all, or if they are many those that show the shape, see `MOST_EDGES`."""
+    """Return the edges of faces: all, or if they are many, those that show the shape, see `MOST_EDGES`."""
     if not len(faces):
         return np.zeros((0, 2), dtype=np.int64)
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from fmu.formats.matrices.limits import RefusedError, text_lines
 from fmu.formats.models.exported import MOST_ELEMENTS, MOST_NODES, Mesh, MeshFormat, mesh_of
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 
 _SOLIDS = {
     4: "tetra", 6: "wedge", 8: "hexahedron", 10: "tetra10", 15: "wedge15", 20: "hexahedron20", 27: "hexahedron27"
@@ -103,7 +103,7 @@ def parse(lines: Iterator[str]) -> Mesh:
                     raise RefusedError(f"must have at most {MOST_ELEMENTS} elements")
     if ahead:
         raise ValueError(f"its last element has {len(ahead) - 1} of its {needed} nodes")
-    notes = [f"Elements of the unknown type {shown(one)} are left out of the mesh." for one in unknown]
+    notes = [f"Elements of the unknown type {quote(one)} are left out of the mesh." for one in unknown]
     if is_transformed:
         notes.append(TRANSFORMED)
     return mesh_of(nodes, elements, kinds, notes)
@@ -137,7 +137,7 @@ def _keyword(line: str) -> tuple[str, dict[str, str]]:
 def _id(word: str, number: int) -> int:
     if not (word.isdecimal() and len(word) <= 10 and int(word) > 0):
         raise ValueError(
-            f"line {number}: numbers of nodes and elements must be whole and positive (got {shown(word)})"
+            f"line {number}: numbers of nodes and elements must be whole and positive (got {quote(word)})"
         )
     return int(word)
 
@@ -146,7 +146,7 @@ def _number(word: str, number: int) -> float:
     try:
         return float(word.upper().replace("D", "E")) if word else 0.0
     except ValueError:
-        raise ValueError(f"line {number}: a coordinate must be a number (got {shown(word)})") from None
+        raise ValueError(f"line {number}: a coordinate must be a number (got {quote(word)})") from None
 
 
 def _read(path: Path) -> Mesh:

@@ -31,11 +31,11 @@ from fmu.formats.matrices.limits import LARGEST_FILE, MOST_DOFS, Labelled, Refus
 from fmu.formats.matrices.nastran.includes import BULK_DATA, included_files
 from fmu.formats.matrices.read import read_labelled
 from fmu.formats.models import FORMATS
-from fmu.formats.models.assembly import assembled
+from fmu.formats.models.assembly import assemble
 from fmu.formats.models.exported import NO_MESH, DofName, ExportedModel, Mesh
 from fmu.formats.models.inp import TRANSFORMED
 from fmu.formats.models.ties import tied_motions
-from fmu.formats.shown import names_shown, one_line, shown
+from fmu.formats.shown import names_shown, one_line, quote
 from fmu.types import DIRECTIONS
 
 _DIRECTION = {d: d for d in DIRECTIONS} | {str(k): d for k, d in enumerate(DIRECTIONS, 1)}
@@ -88,34 +88,34 @@ def read_model(
     path = Path(path)
     found = NO_MESH if mesh is None else mesh
     if not isinstance(found, Mesh):
-        found = _told("mesh", partial(_mesh_of, Path(found)))
+        found = _name_argument("mesh", partial(_mesh_of, Path(found)))
     beside = _mass_beside(path) if mass is None else Path(mass)
     if beside is None:
-        names = variables if variables is not None else _told("path", partial(_both, path))
-        read = [_told("path", partial(_matrix, path, name)) for name in names]
+        names = variables if variables is not None else _name_argument("path", partial(_both, path))
+        read = [_name_argument("path", partial(_matrix, path, name)) for name in names]
         where = ["path", "path"]
     else:
         where = ["path", "mass"]
         read = [
-            _told(at, partial(_matrix, file, name))
+            _name_argument(at, partial(_matrix, file, name))
             for at, file, name in zip(
                 where, (path, beside), (None, None) if variables is None else variables, strict=True
             )
         ]
     if dofs is not None:
-        given = _told("dofs", partial(read_names, Path(dofs)))
+        given = _name_argument("dofs", partial(read_names, Path(dofs)))
         for one in read:
             if one.dofs is not None:
                 raise ArgumentError("dofs", "must not be given: the matrices name their degrees of freedom")
             if one.matrix.shape[0] != len(given):
                 raise ArgumentError("dofs", f"must name {one.matrix.shape[0]} degrees of freedom", len(given))
         read = [one._replace(dofs=given) for one in read]
-    model = assembled(read, 1, where, found)
+    model = assemble(read, 1, where, found)
     if mesh is not None:
         require_nodes(model.dofs, model.motions, found, [path])
     ties, notes = {}, list[str]()
     if tied_modes is not None:
-        ties, notes = _told("tied_modes", partial(read_ties, Path(tied_modes), found, model.dofs))
+        ties, notes = _name_argument("tied_modes", partial(read_ties, Path(tied_modes), found, model.dofs))
     return ExportedModel(
         model.matrices[0],
         model.matrices[1],
@@ -164,7 +164,7 @@ def read_mesh(path: str | Path) -> Mesh:
     ValueError
         If the file does not exist, is of another kind, broken or too large.
     """
-    return _told("path", partial(_mesh_of, Path(path)))
+    return _name_argument("path", partial(_mesh_of, Path(path)))
 
 
 def _mesh_of(path: Path) -> Mesh:
@@ -205,7 +205,7 @@ def read_names(path: Path) -> tuple[DofName, ...]:
             direction = _DIRECTION.get(words[-1])
             if not is_name or direction is None:
                 rule = "must be node,direction with a direction x, y, z, rx, ry, rz or 1 to 6"
-                raise ArgumentError(path.name, f"line {number} {rule}", shown(line))
+                raise ArgumentError(path.name, f"line {number} {rule}", quote(line))
             names.append((int(words[0]), direction))
             if len(names) > MOST_DOFS:
                 raise ArgumentError(path.name, f"must have at most {MOST_DOFS} lines")
@@ -277,7 +277,7 @@ def _is_pair(K: str, M: str) -> bool:
 
 
 def _mass_beside(path: Path) -> Path | None:
-    """Return the file of the mass that a program writes beside that of the stiffness; None if both are in one."""
+    """Return the file of the mass that a program writes beside its stiffness; None if one file has both."""
     if path.suffix.lower() == ".sti":
         return path.with_suffix(".mas")
     if path.suffix.lower() == ".mtx" and "_STIF" in path.name:
@@ -293,10 +293,10 @@ def _require_file(path: Path) -> None:
         raise ValueError(too_large(path, LARGEST_FILE))
 
 
-def _told(argument: str, read: Callable[[], Any]) -> Any:
-    """Return what `read` returns; the text of its ValueError begins with the argument."""
+def _name_argument(argument: str, read: Callable[[], Any]) -> Any:
+    """Call `read`, whose error is then an error of the argument."""
     try:
         return read()
     except ValueError as error:
-        text = str(ArgumentError.of(error).moved("variable", ""))
+        text = str(ArgumentError.of(error).replace_key("variable", ""))
         raise ArgumentError(argument, one_line(text)) from error

@@ -142,7 +142,7 @@ def _projection(point: FloatArray, corners: FloatArray, n_corners: int) -> Float
 
 
 def _inside(at: FloatArray, n_corners: int) -> FloatArray:
-    """Return the point of the reference triangle or square nearest to one."""
+    """Return the point of the reference triangle or square that is nearest to a point."""
     if n_corners == 4:
         return np.clip(at, -1.0, 1.0)
     beyond = max(float(np.maximum(at, 0.0).sum()) - 1.0, 0.0)

@@ -18,7 +18,7 @@ from fmu.formats.modes.measured_modes import (
     checked_file,
     modes_chosen,
 )
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 
 
 def read_calculix(file: Path, sensors: Sensors, modes: Sequence[ModeNumber] | None = None) -> MeasuredModes:
@@ -43,7 +43,7 @@ def read_calculix(file: Path, sensors: Sensors, modes: Sequence[ModeNumber] | No
     path = checked_file(file)
     wrong = [place for place, d in sensors if not isinstance(place, int) or d.removeprefix("-") not in DIRECTIONS]
     if wrong:
-        raise ModesError(path.name, [f"sensors: must be nodes, and x, y or z (got {shown(wrong[0])})"])
+        raise ModesError(path.name, [f"sensors: must be nodes, and x, y or z (got {quote(wrong[0])})"])
     try:
         computed = computed_calculix(path, sensors)
     except ValueError as error:

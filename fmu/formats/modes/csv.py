@@ -40,7 +40,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fmu.formats.modes.measured_modes import MOST_MODES, MeasuredModes, ModesError, checked_file
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 from fmu.types import FloatArray
 
 MOST_ROWS = 10_000
@@ -84,7 +84,7 @@ def read_frequencies(path: Path) -> MeasuredModes:
     labels = [row.values["mode"] for row in rows]
     first = {label: i for i, label in reversed(list(enumerate(labels)))}
     found += [
-        f"line {row.line}, column mode: must be a name that no other mode has (got {shown(label)})"
+        f"line {row.line}, column mode: must be a name that no other mode has (got {quote(label)})"
         for i, (row, label) in enumerate(zip(rows, labels, strict=True))
         if not label or first[label] < i
     ]
@@ -114,7 +114,7 @@ def read_shapes(path: Path, labels: tuple[str, ...]) -> MeasuredModes:
         if not _DIRECTION.fullmatch(row.values["direction"]):
             found.append(
                 f"line {row.line}, column direction: must be x, y, z, rx, ry or rz, with or without a leading "
-                f"minus (got {shown(row.values['direction'])})"
+                f"minus (got {quote(row.values['direction'])})"
             )
     shapes = [[_number(row, label, found) for label in labels] for row in rows]
     _refuse(path, found)
@@ -145,7 +145,7 @@ def read_points(path: Path) -> dict[str, FloatArray]:
     for row in rows:
         name = row.values["point"]
         if not name or name in points:
-            rule = f"must be a name that no other point has (got {shown(name)})"
+            rule = f"must be a name that no other point has (got {quote(name)})"
             found.append(f"line {row.line}, column point: {rule}")
         points[name] = np.array([_number(row, axis, found) for axis in "xyz"])
     _refuse(path, found)
@@ -205,7 +205,7 @@ def _table(path: Path) -> tuple[list[str], list[_Row]]:
             header = cells
             if len(set(header)) < len(header):
                 raise ModesError(
-                    path.name, [f"line {number}: column names must be distinct (got {shown(header)})"]
+                    path.name, [f"line {number}: column names must be distinct (got {quote(header)})"]
                 )
         elif len(cells) != len(header):
             found.append(f"line {number}: must have {len(header)} values, one per column (got {len(cells)})")
@@ -250,7 +250,7 @@ def _number(row: _Row, column: str, found: list[str], *, positive: bool = False)
         value = np.nan
     if not np.isfinite(value) or (positive and value <= 0):
         rule = "a positive number" if positive else "a number"
-        found.append(f"line {row.line}, column {column}: must be {rule} (got {shown(text)})")
+        found.append(f"line {row.line}, column {column}: must be {rule} (got {quote(text)})")
         return np.nan
     return value
 
@@ -258,13 +258,13 @@ def _number(row: _Row, column: str, found: list[str], *, positive: bool = False)
 def _yes(row: _Row, column: str, found: list[str]) -> bool:
     text = row.values[column]
     if text.lower() not in _YES_OR_NO:
-        found.append(f"line {row.line}, column {column}: must be true or false (got {shown(text)})")
+        found.append(f"line {row.line}, column {column}: must be true or false (got {quote(text)})")
     return _YES_OR_NO.get(text.lower(), True)
 
 
 def _whole(row: _Row, column: str, found: list[str]) -> int:
     text = row.values[column]
     if not re.fullmatch(r"[1-9]\d{0,8}", text):
-        found.append(f"line {row.line}, column {column}: must be a whole number from 1 (got {shown(text)})")
+        found.append(f"line {row.line}, column {column}: must be a whole number from 1 (got {quote(text)})")
         return 0
     return int(text)

@@ -28,7 +28,7 @@ from fmu.formats.modes.measured_modes import (
     checked_file,
     modes_chosen,
 )
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 from fmu.types import DIRECTIONS, FloatArray
 
 MOST_NODES = 2**20
@@ -81,7 +81,7 @@ def read_f06(
 def computed_f06(path: Path, sensors: Sensors, deck: Path) -> Computed:
     """Return all modes of an F06 file, see `fmu.formats.modes.measured_modes.ModesFormat`.
 
-    The axes of nodes are those of the deck that the program had, if that is bulk data.
+    Nodes have the axes that the deck of the program gives them, if it is bulk data.
     """
     return _read_printed(path, sensors, deck if deck.suffix.lower() in BULK_DATA else None)[:2]
 
@@ -114,7 +114,7 @@ def _read_printed(
     try:
         axes = {} if deck is None else read_mesh(deck).axes
     except ValueError as error:
-        raise ModesError(file.name, [str(ArgumentError.of(error).moved("path", "deck"))]) from None
+        raise ModesError(file.name, [str(ArgumentError.of(error).replace_key("path", "deck"))]) from None
     shapes = [[_at(found.shapes[number], sensor, axes, file.name) for number in numbers] for sensor in sensors]
     if not np.all(np.isfinite(shapes)):
         raise ModesError(file.name, ["shapes: must be finite at the sensors"])
@@ -154,7 +154,7 @@ def _find_tables(lines: Iterator[str]) -> _Found:
         elif line.startswith("1") or "PAGE" in line:
             reading, cycles = 0, 0.0
         elif not found.fatal and _FATAL.search(line):
-            found.fatal = shown(" ".join(line.split()))
+            found.fatal = quote(" ".join(line.split()))
         if len(found.shapes) > MOST_MODES or len(found.shapes.get(reading, ())) > MOST_NODES:
             raise ValueError(f"must have at most {MOST_MODES} modes of {MOST_NODES} nodes")
     return found
@@ -167,7 +167,7 @@ def _number(word: str) -> float:
     try:
         return float(exponent.upper().replace("D", "E"))
     except ValueError:
-        raise ValueError(f"it has a component that is no number ({shown(word)})") from None
+        raise ValueError(f"it has a component that is no number ({quote(word)})") from None
 
 
 def _at(
@@ -178,7 +178,7 @@ def _at(
     sign, along = (-1.0, direction[1:]) if direction.startswith("-") else (1.0, direction)
     node = int(place) if isinstance(place, int | str) and str(place).isdecimal() else -1
     if node not in shape:
-        raise ModesError(name, [f"sensors: must be at nodes of the file (got {shown(place)})"])
+        raise ModesError(name, [f"sensors: must be at nodes of the file (got {quote(place)})"])
     k, values = DIRECTIONS.index(along), shape[node]
     if node in axes:
         values = np.concatenate([values[:3] @ axes[node], values[3:] @ axes[node]])

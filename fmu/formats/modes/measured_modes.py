@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from fmu.arguments import ArgumentError, MissingFileError
 from fmu.formats.files import too_large, why_no_file
-from fmu.formats.shown import names_shown, shown, told
+from fmu.formats.shown import list_mistakes, names_shown, quote
 from fmu.numbers import apart, given
 from fmu.types import DIRECTIONS, FloatArray
 
@@ -44,12 +44,12 @@ class ModesError(ValueError):
 
     def __init__(self, source: str, mistakes: Sequence[str]) -> None:
         self.mistakes = tuple(mistakes)
-        super().__init__(f"{source}: " + "; ".join(told(self.mistakes)))
+        super().__init__(f"{source}: " + "; ".join(list_mistakes(self.mistakes)))
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredModes:
-    """Frequencies, and what there is of shapes and uncertainty: arguments of `fmu.ModalData`.
+    """Frequencies, with shapes and uncertainty where they are known: arguments of `fmu.ModalData`.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ def modes_chosen(
     frequencies, shapes = computed
     chosen = list(numbers) if modes is None else [int(number) for number in modes]
     if not chosen or not set(chosen) <= set(numbers):
-        raise ModesError(name, [f"modes: must be some of {names_shown(list(numbers))} (got {shown(chosen)})"])
+        raise ModesError(name, [f"modes: must be some of {names_shown(list(numbers))} (got {quote(chosen)})"])
     at = [numbers.index(number) for number in chosen]
     for k, number in zip(at, chosen, strict=True):
         if not 0.0 < frequencies[k] < np.inf:

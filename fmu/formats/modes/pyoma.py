@@ -34,7 +34,7 @@ from fmu.formats.modes.measured_modes import (
     checked_file,
     real_shapes,
 )
-from fmu.formats.shown import in_words, shown
+from fmu.formats.shown import in_words, quote
 from fmu.types import FloatArray
 
 _KEPT = ("Fn", "Phi", "Fn_std", "Phi_std", "Xi")
@@ -88,7 +88,7 @@ def pyoma_modes(
         )
     chosen = list(range(1, len(frequencies) + 1)) if modes is None else [int(number) for number in modes]
     if not chosen or any(not 1 <= number <= len(frequencies) for number in chosen):
-        found.append(f"modes: must lie in 1..{len(frequencies)} (got {shown(chosen)})")
+        found.append(f"modes: must lie in 1..{len(frequencies)} (got {quote(chosen)})")
     sd = None
     if given["Fn_std"] is not None and given["setups_used"] is None:
         sd = np.array(given["Fn_std"], dtype=float).reshape(-1)
@@ -130,8 +130,8 @@ def pyoma_modes(
 def _unit_sd(shapes: FloatArray, phi_std: FloatArray) -> FloatArray | None:
     """Return standard deviations of shapes of unit length (n_sensors, n_modes); None for one sensor.
 
-    The component that scales a shape has none. It is given one so small that the ratios of the others to it keep
-    theirs: with σ_0 = `FIXED` times the least of the others, a variance changes by less than `FIXED`² of it.
+    The component that scales a shape has no standard deviation. It gets `FIXED` times the smallest of the others,
+    so that no variance of a ratio changes by more than `FIXED`² of itself.
     """
     if not np.all(np.isfinite(phi_std)) or np.any(phi_std < 0.0):
         raise ArgumentError("Phi_std", "must be finite and not negative")
@@ -188,11 +188,11 @@ def load_pyoma(path: Path) -> dict[str, Any]:
         If it is not a file of pyOMA_2 results.
     """
     from fmu.formats.matrices.limits import RefusedError
-    from fmu.formats.matrices.numpy_files import zipped
+    from fmu.formats.matrices.numpy_files import shapes_in_archive
 
     checked_file(path)
     try:
-        shapes = zipped(path)
+        shapes = shapes_in_archive(path)
         with np.load(path, allow_pickle=False) as file:
             found = {name: file[name] for name in _KEPT if name in shapes}
     except RefusedError as refused:

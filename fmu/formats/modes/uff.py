@@ -36,7 +36,7 @@ from fmu.formats.modes.measured_modes import (
     real_shapes,
 )
 from fmu.formats.modes.vtu import CellType
-from fmu.formats.shown import in_words, shown
+from fmu.formats.shown import in_words, quote
 from fmu.types import DIRECTIONS, FloatArray
 
 SHAPES = 55
@@ -103,7 +103,7 @@ def read_uff(
         raise ModesError(file.name, [f"modes: must be some of {sorted(by_number)} (got {chosen})"])
     place_of = _places(file, nodes, mode_sets)
     values = {number: _values(mode, place_of) for number, mode in by_number.items()}
-    seen = _seen(values) if sensors is None else [(place, str(direction)) for place, direction in sensors]
+    seen = _find_moving(values) if sensors is None else [(place, str(direction)) for place, direction in sensors]
     table = np.array([[_at(values[number], sensor) for number in chosen] for sensor in seen])
     frequencies = np.array([_frequency(by_number[number]) for number in chosen])
     wrong = [f"{n} at {f} Hz" for n, f in zip(chosen, frequencies, strict=True) if not f > 0]
@@ -221,7 +221,7 @@ def _places(path: Path, nodes: Mapping[Any, Any] | None, modes: list[dict[str, A
     place_of = {int(node): place for node, place in nodes.items()}
     missing = sorted(set(place_of) - set(there))
     if missing:
-        raise ModesError(path.name, [f"nodes: must be some of {shown(there)} (got {shown(missing)})"])
+        raise ModesError(path.name, [f"nodes: must be some of {quote(there)} (got {quote(missing)})"])
     return place_of
 
 
@@ -236,7 +236,7 @@ def _values(mode: dict[str, Any], place_of: dict[int, Any]) -> dict[tuple[Any, s
     }
 
 
-def _seen(values: dict[int, dict[tuple[Any, str], complex]]) -> list[tuple[Any, str]]:
+def _find_moving(values: dict[int, dict[tuple[Any, str], complex]]) -> list[tuple[Any, str]]:
     """Return the sensors that move in at least one mode, in the order of the file."""
     everything = dict.fromkeys(sensor for mode in values.values() for sensor in mode)
     return [sensor for sensor in everything if any(mode.get(sensor, 0.0) != 0.0 for mode in values.values())]

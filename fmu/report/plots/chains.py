@@ -35,7 +35,7 @@ from fmu.report.plots.style import (
     legend_of_chains,
     literal,
     new_figure,
-    stacked,
+    stack_axes,
     unit_of,
 )
 
@@ -160,7 +160,7 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]
     posterior = trace["posterior"].to_dataset()
     if posterior.sizes["chain"] < 2:
         raise ValueError("trace: must have at least two chains to rank (got 1)")
-    axes = stacked(len(parameter_names(trace)), figure)
+    axes = stack_axes(len(parameter_names(trace)), figure)
     ranked = _independent(trace) / posterior.sizes["chain"]
     most = int(np.clip(ranked, *_RANKED)) if np.isfinite(ranked) else _RANKED[1]
     thinned = posterior.isel(draw=slice(None, None, apart(posterior.sizes["draw"], most, walkers)))
@@ -218,7 +218,7 @@ def plot_autocorrelation(trace: xr.DataTree, figure: Figure | None = None) -> ND
     """
     names, walkers = parameter_names(trace), walkers_of(trace)
     draws = parameter_draws(trace)
-    axes = stacked(len(names), figure, sharey=True)
+    axes = stack_axes(len(names), figure, sharey=True)
     for i, (name, axis) in enumerate(zip(names, axes, strict=True)):
         for values, shade in zip(autocorrelation(draws[..., i], walkers), chain_colours(trace), strict=True):
             axis.plot(values[: _LAGS + 1], color=shade, linewidth=1.2)
@@ -296,7 +296,7 @@ def plot_running_means(
     """
     names = parameter_names(trace)
     table = summary(trace) if table is None else table
-    axes = stacked(len(names), figure)
+    axes = stack_axes(len(names), figure)
     steps = trace["posterior"].sizes["draw"] // walkers_of(trace)
     at, means = running_means(trace, lengths(steps, 60))
     for i, (name, axis) in enumerate(zip(names, axes, strict=True)):

@@ -20,9 +20,9 @@ from fmu.report.plots.style import (
     legend_below,
     literal,
     new_figure,
-    spaced,
-    stacked,
-    turned,
+    rotate_labels,
+    stack_axes,
+    thin_labels,
 )
 from fmu.types import FloatArray
 
@@ -76,8 +76,8 @@ def plot_mac_matrix(
         for i, j in np.argwhere(values >= (0.005 if max(n, m) > FEW else 0.0)).tolist():
             axes.text(j + 0.5, i + 0.5, fixed(values[i, j], 2), ha="center", va="center", fontsize=FONT - 1,
                       color=ON_DARK if values[i, j] > 0.6 else ON_PALE)  # fmt: skip
-    axes.set_xticks(np.arange(m) + 0.5, spaced(labels), **turned(labels, side))
-    axes.set_yticks(np.arange(n) + 0.5, spaced([literal(label) for label in rows]))
+    axes.set_xticks(np.arange(m) + 0.5, thin_labels(labels), **rotate_labels(labels, side))
+    axes.set_yticks(np.arange(n) + 0.5, thin_labels([literal(label) for label in rows]))
     axes.invert_yaxis()
     axes.set_aspect("equal")
     axes.set_xlabel(x, fontsize=FONT)
@@ -103,7 +103,7 @@ def plot_sensors(
     ndarray of Axes, shape (2,)
     """
     figure = figure or new_figure(max(NARROW, min(2 * NARROW, 0.22 * len(sensors))), 3.8)
-    both = stacked(2, figure)
+    both = stack_axes(2, figure)
     x = np.arange(len(sensors))
     shades = [PALETTE[0]] if len(states) == 1 else [GREY, PALETTE[0]]
     for axes, k, name in zip(both, (0, 1), ("CoMAC", "ECoMAC"), strict=True):
@@ -116,7 +116,7 @@ def plot_sensors(
         axes.set_ylim(*((-0.03, 1.03) if k == 0 else (-0.03 * axes.get_ylim()[1], max(0.2, axes.get_ylim()[1]))))
         finish(axes, y=name)
     labels = [literal(sensor) for sensor in sensors]
-    both[1].set_xticks(x, spaced(labels), **turned(spaced(labels), figure.get_figwidth()))
+    both[1].set_xticks(x, thin_labels(labels), **rotate_labels(thin_labels(labels), figure.get_figwidth()))
     finish(both[1], "sensor")
     figure.align_ylabels(both)
     if len(states) > 1:

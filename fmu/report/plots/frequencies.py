@@ -25,8 +25,8 @@ from fmu.report.plots.style import (
     legend_below,
     literal,
     new_figure,
-    spaced,
-    turned,
+    rotate_labels,
+    thin_labels,
 )
 from fmu.types import FloatArray
 
@@ -107,10 +107,10 @@ def plot_frequency_errors(
             x, error, linestyle="none", marker="o", markersize=dot, color=entry.colour, label=entry.label,
             markerfacecolor=entry.colour if entry.filled else "white", markeredgewidth=1.5, zorder=3,
         )  # fmt: skip
-    options = turned(labels, figure.get_figwidth())
+    options = rotate_labels(labels, figure.get_figwidth())
     between = ", " if options else "\n"
     names = [f"{label}{between}{given(hz)} Hz" for label, hz in zip(labels, measured, strict=True)]
-    axes.set_xticks(centre, spaced(names), **options)
+    axes.set_xticks(centre, thin_labels(names), **options)
     axes.set_xlim(-0.5, len(measured) - 0.5)
     finish(axes, "mode, measured frequency", "(computed − measured)/measured, %")
     legend_below(axes)
@@ -158,7 +158,7 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
 def _new_figure(labels: Sequence[str]) -> Figure:
     """Return an empty figure of modes, wider where they are many."""
     width = max(NARROW, _OF_A_MODE * len(labels))
-    return new_figure(width, 5.2 if turned(labels, width) else 4.2)
+    return new_figure(width, 5.2 if rotate_labels(labels, width) else 4.2)
 
 
 def plot_left_out(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
@@ -222,7 +222,7 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
     axes = figure.subplots()
     x = np.arange(len(narrow), dtype=float)
 
-    def scaled(column: pd.Series | FloatArray) -> FloatArray:
+    def scale(column: pd.Series | FloatArray) -> FloatArray:
         return np.asarray((column - narrow["mean"]) / narrow["noisy_sd"])
 
     tests = measured_tests(trace)
@@ -238,19 +238,19 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
         ),
         (narrow, ("eti90_lb", "eti90_ub"), 14.0, 0.8, "90 % of the model's frequencies, without noise"),
     ):
-        low, high = (scaled(table[end]) for end in ends)
+        low, high = (scale(table[end]) for end in ends)
         axes.vlines(x, low, high, color=base, linewidth=width, alpha=alpha, label=words)
-    measured = scaled(narrow["measured"])
+    measured = scale(narrow["measured"])
     axes.plot(x, measured, linestyle="none", marker="D", color=BLACK, markersize=6, label="measured")
     if tests is not None:
-        low, high = (scaled(narrow[f"test_eti90_{end}"]) for end in ("lb", "ub"))
+        low, high = (scale(narrow[f"test_eti90_{end}"]) for end in ("lb", "ub"))
         beside = x + 0.25
         axes.vlines(beside, low, high, color=GREY, linewidth=5.0, alpha=0.45, label="90 % of one more test")
-        axes.plot(beside, np.transpose([scaled(test) for test in tests]), linestyle="none", marker="_",
+        axes.plot(beside, np.transpose([scale(test) for test in tests]), linestyle="none", marker="_",
                   color=BLACK, alpha=0.6)  # fmt: skip
         axes.plot([], [], linestyle="none", marker="_", color=BLACK, label="the tests")
     axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=0)
-    axes.set_xticks(x, spaced(labels), **turned(labels, figure.get_figwidth()))
+    axes.set_xticks(x, thin_labels(labels), **rotate_labels(labels, figure.get_figwidth()))
     axes.set_xlim(-0.5, len(x) - 0.5)
     finish(axes, "mode", "(frequency − predicted mean)\n/ predictive sd")
     legend_below(axes)

@@ -1,4 +1,4 @@
-"""What the data told: prior and posterior of each parameter, and how strongly the modes feel the parameters."""
+"""Information in the data: prior and posterior of each parameter, and sensitivities of the modes."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from fmu.report.plots.style import (
     legend_below,
     literal,
     new_figure,
-    spaced,
-    turned,
+    rotate_labels,
+    thin_labels,
     unit_of,
 )
 
@@ -147,8 +147,8 @@ def plot_sensitivity(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
             if abs(S[i, j]) >= 0.03 * largest:
                 axes.text(j, i, significant(float(S[i, j]), 2), ha="center", va="center", fontsize=FONT - 1,
                           color=ON_DARK if abs(S[i, j]) > 0.6 * largest else ON_PALE)  # fmt: skip
-    axes.set_xticks(np.arange(n), spaced(names), **turned(names, side))
-    axes.set_yticks(np.arange(len(rows)), spaced(labels))
+    axes.set_xticks(np.arange(n), thin_labels(names), **rotate_labels(names, side))
+    axes.set_yticks(np.arange(len(rows)), thin_labels(labels))
     axes.invert_yaxis()
     figure.colorbar(mesh, ax=axes, label="sd / prior sd")
     finish(axes, "parameter", "mode")

@@ -22,8 +22,8 @@ from fmu.report.plots.style import (
     legend_below,
     literal,
     new_figure,
-    stacked,
-    turned,
+    rotate_labels,
+    stack_axes,
 )
 from fmu.types import BoolArray, FloatArray
 
@@ -102,7 +102,7 @@ def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> NDArra
     is_line = is_placed and np.sum(_is_wide(modes["coordinates"].to_numpy())) == 1
     draw = _draw_along if is_line else _draw_projected if is_placed else _draw_components
     if is_line or not is_placed or len(labels) <= _ONE_COLUMN:
-        axes = stacked(len(labels), figure, 1.3 if is_line else 1.6 if not is_placed else 2.6)
+        axes = stack_axes(len(labels), figure, 1.3 if is_line else 1.6 if not is_placed else 2.6)
     else:
         axes = _in_pairs(len(labels), figure)
     for label, axis in zip(labels, axes, strict=True):
@@ -229,7 +229,7 @@ def _draw_components(axis: Axes, one: xr.Dataset, base: str) -> str:
                   linewidth=1.4, label=words)  # fmt: skip
     if (seen := scaled_to_mean(one)) is not None:
         _mark(axis, np.stack([x, seen], axis=1))
-    axis.set_xticks(x, [literal(place) for place in places], **turned(places, NARROW))
+    axis.set_xticks(x, [literal(place) for place in places], **rotate_labels(places, NARROW))
     direction = f"{directions.pop()} " if len(directions) == 1 else ""
     axis.set_ylabel(f"{direction}displ.\n/ largest", fontsize=FONT)
     return "degree of freedom"

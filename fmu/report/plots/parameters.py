@@ -26,7 +26,7 @@ from fmu.report.plots.style import (
     legend_below,
     literal,
     new_figure,
-    turned,
+    rotate_labels,
     unit_of,
 )
 
@@ -77,7 +77,7 @@ def plot_parameter_updates(
     for name in names:
         groups.setdefault((unit_of(first, name).name, name in noise), []).append(name)
     tables = {label: summary(trace) for label, trace in traces.items()} if summaries is None else summaries
-    tilted = sum(bool(turned(members, NARROW)) for members in groups.values())
+    tilted = sum(bool(rotate_labels(members, NARROW)) for members in groups.values())
     width = max(NARROW, _EACH * max(map(len, groups.values())))
     figure = figure or new_figure(width, 2.5 * len(groups) + 0.6 * tilted + 0.6)
     axes = figure.subplots(len(groups), 1, squeeze=False)[:, 0]
@@ -128,7 +128,7 @@ def _frame(axis: Axes, trace: xr.DataTree, members: list[str]) -> None:
         length = 24.0 if len(x) <= MOST_LABELS else 12.0
         axis.plot(x, start, linestyle="none", marker="_", markersize=length, markeredgewidth=1.8, color=BLACK,
                   label="start", zorder=1)  # fmt: skip
-    axis.set_xticks(x, [literal(name) for name in members], **turned(members, NARROW))
+    axis.set_xticks(x, [literal(name) for name in members], **rotate_labels(members, NARROW))
     axis.set_xlim(-0.6, len(members) - 0.4)
     axis.use_sticky_edges = False
     axis.margins(y=0.06)

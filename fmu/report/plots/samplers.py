@@ -25,7 +25,7 @@ from fmu.report.plots.style import (
     legend_below,
     literal,
     new_figure,
-    stacked,
+    stack_axes,
     unit_of,
 )
 
@@ -171,7 +171,7 @@ def plot_ranks_of_samplers(
         {name: (("chain", "draw"), [_evenly(trace, name, wanted) for trace in traces.values()]) for name in names},
         coords={"chain": np.arange(len(traces)), "draw": np.arange(wanted)},
     )
-    axes = stacked(len(names), figure)
+    axes = stack_axes(len(names), figure)
     shades = [colour(str(trace.attrs["sampler"])) for trace in traces.values()]
     draw_ranks(ranked, axes, shades)
     axes[-1].set_xlabel("rank among the draws of all samplers / their number", fontsize=FONT)

@@ -1,4 +1,4 @@
-"""What all figures share: colours of samplers and chains (Okabe & Ito's, colour-blind safe), sizes, units."""
+"""The style of all figures: colours of samplers and chains (Okabe & Ito's, colour-blind safe), sizes, units."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fmu.analysis.trace.reading import walkers_of
 from fmu.fem.frame import drawing
-from fmu.numbers import Unit, shown
+from fmu.numbers import Unit, customary_unit
 from fmu.samplers.registry import SAMPLERS, sampler_class
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def legend_of_chains(figure: Figure, trace: xr.DataTree) -> None:
 
 def unit_of(trace: xr.DataTree, name: str) -> Unit:
     """Return the unit in which a parameter of a trace is shown."""
-    return shown(trace["posterior"][name].attrs.get("units", ""))
+    return customary_unit(trace["posterior"][name].attrs.get("units", ""))
 
 
 def finish(axes: Axes, x: str = "", y: str = "") -> None:
@@ -118,10 +118,10 @@ def height_of_row(n: int) -> float:
     return 1.35 if n <= 8 else 1.1
 
 
-def stacked(
+def stack_axes(
     n: int, figure: Figure | None, height: float | None = None, sharey: bool = False, sharex: bool = True
 ) -> NDArray[Any]:
-    """Return `n` axes in a column, with a common abscissa unless told, on a narrow figure if none is given."""
+    """Return `n` axes in a column, with a common abscissa by default, on a narrow figure if none is given."""
     height = height_of_row(n) if height is None else height
     figure = figure or new_figure(NARROW, height * n + 0.5)
     return np.asarray(figure.subplots(n, 1, sharex=sharex, sharey=sharey, squeeze=False)[:, 0])
@@ -156,13 +156,13 @@ def literal(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def spaced(labels: Sequence[str]) -> list[str]:
+def thin_labels(labels: Sequence[str]) -> list[str]:
     """Return tick labels with every other one, or more of them, left empty where there are too many to read."""
     every = -(-len(labels) // MOST_LABELS)
     return [label if k % every == 0 else "" for k, label in enumerate(labels)]
 
 
-def turned(labels: Sequence[str], width: float) -> dict[str, Any]:
+def rotate_labels(labels: Sequence[str], width: float) -> dict[str, Any]:
     """Return the options that rotate tick labels which do not fit side by side in a width in inches."""
     if max(map(len, labels)) * _TICK_LETTER <= width / len(labels):
         return {}

@@ -1,4 +1,4 @@
-"""Several tests of one structure: values in each of them, what the next one will measure, and losses."""
+"""Several tests of one structure: values in each test, predictions of the next one, and losses."""
 
 from __future__ import annotations
 

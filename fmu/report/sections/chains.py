@@ -105,7 +105,7 @@ def _agreement(run: ReportedRun) -> str:
 
 
 def _slowest(run: ReportedRun) -> str:
-    """Return which parameter has the fewest effective draws."""
+    """Name the parameter with the fewest effective draws."""
     ess = run.summary["ess_bulk"]
     if ess.isna().any():
         return "The draws of some parameters do not move."

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmu.analysis.fit.checks import LEVEL, failed
+from fmu.analysis.fit.checks import LEVEL, failed_checks
 from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, UNKNOWN, ModelFit
 from fmu.analysis.held_out.modes import left_out_warnings
 from fmu.analysis.information import information_warnings
@@ -26,7 +26,7 @@ _BECAUSE = {
 def model_fit(run: ReportedRun) -> Verdict:
     """Return the verdict on the model, which no convergence of a sampler tells."""
     fit = run.diagnosis.fit
-    # what `updated` is about, what failed, and what was not checked
+    # what `judge_data` is about, what failed, and what was not checked
     elsewhere = {*information_warnings(run.trace), *fit.against, *left_out_warnings(run.trace)}
     found = tuple(warning for warning in run.diagnosis.warnings if warning not in elsewhere)
     answer = fit.answer[0].upper() + fit.answer[1:]
@@ -36,12 +36,12 @@ def model_fit(run: ReportedRun) -> Verdict:
         found = (*found, "These statements are provisional, because the draws have not converged.")
     question, because = "Does the model fit the data?", _BECAUSE[fit.verdict]
     notes = (*fit.notes, *_shapes(run), *found)
-    return Verdict(question, answer, _IS_GOOD[fit.verdict], because, fit.reasons, _told(fit), notes)
+    return Verdict(question, answer, _IS_GOOD[fit.verdict], because, fit.reasons, _strongest_evidence(fit), notes)
 
 
-def _told(fit: ModelFit) -> str:
-    """Return which check speaks most against the model, or how many could have."""
-    against = failed(fit.checks)
+def _strongest_evidence(fit: ModelFit) -> str:
+    """Name the check that speaks most against the model; else count the checks that could have contradicted it."""
+    against = failed_checks(fit.checks)
     if against:
         p = f" (p = {significant(against[0].p, 2)})" if np.isfinite(against[0].p) else ""
         return f"Strongest evidence: {against[0].of}{p}."
@@ -52,7 +52,7 @@ def _told(fit: ModelFit) -> str:
 
 
 def _shapes(run: ReportedRun) -> tuple[str, ...]:
-    """Say that the shapes fit too, where they were measured and do."""
+    """Return a sentence on measured shapes that all fit; nothing if there are none, or one does not."""
     alike = measured_mac(run.trace)
     if alike is None or shape_warnings(run.trace):
         return ()
@@ -61,7 +61,7 @@ def _shapes(run: ReportedRun) -> tuple[str, ...]:
 
 
 def checks(run: ReportedRun) -> PageSection | Omitted:
-    """Return what could have contradicted the model, and whether it did."""
+    """Return the section of the checks: what each could have shown, and its result."""
     title, fit = "Checks of the model", run.diagnosis.fit
     if not fit.checks:
         return Omitted(title, fit.reasons[0][0].lower() + fit.reasons[0][1:].removesuffix("."))

@@ -1,4 +1,4 @@
-"""What the data told, as pictures: prior and posterior of each parameter, and the sensitivities."""
+"""Information in the data, as pictures: prior and posterior of each parameter, and the sensitivities."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def marginals(run: ReportedRun) -> PageSection | Omitted:
 
 
 def sensitivity(run: ReportedRun, found: Identifiability) -> tuple[Text, Picture]:
-    """Return the sensitivities of the frequencies in the linearised model, and what stands out in them."""
+    """Return the sensitivities of the frequencies in the linearised model, and sentences on the largest."""
     size = np.linalg.norm(found.sensitivity, axis=0)
     weak = [name for name, x in zip(found.names, size, strict=True) if x < _WEAK * size.max()]
     said = "Every parameter affects at least one mode noticeably."

@@ -1,4 +1,4 @@
-"""What a run cost and where it comes from: cost, certificate, settings, versions."""
+"""Cost and origin of a run: cost, certificate, settings, versions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LONG = 60
 
 
 def cost(run: ReportedRun) -> PageSection:
-    """Return what the run cost, and what it gave for that."""
+    """Return the section of the cost: solves and seconds, per effective draw too."""
     attrs, costs = run.trace.attrs, run.costs
     counts = []
     for words, name in (("model solves", "n_solves"), ("of which gradients", "n_gradients")):
@@ -42,7 +42,7 @@ def cost(run: ReportedRun) -> PageSection:
 
 
 def certificate(run: ReportedRun) -> PageSection | Omitted:
-    """Return how far the reduced model is from the full one at the draws."""
+    """Return the section on the error of the reduced model at the draws."""
     title, attrs = "Certificate of the reduced model", run.trace.attrs
     of_surrogate = SurrogateCertificate.from_trace(attrs)
     if of_surrogate is not None:
@@ -80,7 +80,7 @@ def certificate(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _of_surrogate(found: SurrogateCertificate, exact: list[str]) -> PageSection:
-    """Return how far the surrogate of a slow model is from it at draws of the posterior."""
+    """Return the section on the error of the surrogate of a slow model at draws of the posterior."""
     if exact:
         exact.append("The rest of this section is about the surrogate; its errors are not those of the draws.")
     rows = (
@@ -104,7 +104,7 @@ def _beside(found: float, allowed: float) -> tuple[str, str]:
 
 
 def assumptions(run: ReportedRun) -> tuple[Part, ...]:
-    """Return what the verdicts on a run rest on; nothing for a density that is not an updating problem."""
+    """Return the assumptions behind the verdicts on a run; nothing for a density that is no updating problem."""
     attrs, mean = run.trace.attrs, run.summary["mean"]
     reduced = ReductionCertificate.from_trace(attrs)
     noise = run.problem.get("likelihood", {}).get("noise", ())

@@ -1,4 +1,4 @@
-"""Whether the posterior predicts what was measured."""
+"""Whether the posterior predicts the measurements."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ NO_NOISE = (
 
 
 def predictive(run: ReportedRun) -> PageSection | Omitted:
-    """Return how the measured frequencies lie in their predictive distributions."""
+    """Return the section that places the measured frequencies in their predictive distributions."""
     title, table = "Posterior predictive check", run.prediction
     if table is None:
         return Omitted(title, NO_FREQUENCIES)
@@ -76,7 +76,7 @@ def predictive(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _single_tests(run: ReportedRun, tests: FloatArray) -> tuple[Part, ...]:
-    """Return where one more test would lie, and how the tests that were made lie there."""
+    """Return the predictive distribution of one more test, and the place of each earlier test in it."""
     table = run.prediction
     if table is None:
         raise ValueError("run: must predict frequencies (got none)")
@@ -105,7 +105,7 @@ def _single_tests(run: ReportedRun, tests: FloatArray) -> tuple[Part, ...]:
 
 
 def left_out(run: ReportedRun) -> PageSection | Omitted:
-    """Return how each measured mode is predicted by the others."""
+    """Return the section on predictions of each measured mode by the others."""
     title = "Leave-one-mode-out check"
     if not has(run.trace, "log_likelihood"):
         return Omitted(title, "the trace has no likelihood of single modes")
@@ -122,7 +122,7 @@ def left_out(run: ReportedRun) -> PageSection | Omitted:
         "Each measured frequency and its prediction from the other modes used in updating, measurement noise "
         "included. Prior sd: standard deviation of the same prediction before updating. p: probability of a "
         "measurement that lies at least as far out on either side. elpd: log-density of what was measured of the "
-        f"mode ({_compared(run.trace)}), given the others."
+        f"mode ({_compared_quantity(run.trace)}), given the others."
     )
     done = table["method"] != NEITHER
     parts: list[Part] = [PageTable(caption, header, rows, words=(6,))]
@@ -147,8 +147,8 @@ def left_out(run: ReportedRun) -> PageSection | Omitted:
     return PageSection("loo", title, tuple(parts))
 
 
-def _compared(trace: Any) -> str:
-    """Return what the log-likelihood of a mode is of."""
+def _compared_quantity(trace: Any) -> str:
+    """Name the quantities whose log-likelihood a mode has."""
     return "frequency" if has(trace, "log_likelihood", "frequency") else "all that is compared"
 
 

@@ -1,4 +1,4 @@
-"""What the data can tell, and what the model looks like before updating and after it."""
+"""Identifiability of the parameters, and the model before updating and after it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ MOST_DRAWN = 5000
 
 
 def structure_drawing(trace: xr.DataTree) -> Markup:
-    """Return the structure with a legend of its colours; nothing if the trace does not know what it looks like."""
+    """Return the structure with a legend of its colours; nothing if the trace has no drawing of it."""
     found = sketch_of(trace)
     if found is None or len(found.elements) > MOST_DRAWN:
         return Markup("")
@@ -57,13 +57,13 @@ def legend_of_parameters(names: Iterable[str], colours: Iterable[str | None], sv
 
 
 def legend(entries: Iterable[tuple[str, str]]) -> Markup:
-    """Return the legend of a drawing from its colours and what they mean."""
+    """Return the legend of a drawing: each colour with its meaning."""
     entry = Markup('<li><span aria-hidden="true" style="background:{}"></span>{}</li>')
     return Markup('<ul class="legend">{}</ul>').format(Markup("").join(entry.format(*one) for one in entries))
 
 
 def identifiability(run: ReportedRun) -> PageSection | Omitted:
-    """Return what the draws say of the directions of the parameter space, and the linearised model beside it."""
+    """Return the section of identifiability: parameter directions by the draws and by a linearised model."""
     title = "Identifiability"
     found, kept = information(run.trace), kept_identifiability(run.trace)
     if found is None and not kept:
@@ -108,7 +108,7 @@ def _drawn_directions(found: Information) -> PageTable:
 def directions(found: Identifiability, lead: str, drawn: FloatArray | None = None) -> PageTable:
     """Return the directions of a linearised model; the caption begins with `lead`.
 
-    With `drawn` (`fmu.analysis.information.left_along`) what the draws have left along the same directions.
+    With `drawn` (`fmu.analysis.information.left_along`) a column has the spread of the draws along each direction.
     """
     rows = tuple(
         (

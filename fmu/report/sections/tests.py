@@ -1,4 +1,4 @@
-"""Several tests of one structure: how much it varies, what the next test will measure, and damage."""
+"""Several tests of one structure: variation between them, prediction of the next one, and damage."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from fmu.analysis.trace.damage import (
 from fmu.analysis.trace.modal_states import sketch_of
 from fmu.analysis.trace.reading import has
 from fmu.fem.frame.drawing import UNCHANGED, WIDTH, draw_svg, without_sensors
-from fmu.numbers import MISSING, decimals, fixed, interval, share, shown, with_sd
+from fmu.numbers import MISSING, customary_unit, decimals, fixed, interval, share, with_sd
 from fmu.report.document import (
     Omitted,
     PageSection,
@@ -59,7 +59,7 @@ _ADDRESS = ' xmlns="http://www.w3.org/2000/svg"'
 
 
 def population(run: ReportedRun) -> PageSection | Omitted:
-    """Return how much the structure varies between the tests, and what the next one will measure."""
+    """Return the section on the variation of the structure between the tests, and on the next test."""
     title = "Variability between tests"
     if not has(run.trace, "tests"):
         return Omitted(title, ONE_TEST)
@@ -71,7 +71,7 @@ def population(run: ReportedRun) -> PageSection | Omitted:
         if centre not in posterior:
             continue
         names.append(name)
-        unit = shown(posterior[centre].attrs.get("units", ""))
+        unit = customary_unit(posterior[centre].attrs.get("units", ""))
         middle = posterior[centre].to_numpy() / unit.factor
         spread = posterior[width].to_numpy() / (1.0 if of_logarithm else unit.factor)
         relative = spread if of_logarithm else spread / np.abs(middle)
@@ -146,7 +146,7 @@ def losses(run: ReportedRun) -> PageSection | Omitted:
     ):
         places, ends = decimals(100.0 * sd), [MISSING, MISSING]
         if name != ANY:
-            unit = shown(run.trace["tests"][name].attrs.get("units", ""))
+            unit = customary_unit(run.trace["tests"][name].attrs.get("units", ""))
             both = (values.loc[(state, name)] / unit.factor).tolist()
             ends = [f"{fixed(x, decimals(abs(both[0]) * sd))} {unit.name}".rstrip() for x in both]
         what = "the largest of all" if name == ANY else name

@@ -1,4 +1,4 @@
-"""What updating changed: parameters, frequencies, the maxima of the posterior and the evidence."""
+"""The effect of updating: parameters, frequencies, the maxima of the posterior and the evidence."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from fmu.analysis.evidence import PSEUDO, WHAT, found_evidences
 from fmu.analysis.information import PRIOR, information
 from fmu.analysis.maxima.missed import Visits, visits
 from fmu.analysis.maxima.results import MOST_SHOWN, NEGLIGIBLE, Maxima, share_of_mass
-from fmu.analysis.prediction import measured_tests, measurement_in_words, pinned
+from fmu.analysis.prediction import measured_tests, measurement_in_words, pinned_parameters
 from fmu.analysis.trace.reading import constant, is_pseudo, mode_names, walkers_of
 from fmu.numbers import (
     MISSING,
     change,
+    customary_unit,
     decimals,
     fixed,
     given,
@@ -23,9 +24,8 @@ from fmu.numbers import (
     hertz,
     interval,
     names_in_words,
-    rounded,
+    round_by_sd,
     share,
-    shown,
     significant,
     whole,
 )
@@ -45,7 +45,7 @@ NO_FREQUENCIES = "the trace holds no frequencies to compare with measured ones"
 def parameters(run: ReportedRun) -> PageSection:
     """Return the updated parameters beside prior, bounds and start; those not informed by the data are grey."""
     found = information(run.trace)
-    rows, greyed, seen, stopped = [], [], [], pinned(run.trace)
+    rows, greyed, seen, stopped = [], [], [], pinned_parameters(run.trace)
     for k, name in enumerate(run.names):
         unit = run.unit(name)
         start, lower, upper = (constant(run.trace, c, name) / unit.factor for c in ("start", "lower", "upper"))
@@ -142,12 +142,12 @@ def frequencies(run: ReportedRun) -> PageSection | Omitted:
     return PageSection(
         "frequencies",
         title,
-        (Text(_fitted(run, before)), PageTable(caption, header, tuple(rows)), Pictures((drawing,))),
+        (Text(_mean_error(run, before)), PageTable(caption, header, tuple(rows)), Pictures((drawing,))),
     )
 
 
-def _fitted(run: ReportedRun, before: FloatArray) -> str:
-    """Return the mean error of the frequencies before and after updating, and which modes did not come closer."""
+def _mean_error(run: ReportedRun, before: FloatArray) -> str:
+    """Return the mean error of the frequencies before and after updating, and modes that did not come closer."""
     table = run.prediction
     if table is None:
         raise ValueError("run: must predict frequencies (got none)")
@@ -206,14 +206,14 @@ def _maxima_table(run: ReportedRun, found: Maxima, seen: Visits) -> PageTable:
     names = tuple(found.title(k) for k in range(len(best)))
     nothing = (MISSING,) * 2
     rows = [
-        ("log-probability", "nats", MISSING, *(rounded(m.log_prob, 1.0) for m in best), *nothing),
+        ("log-probability", "nats", MISSING, *(round_by_sd(m.log_prob, 1.0) for m in best), *nothing),
         ("share", "", MISSING, *(share_of_mass(m.share) for m in best), *nothing),
         ("starts", "", MISSING, *(str(m.starts) for m in best), *nothing),
     ]
     if len(found) > 1:
         rows.insert(2, ("share of the draws", "", MISSING, *_shares_of_draws(seen)[: len(best)], *nothing))
     for k, (name, si) in enumerate(zip(found.names, found.units, strict=True)):
-        unit = shown(si)
+        unit = customary_unit(si)
         n = decimals(run.value(name, "sd"))
         values = [found.start[k], *(m.theta[k] for m in best), float(run.summary["mean"][name])]
         rows.append((name, unit.name, *(fixed(value / unit.factor, n) for value in values), MISSING))

@@ -1,4 +1,4 @@
-"""The first screen: what changed, how sure that is, what stays open, fit and convergence."""
+"""The first screen: changes, their certainty, undetermined parameters, fit and convergence."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fmu.analysis.convergence.diagnostics import RHAT_LIMIT
 from fmu.analysis.convergence.remedies import required_ess
 from fmu.analysis.fit.model_fit import CONTRADICTED
 from fmu.analysis.information import DATA, information
-from fmu.analysis.prediction import at_bounds, pinned
+from fmu.analysis.prediction import at_bounds, pinned_parameters
 from fmu.analysis.trace.damage import GROUP as LOSSES
 from fmu.analysis.trace.damage import is_loss
 from fmu.analysis.trace.reading import constant, has, mode_names
@@ -33,15 +33,15 @@ def verdicts(run: ReportedRun) -> tuple[Verdict, ...]:
     """Return the lines of the first screen, in the order in which an engineer asks; losses first."""
     *what, fit = of_the_model(run)
     if not has(run.trace, LOSSES):
-        return *what, updated(run), fit, convergence(run)
+        return *what, judge_data(run), fit, convergence(run)
     *losses, reference, sure = what
-    return *losses, fit, reference, sure, updated(run), convergence(run)
+    return *losses, fit, reference, sure, judge_data(run), convergence(run)
 
 
 def of_the_model(run: ReportedRun) -> tuple[Verdict, ...]:
     """Return the verdicts on losses, other changes, their certainty, and the fit of the model."""
     names, losses = _most_changed(run), lost(run)
-    what = changed(run, names)
+    what = judge_change(run, names)
     if losses:
         what = replace(what, question="How was the reference state corrected?")
     return *losses, what, certainty(run, names), model_fit(run)
@@ -62,8 +62,8 @@ def _change(run: ReportedRun, name: str) -> float:
     return ratio if np.isfinite(ratio) else 0.0
 
 
-def changed(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
-    """Return what updating changed: `names` begin with the largest change."""
+def judge_change(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
+    """Return the verdict on the change by updating; the first of `names` changed most."""
     question = "What changed?"
     if not names:
         return Verdict(question, "Nothing that the data determine", None, said=_errors(run))
@@ -96,7 +96,7 @@ def _errors(run: ReportedRun) -> str:
 
 
 def certainty(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
-    """Return the posterior means and standard deviations of the parameters of `changed`."""
+    """Return the posterior means and standard deviations of the parameters named by `judge_change`."""
     question = "How sure is that?"
     if not names:
         return Verdict(question, "The priors alone decide", None)
@@ -120,8 +120,8 @@ def certainty(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
     return Verdict(question, ", ".join(words), None, said=said)
 
 
-def updated(run: ReportedRun) -> Verdict:
-    """Return the verdict on the data: what they left to the priors."""
+def judge_data(run: ReportedRun) -> Verdict:
+    """Return the verdict on the data: which parameters the priors alone determine."""
     question = "Anything left undetermined?"
     found = information(run.trace)
     if found is None:
@@ -131,7 +131,7 @@ def updated(run: ReportedRun) -> Verdict:
         narrowed = "The data narrowed every combination of the parameters."
         said = f"The least informed direction keeps {share(float(found.remaining_sd[0]))} of its prior sd."
         answer, why = "No", "Why we say the data determine the parameters"
-        stopped = pinned(run.trace)
+        stopped = pinned_parameters(run.trace)
         if stopped:
             few = names_in_words(stopped) if len(stopped) <= _FEW else f"{len(stopped)} parameters"
             answer, why = f"Yes, beyond the bounds: {few}", "What data and bounds determine"

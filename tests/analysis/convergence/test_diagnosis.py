@@ -38,7 +38,7 @@ def covariance_around(maximum, section):
 def in_b(section, section_maxima, around):
     """HMC around maximum B with a metric made for it: four chains that agree."""
     hmc = fmu.HamiltonianMonteCarlo(0.6, 3, inverse_mass=covariance_around(section_maxima[1], section))
-    trace = fmu.sample(section, hmc, draws=1600, warmup=10, init=around(1, 4), jumps=False, seed=3)
+    trace = fmu.sample(section, hmc, draws=800, warmup=10, init=around(1, 4), jumps=False, seed=3)
     return trace.filter(lambda node: node.name != GROUP)  # as from a sampler that searched nothing
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.analysis.maxima.kinds import EDGE, JUMP, KINK, MAXIMUM, SLOPE, basin, held, kind_of, slope
+from fmu.analysis.maxima.kinds import EDGE, JUMP, KINK, MAXIMUM, SLOPE, active_bounds, basin, kind_of, slope
 from fmu.analysis.maxima.missed import draws_of_maxima
 from fmu.analysis.maxima.mode_weights import mode_weights
 from fmu.posterior.scaled import ScaledDensity
@@ -144,6 +144,6 @@ def test_chains_start_as_the_models_reach(problem):
 
 def test_the_bound_of_a_jump_keeps_its_gradient():
     scaled, model = ended(Broken(lambda x, smooth: smooth), [-1.0, 0.0], [-100.0, 3.0])
-    at_bound = held(scaled, model)
+    at_bound = active_bounds(scaled, model)
     assert at_bound.tolist() == [-1.0, 0.0]
     assert basin(model, JUMP, at_bound).gradient.tolist() == [model.gradient[0], 0.0]

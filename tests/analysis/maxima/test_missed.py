@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from fmu.analysis.maxima.missed import compared, draws_of_maxima, missed_maxima, nearest_maxima
+from fmu.analysis.maxima.missed import compare_shares, draws_of_maxima, missed_maxima, nearest_maxima
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 
 
@@ -117,7 +117,7 @@ def test_draws_along_a_bent_valley_are_in_proportion(make_trace):
     assert np.mean(nearest_maxima(position.reshape(-1, 2), valley) == 0) < 0.1
     trace = make_trace(position, lp=lp)
     assert missed_maxima(trace, valley) == []
-    low = compared(make_trace(position, lp=lp - 20.0), valley)
+    low = compare_shares(make_trace(position, lp=lp - 20.0), valley)
     assert low.outweighed[0].startswith("maximum 1 at x0 = 0 m, x1 = 0.00 has ")
     assert low.reasons == []  # draws that come and go tell more than 300 weights
 
@@ -167,7 +167,9 @@ def test_the_larger_effective_size_decides(make_trace):
     trace = make_trace(position, lp=np.full((4, 1000), -2.0))
 
     def held_against(effective):
-        return compared(trace, known(maximum((0, 0), -1.0, 0.7), maximum((20, 0), -1.0, 0.3, effective=effective)))
+        return compare_shares(
+            trace, known(maximum((0, 0), -1.0, 0.7), maximum((20, 0), -1.0, 0.3, effective=effective))
+        )
 
     by_draws = held_against(40.0)
     assert by_draws.reasons == []
@@ -191,7 +193,7 @@ def test_chains_that_never_change_maxima_are_worth_one_draw_each(trace_of):
         poor = known(
             maximum((0, 0), -1.0, 0.97, effective=effective), maximum((20, 0), -4.0, 0.03, effective=effective)
         )
-        found = compared(trace, poor)
+        found = compare_shares(trace, poor)
         assert bool(found.reasons) == (decides == "weights")
         assert bool(found.outweighed) == (decides == "draws")
         assert "has 50 % of the draws (effective size 2)" in (found.reasons + found.outweighed)[0]
@@ -199,7 +201,7 @@ def test_chains_that_never_change_maxima_are_worth_one_draw_each(trace_of):
     laplace = known(maximum((0, 0), -1.0, 1.0), maximum((20, 0), -90.0, 1e-30, effective=0.0))
     assert "has 50 % of the draws (effective size 2), but less than 0.01 %" in missed_maxima(trace, laplace)[0]
     # a draw above all maxima shows that the search did not see everything
-    assert compared(trace_of((0, 0), (20, 0), best=-0.5), laplace) == ([], [])
+    assert compare_shares(trace_of((0, 0), (20, 0), best=-0.5), laplace) == ([], [])
 
 
 def test_walkers_are_told_apart(two, make_trace):

@@ -8,7 +8,7 @@ import pytest
 
 import fmu
 from fmu.analysis.maxima.missed import draws_of_maxima, nearest_maxima
-from fmu.analysis.maxima.starts import DISPERSION, allotted, components, starts_at_maxima
+from fmu.analysis.maxima.starts import DISPERSION, allot_chains, components, starts_at_maxima
 from tests.four_storeys import TRUTH, four_storeys
 
 
@@ -39,7 +39,7 @@ def frame_maxima(frame):
     ],
 )
 def test_chains_are_allotted_in_proportion(shares, n, counts):
-    home = allotted(np.array(shares), n)
+    home = allot_chains(np.array(shares), n)
     np.testing.assert_array_equal(np.bincount(home, minlength=len(shares)), counts)
 
 
@@ -106,7 +106,7 @@ def test_seed_and_number_decide(frame, frame_maxima):
 def test_walkers_of_every_ensemble_are_in_proportion_and_span_the_space(frame, frame_maxima):
     theta = starts_at_maxima(frame, frame_maxima, 3, 40, seed=1)
     assert theta.shape == (3, 40, 4)
-    expected = np.bincount(allotted(np.array([m.share for m in frame_maxima]), 40))
+    expected = np.bincount(allot_chains(np.array([m.share for m in frame_maxima]), 40))
     closest = np.argmin(np.stack([np.linalg.norm(theta - m.theta, axis=-1) for m in frame_maxima]), axis=0)
     for ensemble, home in zip(theta, closest, strict=True):
         assert np.all(np.abs(np.bincount(home, minlength=len(expected)) - expected) <= 3)
@@ -153,7 +153,9 @@ def test_walkers_are_spread_over_the_maxima_and_emcee_takes_them(frame, frame_ma
     assert np.all((start >= frame.lower) & (start <= frame.upper))
     closest = np.argmin(frame_maxima.drop(start), axis=0)
     share = np.array([m.share for m in frame_maxima])
-    np.testing.assert_array_equal(np.bincount(closest, minlength=5), np.bincount(allotted(share, 32), minlength=5))
+    np.testing.assert_array_equal(
+        np.bincount(closest, minlength=5), np.bincount(allot_chains(share, 32), minlength=5)
+    )
     np.testing.assert_array_equal(frame.walkers(32, seed=3), start)
     assert not np.isin(frame.walkers(32, seed=4), start).any()
     sampler = emcee.EnsembleSampler(32, frame.ndim, frame.log_prob, vectorize=True)

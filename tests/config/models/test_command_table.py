@@ -17,7 +17,7 @@ import fmu
 from fmu import cli
 from fmu.config import ConfigurationError, load
 from fmu.config.template import write_template
-from fmu.formats.decks import filled, read_deck
+from fmu.formats.decks import fill_deck, read_deck
 
 SOLVER = Path(__file__).parents[2] / "fem" / "programs" / "solver.py"
 TOML = f"""\
@@ -182,7 +182,7 @@ def test_calculix_gives_frequencies_and_shapes_of_its_own_run(tmp_path):
     assert problem.model.by_shape
     rng = np.random.default_rng(1)
     for theta in rng.uniform(problem.lower, problem.upper, (3, 2)):
-        deck = filled(read_deck(tmp_path / "plate.inp.in"), dict(zip(problem.names, theta, strict=True)))
+        deck = fill_deck(read_deck(tmp_path / "plate.inp.in"), dict(zip(problem.names, theta, strict=True)))
         (tmp_path / "own.inp").write_text(deck)
         subprocess.run(["ccx", "-i", "own"], cwd=tmp_path, check=True, stdout=subprocess.DEVNULL)
         lines = [line.split() for line in (tmp_path / "own.dat").read_text().splitlines()]

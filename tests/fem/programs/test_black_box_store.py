@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import fmu
-from fmu.config.models.python import imported
+from fmu.config.models.python import import_function
 from fmu.fem.programs.store import Solve, StoreWarning
 
 SOURCE = """
@@ -52,7 +52,7 @@ def holding(folder, factor=1.0, turn=0.2):
 
 
 def model_in(folder, name="modes"):
-    function = imported(f"slow:{name}", folder)
+    function = import_function(f"slow:{name}", folder)
     return fmu.BlackBoxModel(function, 2, batched=name == "batch", name=name, store=folder / "solves")
 
 

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from fmu.config.models.python import imported
+from fmu.config.models.python import import_function
 from fmu.fem.programs.sources import own_modules, source_digest
 
 PACKAGE = {
@@ -55,7 +55,7 @@ def test_the_hash_is_the_same_before_and_after_a_call(folder, monkeypatch):
     monkeypatch.syspath_prepend(str(folder))
     (folder / "later.py").write_text("import beside\n")
     (folder / "slow.py").write_text("def modes(theta):\n    import later\n    return later.beside.__name__\n")
-    function = imported("slow:modes", folder)
+    function = import_function("slow:modes", folder)
     before = source_digest(function)
     assert function(None) == "beside"
     assert source_digest(function) == before

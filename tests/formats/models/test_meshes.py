@@ -5,7 +5,7 @@ import pytest
 
 import fmu
 from fmu.formats.matrices.read import write_matrix
-from fmu.formats.models.ansys import rotated
+from fmu.formats.models.ansys import node_axes
 from fmu.formats.models.inp import kind_of
 
 ABAQUS = """\
@@ -148,10 +148,18 @@ def test_nodes_of_a_hexahedron_with_midside_nodes(tmp_path):
 
 def test_axes_of_nodes_that_ansys_turns():
     """THXY turns about z, THYZ about the new x, THZX about the new y."""
-    np.testing.assert_allclose(rotated(np.array([90.0, 0.0, 0.0])), [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], atol=1e-15)
-    np.testing.assert_allclose(rotated(np.array([0.0, 90.0, 0.0])), [[1, 0, 0], [0, 0, 1], [0, -1, 0]], atol=1e-15)
-    np.testing.assert_allclose(rotated(np.array([0.0, 0.0, 90.0])), [[0, 0, -1], [0, 1, 0], [1, 0, 0]], atol=1e-15)
-    np.testing.assert_allclose(rotated(np.array([90.0, 90.0, 0.0])), [[0, 1, 0], [0, 0, 1], [1, 0, 0]], atol=1e-15)
+    np.testing.assert_allclose(
+        node_axes(np.array([90.0, 0.0, 0.0])), [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], atol=1e-15
+    )
+    np.testing.assert_allclose(
+        node_axes(np.array([0.0, 90.0, 0.0])), [[1, 0, 0], [0, 0, 1], [0, -1, 0]], atol=1e-15
+    )
+    np.testing.assert_allclose(
+        node_axes(np.array([0.0, 0.0, 90.0])), [[0, 0, -1], [0, 1, 0], [1, 0, 0]], atol=1e-15
+    )
+    np.testing.assert_allclose(
+        node_axes(np.array([90.0, 90.0, 0.0])), [[0, 1, 0], [0, 0, 1], [1, 0, 0]], atol=1e-15
+    )
 
 
 def test_matrices_of_any_program_with_names_and_a_mesh(tmp_path):

@@ -90,7 +90,7 @@ def test_a_tip_load_and_the_mass_of_a_beam():
 
 
 def test_k_and_m_are_separated_without_another_test():
-    options = {"draws": 200, "warmup": 200, "seed": 1}
+    options = {"draws": 100, "warmup": 150, "seed": 1}
     sds = [fmu.summary(fmu.sample(problem, **options))["sd"] for problem in (chain(), chain(MASS, STATIC))]
     assert np.all(sds[0] / sds[1] > 10.0)
 
@@ -98,7 +98,7 @@ def test_k_and_m_are_separated_without_another_test():
 @pytest.mark.parametrize(("mass", "verdict"), [(32.5e3, "not contradicted"), (45e3, "contradicted")])
 def test_the_verdict_on_the_model_counts_them(mass, verdict):
     problem = chain(fmu.MassErrors(mass=mass, sd=100.0), STATIC)
-    trace = fmu.sample(problem, draws=400, warmup=300, seed=1)
+    trace = fmu.sample(problem, draws=150, warmup=200, seed=1)
     fit = fmu.diagnose(trace, problem).fit
     assert fit.verdict == verdict
     assert fit.n_data == 4

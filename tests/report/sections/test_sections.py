@@ -18,7 +18,7 @@ from fmu.report.run import runs_of
 from fmu.report.sections import chains, comparison, origin, prediction, structure, updating
 from fmu.report.sections.fit import model_fit
 from fmu.report.sections.information import sensitivity
-from fmu.report.sections.verdicts import COVERED, SOUND, convergence, updated, verdicts
+from fmu.report.sections.verdicts import COVERED, SOUND, convergence, judge_data, verdicts
 
 
 @pytest.fixture(scope="module")
@@ -296,7 +296,7 @@ def test_columns_of_cosine_above_095_are_separated_where_they_differ(hmc):
         "Every parameter affects at least one mode noticeably. Hardest to separate: E2 and E4."
     )
     assert "cannot" not in said.words
-    assert updated(hmc).answer == "Yes, beyond the bounds: E5"  # where most of its draws lie
+    assert judge_data(hmc).answer == "Yes, beyond the bounds: E5"  # where most of its draws lie
 
 
 def test_a_good_verdict_says_what_it_covers(plain_traces):

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 
 from fmu.formats.matrices.limits import RefusedError
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 
 MOST_FIELDS = 2**20
 """Of one entry with its continuations."""
@@ -16,8 +16,8 @@ LARGEST_ID = 10**9
 def cards(lines: Iterator[str]) -> Iterator[tuple[str, list[str]]]:
     """Yield the name and the fields of each entry, in upper case and without blanks around them.
 
-    Continuations are taken to follow the entry that they continue. What stands before the bulk data is yielded
-    too: its lines do not begin with the names of entries that have a meaning here.
+    Continuations must follow the entry that they continue. Lines before the bulk data are yielded too: none begins
+    with the name of an entry that fmu reads.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def cards(lines: Iterator[str]) -> Iterator[tuple[str, list[str]]]:
 
 
 def _fields(line: str) -> tuple[str, list[str]]:
-    """Return the first field of a line, and those of its data: 8 in small and free format, 4 in large format."""
+    """Return the first field of a line and its fields of data: 8 in small and free format, 4 in large format."""
     if "," in line:
         first, *words = (word.strip().upper() for word in line.split(","))
         many = 4 if "*" in first else 8
@@ -67,7 +67,7 @@ def whole(field: str, what: str, default: int | None = None) -> int:
     if not field and default is not None:
         return default
     if not re.fullmatch(r"[+-]?\d{1,10}", field):
-        raise ValueError(f"{what} must be a whole number (got {shown(field)})")
+        raise ValueError(f"{what} must be a whole number (got {quote(field)})")
     return int(field)
 
 
@@ -85,7 +85,7 @@ def number(field: str, what: str, default: float | None = None) -> float:
         return default
     found = re.fullmatch(r"([+-]?(?:\d+\.?\d*|\.\d+))(?:[ED]?([+-]\d{1,4})|[ED](\d{1,4}))?", field)
     if found is None:
-        raise ValueError(f"{what} must be a real number (got {shown(field)})")
+        raise ValueError(f"{what} must be a real number (got {quote(field)})")
     return float(f"{found[1]}E{found[2] or found[3] or 0}")
 
 
@@ -94,11 +94,11 @@ def components(field: str, what: str) -> list[int]:
     if field in ("", "0"):
         return [1]
     if not re.fullmatch("[1-6]{1,6}", field):
-        raise ValueError(f"{what} must be components 1 to 6 (got {shown(field)})")
+        raise ValueError(f"{what} must be components 1 to 6 (got {quote(field)})")
     return sorted({int(digit) for digit in field})
 
 
-def listed(fields: list[str], what: str) -> list[int]:
+def expand_list(fields: list[str], what: str) -> list[int]:
     """Return the numbers of a list with ``THRU``; empty fields are left out."""
     words = [field for field in fields if field]
     found: list[int] = []

@@ -13,9 +13,9 @@ from fmu.formats.matrices.limits import (
     Labelled,
     MatrixFormat,
     RefusedError,
-    chosen,
+    choose_variable,
     entries_within,
-    mirrored,
+    mirror_triangle,
     rows_within,
 )
 from fmu.formats.matrices.nastran.cards import cards, components, identity, number, whole
@@ -54,7 +54,7 @@ def _read(path: Path, variable: str | None) -> Labelled:
                 entries.append(number(fields[at + 2], f"DMIG {name}: an entry"))
         n += (len(fields) - 4) // 4
         entries_within(n)
-    name = chosen([name for name in forms if name in found], variable)
+    name = choose_variable([name for name in forms if name in found], variable)
     if not found[name][2]:
         raise RefusedError(f"must have entries of {name} (it has none)")
     *named, values = (np.asarray(part) for part in found[name])
@@ -63,7 +63,7 @@ def _read(path: Path, variable: str | None) -> Labelled:
     index = tuple(np.searchsorted(places, part).astype(np.int32) for part in named)
     matrix = sp.csr_array((values, index), shape=(len(places),) * 2)
     if forms[name] == SYMMETRIC:
-        matrix = mirrored(matrix)
+        matrix = mirror_triangle(matrix)
     return Labelled(matrix, tuple((int(at) // 8, DIRECTIONS[int(at) % 8]) for at in places))
 
 

@@ -14,7 +14,7 @@ from pathlib import Path, PureWindowsPath
 
 from fmu.formats.files import why_no_file
 from fmu.formats.matrices.limits import LARGEST_FILE, RefusedError, text_lines
-from fmu.formats.shown import shown
+from fmu.formats.shown import quote
 
 BULK_DATA = (".bdf", ".dat", ".nas")
 """Suffixes of decks."""
@@ -27,7 +27,7 @@ _INCLUDE = re.compile(r"\s*INCLUDE(?=[\s'\"=])\s*=?\s*(.*)", re.IGNORECASE)
 
 @dataclass
 class _Count:
-    """What has been opened of a deck."""
+    """The number and the size of the files read for a deck."""
 
     files: int = 0
     size: int = 0
@@ -73,10 +73,10 @@ def _lines(
             name = _name(include[1], lines)
             if len(within) > DEEPEST:
                 rule = f"must have at most {DEEPEST} files that include each other"
-                raise RefusedError(f"{rule} (INCLUDE {shown(name)})")
+                raise RefusedError(f"{rule} (INCLUDE {quote(name)})")
             other = _inside(name, folder, path.parent.resolve())
             if other.resolve() in within:
-                raise RefusedError(f"must not include a file within itself (INCLUDE {shown(name)})")
+                raise RefusedError(f"must not include a file within itself (INCLUDE {quote(name)})")
             if found is not None:
                 found[other] = None
             yield from _lines(other, folder, (*within, other.resolve()), count, found)
@@ -84,16 +84,16 @@ def _lines(
 
 def _name(text: str, lines: Iterator[str]) -> str:
     """Return the name that an entry gives; within quotes it goes on over lines, whose blanks are left out."""
-    quote = text[:1]
-    if quote not in ("'", '"'):
+    mark = text[:1]
+    if mark not in ("'", '"'):
         return text.partition("$")[0].strip()
     name = text[1:]
-    while quote not in name:
+    while mark not in name:
         further = next(lines, None)
         if further is None or len(name) > LONGEST_NAME:
-            raise RefusedError(f"INCLUDE must have a name that ends with {quote} (got {shown(name[:80])})")
+            raise RefusedError(f"INCLUDE must have a name that ends with {mark} (got {quote(name[:80])})")
         name = name.rstrip() + further.strip()
-    return name.partition(quote)[0].strip()
+    return name.partition(mark)[0].strip()
 
 
 def _inside(name: str, folder: Path, beside: Path) -> Path:
@@ -104,9 +104,9 @@ def _inside(name: str, folder: Path, beside: Path) -> Path:
         try:
             is_inside = path.is_relative_to(folder) and path.resolve().is_relative_to(folder)
         except (OSError, RuntimeError, ValueError):  # of a loop of links, or a NUL
-            raise RefusedError(f"INCLUDE must name a file (got {shown(name)})") from None
+            raise RefusedError(f"INCLUDE must name a file (got {quote(name)})") from None
         if not is_inside or PureWindowsPath(name).drive:
-            rule = f"must be inside the folder of the deck (INCLUDE {shown(name)})"
+            rule = f"must be inside the folder of the deck (INCLUDE {quote(name)})"
             raise RefusedError(f"{rule}: copy it there, and name it relative to the deck")
         if not why_no_file(path):
             return path

@@ -24,7 +24,7 @@ from fmu.formats.matrices.limits import (
     Labelled,
     MatrixFormat,
     RefusedError,
-    chosen,
+    choose_variable,
     entries_within,
     rows_within,
     text_lines,
@@ -37,7 +37,7 @@ SMALL_ROWS = 65535
 
 
 class _Header(NamedTuple):
-    """Of a matrix: number of rows, negative with BIGMAT, number of columns, type and name."""
+    """The header of a matrix: numbers of rows (negative with BIGMAT) and columns, type and name."""
 
     rows: int
     columns: int
@@ -50,7 +50,7 @@ class _Header(NamedTuple):
 
 
 class _Entries:
-    """The entries of a matrix as they are found, column by column."""
+    """The entries of a matrix, added column by column."""
 
     def __init__(self, header: _Header) -> None:
         self.header = header
@@ -93,7 +93,7 @@ def _read(path: Path, variable: str | None) -> Labelled:
             found[name] = entries
             if len(found) > MOST_NAMES:
                 raise RefusedError(f"must hold at most {MOST_NAMES} matrices")
-        entries = found[chosen(list(found), variable)]
+        entries = found[choose_variable(list(found), variable)]
     if entries is None:  # the only one, of which the entries were not asked for
         return _read(path, next(iter(found)))
     if entries.header.type not in REAL:
@@ -102,7 +102,7 @@ def _read(path: Path, variable: str | None) -> Labelled:
 
 
 def _of_binary(file: BinaryIO, order: str, variable: str | None) -> Iterator[tuple[str, _Entries | None]]:
-    """Yield the name of each matrix, and the entries of that which is asked for."""
+    """Yield the name of each matrix, with the entries of the wanted one."""
     end = file.seek(0, 2)
     file.seek(0)
 
@@ -178,7 +178,7 @@ _TITLE = re.compile(r"\s*(\d+)\s*(-?\d+)\s+(\d+)\s+(\d+)\s*([A-Za-z]\w*)\s*(?:1P
 
 
 def _of_text(lines: Iterator[str], variable: str | None) -> Iterator[tuple[str, _Entries | None]]:
-    """Yield the name of each matrix, and the entries of that which is asked for.
+    """Yield the name of each matrix, with the entries of the wanted one.
 
     Lines of numbers have decimal points; others tell where the numbers after them belong. Their counts of words
     are not needed, and some programs write them wrong.
@@ -187,7 +187,7 @@ def _of_text(lines: Iterator[str], variable: str | None) -> Iterator[tuple[str, 
     column = row = 0
     values: list[float] = []
 
-    def added() -> None:
+    def flush_values() -> None:
         if entries is not None and values:
             entries.add(column, row, np.array(values))
         values.clear()
@@ -216,7 +216,7 @@ def _of_text(lines: Iterator[str], variable: str | None) -> Iterator[tuple[str, 
             elif entries is not None and header.type in REAL:
                 values += [float(line[at : at + width].upper().replace("D", "E")) for at in _starts(line, width)]
             continue
-        added()
+        flush_values()
         words = [int(word) for word in _whole_numbers(line)]
         if len(words) == 3:
             column, row = words[:2]
