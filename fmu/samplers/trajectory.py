@@ -101,10 +101,9 @@ class WithGradient(Target):
 
     def start(self, positions: FloatArray) -> tuple[State, Info]:
         """Evaluate log-density and gradient at the start; ValueError where the gradient is not finite."""
-        slope = self.slope(positions, with_log_prob=True)
+        n, slope = len(positions), self.slope(positions, with_log_prob=True)
         require_finite_gradient(slope.log_prob, slope.finite)
-        one = np.ones(len(positions), dtype=np.int64)
-        info = Info(np.zeros(len(positions), dtype=bool), slope.log_prob, slope.n_solves, one)
+        info = Info(np.zeros(n, dtype=bool), slope.log_prob, slope.n_solves, np.ones(n, dtype=np.int64))
         return State(positions, slope.log_prob, slope.gradient), info
 
     def complete(self, state: State) -> tuple[State, Info | None]:

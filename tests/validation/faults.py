@@ -282,7 +282,7 @@ IN_THE_MIXTURE = (
     ),
     Fault(
         "mixture: Jacobian of the warp upside down",
-        "fmu/samplers/mixture/proposal.py",
+        "fmu/samplers/mixture/warp.py",
         "return np.asarray(np.sum(np.log(self.stretch(u)), axis=1))",
         "return -np.asarray(np.sum(np.log(self.stretch(u)), axis=1))",
         MIXTURE,

@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike
 from fmu.arguments import check_arguments, shown
 from fmu.box import find_inside
 from fmu.samplers.local import accept
-from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fit_mixture
+from fmu.samplers.mixture.proposal import Mixture, Points, fit_mixture
 from fmu.samplers.mixture.quadratic import of_moments
+from fmu.samplers.mixture.warp import Warp
 from fmu.types import BoolArray, FloatArray
 
 _FIRST_FIT = 10

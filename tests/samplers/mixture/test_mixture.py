@@ -13,10 +13,11 @@ from fmu.samplers import MixtureSampler, Run, Slice
 from fmu.samplers.kernel import State
 from fmu.samplers.kernel import Target as Counted
 from fmu.samplers.mixture.kernel import BLOCK, CANDIDATE, LOG_WEIGHT, MixtureKernel
-from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fit_mixture, refit_mixture
+from fmu.samplers.mixture.proposal import Mixture, Points, fit_mixture, refit_mixture
 from fmu.samplers.mixture.quadratic import Quadratic, climb, fit_quadratic
 from fmu.samplers.mixture.warmup.local_draws import first_warp, groups_of_chains
 from fmu.samplers.mixture.warmup.tuner import MixtureTuner
+from fmu.samplers.mixture.warp import Warp
 from tests.gradients import assert_gradient, differences
 from tests.samplers.targets import Banana, CorrelatedGaussian, SkewedGumbel, Target, TwoModes
 

@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fmu.samplers.mixture.proposal import Mixture, Points, Warp, fit_mixture
+from fmu.samplers.mixture.proposal import Mixture, Points, fit_mixture
 from fmu.samplers.mixture.quadratic import fit_quadratic
+from fmu.samplers.mixture.warp import Warp
 from fmu.types import FloatArray, IntArray, LogDensity
 
 FAR = 10.0

@@ -1,0 +1,77 @@
+"""Coordinates in which skewed log-densities are closer to quadratic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmu.samplers.mixture.quadratic import Quadratic
+from fmu.types import BoolArray, FloatArray
+
+_BEND = 0.1
+"""Distance from a bound, scaled, at which log1p turns from linear to logarithmic."""
+
+
+@dataclass(frozen=True, eq=False)
+class Warp:
+    """Coordinates x in which skewed posteriors are closer to Gaussian: log(1 + (u − lower)/s) for some, else u.
+
+    Near its lower bound such an x is linear in u, so that a posterior that leans on the bound stays as it is. Far
+    from it x is the logarithm: log-normal posteriors and the tails of inferred deviations become Gaussian.
+
+    Attributes
+    ----------
+    lower, upper : ndarray, shape (ndim,)
+        The box of u.
+    bent : ndarray of bool, shape (ndim,)
+        The coordinates in which x is not u; they need a finite lower bound.
+    """
+
+    lower: FloatArray
+    upper: FloatArray
+    bent: BoolArray
+
+    def to_x(self, u: FloatArray) -> FloatArray:
+        """Return x of u, both of any leading shape."""
+        with np.errstate(invalid="ignore"):  # inf - (-inf), where it is not used
+            return np.where(self.bent, np.log1p((u - self.lower) / _BEND), u)
+
+    def to_u(self, x: FloatArray) -> FloatArray:
+        """Return u of x, within the box."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            u = np.where(self.bent, self.lower + _BEND * np.expm1(np.where(self.bent, x, 0.0)), x)
+        return np.clip(u, self.lower, self.upper)
+
+    def stretch(self, u: FloatArray) -> FloatArray:
+        """Return du/dx of every coordinate at points u (..., ndim)."""
+        return np.where(self.bent, _BEND + u - np.where(self.bent, self.lower, 0.0), 1.0)
+
+    def log_stretch(self, u: FloatArray) -> FloatArray:
+        """Return log |du/dx| at points u (n, ndim), shape (n,)."""
+        return np.asarray(np.sum(np.log(self.stretch(u)), axis=1))
+
+    def quadratic(self, of_u: Quadratic) -> Quadratic:
+        """Return the log-density of x to second order, from the log-density of u at the same point."""
+        away = self.stretch(of_u.position)
+        bent = self.bent.astype(float)
+        return Quadratic(
+            self.to_x(of_u.position),
+            of_u.log_prob + float(np.sum(np.log(away))),
+            of_u.gradient * away + bent,
+            of_u.hessian * np.outer(away, away) - np.diag(bent * of_u.gradient * away),
+            None if of_u.covariance is None else of_u.covariance / np.outer(away, away),
+        )
+
+    def straighten(self, of_x: Quadratic) -> Quadratic:
+        """Return the log-density of u to second order, from the log-density of x there: `quadratic` undone."""
+        u = self.to_u(of_x.position)
+        away = self.stretch(u)
+        slope = of_x.gradient - self.bent
+        return Quadratic(
+            u,
+            of_x.log_prob - float(np.sum(np.log(away))),
+            slope / away,
+            (of_x.hessian + np.diag(self.bent * slope)) / np.outer(away, away),
+            None if of_x.covariance is None else of_x.covariance * np.outer(away, away),
+        )
