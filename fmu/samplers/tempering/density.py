@@ -118,11 +118,11 @@ class TemperedTarget(ExactGradient):
 
     def log_prob(self, position: FloatArray, chain: Index) -> FloatArray:
         """Return the log-densities at points, shape (n, ndim), of the replicas that the index `chain` picks."""
-        return self._evaluated(position, chain).log_prob(self.t[chain])
+        return self._evaluate(position, chain).log_prob(self.t[chain])
 
     def log_prob_and_grad(self, position: FloatArray, chain: Index) -> tuple[FloatArray, FloatArray]:
         """Return `log_prob` and its gradient."""
-        points, t = self._evaluated(position, chain), self.t[chain]
+        points, t = self._evaluate(position, chain), self.t[chain]
         gradient = points.gradient(t)
         assert gradient is not None  # the parts were made with gradients
         return points.log_prob(t), gradient
@@ -143,7 +143,7 @@ class TemperedTarget(ExactGradient):
             n_solves[unknown] = self.parts.solves_each
         return points, n_solves
 
-    def _evaluated(self, position: FloatArray, chain: Index) -> Points:
+    def _evaluate(self, position: FloatArray, chain: Index) -> Points:
         points = self.parts.points(position)
         self.last.put(chain, points)
         return points
