@@ -300,8 +300,9 @@ def _alone(ops: Any) -> Iterator[None]:
         try:
             yield
         except ValueError as error:
-            said = last_lines(log)
-            raise ValueError(f"{error}; OpenSees said: {said}" if said else str(error)) from error.__cause__
+            said, wrong = last_lines(log), ArgumentError.of(error)
+            advice = f"{wrong.advice}; OpenSees said: {said}" if said else wrong.advice
+            raise ArgumentError(wrong.key, wrong.rule, wrong.value, advice) from error.__cause__
         finally:
             ops.wipe()
             ops.logFile("", "-echo")
