@@ -8,7 +8,7 @@ from fmu.types import BoolArray, FloatArray
 
 
 def find_inside(points: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[BoolArray, bool]:
-    """Return which points, shape (..., ndim), are inside a box, and whether there are some and all are.
+    """Return a mask of the points inside a box, and whether there are points and all are inside.
 
     A coordinate that is NaN is outside, one on a wall inside.
 

@@ -101,8 +101,10 @@ def certify(
         at more than 3 % of the draws.
     """
     model: Any = getattr(problem, "model", None)
-    if model is None or model.is_uncertain:
-        return None if model is None else model.certificate
+    if model is None:
+        return None
+    if model.is_uncertain:
+        return model.certificate
     parts = reduced_structures(model)
     if len(parts) < len(model.parts):
         return None
@@ -167,8 +169,9 @@ def _terms_of_both(
     """Return the terms of the log-likelihood at theta (n, ndim) by the full model and by the reduced one."""
     likelihood = problem.likelihood
     if likelihood.error is not None:  # no need to solve again
-        both = (likelihood.of_used(likelihood.error.log_prob_terms(hz)) for hz in (exact_hz, reduced_hz))
-        of_exact, of_reduced = both
+        of_exact, of_reduced = (
+            likelihood.of_used(likelihood.error.log_prob_terms(hz)) for hz in (exact_hz, reduced_hz)
+        )
         return of_exact, of_reduced
     by_full = problem.with_model(problem.model.truth).likelihood
     return np.concatenate(by_parts("certificate", by_full.terms, theta, _AT_ONCE)), likelihood.terms(theta)

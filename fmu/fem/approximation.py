@@ -65,6 +65,6 @@ class Approximation(ModalModel):
         """Return frequencies and shapes at the sensors, with variances if the cheap model is uncertain."""
         return self.cheap.observed(theta, gradient)
 
-    def configuration(self) -> Any:
-        """Return the data that identify the model, in plain Python types."""
-        return self.cheap.configuration()
+    def configuration(self) -> dict[str, Any]:
+        """Return the data that identify the true model and the cheap one, in plain Python types."""
+        return {"surrogate of": self._truth.configuration(), **self.cheap.configuration()}

@@ -244,7 +244,7 @@ def _constants(density: Any, names: tuple[str, ...]) -> xr.Dataset:
         if hasattr(density, name)
     }
     coordinates: dict[str, Any] = {"parameter": list(names)}
-    if hasattr(density, "roles"):
+    if hasattr(density, "tests"):
         of = ["" if role.of is None else density.layout.structural[role.of].name for role in density.roles]
         variables["role"] = "parameter", np.array([role.kind for role in density.roles])
         variables["role_of"] = "parameter", np.array(of)

@@ -11,6 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from fmu.box import find_inside
 from fmu.engines.base import Engine
 from fmu.fem.approximation import Approximation
 from fmu.fem.modes.modal import ModalSolution, frequency_hz, single_thread
@@ -49,10 +50,11 @@ class ReducedStructure(Approximation):
     """
 
     cheap: PairedStructure
+    _truth: PairedStructure
 
     def __init__(self, truth: PairedStructure, trained: Trained) -> None:
         super().__init__(truth, truth.solved_by(trained.model, trained.pairing))
-        self.full, self.rule, self.pairing = truth, truth.rule, self.cheap.pairing
+        self.rule, self.pairing = truth.rule, self.cheap.pairing
         self.confirmed, self.elsewhere = trained.confirmed, trained.elsewhere
         # of the box, as rows, like one theta: it spares NumPy's broadcasting
         self.lower, self.upper = trained.lower[None], trained.upper[None]
@@ -73,7 +75,7 @@ class ReducedStructure(Approximation):
     @property
     def truth(self) -> PairedStructure:
         """The structure by its full matrices."""
-        return self.full
+        return self._truth
 
     def coarser(self, share: float) -> Self:
         """Return the model with the leading vectors of each basis only, which carry most of the modes.
@@ -94,12 +96,12 @@ class ReducedStructure(Approximation):
             return block.truncate(few) if block.is_reduced and few < block.size < size else block
 
         mine = self.cheap.blocks
-        sizes = [block.size for block in self.full.blocks]
+        sizes = [block.size for block in self._truth.blocks]
         blocks = tuple(leading(block, size) for block, size in zip(mine, sizes, strict=True))
         if all(one is other for one, other in zip(blocks, mine, strict=True)):
             return self
         other = copy(self)
-        other._answer_by(self.full.solved_by(replace(self.cheap.blocks, blocks=blocks), self.pairing))
+        other._answer_by(self._truth.solved_by(replace(self.cheap.blocks, blocks=blocks), self.pairing))
         return other
 
     def extend(self, lower: FloatArray, upper: FloatArray) -> Self:
@@ -116,15 +118,15 @@ class ReducedStructure(Approximation):
 
     def within(self, theta: FloatArray) -> BoolArray:
         """Say, shape (n,), at which theta (n, n_parameters) the reduced model answers."""
-        return np.asarray(np.all((theta >= self.lower) & (theta <= self.upper), axis=1))
+        return find_inside(theta, self.lower, self.upper)[0]
 
     def modes(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
         """Return the paired modes at theta (n, n_parameters), with the gradients of the eigenvalues if wanted."""
-        return self._answer(self._solve, self.full.solve, theta, gradient)
+        return self._answer(self._solve, self._truth.solve, theta, gradient)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
         """Return frequencies and shapes at the sensors, at theta (n, n_parameters), with derivatives if wanted."""
-        return self._answer(self.cheap.see, self.full.see, theta, gradient)
+        return self._answer(self.cheap.see, self._truth.see, theta, gradient)
 
     def seen_candidates(self, theta: FloatArray, gradient: bool = False) -> Candidates:
         """Return all candidates for a pairing with the measured modes, at theta (n, n_parameters).
@@ -132,8 +134,8 @@ class ReducedStructure(Approximation):
         With derivatives if wanted; for a pairing by shape, soft or not.
         """
         assert self.cheap.choose is not None  # of a pairing by shape
-        assert self.full.choose is not None
-        return self._answer(self.cheap.choose, self.full.choose, theta, gradient)
+        assert self._truth.choose is not None
+        return self._answer(self.cheap.choose, self._truth.choose, theta, gradient)
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
         """Return frequencies in Hz, shape (n, n_modes); NaN where a solve failed."""
@@ -146,10 +148,10 @@ class ReducedStructure(Approximation):
     def candidates(self, theta: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
         """Return all modes that might have answered to a measured one, see `PairedStructure.candidates`."""
         count_solves(len(theta))
-        counts, within = self.full.candidate_counts(), self.within(theta)
+        counts, within = self._truth.candidate_counts(), self.within(theta)
         found = np.empty((len(theta), sum(counts.values())))
         with single_thread():
-            for model, rows in ((self.full, ~within), (self.cheap, within)):
+            for model, rows in ((self._truth, ~within), (self.cheap, within)):
                 found[rows] = model.spectra(theta[rows], counts)
         return found, *candidate_numbers(counts)
 
@@ -161,13 +163,13 @@ class ReducedStructure(Approximation):
         """
         within = self.within(theta)
         if not within.any():
-            return self.full.modes(theta)
+            return self._truth.modes(theta)
         found = self._confirmed.modes(np.where(within[:, None], theta, self._corner))
-        return found if within.all() else with_rows(found, ~within, self.full.modes(theta[~within]))
+        return found if within.all() else with_rows(found, ~within, self._truth.modes(theta[~within]))
 
     @cached_property
     def _confirmed(self) -> PairedStructure:
-        return self.full.solved_by(confirmed_model(self._bound), self.rule)
+        return self._truth.solved_by(confirmed_model(self._bound), self.rule)
 
     def frequency_bound(self, theta: FloatArray) -> FloatArray:
         """Return how far the reduced model's frequencies may be off, relative, shape (n, n_modes).
@@ -185,8 +187,8 @@ class ReducedStructure(Approximation):
         return bound
 
     def configuration(self) -> dict[str, Any]:
-        """Return the data that identify the structure and its pairing, in plain Python types."""
-        return self.full.configuration()
+        """Return the data that identify the structure and its pairing: the basis follows from the problem."""
+        return self._truth.configuration()
 
     def _solve(self, theta: FloatArray, gradient: bool) -> ModalSolution:
         """Return the reduced model's modes, a few theta at a time where their matrices would take much memory."""

@@ -91,7 +91,6 @@ class SurrogateModel(ModalModel):
         self.n_parameters, self.n_modes = truth.n_parameters, truth.n_modes
         self.name, self.by_shape = f"surrogate of {truth.name}", truth.by_shape
         self.gives_shapes = reference is not None
-        self._of = truth.configuration()
         good = ~design.failed
         x = coordinates.to_x(design.theta)
         self.feasibility = Feasibility(x, design.failed)
@@ -184,11 +183,11 @@ class SurrogateModel(ModalModel):
         return np.concatenate([p.scatter for p in self.of_frequencies])
 
     def configuration(self) -> dict[str, Any]:
-        """Return the data that identify the model: the slow one, and what was solved."""
+        """Return a hash of what was solved."""
         digest = hashlib.sha256()
         for part in (self.design.theta, self.design.frequencies, self.design.shapes):
             digest.update(np.ascontiguousarray(part).tobytes())
-        return {"surrogate of": self._of, "design": digest.hexdigest()}
+        return {"design": digest.hexdigest()}
 
     def _learnt(self, x: FloatArray, limited: bool = True) -> tuple[FloatArray, FloatArray]:
         """Return the learnt quantities of frequencies and their variances, (n, n_modes) each."""
