@@ -1,7 +1,8 @@
-"""The numbers in README.md and the guide are those of the reports under results/, to the digits that they give."""
+"""The numbers in README.md, CHANGELOG.md and the guide are those of results/, to the digits that they give."""
 
 import json
 import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -107,3 +108,23 @@ def test_workers_and_kills_are_those_of_their_pages():
     assert f"Two workers were {' and '.join(faster)} times as fast as one" in page
     kills = re.search(r"\*\*(\d+) kills; all \d+ runs came", (RESULTS / "kills.md").read_text(encoding="utf-8"))[1]
     assert f"Runs were killed {kills} times and no draw changed" in page
+
+
+def test_changelog_is_of_the_version_and_its_numbers_are_those_of_the_pages():
+    changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    assert re.findall(r"^## \[(\d+\.\d+\.\d+)\] - \d{4}-\d\d-\d\d$", changelog, re.MULTILINE)[0] == version
+    said, pages = (
+        plain(changelog),
+        {path.stem: plain(path.read_text(encoding="utf-8")) for path in RESULTS.glob("*.md")},
+    )
+    solves = re.search(r"cantilever-young: solves \| ≤ 60 \| (\d+)", pages["surrogate"])[1]
+    assert f"{solves} solves for cantilever-young" in said
+    gains = [
+        int(n)
+        for n in re.findall(r"`fmu.MixtureMove`, frozen \| \d+ % \| [\d.]+ \| \d+ \| (\d+)", pages["emcee-moves"])
+    ]
+    assert f"{min(gains)} to {max(gains)} times as many effective draws" in said
+    runs, off = re.search(r"\*\*(\d+) runs are called converged, .*? evidence: (\d+)", pages["densities"]).groups()
+    assert (f"Of {runs} runs", off) == (re.search(r"Of \d+ runs", said)[0], "1")
+    assert f"[{re.search(r'(\d+) kills;', pages['kills'])[1]} kills]" in said
