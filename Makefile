@@ -38,7 +38,7 @@ NUMERICAL := tests/fem/modes/test_modal.py tests/fem/modes/test_massless.py test
   tests/fem/frame/test_frame.py tests/fem/frame/test_frame_stability.py tests/fem/frame/test_frame_verification.py \
   tests/fem/test_reduction.py tests/fem/reduced/test_reduced_basis.py tests/fem/modes/test_observed.py \
   tests/fem/pairing/test_pairing.py tests/posterior/test_rounding.py tests/fem/surrogate/test_surrogate_process.py \
-  tests/posterior/priors/test_unbounded_priors.py tests/analysis/test_check.py tests/cases/test_garteur.py \
+  tests/posterior/priors/test_unbounded_priors.py tests/analysis/start/test_check.py tests/cases/test_garteur.py \
   tests/cases/test_several_tests_cases.py
 
 test-kernels: $(READY)  ## Run the numerical tests as other processors would compute

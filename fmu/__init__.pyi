@@ -1,7 +1,6 @@
 """The public names, each imported from its home when it is first used: a line here is all that a new one takes."""
 
 from . import cases as cases
-from .analysis.check import check as check
 from .analysis.convergence.comparison import compare as compare
 from .analysis.convergence.diagnosis import diagnose as diagnose
 from .analysis.convergence.diagnostics import summary as summary
@@ -12,6 +11,7 @@ from .analysis.information import information as information
 from .analysis.maxima.search import find_map as find_map
 from .analysis.pairing_changes import pairing_changes as pairing_changes
 from .analysis.prediction import expectation as expectation
+from .analysis.start.check import check as check
 from .analysis.trace.conversion import load_trace as load_trace
 from .analysis.trace.conversion import save_trace as save_trace
 from .analysis.trace.damage import damage as damage

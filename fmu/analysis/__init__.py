@@ -1,6 +1,6 @@
 """What the draws say, and whether they can be believed.
 
-Before sampling: check, initial_modes, gradient_check, prior_prediction, identifiability, repeatability, estimate.
+Before sampling: start, identifiability, uninformed, repeatability, estimate.
 After it: trace, convergence, maxima; then prediction, held_out, information, fit, pairing_changes, evidence,
 certificate.
 """

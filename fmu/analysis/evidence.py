@@ -6,13 +6,13 @@ import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import logsumexp
 
 from fmu.analysis.convergence import effective
 from fmu.analysis.convergence.pareto import heavy_tail_in_words, pareto_k
+from fmu.analysis.evidence_estimators import by_bridge, by_importance, stepping_stone, stones, thermodynamic
 from fmu.analysis.maxima.results import RELIABLE
 from fmu.analysis.trace.reading import array_of, has, is_pseudo
 from fmu.arguments import check_arguments
@@ -114,13 +114,6 @@ class Evidence:
         return f"<p>{lines}</p>{self.table.to_html(float_format=partial(significant, digits=4))}"
 
 
-class _Estimate(NamedTuple):
-    """An estimate from draws (chains, draws, rungs), and the influence of each draw (chains, draws) on it."""
-
-    value: float
-    influence: FloatArray
-
-
 @check_arguments
 def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
     """Estimate the evidence from a run of parallel tempering, or of a sampler with candidates from a mixture.
@@ -164,7 +157,7 @@ def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
     method = method or METHODS[0]
     draws = array_of(trace, GROUP, "log_likelihood")
     t = trace[GROUP]["inverse_temperature"].to_numpy()
-    estimate = {"stepping-stone": _stepping_stone, "thermodynamic": _thermodynamic}[method]
+    estimate = {"stepping-stone": stepping_stone, "thermodynamic": thermodynamic}[method]
     whole = estimate(draws, t)
     within = effective.mcse_mean(whole.influence)
     between, error = _errors(within, [estimate(chain[None], t).value for chain in draws])
@@ -212,86 +205,6 @@ def _errors(within: float, alone: Sequence[float]) -> tuple[float, float]:
     return between, float(np.fmax(within, between))
 
 
-def by_importance(q: FloatArray) -> tuple[float, float]:
-    """Return log-evidence and standard error from log-weights log P − log q (n,) of independent draws from q."""
-    total = float(logsumexp(q))
-    relative = np.exp(q - total) * len(q)
-    return total - float(np.log(len(q))), float(np.std(relative) / np.sqrt(len(q)))
-
-
-def by_bridge(q: FloatArray, p: FloatArray, ratio: float) -> tuple[float, float]:
-    """Return log-evidence and standard error by the optimal bridge (Meng & Wong 1996).
-
-    The error is that of Frühwirth-Schnatter (2004). The draws of the posterior count in it by the effective sample
-    size of their terms, where that is smaller than `ratio` says.
-
-    Parameters
-    ----------
-    q, p : ndarray, shape (n,) and (chains, draws)
-        Log-weights log P − log q of independent draws from q, and of draws from the posterior.
-    ratio : float
-        How many independent draws one of the posterior counts for.
-    """
-    n = ratio * p.size
-    of_p, of_q = n / (n + len(q)), len(q) / (n + len(q))
-    log_z = float(np.median(p))
-    for _ in range(_MOST_BRIDGES):
-        above = logsumexp(q - np.logaddexp(np.log(of_p) + q - log_z, np.log(of_q))) - np.log(len(q))
-        below = logsumexp(-np.logaddexp(np.log(of_p) + p - log_z, np.log(of_q))) - np.log(p.size)
-        log_z, before = float(above - below), log_z
-        if abs(log_z - before) < 1e-10:
-            break
-    log_f_p = -np.logaddexp(np.log(of_p) + p - log_z, np.log(of_q))
-    log_f_q = q - log_z - np.logaddexp(np.log(of_p) + q - log_z, np.log(of_q))
-    f_p, f_q = (np.exp(log_f - logsumexp(log_f)) * log_f.size for log_f in (log_f_p, log_f_q))
-    ess = np.fmin(n, effective.ess_mean(f_p))
-    return log_z, float(np.sqrt(np.var(f_p) / ess + np.var(f_q) / len(q)))
-
-
-def _stepping_stone(draws: FloatArray, t: FloatArray) -> _Estimate:
-    """Return Σ_k log E_k[exp((t_{k+1} − t_k) l)], that is Σ_k log(Z_{k+1}/Z_k) (Xie et al. 2011)."""
-    log_weight, log_ratio = _stones(draws, t)
-    # d log E[w] = (w − E[w])/E[w]: what each draw contributes to the error of the sum
-    return _Estimate(float(log_ratio.sum()), np.sum(np.exp(log_weight - log_ratio) - 1.0, axis=2))
-
-
-def _stones(draws: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (t_{k+1} − t_k) l and the logarithm of the mean of its exponential, (..., rungs − 1) each."""
-    log_weight = np.diff(t) * draws[..., :-1]
-    highest = log_weight.max(axis=(0, 1))  # taken out of the exponential, which would overflow or vanish
-    return log_weight, highest + np.log(np.mean(np.exp(log_weight - highest), axis=(0, 1)))
-
-
-def _thermodynamic(draws: FloatArray, t: FloatArray) -> _Estimate:
-    """Return log Z = ∫₀¹ m(t) dt, where m and v are mean and variance of the log-likelihood l at t.
-
-    The corrected trapezium rule Σ_k h_k (g_k + g_{k+1})/2 − h_k² (g'_{k+1} − g'_k)/12 is applied in s = log(t +
-    a) instead of t. For a Gaussian likelihood in d dimensions m varies as −d/(2 (t + a)) towards the prior, so
-    that g = m (t + a) is smooth in s, with g' = v (t + a)² + m (t + a), because dm/dt = v. The first three rungs
-    are equidistant in s, which determines a. If the model fails in a part of the prior, the mean at t = 0 is
-    that of the rest, and the logarithm of the share of the rest is added to the integral.
-    """
-    known = np.isfinite(draws)
-    share = known.mean(axis=(0, 1))
-    # the right a makes the first three rungs equidistant in s: (t_1 + a)² = a (t_2 + a), a = t_1²/(t_2 − 2 t_1)
-    curved = len(t) > 2 and t[2] > 2.0 * t[1]
-    w = t + (min(1.0, t[1] ** 2 / (t[2] - 2.0 * t[1])) if curved else 1.0)
-    h = np.diff(np.log(w))
-    # the rule collected by rungs: each gets half of both neighbouring intervals, and h²/12 with opposite signs
-    of_g = 0.5 * (np.append(h, 0.0) + np.append(0.0, h))
-    of_slope = (np.append(h**2, 0.0) - np.append(0.0, h**2)) / 12.0
-    # with g = w m and g' = w² v + w m it is a weighted sum of the means and variances
-    of_mean, of_variance = w * (of_g + of_slope), w**2 * of_slope
-    finite = np.where(known, draws, 0.0)
-    mean = finite.mean(axis=(0, 1)) / share
-    away = np.where(known, finite - mean, 0.0)
-    variance = np.mean(away**2, axis=(0, 1)) / share
-    value = mean @ of_mean + variance @ of_variance + np.sum(np.log(share))
-    # the influence of each draw: (l − m)/share on m, ((l − m)² − v)/share on v, (1 − share)/share on log share
-    moved = away * of_mean + np.where(known, away**2 - variance, 0.0) * of_variance + known - share
-    return _Estimate(float(value), moved @ (1.0 / share))
-
-
 def _rung_table(draws: FloatArray, t: FloatArray) -> pd.DataFrame:
     """Return the table of `Evidence`."""
     finite = np.where(np.isfinite(draws), draws, np.nan)
@@ -303,7 +216,7 @@ def _rung_table(draws: FloatArray, t: FloatArray) -> pd.DataFrame:
             "rhat": [effective.rhat(x) for x in np.moveaxis(draws, 2, 0)],
             "ess": [effective.ess_mean(x) for x in np.moveaxis(draws, 2, 0)],
             "rejection": np.append(rejections(draws, t).mean(axis=0), np.nan),
-            "log_ratio": np.append(_stones(draws, t)[1], np.nan),
+            "log_ratio": np.append(stones(draws, t)[1], np.nan),
         },
         "rung",
         range(len(t)),
@@ -311,7 +224,6 @@ def _rung_table(draws: FloatArray, t: FloatArray) -> pd.DataFrame:
 
 
 _APART = 4.0
-_MOST_BRIDGES = 200
 PSEUDO = "the modal residual is a pseudo-likelihood and has no evidence"
 WHAT = (
     "The evidence is the probability density of the data under the model and its prior. Of several models "

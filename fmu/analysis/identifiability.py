@@ -6,11 +6,10 @@ import html
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import combinations
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fmu.analysis.maxima.results import Maxima
 from fmu.analysis.maxima.search import is_updating
@@ -18,7 +17,7 @@ from fmu.analysis.trace.modal_states import MAXIMUM, START
 from fmu.analysis.trace.reading import has, with_group
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.box import find_inside
-from fmu.numbers import fixed, names_in_words, share, significant
+from fmu.numbers import fixed, share, significant
 from fmu.progress.phases import phase
 from fmu.tables import data_frame, distinct, text_table, wrap_text
 from fmu.types import FloatArray
@@ -36,17 +35,15 @@ GROUP = "identifiability"
 INFORMED = 1.0
 """Singular value above which the data constrain a direction more than the prior does."""
 _NODES = 256
-_NAMED = 0.25
+NAMED = 0.25
 """A component is named if it is at least this part of the largest."""
-_CONFUSED = 0.5
-"""Two parameters are confused if the smaller component of a combination is at least this part of the larger."""
 _SENTENCES = 3
 
 
 def combination(direction: FloatArray, names: Sequence[str]) -> str:
     """Return a direction as a sum of its larger components, the largest first: ``"0.71 E3 − 0.70 E4"``."""
     size = np.abs(direction)
-    large = [k for k in np.argsort(-size, kind="stable") if size[k] >= _NAMED * size.max()]
+    large = [k for k in np.argsort(-size, kind="stable") if size[k] >= NAMED * size.max()]
     sign = np.sign(direction[large[0]])
     parts = (f"{'−' if sign * direction[k] < 0 else '+'} {fixed(size[k], 2)} {names[k]}" for k in large)
     return " ".join(parts).removeprefix("+ ")
@@ -256,195 +253,3 @@ def truncated_sd(parameter: Parameter) -> float:
     weight = weight * np.exp(log_pdf - np.max(log_pdf))
     mean = np.sum(weight * x) / np.sum(weight)
     return float(np.sqrt(np.sum(weight * (x - mean) ** 2) / np.sum(weight)))
-
-
-LINEARISED_LEFT = 0.95
-"""A direction is uninformed if this part of its prior standard deviation remains in the linearised model."""
-_ALIKE = 0.05
-
-
-class Uninformed(NamedTuple):
-    """A direction of the parameter space on which the data carry no information.
-
-    Attributes
-    ----------
-    direction : ndarray, shape (ndim,)
-        A unit vector, in prior standard deviations.
-    names : tuple of str
-        The parameters that make it up, in the order of theta.
-    words : str
-        ``"k"``, or the combination, the largest component first: ``"0.80 c − 0.60 b"``.
-    told : str
-        The combination that the data determine instead, if it has a simple form: ``"k/m"``; else empty.
-    """
-
-    direction: FloatArray
-    names: tuple[str, ...]
-    words: str
-    told: str
-
-
-def left_to_prior(found: Identifiability) -> list[Uninformed]:
-    """Return the directions along which 95 % or more of the prior sd remains in a linearised model.
-
-    Parameters on which no measured mode depends come first, one direction each. The other directions are given in
-    the sparsest basis that elimination finds, since any basis of their span would do.
-    """
-    most = np.sqrt(LINEARISED_LEFT**-2 - 1.0)
-    S, n = found.sensitivity, len(found.names)
-    alone = np.linalg.norm(S, axis=0) <= most
-    directions = list(np.eye(n)[alone])
-    if not alone.all():
-        rest = np.flatnonzero(~alone)
-        values, rows = np.linalg.svd(S[:, rest])[1:]
-        left = rows[np.concatenate([values, np.zeros(len(rest))])[: len(rest)] <= most]
-        for row in eliminate(left):
-            directions.append(np.zeros(n))
-            directions[-1][rest] = row / np.linalg.norm(row)
-    with np.errstate(divide="ignore", invalid="ignore"):  # a parameter that is 0 has no relative change
-        relative = [direction * found.prior_sd / found.theta for direction in directions]
-    return [
-        name_direction(direction, found.names, change)
-        for direction, change in zip(directions, relative, strict=True)
-    ]
-
-
-def doubts(found: Identifiability) -> list[str]:
-    """Return a sentence for each direction that the measured modes cannot determine, with a remedy."""
-    said = []
-    for one in left_to_prior(found):
-        names = names_in_words(one.names)
-        remains = 1.0 / np.sqrt(1.0 + np.sum((found.sensitivity @ one.direction) ** 2))
-        left = f"{share(min(remains, 1.0))} of the prior standard deviation remains, linearised at the start"
-        if len(one.names) == 1:
-            said.append(
-                f"The measured modes carry no information on {one.words}: {left}. Fix it if it is known well, "
-                f"or measure something that depends on it."
-            )
-        elif one.told:
-            said.append(
-                f"The measured modes cannot separate {names}: they determine only {one.told}. Individually, "
-                f"{names} are left to the prior: {left} along their joint change. {_REMEDY}"
-            )
-        else:
-            said.append(
-                f"The measured modes are insensitive to the combination {one.words} (in prior standard "
-                f"deviations): {left}; {names} are left to the prior along it. {_REMEDY}"
-            )
-    return said
-
-
-_REMEDY = "Add a known mass, make a static test, measure other modes, or fix one of the parameters."
-
-
-class Pair(NamedTuple):
-    """Two parameters, and the combination of them that the data narrow least.
-
-    Attributes
-    ----------
-    names : tuple of (str, str)
-    direction : ndarray, shape (ndim,)
-        The combination, a unit vector in prior standard deviations.
-    remaining_sd : float
-        Posterior over prior standard deviation along it.
-    change : float
-        By how many standard deviations of the measurement the data change for one prior standard deviation along
-        it, in the linearised model.
-    words : str
-        ``"0.71 E1 − 0.70 E5"``.
-    """
-
-    names: tuple[str, str]
-    direction: FloatArray
-    remaining_sd: float
-    change: float
-    words: str
-
-    def sentence(self, is_separated: bool) -> str:
-        """Return in words whether the data separate the two, with both numbers."""
-        names = names_in_words(self.names)
-        first = f"Hardest to separate: {names}" if is_separated else f"The data cannot separate {names}"
-        left = share(min(self.remaining_sd, 1.0))
-        return (
-            f"{first}. One prior standard deviation along {self.words} changes the data by "
-            f"{significant(self.change, 2)} measurement sd; the data leave {left} of it."
-        )
-
-
-def hardest_pair(found: Identifiability, covariance: FloatArray) -> Pair | None:
-    """Return the two parameters that the data separate least, by the posterior covariance.
-
-    In the plane of two parameters the data narrow one combination least: the leading eigenvector of their
-    posterior covariance in prior standard deviations. If it is mostly one parameter, the data do not confuse the
-    two. The cosine between two columns of the sensitivity does not say whether they can be separated: columns of
-    cosine 0.99 and length 50 differ by 7 standard deviations of the measurement.
-
-    Parameters
-    ----------
-    found : Identifiability
-    covariance : ndarray, shape (ndim, ndim)
-        Posterior covariance of its parameters, in prior standard deviations.
-
-    Returns
-    -------
-    Pair or None
-        None if the data confuse no two parameters, or there is only one.
-    """
-    hardest, most = None, 0.0
-    for i, j in combinations(range(len(found.names)), 2):
-        values, vectors = np.linalg.eigh(covariance[np.ix_((i, j), (i, j))])
-        size = np.abs(vectors[:, 1])
-        if size.min() >= _CONFUSED * size.max() and values[1] > most:
-            most, hardest = float(values[1]), (i, j, vectors[:, 1])
-    if hardest is None:
-        return None
-    i, j, weights = hardest
-    direction = np.zeros(len(found.names))
-    direction[[i, j]] = weights
-    change = float(np.linalg.norm(found.sensitivity @ direction))
-    names = found.names[i], found.names[j]
-    return Pair(names, direction, float(np.sqrt(most)), change, combination(direction, found.names))
-
-
-def eliminate(rows: FloatArray) -> FloatArray:
-    """Return a basis of the span of orthonormal `rows` with zeros in it, by Gauss–Jordan elimination."""
-    rows = rows.copy()
-    free = np.ones(rows.shape[1], dtype=bool)
-    for i in range(len(rows)):
-        left = np.abs(rows[i:]) * free
-        k, j = np.unravel_index(np.argmax(left), left.shape)
-        rows[[i, i + int(k)]] = rows[[i + int(k), i]]
-        rows[i] /= rows[i, j]
-        others = np.arange(len(rows)) != i
-        rows[others] -= np.outer(rows[others, j], rows[i])
-        free[j] = False
-    return rows
-
-
-def name_direction(direction: FloatArray, names: tuple[str, ...], relative: FloatArray) -> Uninformed:
-    """Name a direction; `relative` is the change of each parameter along it over its own size."""
-    size = np.abs(direction)
-    large = np.argsort(-size, kind="stable")
-    large = large[size[large] >= _NAMED * size.max()]
-    if len(large) == 1:
-        return Uninformed(direction, (names[large[0]],), names[large[0]], "")
-    return Uninformed(
-        direction,
-        tuple(names[k] for k in sorted(large)),
-        combination(direction, names),
-        _constant_in_words(relative, large, names),
-    )
-
-
-def _constant_in_words(relative: FloatArray, large: NDArray[np.int64], names: tuple[str, ...]) -> str:
-    """Return the ratio or product that is constant along a direction: ``"k/m"``; empty if there is none."""
-    change = relative[large]
-    if not np.all(np.isfinite(relative)) or np.ptp(np.abs(change)) > _ALIKE * np.abs(change).max():
-        return ""
-    others = np.delete(relative, large)
-    if np.any(np.abs(others) > _ALIKE * np.abs(change).max()):
-        return ""
-    one = [names[k] for k in sorted(large)]
-    if np.all(np.sign(change) == np.sign(change[0])):
-        return f"{one[0]}/{one[1]}" if len(one) == 2 else f"the ratios of {names_in_words(one)}"
-    return f"the product of {names_in_words(one)}" if len(one) == 2 else ""

@@ -9,20 +9,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.analysis.identifiability import (
-    LINEARISED_LEFT,
-    Identifiability,
-    Uninformed,
-    combination,
-    eliminate,
-    hardest_pair,
-    kept_identifiability,
-    left_to_prior,
-    name_direction,
-)
+from fmu.analysis.identifiability import Identifiability, combination, kept_identifiability
 from fmu.analysis.prediction import at_bounds
 from fmu.analysis.trace.modal_states import MAXIMUM, START
 from fmu.analysis.trace.reading import has, parameter_draws, parameter_names
+from fmu.analysis.uninformed import (
+    LINEARISED_LEFT,
+    Uninformed,
+    eliminate,
+    hardest_pair,
+    left_to_prior,
+    name_direction,
+)
 from fmu.arguments import check_arguments
 from fmu.numbers import fixed, given, names_in_words, share, significant
 from fmu.tables import data_frame, text_table, wrap_text

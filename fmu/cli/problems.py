@@ -128,7 +128,7 @@ def check(case: str, pairing: str | None, draws: int, seed: int, out: Path | Non
     """
     with progress_lines(f"checking {case}"):
         asked = problem_of(case, pairing)
-        from fmu.analysis.check import check
+        from fmu.analysis.start.check import check
         from fmu.report.check_page import write_check
 
         directory = out or Path("check") / asked.file.stem

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from markupsafe import Markup
 
-from fmu.analysis.check import Check
 from fmu.analysis.identifiability import Identifiability
-from fmu.analysis.identifiability import doubts as doubts_of_information
+from fmu.analysis.start.check import Check
+from fmu.analysis.uninformed import doubts as doubts_of_information
 from fmu.fem.pairing.correlation import LOOK_AT_SENSORS, LOOK_AT_SHAPES
 from fmu.numbers import MISSING, change, fixed, given, hertz, listed, significant, with_sd
 from fmu.report.document import (

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import math
 import os
-import shutil
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +22,6 @@ from fmu.config.kept import read_saved
 from fmu.fem.modes.separable import SeparableModel
 from fmu.formats.decks import (
     DOFS,
-    EXPORTED,
     MASS,
     PROBLEM,
     STIFFNESS,
@@ -35,10 +32,10 @@ from fmu.formats.decks import (
     read_deck,
     write_deck,
 )
-from fmu.formats.models.read import read_beside
 from fmu.numbers import names_in_words, significant
 from fmu.report.files import OutputDirectory
 from fmu.report.mode_files import write_modes
+from fmu.report.updated_file import copy_companions, rename, updated_text
 from fmu.runs.words import why_no_traces
 from fmu.tables import data_frame
 from fmu.types import FloatArray
@@ -285,10 +282,6 @@ def _incomplete(file: Path) -> list[str]:
     return []
 
 
-_EDITOR = "#:schema"
-_FROM_PRIOR = "from the prior: the data did not inform it"
-
-
 def write_matrices(
     model: SeparableModel, places: Mapping[str, Any], theta: FloatArray, about: str, folder: Path
 ) -> None:
@@ -342,97 +335,6 @@ def dof_table(model: SeparableModel, places: Mapping[str, Any]) -> pd.DataFrame:
         at = np.array([coordinates[row_of[node]] if node in row_of else [np.nan] * 3 for node in nodes])
         columns |= dict(zip("xyz", at.T, strict=True))
     return pd.DataFrame(columns)
-
-
-def updated_text(
-    text: str, starts: Mapping[str, float], pairing: str | None, about: str, from_prior: Collection[str] = ()
-) -> tuple[str, list[str]]:
-    """Return a problem file with new start values, otherwise unchanged, and the strings in it that may name files.
-
-    Parameters
-    ----------
-    text : str
-    starts : mapping of str to float
-        By the name of the parameter, SI units.
-    pairing : str or None
-        Written to the file, if the file has another or none.
-    about : str
-        Source of the values: a comment at the top.
-    from_prior : collection of str
-        Parameters that the data did not inform: a comment beside their values says so.
-    """
-    import tomlkit
-
-    document = tomlkit.parse(text)
-    for table in (*document["parameters"], *document.get("noise", ())):
-        table["start"] = tomlkit.value(_toml_number(starts[str(table["name"])]))
-        if str(table["name"]) in from_prior:
-            trivia = table["start"].trivia
-            before = trivia.comment.removeprefix("#").strip()
-            trivia.comment = f"# {before}; {_FROM_PRIOR}" if before else f"# {_FROM_PRIOR}"
-            trivia.comment_ws = trivia.comment_ws or "  "
-    if pairing is not None and document.get("pairing", "shape") != pairing:
-        document["pairing"] = pairing
-    lines = tomlkit.dumps(document).splitlines(keepends=True)
-    at = 1 if lines and lines[0].startswith(_EDITOR) else 0
-    lines.insert(at, f"# {about}\n")
-    words = (str(table[key]) for table, key in _strings(document))
-    return "".join(lines), [word for word in words if "." in word or ":" in word]
-
-
-def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[str, str]:
-    """Copy the files that a problem file names, so that the updated one is complete.
-
-    Returns
-    -------
-    dict of str to str
-        New names of files whose name is also that of an exported file.
-    """
-    renamed = {}
-    for word in dict.fromkeys(words):
-        name = f"{word.split(':')[0]}.py" if ":" in word else word
-        path = Path(name)
-        if path.is_absolute() or ".." in path.parts or not (source / name).is_file():
-            continue
-        kept = f"model-{name}" if name in EXPORTED else name
-        if kept != name:
-            renamed[name] = kept
-        (target / kept).parent.mkdir(parents=True, exist_ok=True)
-        for one in (path, *(file.relative_to(source) for file in read_beside(source / path))):
-            if (source / one).is_file():
-                copy = target / (kept if one == path else one)
-                shutil.copyfile(source / one, copy)
-                if os.access(source / one, os.X_OK):  # a program that the problem runs
-                    shutil.copymode(source / one, copy)
-    return renamed
-
-
-def rename(text: str, names: Mapping[str, str]) -> str:
-    """Return a problem file with renamed files."""
-    import tomlkit
-
-    if not names:
-        return text
-    document = tomlkit.parse(text)
-    for table, key in list(_strings(document)):
-        table[key] = names.get(str(table[key]), table[key])
-    return tomlkit.dumps(document)
-
-
-def _strings(part: Any) -> Iterator[tuple[Any, Any]]:
-    """Yield the place of every string of a document: its table or array, and its key or index there."""
-    for key, value in part.items() if isinstance(part, Mapping) else enumerate(part):
-        if isinstance(value, str):
-            yield part, key
-        elif isinstance(value, Mapping | list):
-            yield from _strings(value)
-
-
-def _toml_number(value: float) -> str:
-    """Format a float so that reading it gives the same value: ``"1.905e+11"``, ``"0.86"``, ``"1.0"``."""
-    if value != 0.0 and not 1e-4 <= abs(value) < 1e7:
-        return np.format_float_scientific(value, trim="0")
-    return repr(float(value)) if math.isfinite(value) else str(value)
 
 
 def _ascii(text: str) -> str:

@@ -6,7 +6,8 @@ import xarray as xr
 from scipy.special import logsumexp
 
 import fmu
-from fmu.analysis.evidence import GROUP, Evidence, by_bridge, evidence
+from fmu.analysis.evidence import GROUP, Evidence, evidence
+from fmu.analysis.evidence_estimators import by_bridge
 from fmu.analysis.maxima.search import find_map
 from fmu.analysis.trace.conversion import load_trace, save_trace
 from fmu.analysis.trace.reading import parameter_draws, with_group

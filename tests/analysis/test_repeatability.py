@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from fmu.analysis.check import check
 from fmu.analysis.convergence.diagnosis import judge
 from fmu.analysis.repeatability import FALSE_ALARMS, repeatability
+from fmu.analysis.start.check import check
 from fmu.analysis.trace.conversion import to_trace
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.problem import UpdatingProblem

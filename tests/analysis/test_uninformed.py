@@ -4,16 +4,8 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.analysis.check import check
 from fmu.analysis.convergence.diagnosis import judge
-from fmu.analysis.identifiability import (
-    Identifiability,
-    doubts,
-    hardest_pair,
-    identifiability,
-    left_to_prior,
-    with_identifiability,
-)
+from fmu.analysis.identifiability import Identifiability, identifiability, with_identifiability
 from fmu.analysis.information import (
     COMBINED,
     DATA,
@@ -23,7 +15,9 @@ from fmu.analysis.information import (
     left_along,
     separation_in_words,
 )
+from fmu.analysis.start.check import check
 from fmu.analysis.trace.conversion import to_trace
+from fmu.analysis.uninformed import doubts, hardest_pair, left_to_prior
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.frequency import FrequencyErrors
 from fmu.posterior.parameters import Parameter

@@ -8,8 +8,9 @@ import pytest
 import scipy.linalg as sl
 
 from fmu import cases
-from fmu.analysis.identifiability import identifiability, left_to_prior
-from fmu.analysis.initial_modes import initial_modes
+from fmu.analysis.identifiability import identifiability
+from fmu.analysis.start.initial_modes import initial_modes
+from fmu.analysis.uninformed import left_to_prior
 from fmu.config.problem import ProblemFile
 from fmu.fem.frame.components import DIRECTIONS
 from fmu.fem.pairing.rules import count_rigid

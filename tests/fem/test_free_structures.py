@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import fmu
-from fmu.analysis.initial_modes import initial_modes
+from fmu.analysis.start.initial_modes import initial_modes
 from fmu.posterior.assumptions import assumptions
 from tests.models import free_bar
 from tests.work import counted

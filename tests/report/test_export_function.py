@@ -7,7 +7,8 @@ import pytest
 
 import fmu
 from fmu.analysis.trace.conversion import save_trace
-from fmu.report.export import _from_prior, copy_companions, export, updated_text
+from fmu.report.export import _from_prior, export
+from fmu.report.updated_file import copy_companions, updated_text
 from tests.report.exported import run
 
 MODULE = """

@@ -23,7 +23,7 @@ import xarray as xr
 
 import fmu
 from fmu.analysis.convergence.diagnosis import maxima_of
-from fmu.analysis.fit.checks import PREDICTED
+from fmu.analysis.fit.check import PREDICTED
 from fmu.report.document import Page, PageTable, Verdict
 from fmu.report.pages import sampler_page
 from fmu.report.run import runs_of

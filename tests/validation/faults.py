@@ -422,7 +422,7 @@ IN_THE_MIXTURE = (
     ),
     Fault(
         "mixture: error of a bridge as if all draws were independent",
-        "fmu/analysis/evidence.py",
+        "fmu/analysis/evidence_estimators.py",
         "ess = np.fmin(n, effective.ess_mean(f_p))",
         "ess = p.size",
         ("tests/analysis/test_evidence.py",),

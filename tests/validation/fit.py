@@ -24,7 +24,7 @@ from scipy.stats import beta, binom
 from threadpoolctl import threadpool_limits
 
 import fmu
-from fmu.analysis.fit.checks import LEVEL
+from fmu.analysis.fit.check import LEVEL
 from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE
 from fmu.types import FloatArray
 from tests.validation import ten_storeys

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.analysis.fit.checks import LEVEL, PREDICTED, RESIDUALS
+from fmu.analysis.fit.check import LEVEL, PREDICTED, RESIDUALS
 from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE
 from fmu.numbers import share
 from fmu.report.plots.style import DPI, FONT, GREY, new_figure

@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 
 import fmu
 from fmu.analysis.convergence.pareto import pareto_k
-from fmu.analysis.evidence import by_bridge, by_importance
+from fmu.analysis.evidence_estimators import by_bridge, by_importance
 from fmu.analysis.trace.reading import parameter_draws
 from fmu.numbers import significant
 from fmu.tables import markdown_table

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fmu.analysis.fit.checks import PREDICTED
+from fmu.analysis.fit.check import PREDICTED
 from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE
 from tests.validation import fit_page
 from tests.validation.fit import CURVES, FEW_ONES, RIGHT_ONES, Building, Outcome, Rate, Setting, Study, true_hz

@@ -1,4 +1,4 @@
 """Whether the model fits the data: the checks, each with the misfit that it would have noticed, and the verdict.
 
-Reading order: checks, model_fit.
+Reading order: check, checks, model_fit.
 """

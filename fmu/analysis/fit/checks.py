@@ -26,14 +26,26 @@ however they depend on each other.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import chdtrc, chdtri, stdtrit
 
+from fmu.analysis.fit.check import (
+    HELD_OUT,
+    LEVEL,
+    NOISE,
+    PREDICTED,
+    QUANTITY,
+    RESIDUALS,
+    SHAPE,
+    TEST,
+    Check,
+    beyond,
+    probability,
+)
 from fmu.analysis.held_out.modes import kept_table
 from fmu.analysis.information import CONTRACTED
 from fmu.analysis.prediction import measured_mac, measured_tests, measurement_in_words, shape_warnings
@@ -41,7 +53,7 @@ from fmu.analysis.trace.misfit import GROUP, QUANTITIES
 from fmu.analysis.trace.modal_states import MEAN
 from fmu.analysis.trace.reading import array_of, has, parameter_units
 from fmu.fem.pairing.correlation import ALIKE
-from fmu.numbers import apart, change, given, share, significant, with_sd
+from fmu.numbers import apart, given, share, significant, with_sd
 from fmu.tables import data_frame
 from fmu.types import FloatArray
 
@@ -50,12 +62,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-LEVEL = 0.01
-"""The probability that a right model fails any check, at most."""
-PREDICTED, HELD_OUT, RESIDUALS, TEST, NOISE, SHAPE, QUANTITY = (
-    "from the other modes", "not used in updating", "residuals", "one of the tests", "inferred noise", "shape",
-    "mass or displacement",
-)  # fmt: skip
 _FEW = 500
 """Draws that are enough to see how much larger residuals would have failed."""
 _MOST = 10.0
@@ -63,49 +69,6 @@ _MOST = 10.0
 NOT_PREDICTED = "no prediction by the other modes was computed (Python: fmu.leave_one_out(trace, problem))"
 _TINY = 1e-300
 _GAUSSIAN = 1e8  # degrees of freedom from which Student's distribution is the Gaussian
-
-
-@dataclass(frozen=True)
-class Check:
-    """A check of the model.
-
-    Attributes
-    ----------
-    kind : str
-        `PREDICTED`, `HELD_OUT`, `RESIDUALS`, `TEST`, `NOISE`, `SHAPE` or `QUANTITY`.
-    of : str
-        What is checked.
-    found, limit : str
-        The statistic, and beyond what it fails.
-    p : float
-        Its probability under a right model; NaN for shapes.
-    failed : bool
-    shows : str
-        The errors that it would have shown; empty if it could show none.
-    sentence : str
-        What it found against the model.
-    why_not : str
-        Why it could have shown no error; else empty.
-    below, above : float
-        Relative errors of a frequency, measured over predicted, less one, beyond which it fails; else NaN.
-    """
-
-    kind: str
-    of: str
-    found: str
-    limit: str
-    p: float
-    failed: bool
-    shows: str
-    sentence: str
-    why_not: str = ""
-    below: float = np.nan
-    above: float = np.nan
-
-    @property
-    def could_fail(self) -> bool:
-        """Whether it would have shown an error: one that could not is no check."""
-        return self.failed or not self.why_not
 
 
 def checks_of(trace: xr.DataTree) -> list[Check]:
@@ -198,12 +161,6 @@ def _limits(row: pd.Series[Any], level: float) -> tuple[float, float]:
             reach = width * wanted / end
         limits.append(mean + sign * reach)
     return limits[0], limits[1]
-
-
-def beyond(below: float, above: float) -> str:
-    """Return ``"below -8.2 % or above +9.6 %"``; no frequency is wrong by -100 %."""
-    upper = f"above {change(above)}"
-    return upper if below <= -1.0 else f"below {change(below)} or {upper}"
 
 
 def _how(trace: xr.DataTree, mode: str) -> str:
@@ -430,13 +387,3 @@ def _shapes(trace: xr.DataTree) -> list[Check]:
         )
         for mode, value in zip(alike["mode"].to_numpy(), values, strict=True)
     ]
-
-
-def probability(p: float) -> str:
-    """Return ``"p = 0.003"``, ``"p = 2e-12"`` or ``"p < 1e-300"``."""
-    return "p < 1e-300" if p < 1e-300 else f"p = {significant(p, 1)}"
-
-
-def failed_checks(checks: Sequence[Check]) -> list[Check]:
-    """Return the checks that failed, the least probable first."""
-    return sorted((check for check in checks if check.failed), key=lambda check: np.nan_to_num(check.p, nan=1.0))

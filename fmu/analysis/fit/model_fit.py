@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.analysis.fit.checks import (
+from fmu.analysis.fit.check import (
     HELD_OUT,
     LEVEL,
     NOISE,
@@ -17,9 +17,9 @@ from fmu.analysis.fit.checks import (
     SHAPE,
     Check,
     beyond,
-    checks_of,
     failed_checks,
 )
+from fmu.analysis.fit.checks import checks_of
 from fmu.analysis.trace.misfit import GROUP
 from fmu.analysis.trace.reading import has, parameter_names
 from fmu.numbers import names_in_words, share

@@ -12,12 +12,12 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
-from fmu.analysis.convergence.effective import ess_bulk, mcse_mean
-from fmu.analysis.convergence.pareto import pareto_k, smoothed_weights
+from fmu.analysis.convergence.effective import mcse_mean
+from fmu.analysis.convergence.pareto import pareto_k
 from fmu.analysis.held_out.refit import ACCEPTED, MOST_SOLVES, SOLVES, LeftOut, approximation, left_out
 from fmu.analysis.held_out.together import left_out_together
-from fmu.analysis.prior_prediction import DRAWS, prior_prediction
-from fmu.analysis.trace.conversion import GIVEN_OTHERS
+from fmu.analysis.held_out.weights import SMOOTHED_K, Smoothed, smooth_weights
+from fmu.analysis.start.prior_prediction import DRAWS, prior_prediction
 from fmu.analysis.trace.reading import (
     array_of,
     check_trace,
@@ -45,10 +45,6 @@ GROUP = "leave_one_out"
 """Group of a trace that keeps the table."""
 REFIT, WEIGHTS, NOT_USED, NEITHER = "refit", "importance weights", "not used in updating", ""
 INTERVAL = 0.9
-FEWEST = 100
-"""Draws to estimate the tail of importance weights from."""
-SMOOTHED_K = 0.5
-"""Smoothed weights with a larger Pareto k are not used: with 0.63 the elpd of a mode was off by 0.4 nats."""
 _ENOUGH = 400
 _FREE_S = 5.0
 _SHARE = 0.5
@@ -174,7 +170,7 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
         doubtful = sorted(doubtful + [k for k, used in enumerate(use) if used])
     found |= _left_out_all(problem, doubtful, most / (len(doubtful) + 1))
     # weights with a Pareto k of 0.4 were off by 0.4 nats: only where no refit is affordable
-    smoothed = _smooth_weights(trace) if len(found) < len(use) else {}
+    smoothed = smooth_weights(trace) if len(found) < len(use) else {}
     good = {label for label, one in smoothed.items() if one.is_good}
     poor = [k for k in doubtful if k not in found and problem.data.labels[k] not in good]
     if SOLVES * a_solve <= _A_REFIT * _FREE_S and a_solve > 0.0:
@@ -233,39 +229,7 @@ class _Draws(NamedTuple):
     log_weight: FloatArray
 
 
-class _Smoothed(NamedTuple):
-    """Draws weighted to the posterior without a mode: log-weights (n,), Pareto k, whether it is low, and elpd."""
-
-    log_weight: FloatArray
-    pareto_k: float
-    is_good: bool
-    elpd: float
-    mcse: float
-
-
-def _smooth_weights(trace: xr.DataTree) -> dict[str, _Smoothed]:
-    """Return the importance weights of each used mode; none if there are too few draws, or they do not move."""
-    kept = list(map(str, trace["log_likelihood"].data_vars))
-    # of correlated errors, the terms whose sum is the joint density are not those of each mode given the others
-    terms = array_of(trace, "log_likelihood", GIVEN_OTHERS if GIVEN_OTHERS in kept else kept[0])
-    n, walkers = terms.shape[0] * terms.shape[1], walkers_of(trace)
-    efficiency = min(1.0, np.min([ess_bulk(x, walkers) for x in np.moveaxis(terms, -1, 0)]) / n)
-    found: dict[str, _Smoothed] = {}
-    if n < FEWEST or not np.isfinite(efficiency):
-        return found
-    most = min(SMOOTHED_K, 1.0 - 1.0 / np.log10(n))
-    labels = trace["log_likelihood"]["mode"].to_numpy()
-    for label, log_p in zip(labels, terms.reshape(n, -1).T, strict=True):
-        with suppress(ValueError):  # so many draws may be equal that the weights have no tail
-            log_w, k = smoothed_weights(-log_p, efficiency)
-            elpd = float(logsumexp(log_w + log_p))
-            spread = np.exp(log_w + log_p - elpd) - np.exp(log_w)
-            mcse = float(np.sqrt(np.sum(spread**2) / efficiency))
-            found[str(label)] = _Smoothed(log_w, k, k <= most, elpd, mcse)
-    return found
-
-
-def _predict_weighted(problem: UpdatingProblem, k: int, draws: _Draws, smoothed: _Smoothed | None) -> HeldOut:
+def _predict_weighted(problem: UpdatingProblem, k: int, draws: _Draws, smoothed: Smoothed | None) -> HeldOut:
     """Predict a mode by the weighted draws; without numbers where the draws do not cover the other posterior."""
     if smoothed is None:
         return HeldOut()
@@ -409,7 +373,7 @@ def _seconds_of_a_solve(problem: UpdatingProblem, theta: FloatArray) -> float:
 
 def _by_draws_alone(trace: xr.DataTree) -> pd.DataFrame:
     """Predict the used modes from their log-likelihood at the draws, without a problem to refit."""
-    smoothed = _smooth_weights(trace)
+    smoothed = smooth_weights(trace)
     measured = trace["observed_data"]["frequency"].to_numpy()
     rows = []
     for k, label in enumerate(trace["observed_data"]["mode"].to_numpy()):

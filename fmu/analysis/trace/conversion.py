@@ -8,14 +8,13 @@ of walkers is in the trace's attributes.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.analysis.trace.distinct_draws import DistinctDraws
 from fmu.analysis.trace.misfit import misfit_group, quantities_group
 from fmu.analysis.trace.modal_states import drawn_structure
 from fmu.analysis.trace.netcdf import from_netcdf, to_netcdf
@@ -25,12 +24,11 @@ from fmu.arguments import check_arguments
 from fmu.durable_files import write_durably
 from fmu.interruption import shielded
 from fmu.posterior.scaled import ScaledDensity
-from fmu.progress.phases import by_parts
 from fmu.samplers.mixture.kernel import CANDIDATE, LOG_WEIGHT
 from fmu.samplers.registry import SAMPLERS
 from fmu.samplers.tempering.kernel import LOG_LIKELIHOOD
 from fmu.samplers.tempering.tempering import first_ladder, rejections
-from fmu.types import FloatArray, IntArray
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -359,54 +357,6 @@ def _groups_of_tests(result: RunResult, problem: Any, predictions: bool) -> dict
 def _stack_terms(terms: FloatArray, squares: FloatArray) -> FloatArray:
     """Return terms (n, n_modes) and squares (n, n_kinds, n_modes) as one array, (n, 1 + n_kinds, n_modes)."""
     return np.concatenate([terms[:, None], squares], axis=1)
-
-
-BATCH = 4096
-"""Draws passed to the model at a time, which bounds the memory of one batched solve."""
-
-
-@dataclass(frozen=True)
-class DistinctDraws:
-    """The draws of a run without the repetitions from rejected proposals.
-
-    Attributes
-    ----------
-    theta : ndarray, shape (n, ndim)
-        Draws that differ from their predecessor in the same chain (in the same walker of an ensemble).
-    inverse : ndarray of int, shape (chains, draws)
-        Row of `theta` that each draw equals.
-    """
-
-    theta: FloatArray
-    inverse: IntArray
-
-    @classmethod
-    def of(cls, position: FloatArray, walkers: int = 1) -> DistinctDraws:
-        """Drop consecutive repetitions.
-
-        Parameters
-        ----------
-        position : ndarray, shape (chains, steps * walkers, ndim)
-            Step-major: a walker's next draw lies `walkers` rows further on.
-        walkers : int
-        """
-        chains, draws, ndim = position.shape
-        paths = position.reshape(chains, draws // walkers, walkers, ndim).swapaxes(1, 2)
-        moved = np.ones(paths.shape[:3], dtype=bool)
-        moved[:, :, 1:] = np.any(paths[:, :, 1:] != paths[:, :, :-1], axis=-1)
-        inverse = np.cumsum(moved).reshape(moved.shape) - 1
-        return cls(paths[moved], inverse.swapaxes(1, 2).reshape(chains, draws))
-
-    def evaluate(self, function: Callable[[FloatArray], FloatArray], batch: int = BATCH) -> FloatArray:
-        """Return ``function(theta)`` for every draw, shape (chains, draws, ...): the phase "predictions" of a run.
-
-        Parameters
-        ----------
-        function : callable
-            Maps (n, ndim) to (n, ...); called with at most `batch` rows, once for each distinct draw.
-        batch : int
-        """
-        return np.concatenate(by_parts("predictions", function, self.theta, batch))[self.inverse]
 
 
 def tempering_group(result: RunResult) -> xr.Dataset:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmu.analysis.fit.checks import LEVEL, failed_checks
+from fmu.analysis.fit.check import LEVEL, failed_checks
 from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, UNKNOWN, ModelFit
 from fmu.analysis.held_out.modes import left_out_warnings
 from fmu.analysis.information import information_warnings

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from fmu.analysis.held_out.modes import FEWEST, NEITHER, NOT_USED, REFIT, WEIGHTS, leave_one_out
+from fmu.analysis.held_out.modes import NEITHER, NOT_USED, REFIT, WEIGHTS, leave_one_out
+from fmu.analysis.held_out.weights import FEWEST
 from fmu.analysis.prediction import (
     measured_tests,
     measurement_in_words,

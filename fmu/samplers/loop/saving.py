@@ -6,9 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple, Protocol
 
 from fmu.engines.base import RunFailedError
-from fmu.samplers.loop.group import (
-    GroupState,
-)
+from fmu.samplers.loop.group import GroupState
 from fmu.samplers.loop.record import RunResult, Steps
 
 

@@ -21,7 +21,7 @@ from fmu.analysis.convergence.diagnosis import (
     with_maxima,
 )
 from fmu.analysis.convergence.diagnostics import convergence_failures, rhat_over_walkers, summary
-from fmu.analysis.fit.checks import PREDICTED, Check
+from fmu.analysis.fit.check import PREDICTED, Check
 from fmu.analysis.fit.model_fit import ModelFit
 from fmu.analysis.maxima.search import find_map
 from fmu.analysis.trace.conversion import load_trace, save_trace, to_trace

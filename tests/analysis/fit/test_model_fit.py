@@ -10,7 +10,7 @@ from scipy.stats import t as student
 
 import fmu
 from fmu.analysis.convergence.diagnosis import judge
-from fmu.analysis.fit.checks import HELD_OUT, LEVEL, NOISE, PREDICTED, RESIDUALS, SHAPE
+from fmu.analysis.fit.check import HELD_OUT, LEVEL, NOISE, PREDICTED, RESIDUALS, SHAPE
 from fmu.analysis.fit.deviations import deviation_warnings
 from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, UNKNOWN, model_fit
 from fmu.analysis.trace.conversion import to_trace

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fmu.analysis.trace.conversion import DistinctDraws
+from fmu.analysis.trace.distinct_draws import DistinctDraws
 
 
 def walk(rng, chains, steps, walkers):

@@ -7,8 +7,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import fmu
-from fmu.analysis.check import model_in_words
 from fmu.analysis.maxima.search import STARTS, STARTS_IF_SLOW, default_starts
+from fmu.analysis.start.model_words import model_in_words
 from fmu.fem.modes.full_block import full_model
 from fmu.fem.modes.solver import LAPACK
 from fmu.fem.reduced import training

@@ -10,28 +10,23 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from annotated_types import Interval
 
-from fmu.analysis.gradient_check import GradientCheck, check_gradient
 from fmu.analysis.identifiability import Identifiability, identifiability
-from fmu.analysis.identifiability import doubts as doubts_of_information
-from fmu.analysis.initial_modes import InitialModes, initial_modes, modes_as_text
 from fmu.analysis.maxima.search import is_updating
 from fmu.analysis.prediction import measurement_in_words
-from fmu.analysis.prior_prediction import DRAWS, PriorPrediction, prior_prediction
 from fmu.analysis.repeatability import repeatability
+from fmu.analysis.start.gradient_check import GradientCheck, check_gradient
+from fmu.analysis.start.initial_modes import InitialModes, initial_modes, modes_as_text
+from fmu.analysis.start.model_words import model_in_words, parameter_table, structure_drawing
+from fmu.analysis.start.prior_prediction import DRAWS, PriorPrediction, prior_prediction
 from fmu.analysis.trace.modal_states import START, modal_states
+from fmu.analysis.uninformed import doubts as doubts_of_information
 from fmu.arguments import ArgumentError, Seed, check_arguments
-from fmu.fem.frame.drawing import changed_elements, draw_svg, is_drawable, parameter_colours, sketch
-from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.modes.static import TRANSLATIONS, rigid_translation
 from fmu.fem.pairing.correlation import LOOK_AT_SENSORS
-from fmu.fem.pairing.paired_structure import structure_of
 from fmu.fem.reduced.reduced_structure import largest_tolerance_elsewhere
-from fmu.numbers import customary_unit, fixed, given, listed, names_in_words, significant, with_sd
+from fmu.numbers import fixed, given, significant, with_sd
 from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions, assumptions
-from fmu.posterior.joint.joint_problem import JointProblem
-from fmu.posterior.parameters import prior_in_words
 from fmu.posterior.prior_doubts import prior_doubts
-from fmu.tables import data_frame, text_table, wrap_text
+from fmu.tables import text_table, wrap_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -41,114 +36,7 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 
-_MOST_ELEMENTS = 5000
-_MOST_BLOCKS = 6
 _MOST_SENSORS = 8
-_SAME_MASS = 1.1
-
-
-def model_in_words(problem: UpdatingProblem) -> list[str]:
-    """Describe the model of a problem: its size, decoupled blocks, mass and reduced model."""
-    model = structure_of(problem.model)
-    if isinstance(problem, JointProblem):
-        n, unknowns = len(problem.model.configurations), " + ".join(map(str, problem.model.sizes))
-        many = "" if n == 1 else f" in {n} configurations, each with matrices of its own"
-        reduced = f" The reduced models have {unknowns} unknowns." if unknowns else ""
-        return [f"{len(problem.tests)} tests of one structure{many}.{reduced}"]
-    if model is None:
-        return [f"The model is {problem.model.name}, treated as a black box."]
-    structure = model.structure
-    sizes = [str(len(block)) for block in structure.blocks]
-    parts = "in one block" if len(sizes) == 1 else f"in {len(sizes)} decoupled blocks"
-    if 1 < len(sizes) <= _MOST_BLOCKS:
-        parts += f" of {names_in_words(sizes)}"
-    said = [f"The model has {structure.n_dof} free degrees of freedom, {parts}."]
-    said += [*structure.notes, *_masses(problem, structure)]
-    if problem.model.sizes:
-        said.append(f"Its reduced model has {' + '.join(map(str, problem.model.sizes))} unknowns.")
-    said += [model.why_full] if model.why_full else []
-    said.append(f"Its matrices are factorised by {model.solver}.")
-    return said
-
-
-def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
-    """Return one row per parameter: unit, start, bounds, prior in words, and the matrices that it changes."""
-    rows = []
-    for k, parameter in enumerate(problem.parameters):
-        found, unit = problem.model.matrices_of(k), customary_unit(parameter.unit)
-        changes = "" if found is None else _changes(*found)
-        if k >= problem.model.n_parameters:
-            changes = "measurement errors"
-        rows.append(
-            {
-                "unit": unit.name,
-                "start": parameter.start / unit.factor,
-                "lower": parameter.lower / unit.factor,
-                "upper": parameter.upper / unit.factor,
-                "prior": prior_in_words(parameter.prior.as_dict(), parameter.unit),
-                "changes": changes,
-            }
-        )
-    table = data_frame(rows, "parameter", problem.names)
-    return table if any(table["changes"]) else table.drop(columns="changes")
-
-
-def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
-    """Return the structure as SVG, and a colour for each parameter; an empty text and None if it is not drawn."""
-    structure = problem.model.parts[0].structure
-    if structure is None or not is_drawable(structure, _MOST_ELEMENTS):
-        return "", [None] * problem.ndim
-    found = sketch(structure, problem.data.sensors)
-    colours = parameter_colours(found)
-    changed = [problem.model.matrices_of(k) for k in range(problem.ndim)]
-    return draw_svg(found), [None if of is None or of[0] is not structure else colours[of[1]] for of in changed]
-
-
-def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
-    """Return the mass moved if all free degrees of freedom translate together: a check on units and densities.
-
-    Next to a support this motion bends the elements, whose rotary inertia adds to the mass across them. Masses
-    within 10 % of each other are therefore given as one, the smallest. Degrees of freedom without named
-    directions are not summed.
-    """
-    M = structure.M(problem.start[: structure.n_parameters])
-    if all(isinstance(node, int) and direction == "x" for node, direction in structure.dofs):
-        least, most = (significant(float(end), 4) for end in (M.diagonal().min(), M.diagonal().max()))
-        between = f"is {least} kg" if least == most else f"ranges from {least} to {most} kg"
-        return [
-            f"At the start the diagonal of the mass matrix {between}; its rows have no directions (dofs in "
-            f"[model]), so the total mass is not known."
-        ]
-    rigid = {name: rigid_translation(structure, name) for name in TRANSLATIONS}
-    masses = {name: float(motion @ (M @ motion)) for name, motion in rigid.items() if motion.any()}
-    if not masses:
-        return []
-    if max(masses.values()) <= _SAME_MASS * min(masses.values()):
-        carried = f"{significant(min(masses.values()))} kg in {names_in_words(list(masses))}"
-    else:
-        carried = ", ".join(f"{significant(mass)} kg in {name}" for name, mass in masses.items())
-    return [f"At the start the free degrees of freedom carry {carried}."]
-
-
-def _changes(structure: SeparableModel, j: int) -> str:
-    """Describe what a parameter changes: ``"stiffness of 10 of 50 elements"``."""
-    kinds = []
-    touched = np.zeros(structure.n_dof, dtype=bool)
-    for kind, terms in (("stiffness", structure.K_terms), ("mass", structure.M_terms)):
-        own = [term for term in terms if term.powers[j]]
-        powers = sorted({term.powers[j] for term in own})
-        if own:
-            power = "" if powers == [1] else f" (to the power {listed(powers)})"
-            kinds.append(kind + power)
-        for term in own:
-            touched[term.matrix.tocoo().row] = True
-    if not kinds:
-        return "nothing"
-    if structure.geometry is not None and is_drawable(structure, _MOST_ELEMENTS):
-        changed = changed_elements(structure)[:, j]
-        if np.any(changed):
-            return f"{' and '.join(kinds)} of {changed.sum()} of {len(changed)} elements"
-    return f"{' and '.join(kinds)} at {touched.sum()} of {structure.n_dof} degrees of freedom"
 
 
 @dataclass(frozen=True, eq=False)

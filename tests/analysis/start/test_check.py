@@ -8,10 +8,11 @@ import scipy.linalg
 import scipy.sparse as sp
 
 import fmu
-from fmu.analysis.check import check, model_in_words
-from fmu.analysis.gradient_check import check_gradient
-from fmu.analysis.initial_modes import initial_modes
-from fmu.analysis.prior_prediction import prior_prediction
+from fmu.analysis.start.check import check
+from fmu.analysis.start.gradient_check import check_gradient
+from fmu.analysis.start.initial_modes import initial_modes
+from fmu.analysis.start.model_words import model_in_words
+from fmu.analysis.start.prior_prediction import prior_prediction
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import Term
 from fmu.posterior.data.modal_data import ModalData

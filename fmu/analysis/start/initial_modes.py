@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fmu.analysis.start.pairing_doubts import ComputedMode, close, note_unmeasured, unlike, warn_of_order
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.modal import frequency_hz, is_rigid, mac, single_thread
 from fmu.fem.modes.separable import selection
-from fmu.fem.pairing.correlation import ALIKE, CLOSE, Correlation, close_groups
+from fmu.fem.pairing.correlation import Correlation, close_groups
 from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
 from fmu.fem.pairing.rules import assign
-from fmu.numbers import MISSING, apart, change, fixed, given, hertz, share
+from fmu.numbers import MISSING, change, fixed, given, hertz, share
 from fmu.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -24,134 +25,6 @@ if TYPE_CHECKING:
 
     from fmu.posterior.data.modal_data import ModalData
     from fmu.posterior.problem import UpdatingProblem
-
-
-RIVAL = 0.1
-"""The MAC of the paired mode must exceed that of any other by this much."""
-
-
-@dataclass(frozen=True)
-class ComputedMode:
-    """A mode of the model.
-
-    Attributes
-    ----------
-    number : int or None
-        Number in the sorted spectrum, from 1; None if the model gives paired frequencies only.
-    frequency_hz : float
-    measured : int or None
-        The measured mode (from 0) that it is paired with.
-    seen : bool
-        Whether it moves a sensor.
-    moves : str
-        The directions with most of its kinetic energy: ``"z 98 %"``; empty if unknown.
-    is_rigid : bool
-        Whether it is a motion without strain, at 0 Hz.
-    """
-
-    number: int | None
-    frequency_hz: float
-    measured: int | None
-    seen: bool = True
-    moves: str = ""
-    is_rigid: bool = False
-
-
-def unlike(
-    labels: tuple[str, ...], paired: list[int], alike: FloatArray | None, found: Correlation | None = None
-) -> list[str]:
-    """Return warnings on measured shapes that match no computed mode, or two: by MAC (n_modes, n_computed).
-
-    Close modes that match as a space are left out.
-    """
-    doubts = []
-    for k, column in enumerate(paired if alike is not None else []):
-        if found is not None and found.subspace.get(k, 0.0) >= ALIKE:
-            continue
-        row = alike[k]  # type: ignore[index]  # there is one, or there is no column
-        others = np.delete(np.arange(len(row)), column)
-        if row[column] < ALIKE:
-            doubts.append(
-                f"Mode {labels[k]}: MAC {apart(row[column], ALIKE, sd=0.1)[0]} with computed mode {column + 1}, "
-                f"below {ALIKE}."
-            )
-        rival = others[np.argmax(row[others])] if len(others) else column
-        if rival != column and row[rival] > row[column] - RIVAL:
-            doubts.append(
-                f"Mode {labels[k]}: the sensors can hardly distinguish computed mode {column + 1} (MAC "
-                f"{fixed(row[column], 2)}) from {rival + 1} (MAC {fixed(row[rival], 2)})."
-            )
-    return doubts
-
-
-def close(
-    labels: tuple[str, ...], paired: list[int], frequencies: FloatArray, seen: BoolArray, by_number: bool
-) -> list[str]:
-    """Return warnings on close computed modes: any two if paired by number, else those that move a sensor."""
-    doubts, told = [], set()
-    for k, column in enumerate(paired):
-        for other in (column - 1, column + 1):
-            pair = (min(column, other), max(column, other))
-            if not 0 <= other < len(frequencies) or pair in told or not (by_number or seen[other]):
-                continue
-            distance = abs(frequencies[other] / frequencies[column] - 1.0)
-            if distance < CLOSE:
-                told.add(pair)
-                doubts.append(
-                    f"Mode {labels[k]}: computed modes {pair[0] + 1} and {pair[1] + 1} are {share(distance)} "
-                    "apart in frequency, too close to tell which of them was measured."
-                )
-    return doubts
-
-
-def warn_of_order(labels: tuple[str, ...], paired: list[int], measured: FloatArray) -> list[str]:
-    """Return a warning if the paired modes are not in the order of the measured frequencies."""
-    order = np.argsort(measured, kind="stable")
-    numbers = [paired[k] for k in order]
-    if numbers == sorted(numbers):
-        return []
-    return [
-        "Measured and computed modes are in different orders: "
-        + ", ".join(f"{labels[k]} is computed mode {paired[k] + 1}" for k in order)
-        + "."
-    ]
-
-
-def note_unmeasured(found: Sequence[ComputedMode]) -> list[str]:
-    """Return notes on rigid-body modes, and on unmeasured ones between the measured ones, seen or not."""
-    last = max(i for i, mode in enumerate(found) if mode.measured is not None)
-    rigid = [mode.number for mode in found if mode.is_rigid]
-    notes = []
-    if rigid:
-        subject = (
-            "mode 1 is a rigid-body motion" if len(rigid) == 1 else f"modes 1–{len(rigid)} are rigid-body motions"
-        )
-        notes.append(f"Computed {subject}; the first elastic mode is number {len(rigid) + 1}.")
-    for seen, one, many in (
-        (False, "moves no sensor", "move no sensor"),
-        (True, "moves a sensor, but was not measured", "move a sensor, but were not measured"),
-    ):
-        numbers = [
-            mode.number
-            for mode in found[:last]
-            if mode.measured is None and mode.seen == seen and not mode.is_rigid
-        ]
-        if numbers:
-            subject, words = ("mode", one) if len(numbers) == 1 else ("modes", many)
-            notes.append(f"Computed {subject} {ranges([n for n in numbers if n is not None])} {words}.")
-    return notes
-
-
-def ranges(numbers: Sequence[int]) -> str:
-    """Return ascending numbers, runs of three and more as ranges: ``"1, 2, 5–9"``."""
-    runs: list[list[int]] = []
-    for number in numbers:
-        if runs and runs[-1][-1] == number - 1:
-            runs[-1].append(number)
-        else:
-            runs.append([number])
-    words = [f"{run[0]}–{run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs]
-    return ", ".join(words)
 
 
 _SEEN = 1e-3

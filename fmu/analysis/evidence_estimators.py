@@ -1,0 +1,101 @@
+"""Estimators of the evidence, from draws on the rungs of a ladder and from candidates of a mixture."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import logsumexp
+
+from fmu.analysis.convergence import effective
+from fmu.types import FloatArray
+
+
+class _Estimate(NamedTuple):
+    """An estimate from draws (chains, draws, rungs), and the influence of each draw (chains, draws) on it."""
+
+    value: float
+    influence: FloatArray
+
+
+def by_importance(q: FloatArray) -> tuple[float, float]:
+    """Return log-evidence and standard error from log-weights log P − log q (n,) of independent draws from q."""
+    total = float(logsumexp(q))
+    relative = np.exp(q - total) * len(q)
+    return total - float(np.log(len(q))), float(np.std(relative) / np.sqrt(len(q)))
+
+
+def by_bridge(q: FloatArray, p: FloatArray, ratio: float) -> tuple[float, float]:
+    """Return log-evidence and standard error by the optimal bridge (Meng & Wong 1996).
+
+    The error is that of Frühwirth-Schnatter (2004). The draws of the posterior count in it by the effective sample
+    size of their terms, where that is smaller than `ratio` says.
+
+    Parameters
+    ----------
+    q, p : ndarray, shape (n,) and (chains, draws)
+        Log-weights log P − log q of independent draws from q, and of draws from the posterior.
+    ratio : float
+        How many independent draws one of the posterior counts for.
+    """
+    n = ratio * p.size
+    of_p, of_q = n / (n + len(q)), len(q) / (n + len(q))
+    log_z = float(np.median(p))
+    for _ in range(_MOST_BRIDGES):
+        above = logsumexp(q - np.logaddexp(np.log(of_p) + q - log_z, np.log(of_q))) - np.log(len(q))
+        below = logsumexp(-np.logaddexp(np.log(of_p) + p - log_z, np.log(of_q))) - np.log(p.size)
+        log_z, before = float(above - below), log_z
+        if abs(log_z - before) < 1e-10:
+            break
+    log_f_p = -np.logaddexp(np.log(of_p) + p - log_z, np.log(of_q))
+    log_f_q = q - log_z - np.logaddexp(np.log(of_p) + q - log_z, np.log(of_q))
+    f_p, f_q = (np.exp(log_f - logsumexp(log_f)) * log_f.size for log_f in (log_f_p, log_f_q))
+    ess = np.fmin(n, effective.ess_mean(f_p))
+    return log_z, float(np.sqrt(np.var(f_p) / ess + np.var(f_q) / len(q)))
+
+
+def stepping_stone(draws: FloatArray, t: FloatArray) -> _Estimate:
+    """Return Σ_k log E_k[exp((t_{k+1} − t_k) l)], that is Σ_k log(Z_{k+1}/Z_k) (Xie et al. 2011)."""
+    log_weight, log_ratio = stones(draws, t)
+    # d log E[w] = (w − E[w])/E[w]: what each draw contributes to the error of the sum
+    return _Estimate(float(log_ratio.sum()), np.sum(np.exp(log_weight - log_ratio) - 1.0, axis=2))
+
+
+def stones(draws: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (t_{k+1} − t_k) l and the logarithm of the mean of its exponential, (..., rungs − 1) each."""
+    log_weight = np.diff(t) * draws[..., :-1]
+    highest = log_weight.max(axis=(0, 1))  # taken out of the exponential, which would overflow or vanish
+    return log_weight, highest + np.log(np.mean(np.exp(log_weight - highest), axis=(0, 1)))
+
+
+def thermodynamic(draws: FloatArray, t: FloatArray) -> _Estimate:
+    """Return log Z = ∫₀¹ m(t) dt, where m and v are mean and variance of the log-likelihood l at t.
+
+    The corrected trapezium rule Σ_k h_k (g_k + g_{k+1})/2 − h_k² (g'_{k+1} − g'_k)/12 is applied in s = log(t +
+    a) instead of t. For a Gaussian likelihood in d dimensions m varies as −d/(2 (t + a)) towards the prior, so
+    that g = m (t + a) is smooth in s, with g' = v (t + a)² + m (t + a), because dm/dt = v. The first three rungs
+    are equidistant in s, which determines a. If the model fails in a part of the prior, the mean at t = 0 is
+    that of the rest, and the logarithm of the share of the rest is added to the integral.
+    """
+    known = np.isfinite(draws)
+    share = known.mean(axis=(0, 1))
+    # the right a makes the first three rungs equidistant in s: (t_1 + a)² = a (t_2 + a), a = t_1²/(t_2 − 2 t_1)
+    curved = len(t) > 2 and t[2] > 2.0 * t[1]
+    w = t + (min(1.0, t[1] ** 2 / (t[2] - 2.0 * t[1])) if curved else 1.0)
+    h = np.diff(np.log(w))
+    # the rule collected by rungs: each gets half of both neighbouring intervals, and h²/12 with opposite signs
+    of_g = 0.5 * (np.append(h, 0.0) + np.append(0.0, h))
+    of_slope = (np.append(h**2, 0.0) - np.append(0.0, h**2)) / 12.0
+    # with g = w m and g' = w² v + w m it is a weighted sum of the means and variances
+    of_mean, of_variance = w * (of_g + of_slope), w**2 * of_slope
+    finite = np.where(known, draws, 0.0)
+    mean = finite.mean(axis=(0, 1)) / share
+    away = np.where(known, finite - mean, 0.0)
+    variance = np.mean(away**2, axis=(0, 1)) / share
+    value = mean @ of_mean + variance @ of_variance + np.sum(np.log(share))
+    # the influence of each draw: (l − m)/share on m, ((l − m)² − v)/share on v, (1 − share)/share on log share
+    moved = away * of_mean + np.where(known, away**2 - variance, 0.0) * of_variance + known - share
+    return _Estimate(float(value), moved @ (1.0 / share))
+
+
+_MOST_BRIDGES = 200

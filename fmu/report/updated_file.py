@@ -1,0 +1,111 @@
+"""The problem file with updated start values, and copies of the files that it names."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fmu.formats.decks import EXPORTED
+from fmu.formats.models.read import read_beside
+
+_EDITOR = "#:schema"
+
+
+_FROM_PRIOR = "from the prior: the data did not inform it"
+
+
+def updated_text(
+    text: str, starts: Mapping[str, float], pairing: str | None, about: str, from_prior: Collection[str] = ()
+) -> tuple[str, list[str]]:
+    """Return a problem file with new start values, otherwise unchanged, and the strings in it that may name files.
+
+    Parameters
+    ----------
+    text : str
+    starts : mapping of str to float
+        By the name of the parameter, SI units.
+    pairing : str or None
+        Written to the file, if the file has another or none.
+    about : str
+        Source of the values: a comment at the top.
+    from_prior : collection of str
+        Parameters that the data did not inform: a comment beside their values says so.
+    """
+    import tomlkit
+
+    document = tomlkit.parse(text)
+    for table in (*document["parameters"], *document.get("noise", ())):
+        table["start"] = tomlkit.value(_toml_number(starts[str(table["name"])]))
+        if str(table["name"]) in from_prior:
+            trivia = table["start"].trivia
+            before = trivia.comment.removeprefix("#").strip()
+            trivia.comment = f"# {before}; {_FROM_PRIOR}" if before else f"# {_FROM_PRIOR}"
+            trivia.comment_ws = trivia.comment_ws or "  "
+    if pairing is not None and document.get("pairing", "shape") != pairing:
+        document["pairing"] = pairing
+    lines = tomlkit.dumps(document).splitlines(keepends=True)
+    at = 1 if lines and lines[0].startswith(_EDITOR) else 0
+    lines.insert(at, f"# {about}\n")
+    words = (str(table[key]) for table, key in _strings(document))
+    return "".join(lines), [word for word in words if "." in word or ":" in word]
+
+
+def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[str, str]:
+    """Copy the files that a problem file names, so that the updated one is complete.
+
+    Returns
+    -------
+    dict of str to str
+        New names of files whose name is also that of an exported file.
+    """
+    renamed = {}
+    for word in dict.fromkeys(words):
+        name = f"{word.split(':')[0]}.py" if ":" in word else word
+        path = Path(name)
+        if path.is_absolute() or ".." in path.parts or not (source / name).is_file():
+            continue
+        kept = f"model-{name}" if name in EXPORTED else name
+        if kept != name:
+            renamed[name] = kept
+        (target / kept).parent.mkdir(parents=True, exist_ok=True)
+        for one in (path, *(file.relative_to(source) for file in read_beside(source / path))):
+            if (source / one).is_file():
+                copy = target / (kept if one == path else one)
+                shutil.copyfile(source / one, copy)
+                if os.access(source / one, os.X_OK):  # a program that the problem runs
+                    shutil.copymode(source / one, copy)
+    return renamed
+
+
+def rename(text: str, names: Mapping[str, str]) -> str:
+    """Return a problem file with renamed files."""
+    import tomlkit
+
+    if not names:
+        return text
+    document = tomlkit.parse(text)
+    for table, key in list(_strings(document)):
+        table[key] = names.get(str(table[key]), table[key])
+    return tomlkit.dumps(document)
+
+
+def _strings(part: Any) -> Iterator[tuple[Any, Any]]:
+    """Yield the place of every string of a document: its table or array, and its key or index there."""
+    for key, value in part.items() if isinstance(part, Mapping) else enumerate(part):
+        if isinstance(value, str):
+            yield part, key
+        elif isinstance(value, Mapping | list):
+            yield from _strings(value)
+
+
+def _toml_number(value: float) -> str:
+    """Format a float so that reading it gives the same value: ``"1.905e+11"``, ``"0.86"``, ``"1.0"``."""
+    if value != 0.0 and not 1e-4 <= abs(value) < 1e7:
+        return np.format_float_scientific(value, trim="0")
+    return repr(float(value)) if math.isfinite(value) else str(value)
