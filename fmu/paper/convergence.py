@@ -64,7 +64,7 @@ def around_the_maxima(maxima: Maxima) -> Reference:
     It uses no chains, so that it also holds if chains stay in separate modes.
     """
     share = np.array([m.share for m in maxima])[:, np.newaxis]
-    mean, sd = (np.array([getattr(m, name) for m in maxima]) for name in ("mean", "sd"))
+    mean, sd = np.array([m.mean for m in maxima]), np.array([m.sd for m in maxima])
     draws = np.array([max(m.effective_draws, 1.0) for m in maxima])[:, np.newaxis]
     centre = np.sum(share * mean, axis=0)
     spread = np.sqrt(np.sum(share * (sd**2 + (mean - centre) ** 2), axis=0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -75,10 +75,11 @@ def recompute(problems: Mapping[str, UpdatingProblem]) -> pd.DataFrame:
 
 def recomputed_page(table: pd.DataFrame) -> str:
     """Return recomputed.md."""
-    rows: list[tuple[Any, ...]] = [
+    rows = [
         (
-            f"Table {row.table}", row.column, row.mode, row.printed_hz, fixed(row.model_hz, 3),
-            fixed(row.difference_hz, 3), fixed(row.tolerance_hz, 3), "yes" if row.within else "**no**", row.remark,
+            f"Table {row['table']}", row["column"], row["mode"], row["printed_hz"], fixed(row["model_hz"], 3),
+            fixed(row["difference_hz"], 3), fixed(row["tolerance_hz"], 3),
+            "yes" if row["within"] else "**no**", row["remark"],
         )
         for _, row in rows_of(table)
     ]  # fmt: skip

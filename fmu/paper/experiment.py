@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.analysis.convergence.comparison import compare_runs
 from fmu.analysis.convergence.diagnostics import convergence_failures, interval_columns, summary
@@ -178,7 +177,7 @@ def _length_needed(trace: xr.DataTree, diagnosis: Diagnosis, maxima: Maxima) -> 
 
 def starts_in_the_posterior(
     long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosis], chains: int
-) -> NDArray[np.float64] | None:
+) -> FloatArray | None:
     """Return draws (chains, ndim) spread over a converged run of a trusted sampler; None where none has."""
     for name in TRUSTED:
         if diagnoses[name].converged:
@@ -229,8 +228,8 @@ def parameter_table(result: Result) -> pd.DataFrame:
         table = summary(trace, CI_PROB)
         for statistic in ("mean", "sd", "mcse_mean", lower, upper):
             columns[f"long_{name}_{statistic.removesuffix('_mean')}"] = table[statistic].to_numpy()
-    for statistic in ("mean", "sd", "mcse"):
-        columns[f"reference_{statistic}"] = getattr(result.reference, statistic)
+    reference = result.reference
+    columns |= {"reference_mean": reference.mean, "reference_sd": reference.sd, "reference_mcse": reference.mcse}
     return data_frame(columns, "parameter", result.problem.names)
 
 
@@ -365,6 +364,7 @@ def _distance(result: Result, theta: FloatArray) -> float:
     return float(np.max(np.abs(theta - result.reference.mean) / result.reference.sd))
 
 
-def rows_of(frame: Any) -> list[tuple[Any, Any]]:
-    """Return index and row of a table, the row's cells by attribute."""
-    return [(row.Index, row) for row in frame.itertuples()]
+def rows_of(frame: pd.DataFrame) -> list[tuple[str, dict[str, Any]]]:
+    """Return name and cells of each row of a table."""
+    rows = frame.itertuples(name=None)
+    return [(str(name), dict(zip(frame.columns, cells, strict=True))) for name, *cells in rows]

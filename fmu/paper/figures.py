@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -43,15 +43,15 @@ def write_figures(result: Result, frequencies: pd.DataFrame, directory: Path) ->
         if name in result.paper:
             columns = {"the paper's protocol": result.paper[name], **columns}
             published = result.published.columns[name].printed_theta
-        figure = plot_traces(columns, published)[0, 0].figure
-        _save(figure, f"{TITLES[name]}. {heading}", directory / f"trace-{name}.png")
-        figure = plot_corner(trace, result.maxima[0].theta)[0, 0].figure
-        _save(figure, f"{TITLES[name]}. {heading}", directory / f"corner-{name}.png", x=0.98, ha="right")
+        paths = plot_traces(columns, published)[0, 0]
+        _save(paths, f"{TITLES[name]}. {heading}", directory / f"trace-{name}.png")
+        pairs = plot_corner(trace, result.maxima[0].theta)[0, 0]
+        _save(pairs, f"{TITLES[name]}. {heading}", directory / f"corner-{name}.png", x=0.98, ha="right")
         series = frequency_series(result, frequencies, name)
         labels = [f"{label}" for label in frequencies.index]
-        figure = plot_frequency_errors(frequencies["measured_hz"], series, labels).figure
-        _save(figure, f"{TITLES[name]}. {heading}", directory / f"frequencies-{name}.png")
-    _save(plot_convergence(result).figure, f"Convergence. {heading}", directory / "convergence.png")
+        errors = plot_frequency_errors(frequencies["measured_hz"], series, labels)
+        _save(errors, f"{TITLES[name]}. {heading}", directory / f"frequencies-{name}.png")
+    _save(plot_convergence(result), f"Convergence. {heading}", directory / "convergence.png")
 
 
 def frequency_series(result: Result, table: pd.DataFrame, name: str) -> list[Frequencies]:
@@ -131,6 +131,8 @@ def _legend(figure: Figure, result: Result) -> None:
     )
 
 
-def _save(figure: Any, title: str, path: Path, **where: Any) -> None:
-    figure.suptitle(title, fontsize=FONT + 2, **where)
+def _save(axes: Axes, title: str, path: Path, x: float = 0.5, ha: Literal["center", "right"] = "center") -> None:
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    figure.suptitle(title, fontsize=FONT + 2, x=x, ha=ha)
     figure.savefig(path, dpi=DPI)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from fmu.analysis.convergence.diagnosis import CONVERGED
 from fmu.numbers import fixed, significant, whole
@@ -147,14 +147,13 @@ class Findings:
 
     def value(self, sampler: str, column: str) -> float:
         """Return a number of the comparison; NaN where there is none."""
-        cell: Any = self.comparison.loc[sampler, column]
+        cell = self.comparison[column][sampler]
         return float("nan") if str(cell) == "<NA>" else float(cell)
 
     def in_paper_units(self, parameter: str, *columns: str) -> list[float]:
         """Return entries of the parameter table in the power of ten that the paper prints."""
         factor, _ = self.unit_of_paper(parameter)
-        row: Any = self.parameters.loc[parameter]
-        return [float(row[column]) / factor for column in columns]
+        return [float(self.parameters[column][parameter]) / factor for column in columns]
 
     @property
     def central_difference_rate(self) -> float:
@@ -175,8 +174,7 @@ class Findings:
         """Return the power of ten in which the paper prints a parameter, and its name, ``"1e-9 m⁴"``."""
         position = self.published.parameter_names.index(parameter)
         exponent = self.published.columns["initial"].parameters[position].exponent
-        unit: Any = self.parameters.loc[parameter, "unit"]
-        return float(f"1e{exponent}"), f"1e{exponent} {unit}"
+        return float(f"1e{exponent}"), f"1e{exponent} {self.parameters['unit'][parameter]}"
 
 
 SHORT = {"hmc": "HMC", "mh": "MH", "slice": "slice sampling"}

@@ -72,9 +72,9 @@ def _initial(findings: Findings) -> str:
         )
     rows = [
         (
-            mode, given(row.measured_hz), given(row.published_initial_hz), given(row.published_initial_error),
-            fixed(row.recomputed_initial_hz, 2), fixed(row.recomputed_initial_error, 2),
-            fixed(row.maximum_hz, 2), fixed(row.maximum_error, 2),
+            mode, given(row["measured_hz"]),
+            *(given(row[f"published_initial_{of}"]) for of in ("hz", "error")),
+            *(fixed(row[f"{at}_{of}"], 2) for at in ("recomputed_initial", "maximum") for of in ("hz", "error")),
         )
         for mode, row in rows_of(findings.frequencies)
     ]  # fmt: skip
@@ -119,14 +119,14 @@ def _frequencies(findings: Findings, sampler: str) -> str:
         header += [f"{words}, Hz", "error, %"] + (["predicted, Hz"] if source.startswith("long_") else [])
     rows = []
     for mode, row in rows_of(findings.frequencies):
-        cells = [mode, given(row.measured_hz)]
+        cells = [mode, given(row["measured_hz"])]
         for source in sources:
-            hz, error = getattr(row, f"{source}_hz"), getattr(row, f"{source}_error")
+            hz, error = row[f"{source}_hz"], row[f"{source}_error"]
             printed = source.startswith("published_")
             cells += [given(hz), given(error)] if printed else [fixed(hz, 2), fixed(error, 2)]
             if source.startswith("long_"):
-                low, high = (getattr(row, f"{source}_predictive_{end}") for end in ENDS)
-                cells.append(with_interval(getattr(row, f"{source}_predictive"), low, high, 1))
+                low, high = (row[f"{source}_predictive_{end}"] for end in ENDS)
+                cells.append(with_interval(row[f"{source}_predictive"], low, high, 1))
         rows.append(cells)
     return markdown_table(header, rows)
 
@@ -161,18 +161,18 @@ def reached_and_cost(findings: Findings) -> str:
     rows = list(rows_of(findings.comparison))
     reached = [
         (
-            TITLES[name], "yes" if findings.is_converged(name) else "**no**", fixed(row.rhat_max, 4),
-            fixed(row.ess_bulk_min, 0), fixed(row.ess_tail_min, 0), fixed(row.mcse_over_sd_max, 3),
-            fixed(row.accept_rate, 2), whole(row.divergences),
+            TITLES[name], "yes" if findings.is_converged(name) else "**no**", fixed(row["rhat_max"], 4),
+            fixed(row["ess_bulk_min"], 0), fixed(row["ess_tail_min"], 0), fixed(row["mcse_over_sd_max"], 3),
+            fixed(row["accept_rate"], 2), whole(row["divergences"]),
         )
         for name, row in rows
     ]  # fmt: skip
     cost = [
         (
-            TITLES[name], whole(row.n_solves), whole(row.n_gradients), significant(row.gradient_cost, 2),
-            whole(row.needed_samples), whole(row.needed_solves), fixed(row.needed_s, 1),
-            *_efficiency(findings, name), fixed(row.wall_s, 1), whole(row.paper_solves),
-            fixed(row.paper_error, 1), about(row.paper_needed_solves), fixed(row.published_error, 1),
+            TITLES[name], whole(row["n_solves"]), whole(row["n_gradients"]), significant(row["gradient_cost"], 2),
+            whole(row["needed_samples"]), whole(row["needed_solves"]), fixed(row["needed_s"], 1),
+            *_efficiency(findings, name), fixed(row["wall_s"], 1), whole(row["paper_solves"]),
+            fixed(row["paper_error"], 1), about(row["paper_needed_solves"]), fixed(row["published_error"], 1),
         )
         for name, row in rows
     ]  # fmt: skip
@@ -222,10 +222,10 @@ def maxima(findings: Findings) -> str:
     for k, row in rows_of(findings.maxima):
         cells = [str(k)]
         for name, (factor, _) in zip(names, units, strict=True):
-            at, mean, sd = (getattr(row, name + end) / factor for end in ("", "_mean", "_sd"))
+            at, mean, sd = (row[name + end] / factor for end in ("", "_mean", "_sd"))
             cells.append(f"{fixed(at, 3)} ({fixed(mean, 3)} ± {fixed(sd, 3)})")
-        below = findings.maxima["log_prob"].iloc[0] - row.log_prob
-        rows.append((*cells, fixed(below, 1), share(row.share), row.modes, whole(row.starts)))
+        below = findings.maxima["log_prob"].iloc[0] - row["log_prob"]
+        rows.append((*cells, fixed(below, 1), share(row["share"]), row["modes"], whole(row["starts"])))
     text = (
         "At each maximum, and in brackets mean and sd of the part of the posterior around it (importance "
         "sampling, no chain). *Lower*: in log-probability than number 1.\n\n"

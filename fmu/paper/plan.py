@@ -5,20 +5,20 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from fmu.analysis.certificate import CertificateWarning
 from fmu.paper.published import EXPERIMENTS, N_SAMPLES
 from fmu.progress import Report
 from fmu.samplers import Ensemble, HamiltonianMonteCarlo, MetropolisHastings, RandomWalk, Slice, make_sampler
 from fmu.samplers.kernel import Sampler
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from fmu.analysis.maxima.results import Maxima
     from fmu.posterior.problem import UpdatingProblem
-    from fmu.samplers.kernel import Sampler
 
 
 PAPER_SAMPLERS = ("mh", "slice", "hmc")
@@ -163,7 +163,13 @@ class Runs:
         self.done = 0
 
     def run(
-        self, words: str, settings: Sampler, length: Length, init: Any = "prior", *, jumps: bool | None = None
+        self,
+        words: str,
+        settings: Sampler,
+        length: Length,
+        init: str | FloatArray = "prior",
+        *,
+        jumps: bool | None = None,
     ) -> xr.DataTree:
         """Make a run, named `words` in the line of progress, and return its trace; `jumps` as in `fmu.sample`."""
         from fmu.sampling import sample

@@ -104,8 +104,9 @@ def write_experiment(result: Result, findings: Findings, stage: Path) -> None:
     directory, traces = stage / findings.name, stage / "traces"
     for path in (directory, traces):
         path.mkdir(parents=True, exist_ok=True)
-    for table in TABLES:
-        getattr(findings, table).to_csv(directory / f"{table}.csv")
+    tables = findings.parameters, findings.frequencies, findings.comparison, findings.maxima
+    for name, table in zip(TABLES, tables, strict=True):
+        table.to_csv(directory / f"{name}.csv")
     (directory / "tables.md").write_text(experiment_page(findings), encoding="utf-8")
     write_figures(result, findings.frequencies, directory)
     write_pages(result.long, directory / FOLDER)

@@ -179,7 +179,7 @@ def outcome(study: VectorBeta) -> str:
 
 def _runs(study: VectorBeta) -> str:
     rows = [
-        (NAMES[name], "yes" if row.converged else "**no**", fixed(row.rhat, 4), fixed(row.ess, 0))
+        (NAMES[name], "yes" if row["converged"] else "**no**", fixed(row["rhat"], 4), fixed(row["ess"], 0))
         for name, row in rows_of(study.runs)
     ]
     failed = [f"- {NAMES[name]}: {reason}\n" for name, reasons in study.reasons.items() for reason in reasons]
@@ -193,10 +193,10 @@ def _modes(study: VectorBeta) -> str:
         header += [f"{words}, Hz", "error, %"]
     rows = []
     for mode, row in rows_of(study.modes):
-        cells = [mode, given(row.measured_hz), fixed(row.initial_hz, 2), fixed(row.initial_error, 2)]
-        cells += [given(row.published_hz), given(row.published_error)]
+        cells = [mode, given(row["measured_hz"]), fixed(row["initial_hz"], 2), fixed(row["initial_error"], 2)]
+        cells += [given(row["published_hz"]), given(row["published_error"])]
         for name in NAMES:
-            cells += [fixed(getattr(row, f"{name}_{of}"), 2) for of in ("hz", "error")]
+            cells += [fixed(row[f"{name}_{of}"], 2) for of in ("hz", "error")]
         rows.append(cells)
     return markdown_table(header, rows)
 
@@ -204,8 +204,8 @@ def _modes(study: VectorBeta) -> str:
 def _parameters(study: VectorBeta) -> str:
     rows = []
     for name, row in rows_of(study.parameters):
-        unit = customary_unit(row.unit)
-        moments = [[getattr(row, f"{b}_{of}") / unit.factor for of in ("mean", "sd")] for b in NAMES]
+        unit = customary_unit(row["unit"])
+        moments = [[row[f"{b}_{of}"] / unit.factor for of in ("mean", "sd")] for b in NAMES]
         cells = [with_sd(mean, sd) for mean, sd in moments]
         rows.append((unit.label(name), *cells))
     return "Posterior mean and standard deviation:\n\n" + markdown_table(("parameter", *NAMES.values()), rows)

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from markupsafe import Markup
 
 from fmu.report.figure_data import figure_data
 from fmu.report.packed import pack
+from fmu.report.plots.style import AxesArray
 from fmu.report.svg import inline_svg
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True)
@@ -116,7 +120,7 @@ class Picture:
     caption: str
     width: int
     name: str = "figure"
-    content: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    content: Mapping[str, object] = field(default_factory=dict, compare=False)
     height: int = 0
 
     @property
@@ -158,7 +162,7 @@ class View:
 
     kind: ClassVar[str] = "view"
     name: str
-    content: Mapping[str, Any]
+    content: Mapping[str, object]
     caption: str
 
     @property
@@ -324,7 +328,9 @@ def breaking_at_commas(text: str) -> str:
     return text.replace(" ", "\N{NO-BREAK SPACE}").replace(",\N{NO-BREAK SPACE}", ", ")
 
 
-def picture(axes: Any, key: str, alt: str, caption: str, data: Mapping[str, Any] | None = None) -> Picture:
+def picture(
+    axes: Axes | AxesArray, key: str, alt: str, caption: str, data: Mapping[str, object] | None = None
+) -> Picture:
     """Return the figure of some axes as a picture on a page.
 
     Parameters
@@ -340,7 +346,7 @@ def picture(axes: Any, key: str, alt: str, caption: str, data: Mapping[str, Any]
     data : mapping, optional
         Its content, if not what `figure_data` reads from it.
     """
-    figure = np.ravel(axes)[0].figure
+    figure = np.asarray(axes).ravel()[0].figure
     svg = inline_svg(figure, key, alt)
     content = figure_data(figure) if data is None else data
     width, height = (round(_CSS_PER_INCH * inches) for inches in figure.get_size_inches())

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -38,12 +38,13 @@ from fmu.report.mode_files import write_modes
 from fmu.report.updated_file import copy_companions, rename, updated_text
 from fmu.runs.words import why_no_traces
 from fmu.tables import data_frame
-from fmu.types import FloatArray
+from fmu.types import AnyArray, FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
+    from fmu.config.problem import ProblemFile
     from fmu.fem.modes.separable import SeparableModel
     from fmu.posterior.problem import UpdatingProblem
 
@@ -196,7 +197,7 @@ def _theta(trace: xr.DataTree, at: str) -> FloatArray:
     return maxima[0].theta
 
 
-def _problem_again(file: Path, folder: Path, pairing: str | None) -> tuple[Any, UpdatingProblem]:
+def _problem_again(file: Path, folder: Path, pairing: str | None) -> tuple[ProblemFile, UpdatingProblem]:
     from fmu.config import read
 
     described = read(file).model_copy(update={"reduction": False})
@@ -283,7 +284,7 @@ def _incomplete(file: Path) -> list[str]:
 
 
 def write_matrices(
-    model: SeparableModel, places: Mapping[str, Any], theta: FloatArray, about: str, folder: Path
+    model: SeparableModel, places: Mapping[str, Hashable], theta: FloatArray, about: str, folder: Path
 ) -> None:
     """Write the lower triangles of K and M at theta in Matrix Market format, and the table of their rows."""
     from scipy.io import mmwrite
@@ -313,18 +314,18 @@ def write_decks(templates: Sequence[str], source: Path, values: Mapping[str, flo
     return unused
 
 
-def dof_table(model: SeparableModel, places: Mapping[str, Any]) -> pd.DataFrame:
+def dof_table(model: SeparableModel, places: Mapping[str, Hashable]) -> pd.DataFrame:
     """Return the degree of freedom of each row: ``row`` from 1, ``node``, ``place`` if named, ``direction``.
 
     If the geometry is known also ``x``, ``y``, ``z`` of the node, m.
     """
     import pandas as pd
 
-    named: dict[Any, str] = {}
+    named: dict[Hashable, str] = {}
     for place, node in places.items():
         named.setdefault(node, str(place))
     nodes = [node for node, _ in model.dofs]
-    columns: dict[str, Any] = {
+    columns: dict[str, Sequence[object] | AnyArray] = {
         "row": np.arange(1, len(nodes) + 1),
         "node": nodes,
         "place": [named.get(node, "") for node in nodes],

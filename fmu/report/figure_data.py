@@ -8,18 +8,22 @@ and Plotly's basic bundle take from half of a page's 700 kB to more than all of 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.analysis.trace.reading import array_of, has, mode_names
-from fmu.report.plots.style import unit_of
+from fmu.report.plots.style import AxesArray, unit_of
+from fmu.types import AnyArray
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.typing import ColorType
 
 MOST_ORDINATES = 7_000
 """Ordinates that a page keeps of a figure; of longer paths only every second point, every third …"""
@@ -28,7 +32,7 @@ _MOST_DRAWN = 12_000
 _POINTS = 72.0
 
 
-def figure_data(figure: Figure, most: int = MOST_ORDINATES) -> dict[str, Any]:
+def figure_data(figure: Figure, most: int = MOST_ORDINATES) -> dict[str, object]:
     """Return the panels of a figure whose axes are placed for good.
 
     Parameters
@@ -62,7 +66,7 @@ def figure_data(figure: Figure, most: int = MOST_ORDINATES) -> dict[str, Any]:
     return {"every": every, "panels": [_panel(axes) | {"series": series} for axes, series in found if series]}
 
 
-def linked_draws(axes: NDArray[Any], trace: xr.DataTree, names: Sequence[str]) -> dict[str, Any]:
+def linked_draws(axes: AxesArray, trace: xr.DataTree, names: Sequence[str]) -> dict[str, object]:
     """Return draws and the frequencies of the model at them, for the panels of `plot_corner`.
 
     Parameters
@@ -102,7 +106,7 @@ def linked_draws(axes: NDArray[Any], trace: xr.DataTree, names: Sequence[str]) -
     }
 
 
-def _panel(axes: Axes) -> dict[str, Any]:
+def _panel(axes: Axes) -> dict[str, object]:
     """Return box, title and axes of a panel."""
     figure = axes.get_figure(root=True)
     if figure is None:
@@ -127,7 +131,7 @@ def _below(axes: Axes) -> str:
     return axes.get_xlabel() or next((other.get_xlabel() for other in together if other.get_xlabel()), "")
 
 
-def _axis(axis: Any, limits: tuple[float, float], label: str) -> dict[str, Any]:
+def _axis(axis: Axis, limits: tuple[float, float], label: str) -> dict[str, object]:
     from matplotlib.ticker import FixedLocator, FuncFormatter
 
     named, written = {}, axis.get_major_formatter()
@@ -143,20 +147,20 @@ def _axis(axis: Any, limits: tuple[float, float], label: str) -> dict[str, Any]:
     }
 
 
-def _paths(axes: Axes) -> list[Any]:
+def _paths(axes: Axes) -> list[Line2D]:
     """Return the lines of some axes that are data, without marks that cross the whole axes at a value."""
     return [
         line for line in axes.lines if line.get_transform() == axes.transData and len(np.asarray(line.get_xdata()))
     ]
 
 
-def _series(axes: Axes, names: dict[str, str], every: int) -> list[dict[str, Any]]:
+def _series(axes: Axes, names: dict[str, str], every: int) -> list[dict[str, object]]:
     from matplotlib.collections import LineCollection, QuadMesh
     from matplotlib.colors import to_hex
 
-    found: list[dict[str, Any]] = []
+    found: list[dict[str, object]] = []
 
-    def add(artist: Any, kind: str, shade: Any, **numbers: NDArray[Any]) -> None:
+    def add(artist: Artist, kind: str, shade: ColorType, **numbers: AnyArray) -> None:
         colour = to_hex(shade)
         label = str(artist.get_label())
         label = names.get(colour, "") if label.startswith("_") else plain(label)
@@ -170,7 +174,7 @@ def _series(axes: Axes, names: dict[str, str], every: int) -> list[dict[str, Any
     for one in axes.collections:
         if isinstance(one, LineCollection) and (segments := [s for s in one.get_segments() if len(s) == 2]):
             ends = np.array(segments)
-            add(one, "spans", one.get_color()[0], x=ends[:, 0, 0], y=ends[:, 0, 1], high=ends[:, 1, 1])
+            add(one, "spans", np.asarray(one.get_color())[0], x=ends[:, 0, 0], y=ends[:, 0, 1], high=ends[:, 1, 1])
         elif isinstance(one, QuadMesh):
             values = np.ma.filled(np.ma.asarray(one.get_array(), dtype=float), np.nan)
             j, i = np.meshgrid(*(0.5 + np.arange(n) for n in values.shape[::-1]))
@@ -178,7 +182,7 @@ def _series(axes: Axes, names: dict[str, str], every: int) -> list[dict[str, Any
     return found + _bars(axes)
 
 
-def _bars(axes: Axes) -> list[dict[str, Any]]:
+def _bars(axes: Axes) -> list[dict[str, object]]:
     """Return the ends of lying bars and the tops of standing ones; steps are standing bars without gaps."""
     from matplotlib.colors import to_hex
     from matplotlib.container import BarContainer

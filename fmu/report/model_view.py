@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -94,7 +94,7 @@ def damage_view(found: Sketch, names: Sequence[str], table: pd.DataFrame, beyond
     return View("damage", content, caption)
 
 
-def _structure(found: Sketch, names: Sequence[str], said: Mapping[str, str]) -> dict[str, Any]:
+def _structure(found: Sketch, names: Sequence[str], said: Mapping[str, str]) -> dict[str, object]:
     """Return nodes, elements and the text of each element; elements of the same parameters are one group."""
     combinations, groups = np.unique(found.changed, axis=0, return_inverse=True)
     tips = [
@@ -126,7 +126,7 @@ def _changes(run: ReportedRun) -> dict[str, tuple[float, float, str]]:
     return found
 
 
-def _colourings(run: ReportedRun, found: Sketch, names: Sequence[str]) -> list[dict[str, Any]]:
+def _colourings(run: ReportedRun, found: Sketch, names: Sequence[str]) -> list[dict[str, object]]:
     """Return the change of the parameter of each element that changed most, and its standard deviation."""
     known = _changes(run)
     ratio, spread = (np.array([known.get(name, (np.nan,) * 2)[k] for name in names]) for k in (0, 1))
@@ -141,7 +141,7 @@ def _colourings(run: ReportedRun, found: Sketch, names: Sequence[str]) -> list[d
     ]
 
 
-def colour_scale(label: str, values: FloatArray, both: bool) -> dict[str, Any]:
+def colour_scale(label: str, values: FloatArray, both: bool) -> dict[str, object]:
     """Return values of the elements, shares of one, as colours: of both signs, or from zero."""
     largest = float(np.nanmax(np.abs(values)))
     ends = (change(-largest), change(largest)) if both else ("0 %", share(largest))
@@ -159,7 +159,7 @@ def _labels(run: ReportedRun, modes: xr.Dataset) -> list[dict[str, str]]:
     return labels
 
 
-def _shapes(modes: xr.Dataset) -> dict[str, Any]:
+def _shapes(modes: xr.Dataset) -> dict[str, object]:
     """Return the displacements (mode, node, direction) before and after updating, and measured, expanded."""
     bits = 16 if modes.sizes["node"] <= _DETAILED else 8
     moved = modes["displacement"].transpose("state", "mode", "node", "direction")
@@ -170,7 +170,7 @@ def _shapes(modes: xr.Dataset) -> dict[str, Any]:
     return {key: Rounded(values, bits) for key, values in found.items()}
 
 
-def _sensors(found: Sketch, modes: xr.Dataset | None) -> dict[str, Any]:
+def _sensors(found: Sketch, modes: xr.Dataset | None) -> dict[str, object]:
     """Return places and measured displacements, or where no shapes were measured the sensors' directions."""
     if modes is not None and "measured" in modes and "site" in modes:
         seen = [measured_at(modes.isel(mode=k)) for k in range(modes.sizes["mode"])]

@@ -7,10 +7,10 @@ import json
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from fmu.types import AnyArray
 
 _FEW = 32
 """Numbers that are written out."""
@@ -30,11 +30,11 @@ class Rounded:
         The error is at most 1/508 or 1/131 068 of the range.
     """
 
-    values: NDArray[Any]
+    values: AnyArray
     bits: int = 16
 
 
-def pack(content: Any) -> str:
+def pack(content: object) -> str:
     """Return content as base64 of zlib's deflate of its JSON and, after that, its arrays.
 
     Parameters
@@ -48,7 +48,7 @@ def pack(content: Any) -> str:
     return base64.b64encode(zlib.compress(b"".join([len(text).to_bytes(4, "little"), text, *arrays]), 6)).decode()
 
 
-def _plain(content: Any, arrays: list[bytes]) -> Any:
+def _plain(content: object, arrays: list[bytes]) -> object:
     """Return content as JSON has it, its arrays moved to `arrays`."""
     if isinstance(content, Mapping):
         return {str(key): _plain(value, arrays) for key, value in content.items()}
@@ -67,7 +67,7 @@ def _plain(content: Any, arrays: list[bytes]) -> Any:
     return content.item() if isinstance(content, np.generic) else content
 
 
-def _pack_rounded(content: Rounded, arrays: list[bytes]) -> dict[str, Any]:
+def _pack_rounded(content: Rounded, arrays: list[bytes]) -> dict[str, object]:
     """Return the middle and the step of numbers that are integers in `arrays`."""
     missing, x = _MISSING[content.bits], np.asarray(content.values, dtype=float)
     known = np.isfinite(x)
@@ -81,7 +81,7 @@ def _pack_rounded(content: Rounded, arrays: list[bytes]) -> dict[str, Any]:
     return _append_array(levels.astype(_INTEGERS[content.bits]), arrays) | {"middle": middle, "step": step}
 
 
-def _append_array(array: NDArray[Any], arrays: list[bytes]) -> dict[str, Any]:
+def _append_array(array: AnyArray, arrays: list[bytes]) -> dict[str, object]:
     """Append an array at a multiple of four bytes, and return its place."""
     kept = array.astype(array.dtype.newbyteorder("<")).tobytes()
     at = sum(map(len, arrays))

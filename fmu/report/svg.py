@@ -6,10 +6,10 @@ import base64
 import io
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from markupsafe import Markup, escape
@@ -21,7 +21,6 @@ RASTER_DPI = 96
 """Resolution of the parts drawn as pixels: paths and clouds of many points."""
 _COLOURS = 32
 _SVG_DPI = 72
-_ARRANGED = {"figure.autolayout": False, "figure.constrained_layout.use": False}
 _TAG = re.compile(r"<[^>]*>")
 """Matplotlib writes the angle brackets of names as entities."""
 _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
@@ -51,8 +50,15 @@ def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
     if not alt.strip():
         raise ValueError("alt: must describe the figure (got nothing)")
     file = io.StringIO()
-    settings: Any = {"svg.fonttype": "none", "svg.hashsalt": key} | _ARRANGED
-    with mpl.rc_context(settings), warnings.catch_warnings():
+    as_text = mpl.rc_context(
+        {
+            "svg.fonttype": "none",
+            "svg.hashsalt": key,
+            "figure.autolayout": False,
+            "figure.constrained_layout.use": False,
+        }
+    )
+    with as_text, warnings.catch_warnings():
         # text is kept as text: the reader's font may have glyphs that Matplotlib's lacks
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from font", UserWarning)
         with _ticks_placed_once():
@@ -79,10 +85,10 @@ def _ticks_placed_once() -> Iterator[None]:
     """
     from matplotlib.axis import Axis
 
-    place: Any = getattr(Axis, "_update_ticks")  # noqa: B009  # not public: without it figures only take longer
-    placed: dict[int, tuple[tuple[float, ...], Any]] = {}
+    place: Callable[[Axis], object] = getattr(Axis, "_update_ticks")  # noqa: B009  # not public: without it figures only take longer
+    placed: dict[int, tuple[tuple[float, ...], object]] = {}
 
-    def placed_once(axis: Axis) -> Any:
+    def placed_once(axis: Axis) -> object:
         figure = axis.get_figure(root=True)
         key = (*axis.get_view_interval(), *axis.axes.bbox.bounds, 0.0 if figure is None else figure.dpi)
         if placed.get(id(axis), ((),))[0] != key:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fmu.analysis.convergence.diagnostics import RHAT_LIMIT, summary
 from fmu.analysis.convergence.effective import (
@@ -26,6 +26,7 @@ from fmu.report.plots.style import (
     NARROW,
     PALE,
     PALETTE,
+    AxesArray,
     broken,
     chain_colours,
     colour,
@@ -51,7 +52,7 @@ _MAX_POINTS = 1500
 
 def plot_traces(
     traces: Mapping[str, xr.DataTree], published: ArrayLike | None = None, figure: Figure | None = None
-) -> NDArray[Any]:
+) -> AxesArray:
     """Draw the paths of the chains, one row per parameter and one column per trace, warm-up shaded.
 
     For an ensemble, one walker is shown. The axes fit the retained draws; the warm-up may leave them. Dashed lines
@@ -133,7 +134,7 @@ _RANKED = (20, 500)
 _LAGS = 100
 
 
-def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]:
+def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> AxesArray:
     """Draw ArviZ's rank plots, one row per parameter: chains of one distribution stay near zero.
 
     Drawn is the difference between the distribution of a chain's ranks among all draws and the uniform one. The
@@ -170,7 +171,7 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]
     return axes
 
 
-def draw_ranks(thinned: xr.Dataset, axes: NDArray[Any], colours: list[str]) -> None:
+def draw_ranks(thinned: xr.Dataset, axes: AxesArray, colours: list[str]) -> None:
     """Draw ArviZ's rank plots of independent draws (chain, draw), one parameter on each of the axes."""
     import xarray as xr
     from arviz_plots import plot_rank
@@ -186,8 +187,12 @@ def draw_ranks(thinned: xr.Dataset, axes: NDArray[Any], colours: list[str]) -> N
         backend="matplotlib",
         color=colours,
     )
-    visuals: Any = {"xlabel": False, "title": False, "remove_axis": False}
-    plot_rank(thinned, envelope_prob=0.99, plot_collection=collection, visuals=visuals)
+    plot_rank(
+        thinned,
+        envelope_prob=0.99,
+        plot_collection=collection,
+        visuals={"xlabel": False, "title": False, "remove_axis": False},
+    )
     for name, axis in zip(names, axes, strict=True):
         for path in (*axis.lines, *axis.collections):
             path.set_rasterized(True)
@@ -202,7 +207,7 @@ def _independent(trace: xr.DataTree) -> float:
     return float(np.min([ess_bulk(x, walkers_of(trace)) for x in np.moveaxis(parameter_draws(trace), -1, 0)]))
 
 
-def plot_autocorrelation(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]:
+def plot_autocorrelation(trace: xr.DataTree, figure: Figure | None = None) -> AxesArray:
     """Draw the autocorrelation of each chain, one row per parameter, out to a hundred steps.
 
     For an ensemble, the average over its walkers about their common mean, as in its effective sample size.
@@ -278,7 +283,7 @@ _FLOOR = 1e-3
 
 def plot_running_means(
     trace: xr.DataTree, table: pd.DataFrame | None = None, figure: Figure | None = None
-) -> NDArray[Any]:
+) -> AxesArray:
     """Draw the mean of each chain's first draws, one row per parameter.
 
     The band is the mean of all draws with twice its standard error.

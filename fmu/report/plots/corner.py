@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fmu.analysis.information import not_informed
 from fmu.analysis.trace.reading import constant, parameter_draws, parameter_names
-from fmu.report.plots.style import BLACK, FONT, GREY, VERMILLION, broken, colour, new_figure, tint, unit_of
+from fmu.report.plots.style import (
+    BLACK,
+    FONT,
+    GREY,
+    VERMILLION,
+    AxesArray,
+    broken,
+    colour,
+    new_figure,
+    tint,
+    unit_of,
+)
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 LEVELS = (0.5, 0.9)
@@ -31,7 +44,7 @@ def plot_corner(
     maximum: ArrayLike | None = None,
     figure: Figure | None = None,
     names: Sequence[str] | None = None,
-) -> NDArray[Any]:
+) -> AxesArray:
     """Draw all marginals and all pairs of a posterior, with start, bounds and maximum marked.
 
     Contours hold 50 % and 90 % of the draws. Names in grey are of parameters that the data did not inform.
@@ -107,9 +120,7 @@ def plot_corner(
     return axes
 
 
-def _frames(
-    draws: NDArray[np.float64], lower: NDArray[np.float64], upper: NDArray[np.float64]
-) -> list[tuple[float, float]]:
+def _frames(draws: FloatArray, lower: FloatArray, upper: FloatArray) -> list[tuple[float, float]]:
     """Return the range of each axis: the draws with a margin, but nothing beyond a bound.
 
     Otherwise the smoothing of the histograms would spread draws at a bound beyond it.
@@ -120,15 +131,22 @@ def _frames(
     return list(zip(*(end.tolist() for end in ends), strict=True))
 
 
-def _point(trace: xr.DataTree, names: Sequence[str], which: str) -> NDArray[np.float64]:
+def _point(trace: xr.DataTree, names: Sequence[str], which: str) -> FloatArray:
     return np.array([constant(trace, which, name) for name in names])
 
 
-def _mark(axes: NDArray[Any], marks: dict[str, Any], bounds: list[Any]) -> None:
+class _Mark(TypedDict, total=False):
+    color: str
+    marker: str
+    markeredgecolor: str
+    markeredgewidth: float
+
+
+def _mark(axes: AxesArray, marks: dict[str, FloatArray], bounds: list[FloatArray]) -> None:
     """Draw points and bounds inside the axes; the legend names points outside."""
     from matplotlib.lines import Line2D
 
-    styles: dict[str, dict[str, Any]] = {
+    styles: dict[str, _Mark] = {
         "start": {"color": BLACK, "marker": "x", "markeredgewidth": 1.8},
         "maximum": {"color": VERMILLION, "marker": "*", "markeredgecolor": BLACK, "markeredgewidth": 0.5},
     }
@@ -163,20 +181,22 @@ def _mark(axes: NDArray[Any], marks: dict[str, Any], bounds: list[Any]) -> None:
                               fontsize=FONT + 1)  # fmt: skip
 
 
-def _arrange_ticks(panel: Any, most: int) -> None:
+def _arrange_ticks(panel: Axes, most: int) -> None:
     """Keep ticks, about `most`, away from the corners, where labels of two panels would overlap."""
     from matplotlib.ticker import FixedLocator, MaxNLocator
 
     for axis in (panel.xaxis, panel.yaxis):
         if len(axis.get_ticklocs()):
             low, high = axis.get_view_interval()
-            ticks = MaxNLocator(most).tick_values(low, high)
+            ticks = np.asarray(MaxNLocator(most).tick_values(low, high))
             margin = _CLEAR * (high - low)
-            axis.set_major_locator(FixedLocator(ticks[(ticks >= low + margin) & (ticks <= high - margin)]))
+            axis.set_major_locator(
+                FixedLocator(ticks[(ticks >= low + margin) & (ticks <= high - margin)].tolist())
+            )
     panel.tick_params(labelsize=FONT - 2, labelrotation=0)
 
 
-def _line_within(draw: Any, value: float, limits: tuple[float, float]) -> None:
+def _line_within(draw: Callable[..., object], value: float, limits: tuple[float, float]) -> None:
     """Draw a bound if it lies within the limits, ends included."""
     if limits[0] <= value <= limits[1]:
         draw(value, color=BLACK, linestyle="--", linewidth=1.6, clip_on=False, zorder=8)

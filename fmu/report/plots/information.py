@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fmu.analysis.identifiability import kept_identifiability
 from fmu.analysis.trace.reading import constant, has, parameter_names
@@ -19,6 +19,7 @@ from fmu.report.plots.style import (
     ON_PALE,
     PALE,
     VERMILLION,
+    AxesArray,
     broken,
     colour,
     finish,
@@ -29,6 +30,7 @@ from fmu.report.plots.style import (
     thin_labels,
     unit_of,
 )
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -42,7 +44,7 @@ MOST_MEASURED, _WRITTEN = 40, 12
 
 def plot_marginals(
     trace: xr.DataTree, maximum: ArrayLike | None = None, figure: Figure | None = None
-) -> NDArray[Any]:
+) -> AxesArray:
     """Draw the densities of each parameter before and after updating, with the start and the maximum.
 
     Parameters
@@ -95,7 +97,7 @@ def plot_marginals(
     return np.asarray(panels[: len(names)])
 
 
-def _density(x: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+def _density(x: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the middles of bins and the density in them, with an empty bin on either side."""
     low, high = x.min(), x.max()
     spread = high - low or max(1e-9 * abs(high), np.finfo(float).tiny)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.analysis.trace.modal_states import GROUP, MEAN, MEASURED, START
 from fmu.analysis.trace.reading import has
@@ -17,6 +16,7 @@ from fmu.report.plots.style import (
     FONT,
     GREY,
     NARROW,
+    AxesArray,
     colour,
     finish,
     legend_below,
@@ -25,7 +25,7 @@ from fmu.report.plots.style import (
     rotate_labels,
     stack_axes,
 )
-from fmu.types import BoolArray, FloatArray
+from fmu.types import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -74,7 +74,7 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
     return plot_mac_matrix(values, rows, columns, figure, f"mode of the model, {literal(state)}", y)
 
 
-def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]:
+def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> AxesArray:
     """Draw each mode before updating (dashed) and at the posterior mean, and the measured shape (diamonds, dots).
 
     A straight structure is drawn with its largest displacement upwards, any other one from the side or in
@@ -119,7 +119,7 @@ def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> NDArra
     return axes
 
 
-def _in_pairs(n: int, figure: Figure | None) -> NDArray[Any]:
+def _in_pairs(n: int, figure: Figure | None) -> AxesArray:
     """Return `n` axes in two columns with common ordinate and abscissa, shape (n,)."""
     rows = (n + 1) // 2
     figure = figure or new_figure(2 * NARROW, 2.2 * rows + 0.5)
@@ -236,7 +236,7 @@ def _draw_components(axis: Axes, one: xr.Dataset, base: str) -> str:
 
 
 def _lines(
-    axis: Axes, nodes: FloatArray, ends: Any, shade: str, dashes: str, words: str = "", width: float = 1.8
+    axis: Axes, nodes: FloatArray, ends: IntArray, shade: str, dashes: str, words: str = "", width: float = 1.8
 ) -> None:
     """Draw all elements as one line, with gaps between elements that are not connected in sequence."""
     x, y = _strokes(nodes, ends).T
@@ -244,7 +244,7 @@ def _lines(
               rasterized=len(ends) > _MOST_STROKES)  # fmt: skip
 
 
-def _strokes(nodes: FloatArray, ends: Any) -> FloatArray:
+def _strokes(nodes: FloatArray, ends: IntArray) -> FloatArray:
     """Return the points of a line through all elements, NaN at its gaps, shape (points, 2)."""
     points: list[FloatArray] = []
     last = None
@@ -267,7 +267,7 @@ def _projection(coordinates: FloatArray, displacement: FloatArray) -> FloatArray
 
 
 def plot_mode(
-    coordinates: FloatArray, ends: NDArray[np.int64], displacement: FloatArray, figure: Figure | None = None
+    coordinates: FloatArray, ends: IntArray, displacement: FloatArray, figure: Figure | None = None
 ) -> Axes:
     """Draw a structure and its deformed shape in one mode.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,7 @@ from fmu.report.plots.style import (
     PALE,
     TITLES,
     VERMILLION,
+    AxesArray,
     colour,
     finish,
     legend_below,
@@ -50,7 +51,7 @@ def plot_parameter_updates(
     maximum: ArrayLike | None = None,
     summaries: Mapping[str, pd.DataFrame] | None = None,
     figure: Figure | None = None,
-) -> NDArray[Any]:
+) -> AxesArray:
     """Draw posterior means and 90 % intervals between the bounds, beside start, maximum and published values.
 
     Parameters

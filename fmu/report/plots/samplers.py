@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.analysis.convergence.diagnostics import summary
 from fmu.analysis.convergence.growth import Growth, growth, meets_criterion
@@ -19,6 +18,7 @@ from fmu.report.plots.style import (
     GREY,
     NARROW,
     PALE,
+    AxesArray,
     broken,
     colour,
     finish,
@@ -28,6 +28,7 @@ from fmu.report.plots.style import (
     stack_axes,
     unit_of,
 )
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -46,7 +47,7 @@ def plot_forest(
     traces: Mapping[str, xr.DataTree],
     summaries: Mapping[str, pd.DataFrame] | None = None,
     figure: Figure | None = None,
-) -> NDArray[Any]:
+) -> AxesArray:
     """Draw the means with 50 % and 90 % intervals of every parameter by every sampler, R-hat and ESS beside them.
 
     As ArviZ's ``plot_forest``, which takes runs of one length only. Each parameter has an axis of its own, as
@@ -98,7 +99,7 @@ def plot_forest(
     return np.asarray(axes[:, 0])
 
 
-def plot_overlaid_marginals(traces: Mapping[str, xr.DataTree], figure: Figure | None = None) -> NDArray[Any]:
+def plot_overlaid_marginals(traces: Mapping[str, xr.DataTree], figure: Figure | None = None) -> AxesArray:
     """Draw the posterior density of every parameter by every sampler, one over the other.
 
     Parameters
@@ -143,7 +144,7 @@ def plot_ranks_of_samplers(
     traces: Mapping[str, xr.DataTree],
     summaries: Mapping[str, pd.DataFrame] | None = None,
     figure: Figure | None = None,
-) -> NDArray[Any]:
+) -> AxesArray:
     """Draw ArviZ's rank plots of samplers: near zero if all draw from one distribution.
 
     As `plot_ranks`, each sampler in place of a chain. All are thinned to half of the smallest effective sample
@@ -181,7 +182,7 @@ def plot_ranks_of_samplers(
     return axes
 
 
-def _evenly(trace: xr.DataTree, name: str, wanted: int) -> NDArray[Any]:
+def _evenly(trace: xr.DataTree, name: str, wanted: int) -> FloatArray:
     """Return so many draws of a parameter, evenly spaced over all chains."""
     draws = array_of(trace, "posterior", name).ravel()
     return np.asarray(draws[np.linspace(0, len(draws) - 1, wanted).astype(int)])

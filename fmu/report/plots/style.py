@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+
+AxesArray = NDArray[np.object_]
+"""The axes of a figure."""
 
 COLOURS = {name: sampler_class(name).colour for name in SAMPLERS}
 TITLES = {name: sampler_class(name).title for name in SAMPLERS}
@@ -120,7 +123,7 @@ def height_of_row(n: int) -> float:
 
 def stack_axes(
     n: int, figure: Figure | None, height: float | None = None, sharey: bool = False, sharex: bool = True
-) -> NDArray[Any]:
+) -> AxesArray:
     """Return `n` axes in a column, with a common abscissa by default, on a narrow figure if none is given."""
     height = height_of_row(n) if height is None else height
     figure = figure or new_figure(NARROW, height * n + 0.5)
@@ -162,7 +165,15 @@ def thin_labels(labels: Sequence[str]) -> list[str]:
     return [label if k % every == 0 else "" for k, label in enumerate(labels)]
 
 
-def rotate_labels(labels: Sequence[str], width: float) -> dict[str, Any]:
+class RotatedLabels(TypedDict, total=False):
+    """Options of tick labels that are turned."""
+
+    rotation: float
+    ha: Literal["right"]
+    rotation_mode: Literal["anchor"]
+
+
+def rotate_labels(labels: Sequence[str], width: float) -> RotatedLabels:
     """Return the options that rotate tick labels which do not fit side by side in a width in inches."""
     if max(map(len, labels)) * _TICK_LETTER <= width / len(labels):
         return {}

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.analysis.trace.damage import ANY, GROUP, damage, probably
 from fmu.numbers import share
@@ -17,11 +16,13 @@ from fmu.report.plots.style import (
     PALE,
     PALETTE,
     VERMILLION,
+    AxesArray,
     finish,
     literal,
     new_figure,
     unit_of,
 )
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -33,7 +34,7 @@ _FEW_LABELS = 16
 _BAR = {"elinewidth": 1.6, "capsize": 0, "marker": "o", "markersize": 3.5, "linestyle": "none"}
 
 
-def plot_values(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any]:
+def plot_values(trace: xr.DataTree, figure: Figure | None = None) -> AxesArray:
     """Draw the value of every parameter with a population in each test, and the population behind them.
 
     The band is mean ± sd of the population: variability of the structure. The bars are the central 90 % of each
@@ -84,7 +85,7 @@ def plot_values(trace: xr.DataTree, figure: Figure | None = None) -> NDArray[Any
     return axes
 
 
-def plot_losses(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None = None) -> NDArray[Any]:
+def plot_losses(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None = None) -> AxesArray:
     """Draw the loss of every parameter in each later state, with the probability that it is larger than `beyond`.
 
     Parameters
@@ -114,7 +115,7 @@ def plot_losses(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None 
     return axes
 
 
-def _state(axis: Axes, draws: NDArray[Any], exceeded: NDArray[Any], beyond: float) -> None:
+def _state(axis: Axes, draws: FloatArray, exceeded: FloatArray, beyond: float) -> None:
     x = np.arange(draws.shape[1])
     quantiles = np.quantile(draws, (0.05, 0.25, 0.5, 0.75, 0.95), axis=0)
     axis.axhline(0.0, color=GREY, linewidth=1, zorder=0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from fmu.report.plots.chains import (
 from fmu.report.plots.corner import plot_corner
 from fmu.report.plots.style import NARROW, height_of_row, new_figure
 from fmu.report.run import ReportedRun
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _FEWEST = 50
 LOOK_AT_PATHS = (
@@ -122,7 +125,7 @@ def _has_few_draws(run: ReportedRun) -> bool:
     return bool(run.trace["posterior"].sizes["chain"] * run.trace["posterior"].sizes["draw"] < _FEWEST)
 
 
-def _furthest(axis: Any) -> float:
+def _furthest(axis: Axes) -> float:
     """Return the largest ordinate drawn, either sign."""
     return max(float(np.max(np.abs(line.get_ydata()))) for line in axis.lines)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from typing import Any
 
 from fmu.analysis.certificate import exact_in_words
 from fmu.analysis.trace.reading import is_imported
@@ -154,7 +153,7 @@ def settings(run: ReportedRun) -> PageSection:
     return PageSection("settings", "Settings, seed and versions", parts)
 
 
-def _flat(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
+def _flat(value: object, name: str = "") -> Iterator[tuple[str, str]]:
     """Yield the entries of nested settings as names and words; long lists are told by their size and range."""
     if isinstance(value, dict) and value:
         for key, inner in value.items():
@@ -170,7 +169,7 @@ def _plain(key: str) -> str:
     return key.replace("_", " ")
 
 
-def _in_words(value: Any) -> str:
+def _in_words(value: object) -> str:
     """Return a setting as text for a cell of a table."""
     if value is None or value in ({}, []):
         return MISSING

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +20,10 @@ from fmu.report.plots.frequencies import plot_left_out, plot_predictive_check
 from fmu.report.run import ReportedRun
 from fmu.report.sections.updating import NO_FREQUENCIES
 from fmu.types import FloatArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
 
 HOW = {
     REFIT: "updated without it",
@@ -148,12 +152,12 @@ def left_out(run: ReportedRun) -> PageSection | Omitted:
     return PageSection("loo", title, tuple(parts))
 
 
-def _compared_quantity(trace: Any) -> str:
+def _compared_quantity(trace: xr.DataTree) -> str:
     """Name the quantities whose log-likelihood a mode has."""
     return "frequency" if has(trace, "log_likelihood", "frequency") else "all that is compared"
 
 
-def _left_out_row(mode: str, row: Any) -> tuple[str, ...]:
+def _left_out_row(mode: str, row: pd.Series) -> tuple[str, ...]:
     sd = float(row["sd"])
     n = decimals(sd) if np.isfinite(sd) else 0
     known = np.isfinite(row["elpd"])
