@@ -21,6 +21,8 @@ from .engines import engine as engine
 from .fem.black_box import BlackBoxModel as BlackBoxModel
 from .fem.condensation import craig_bampton as craig_bampton
 from .fem.condensation import guyan as guyan
+from .fem.exports.from_exports import from_exports as from_exports
+from .fem.exports.recovery import Export as Export
 from .fem.frame.components import ElementGroup as ElementGroup
 from .fem.frame.components import JointSpring as JointSpring
 from .fem.frame.components import Material as Material
@@ -28,8 +30,6 @@ from .fem.frame.components import PointMass as PointMass
 from .fem.frame.components import Section as Section
 from .fem.frame.frame import Frame as Frame
 from .fem.frame.updates import Factor as Factor
-from .fem.modes.exports import from_exports as from_exports
-from .fem.modes.recovery import Export as Export
 from .fem.modes.separable import Geometry as Geometry
 from .fem.modes.separable import RigidArm as RigidArm
 from .fem.modes.separable import SeparableModel as SeparableModel

@@ -201,7 +201,7 @@ SYNTAX = {
     "paper/page.py": "names of columns",
     "config/parameters.py": "a power of ten that no float can hold",
     "formats/decks.py": "fields of other programs",
-    "fem/modes/recovery.py": "how many digits a file has",
+    "fem/exports/entries.py": "how many digits a file has",
 }
 """Where numbers are not for people."""
 

@@ -482,7 +482,7 @@ IN_THE_POSTERIOR = (
 IN_THE_STRUCTURE = (
     Fault(
         "Fox & Kapoor: without λ ∂M",
-        "fmu/fem/modes/modal.py",
+        "fmu/fem/modes/block.py",
         "return gradient - lam[..., None] * self._M_map.contract(theta, self._forms(phi, of_mass=True))",
         "return gradient",
         (

@@ -1,6 +1,6 @@
 """``[model] type = "exports"``: K(θ) and M(θ) from another program's matrices at several values of the parameters.
 
-`fmu.fem.modes.exports` says how they are recovered, `fmu.formats.models.read` which files are read.
+`fmu.fem.exports.from_exports` says how they are recovered, `fmu.formats.models.read` which files are read.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from fmu.arguments import ArgumentError
 from fmu.config.mistakes import BrokenError
 from fmu.config.parameters import ParameterTable, without_targets
 from fmu.config.tables import Built, FileName, Name, TomlTable
+from fmu.fem.exports.from_exports import from_exports
+from fmu.fem.exports.recovery import Export
 from fmu.fem.frame.stability import require_stable
-from fmu.fem.modes.exports import from_exports
-from fmu.fem.modes.recovery import Export
 from fmu.formats.models.read import read_mesh, read_model
 from fmu.formats.shown import names_shown, quote
 

@@ -17,8 +17,8 @@ from fmu.config.mistakes import PYTHON_FILE, BrokenError
 from fmu.config.models.python import import_function
 from fmu.config.parameters import ParameterTable, without_targets
 from fmu.config.tables import Built, FileName, TomlTable
+from fmu.fem.exports.recovery import NotSeparableError
 from fmu.fem.frame.stability import require_stable
-from fmu.fem.modes.recovery import NotSeparableError
 from fmu.fem.programs.opensees import MODES, MOST_DOFS, OpenSeesModel, from_opensees
 
 WHERE = "model.file"

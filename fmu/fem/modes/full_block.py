@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from fmu.fem.modes.block import Block, Mapped, Picked
 from fmu.fem.modes.derivatives import by_bordered_system
 from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, eigen, rank
-from fmu.fem.modes.modal import Block, BlockModel, Mapped, Picked
+from fmu.fem.modes.modal import BlockModel
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import Term, WeightedSum, coefficient_gradients, weighted_sum
 from fmu.types import FloatArray, IntArray

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from fmu.fem.modes.terms import Term, coefficient_gradients, monomial
+from fmu.fem.modes.block import Block
 from fmu.types import BoolArray, FloatArray, IntArray
 
 # An eigenvalue this small relative to the highest of interest is that of a rigid-body mode. Where K is singular to
@@ -88,197 +88,6 @@ def fix_sign(shapes: FloatArray) -> FloatArray:
     first = np.argmax(size >= (1.0 - _EQUAL) * np.max(size, axis=-2, keepdims=True), axis=-2)
     leading = np.take_along_axis(shapes, first[..., None, :], axis=-2)
     return np.where(leading < 0.0, -shapes, shapes)
-
-
-class CoefficientMap:
-    """The coefficients of a set of terms and their derivatives, with the common case (c_k = theta_j) made fast."""
-
-    def __init__(self, terms: Sequence[Term]) -> None:
-        self.terms = tuple(terms)
-        self.n_parameters = len(self.terms[0].powers)
-        self._linear = [k for k, t in enumerate(self.terms) if sorted(filter(None, t.powers)) == [1]]
-        self._source = [self.terms[k].powers.index(1) for k in self._linear]
-        self._general = [k for k, t in enumerate(self.terms) if k not in self._linear and not t.constant]
-        self._slopes = np.zeros((len(self.terms), self.n_parameters))
-        self._slopes[self._linear, self._source] = 1.0
-
-    def __call__(self, theta: FloatArray) -> FloatArray:
-        """Return c_k(theta), shape (n, n_terms)."""
-        if len(self._linear) == len(self.terms):
-            return theta.take(self._source, axis=1)
-        value = np.ones((len(theta), len(self.terms)))
-        value[:, self._linear] = theta[:, self._source]
-        for k in self._general:
-            value[:, k] = monomial(theta, self.terms[k].powers)
-        return value
-
-    def contract(self, theta: FloatArray, forms: FloatArray) -> FloatArray:
-        """Return Σ_k forms[:, k] ∂c_k/∂theta, shape (n, m, n_parameters), for forms of shape (n, n_terms, m)."""
-        # einsum without `optimize` adds term by term, so that a result does not depend on the rest of the batch
-        if self._general:
-            return np.einsum("nkm,nkj->nmj", forms, coefficient_gradients(self.terms, theta))
-        return np.einsum("nkm,kj->nmj", forms, self._slopes)
-
-
-class BlockPrediction(NamedTuple):
-    """Modes of one block as the sensors see them.
-
-    Attributes
-    ----------
-    eigenvalues : ndarray, shape (n, m), (rad/s)²
-    shapes : ndarray, shape (n, n_sensors, m), mass-normalised, of either sign
-    eigenvalue_slopes : ndarray, shape (n, m, n_parameters), or None
-    shape_slopes : ndarray, shape (n, n_sensors, m, n_parameters), or None
-    """
-
-    eigenvalues: FloatArray
-    shapes: FloatArray
-    eigenvalue_slopes: FloatArray | None = None
-    shape_slopes: FloatArray | None = None
-
-
-class Block:
-    """One decoupled part of a structure: an independent eigenproblem, full or reduced.
-
-    Parameters
-    ----------
-    dofs : ndarray of int, shape (n,)
-        Its degrees of freedom in the model.
-    K_terms, M_terms : sequence of Term
-        Its stiffness and mass terms.
-
-    Attributes
-    ----------
-    size : int
-        Unknowns of the eigenproblem.
-    n_modes, n_trained : int
-        Number of modes with a finite frequency, and how many of the lowest ones are accurate.
-    is_reduced : bool
-        Whether it approximates a full block.
-    massless : bool
-        Whether degrees of freedom of the full block have no mass.
-    constant_mass : bool
-        Whether no parameter changes its mass.
-    """
-
-    is_reduced = False
-    size: int
-    n_modes: int
-    n_trained: int
-    massless: bool
-
-    def __init__(self, dofs: IntArray, K_terms: Sequence[Term], M_terms: Sequence[Term]) -> None:
-        self.dofs = dofs
-        self.n_parameters = len(K_terms[0].powers)
-        self._K_map, self._M_map = CoefficientMap(K_terms), CoefficientMap(M_terms)
-        self.constant_mass = all(term.constant for term in M_terms)
-
-    def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return the lowest eigenvalues (n, count) and mass-normalised shapes (n, size, count).
-
-        At theta (n, n_parameters); NaN where the solver fails.
-        """
-        raise NotImplementedError
-
-    def eigenvalues(self, theta: FloatArray, count: int) -> FloatArray:
-        """Return the lowest eigenvalues, shape (n, count), (rad/s)²; NaN where the solver fails."""
-        return self.modes(theta, count)[0]
-
-    def eigenvalue_gradient(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
-        """Return ∂λ/∂θ, shape (n, m, n_parameters), of modes from `modes` (Fox & Kapoor 1968, eq. 5).
-
-        ∂λ/∂θ_j = φᵀ (∂K/∂θ_j − λ ∂M/∂θ_j) φ, with φᵀ M φ = 1; for simple eigenvalues.
-        """
-        gradient = self._K_map.contract(theta, self._forms(phi, of_mass=False))
-        if self.constant_mass:
-            return gradient
-        return gradient - lam[..., None] * self._M_map.contract(theta, self._forms(phi, of_mass=True))
-
-    def _forms(self, phi: FloatArray, of_mass: bool) -> FloatArray:
-        """Return φᵀ K_k φ, or φᵀ M_k φ, of every term, shape (n, n_terms, m)."""
-        raise NotImplementedError
-
-    def coordinates(self, rows: Any) -> Any:
-        """Return sparse sensor rows (n_sensors, n) on the block's degrees of freedom as rows on its unknowns."""
-        return rows
-
-    def compress_rows(self, rows: Any, reference: FloatArray) -> tuple[Any, FloatArray]:
-        """Return fewer rows and references (_, n_modes), from `coordinates`, with the same norms and products."""
-        return rows, reference
-
-    def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
-        """Return how shapes are compared with references: a map of shapes (n, size, m), and the references there.
-
-        Parameters
-        ----------
-        rows : sparse, shape (q, n)
-            The coordinates of comparison on the block's degrees of freedom.
-        reference : ndarray, shape (q, n_modes)
-        """
-        raise NotImplementedError
-
-    def n_required(self, count: int, gradient: bool) -> int:
-        """Return how many modes `seen` needs to return the lowest `count`, with derivatives if `gradient`."""
-        return count
-
-    def seen(
-        self,
-        theta: FloatArray,
-        count: int,
-        rows: Any,
-        gradient: bool = False,
-        solved: tuple[FloatArray, FloatArray] | None = None,
-    ) -> BlockPrediction:
-        """Return the lowest modes as sensors see them, with derivatives if `gradient`.
-
-        Parameters
-        ----------
-        theta : ndarray, shape (n, n_parameters)
-        count : int
-        rows : array or sparse, shape (n_sensors, size)
-            From `coordinates`.
-        gradient : bool
-        solved : tuple of ndarray, optional
-            The result of `modes` for `n_required` modes or more, if it is at hand.
-        """
-        lam, phi = solved or self.modes(theta, self.n_required(count, gradient))
-        seen = BlockPrediction(lam[:, :count], self._at(rows, phi[:, :, :count]))
-        if not gradient:
-            return seen
-        lam_slopes, shape_slopes = self._slopes_seen(theta, count, rows, lam, phi)
-        return seen._replace(eigenvalue_slopes=lam_slopes, shape_slopes=shape_slopes)
-
-    def _at(self, rows: Any, phi: FloatArray) -> FloatArray:
-        """Return shapes (n, size, m) as the sensors see them, (n, n_sensors, m)."""
-        raise NotImplementedError
-
-    def _slopes_seen(
-        self, theta: FloatArray, count: int, rows: Any, lam: FloatArray, phi: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return ∂λ (n, count, n_parameters) and ∂φ at the sensors (n, n_sensors, count, n_parameters)."""
-        raise NotImplementedError
-
-
-@dataclass(frozen=True, eq=False)
-class Picked:
-    """Maps shapes (n, size, m) to some of their degrees of freedom (q,); travels to other processes."""
-
-    dofs: IntArray
-
-    def __call__(self, phi: FloatArray) -> FloatArray:
-        """Return the shapes there, (n, q, m)."""
-        return phi[:, self.dofs]
-
-
-@dataclass(frozen=True, eq=False)
-class Mapped:
-    """Maps shapes (n, size, m) by a matrix (q, size); travels to other processes."""
-
-    matrix: FloatArray
-
-    def __call__(self, phi: FloatArray) -> FloatArray:
-        """Return the shapes there, (n, q, m)."""
-        return self.matrix @ phi
 
 
 @dataclass(frozen=True)

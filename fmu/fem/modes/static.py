@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from fmu.fem.modes.modal import CoefficientMap, single_thread
+from fmu.fem.modes.modal import single_thread
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.solver import factorise
-from fmu.fem.modes.terms import coefficients, weighted_sum
+from fmu.fem.modes.terms import CoefficientMap, coefficients, weighted_sum
 from fmu.numbers import significant
 from fmu.types import FloatArray
 

@@ -147,6 +147,36 @@ class WeightedSum:
         return sp.csr_array((data, self._indices, self._indptr), shape=self._shape)
 
 
+class CoefficientMap:
+    """The coefficients of a set of terms and their derivatives, with the common case (c_k = theta_j) made fast."""
+
+    def __init__(self, terms: Sequence[Term]) -> None:
+        self.terms = tuple(terms)
+        self.n_parameters = len(self.terms[0].powers)
+        self._linear = [k for k, t in enumerate(self.terms) if sorted(filter(None, t.powers)) == [1]]
+        self._source = [self.terms[k].powers.index(1) for k in self._linear]
+        self._general = [k for k, t in enumerate(self.terms) if k not in self._linear and not t.constant]
+        self._slopes = np.zeros((len(self.terms), self.n_parameters))
+        self._slopes[self._linear, self._source] = 1.0
+
+    def __call__(self, theta: FloatArray) -> FloatArray:
+        """Return c_k(theta), shape (n, n_terms)."""
+        if len(self._linear) == len(self.terms):
+            return theta.take(self._source, axis=1)
+        value = np.ones((len(theta), len(self.terms)))
+        value[:, self._linear] = theta[:, self._source]
+        for k in self._general:
+            value[:, k] = monomial(theta, self.terms[k].powers)
+        return value
+
+    def contract(self, theta: FloatArray, forms: FloatArray) -> FloatArray:
+        """Return Σ_k forms[:, k] ∂c_k/∂theta, shape (n, m, n_parameters), for forms of shape (n, n_terms, m)."""
+        # einsum without `optimize` adds term by term, so that a result does not depend on the rest of the batch
+        if self._general:
+            return np.einsum("nkm,nkj->nmj", forms, coefficient_gradients(self.terms, theta))
+        return np.einsum("nkm,kj->nmj", forms, self._slopes)
+
+
 def _as_csr(matrix: Any) -> Any:
     if not sp.issparse(matrix):
         try:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from fmu.fem.modes.modal import Block, BlockModel, BlockPrediction, frequency_gradient, frequency_hz
+from fmu.fem.modes.block import Block, BlockPrediction
+from fmu.fem.modes.modal import BlockModel, frequency_gradient, frequency_hz
 from fmu.fem.pairing.rules import PairedSolve, ShapePairing
 from fmu.types import BoolArray, FloatArray
 

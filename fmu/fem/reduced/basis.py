@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sl
 
+from fmu.fem.modes.block import Block, Mapped
 from fmu.fem.modes.derivatives import by_all_modes, by_bordered_matrices
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.modal import Block, CoefficientMap, Mapped
-from fmu.fem.modes.terms import Term
+from fmu.fem.modes.terms import CoefficientMap, Term
 from fmu.types import FloatArray
 
 # In a block of more degrees of freedom than the first, a term with less than this share of non-empty rows is

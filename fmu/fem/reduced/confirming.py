@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from fmu.fem.modes.block import Block
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.modal import RIGID, Block, BlockModel
+from fmu.fem.modes.modal import RIGID, BlockModel
 from fmu.fem.modes.solver import Factor, factorise
 from fmu.fem.reduced.anchors import Anchors
 from fmu.fem.reduced.residuals import FrequencyBound

@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from fmu.fem.modes.block import Mapped
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.modal import RIGID, Mapped
+from fmu.fem.modes.modal import RIGID
 from fmu.fem.modes.solver import factorise
 from fmu.fem.reduced.anchors import Anchors
 from fmu.fem.reduced.basis import compress_rows

@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from fmu.arguments import ArgumentError
 from fmu.fem.condensation import SingularCondensationError, StaticCondensation
-from fmu.fem.modes.modal import CoefficientMap
 from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.modes.terms import Term, WeightedSum
+from fmu.fem.modes.terms import CoefficientMap, Term, WeightedSum
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import Likelihood, checked_beta
 from fmu.types import FloatArray

@@ -10,10 +10,10 @@ from skfem import Basis, BilinearForm, ElementHex1, ElementVector, MeshHex
 from skfem.helpers import dot
 
 import fmu
+from fmu.fem.exports.from_exports import from_exports
+from fmu.fem.exports.recovery import Export
 from fmu.fem.frame.stability import require_stable
 from fmu.fem.modes.eigensolver import SingularMassError, eigen, is_semidefinite, rank
-from fmu.fem.modes.exports import from_exports
-from fmu.fem.modes.recovery import Export
 from fmu.formats.models.exported import NO_MESH, ExportedModel
 from tests.models import bracket, free_bar
 from tests.models.written import dense_frequencies

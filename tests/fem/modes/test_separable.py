@@ -7,9 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fmu.fem.modes.modal import CoefficientMap
 from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.modes.terms import Term, coefficient_gradients, coefficients, monomial
+from fmu.fem.modes.terms import CoefficientMap, Term, coefficient_gradients, coefficients, monomial
 
 EYE = sp.csr_array(sp.eye_array(2))
 POWERS = [

@@ -20,9 +20,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from fmu.arguments import ArgumentError, check_arguments
+from fmu.fem.exports.entries import Entries
+from fmu.fem.exports.recovery import TOLD, Export, Recovery, recover
 from fmu.fem.modes.eigensolver import SingularMassError, eigen
 from fmu.fem.modes.modal import frequency_hz, is_rigid
-from fmu.fem.modes.recovery import _TOLD, Export, Recovery, _Entries, _recovery
 from fmu.fem.modes.separable import Geometry, SeparableModel
 from fmu.formats.models.exported import ExportedModel
 from fmu.numbers import hertz, names_in_words, significant
@@ -72,11 +73,13 @@ def from_exports(
     used = ~np.array([one.check for one in exports])
     alone = _changed_alone(names, values, used)
     found, touched = {}, np.zeros(len(names), dtype=bool)
-    for what in ("stiffness", "mass"):
-        entries = _Entries.of([getattr(one.model, what) for one in exports], exports[0].model.dofs)
+    models = [one.model for one in exports]
+    both = {"stiffness": [one.stiffness for one in models], "mass": [one.mass for one in models]}
+    for what, matrices in both.items():
+        entries = Entries.of(matrices, models[0].dofs)
         changed = np.array([entries.changed_between(0, others) for others in alone])
         touched |= changed.any(axis=1)
-        found[what] = _recovery(what, names, exports, values, used, entries, changed, np.array(ends).T)
+        found[what] = recover(what, names, exports, values, used, entries, changed, np.array(ends).T)
     if not touched.all():
         name = names[int(np.argmin(touched))]
         raise ArgumentError(
@@ -150,7 +153,7 @@ def _on_one_mesh(exports: Sequence[Export]) -> None:
     for i, one in enumerate(exports):
         if one.model.dofs != first:
             here, there = set(one.model.dofs), set(first)
-            which = [f"node {node} {direction}" for node, direction in sorted(here ^ there)[:_TOLD]]
+            which = [f"node {node} {direction}" for node, direction in sorted(here ^ there)[:TOLD]]
             raise ArgumentError(
                 f"exports.{i}",
                 f"must have the degrees of freedom of the first export, {len(there)} of one mesh",

@@ -5,38 +5,31 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, islice, product
-from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from fmu.arguments import ArgumentError, check_arguments
+from fmu.fem.exports.entries import MOST_SAMPLED, ROUNDING, SAFETY, Entries
 from fmu.fem.modes.terms import Term
 from fmu.formats.models.exported import ExportedModel
 from fmu.numbers import names_in_words, significant, typed
-from fmu.types import BoolArray, FloatArray
+from fmu.types import BoolArray, FloatArray, IntArray
 
 POWERS = (1, 2, 3, -1)
 REPRODUCED = 1e-8
 """Largest error of an entry, relative to √(a_ii a_jj), in an export that was not used."""
 _FITTED = 1e-9
-_FEWEST_DIGITS = 6
-_ROUNDING = 1e-14
-"""Of assembly in double precision."""
-_SAFETY = 10.0
 _RANK = {0: 0, 1: 1, 2: 3, 3: 2, -1: 4}
 """What is tried first: elements with a square are rare."""
 _FACTORS = 3
 """Most parameters in one term."""
 _MOST_TRIED = 30_000
-_MOST_SAMPLED = 1000
 _MOST_MISSED = 50
 _MOST_COMPARED = 2000
 _MOST_CORNERS = 4096
 _WORST_CONDITION = 1e12
-_TOLD = 3
+TOLD = 3
 Powers = tuple[int, ...]
-Dof = tuple[Any, str]
 
 
 class NotSeparableError(ArgumentError):
@@ -107,78 +100,6 @@ class Recovery:
         return said
 
 
-@dataclass(frozen=True, eq=False)
-class _Entries:
-    """The entries above and on the diagonal that are not zero in every export, each divided by √(a_ii a_jj)."""
-
-    entry: FloatArray  # (n_exports, n)
-    scale: FloatArray  # (n,)
-    row: Any
-    column: Any
-    dofs: Sequence[Dof]
-    digits: int
-
-    @classmethod
-    def of(cls, matrices: Sequence[Any], dofs: Sequence[Dof]) -> _Entries:
-        n = len(dofs)
-        upper = [sp.coo_array(sp.triu(matrix)) for matrix in matrices]
-        keys = [half.row.astype(np.int64) * n + half.col for half in upper]
-        pattern = np.unique(np.concatenate(keys))
-        entry = np.zeros((len(matrices), len(pattern)))
-        for k, (half, key) in enumerate(zip(upper, keys, strict=True)):
-            entry[k, np.searchsorted(pattern, key)] = half.data
-        row, column = pattern // n, pattern % n
-        root = np.sqrt(np.max([np.abs(matrix.diagonal()) for matrix in matrices], axis=0))
-        scale = root[row] * root[column]
-        scale = np.where(scale > 0, scale, np.maximum(np.abs(entry).max(axis=0), np.finfo(float).tiny))
-        return cls(entry / scale, scale, row, column, dofs, _digits(entry))
-
-    @property
-    def noise(self) -> float:
-        """Rounding error of an entry."""
-        return max(_ROUNDING, 0.5 * 10.0 ** (1 - self.digits))
-
-    def changed_between(self, first: int, others: Sequence[int]) -> BoolArray:
-        """Return a mask (n,) of the entries that differ between an export and others by more than rounding."""
-        away = np.abs(self.entry[others] - self.entry[first])
-        large = np.maximum(np.abs(self.entry[others]), np.abs(self.entry[first]))
-        return np.asarray(np.any(away > _SAFETY * np.maximum(self.noise * large, _ROUNDING), axis=0))
-
-    def place(self, at: int) -> str:
-        """Return the degrees of freedom of an entry, in words."""
-        row, column = (f"{node} {direction}" for node, direction in (self.dofs[i] for i in self._pair(at)))
-        return f"node {row}" if row == column else f"node {row}, node {column}"
-
-    def _pair(self, at: int) -> tuple[int, int]:
-        return int(self.row[at]), int(self.column[at])
-
-    def matrix(self, entry: FloatArray) -> Any:
-        """Return the symmetric matrix with these entries (n,), times their scale."""
-        keep = entry != 0
-        row, column, data = self.row[keep], self.column[keep], (entry * self.scale)[keep]
-        off = row != column
-        return sp.csr_array(
-            (
-                np.concatenate([data, data[off]]),
-                (np.concatenate([row, column[off]]), np.concatenate([column, row[off]])),
-            ),
-            shape=(len(self.dofs),) * 2,
-        )
-
-
-def _digits(entry: FloatArray) -> int:
-    """Return the significant decimal digits of numbers; 17 where decimals do not give them back.
-
-    No program writes matrices with fewer than `_FEWEST_DIGITS`: rounder numbers are exact.
-    """
-    numbers = entry[entry != 0]
-    numbers = numbers[:: max(len(numbers) // _MOST_SAMPLED, 1)]
-    for digits in range(3, 16):
-        if all(float(f"{x:.{digits - 1}e}") == x for x in numbers.tolist()):
-            return digits if digits >= _FEWEST_DIGITS else 17
-    return 17
-
-
 @dataclass(frozen=True)
 class _Fit:
     """The least squares of one set of terms; parameters relative to their values in the first export."""
@@ -205,11 +126,9 @@ class _Fit:
         A small coefficient is dropped unless the exports used are missed without it.
         """
         found = self.inverse @ entry[used]
-        least = _SAFETY * noise * np.abs(self.inverse).sum(axis=1)
+        least = SAFETY * noise * np.abs(self.inverse).sum(axis=1)
         kept = np.where(np.abs(found) > least[:, None], found, 0.0)
-        allowed = 2.0 * self.compute_errors(entry, used)[used] + _SAFETY * (
-            noise * np.abs(entry[used]) + _ROUNDING
-        )
+        allowed = 2.0 * self.compute_errors(entry, used)[used] + SAFETY * (noise * np.abs(entry[used]) + ROUNDING)
         return np.where(np.any(self.missed_by(kept, entry)[used] > allowed, axis=0), found, kept)
 
     def error(self, entry: FloatArray, used: BoolArray) -> FloatArray:
@@ -227,7 +146,7 @@ class _Fit:
     def reproduces(self, entry: FloatArray, used: BoolArray, which: BoolArray, noise: float) -> bool:
         """Say whether the exports in `which` are reproduced, as far as rounding lets one say."""
         allowed = np.where(used, _FITTED, REPRODUCED)
-        allowed = np.maximum(allowed, _SAFETY * noise * (1.0 + self.amplification(self.of_exports)))
+        allowed = np.maximum(allowed, SAFETY * noise * (1.0 + self.amplification(self.of_exports)))
         return bool(np.all((self.error(entry, used) <= allowed)[which]))
 
 
@@ -236,13 +155,13 @@ def monomials(relative: FloatArray, powers: Sequence[Powers]) -> FloatArray:
     return np.asarray(np.prod(relative[:, None, :] ** np.array(powers)[None], axis=2))
 
 
-def _recovery(
+def recover(
     what: str,
     names: Sequence[str],
     exports: Sequence[Export],
     values: FloatArray,
     used: BoolArray,
-    entries: _Entries,
+    entries: Entries,
     changed: BoolArray,
     bounds: FloatArray,
 ) -> Recovery:
@@ -261,7 +180,7 @@ def _recovery(
     of_row = np.zeros((len(names), len(entries.dofs)), dtype=bool)
     of_row[:, entries.row[diagonal]] = changed[:, diagonal]
 
-    def on_diagonal(own: Any) -> BoolArray:
+    def on_diagonal(own: IntArray) -> BoolArray:
         """Return a mask of the parameters that change the diagonal of both the row and the column of entries."""
         return np.asarray(of_row[:, entries.row[own]] & of_row[:, entries.column[own]])
 
@@ -317,7 +236,7 @@ def _fewest_of_all(
 
     The entries that these terms miss, such as that of a single spring in a solid, are then looked at too.
     """
-    some = np.arange(entry.shape[1])[:: max(entry.shape[1] // _MOST_SAMPLED, 1)]
+    some = np.arange(entry.shape[1])[:: max(entry.shape[1] // MOST_SAMPLED, 1)]
     while True:
         chosen, first = _fewest(known, group, relative, used, entry[:, some], noise)
         fit = None if chosen is None else _Fit.of(chosen, relative, used)
@@ -387,15 +306,15 @@ def _refusal(
     relative: FloatArray,
     used: BoolArray,
     exports: Sequence[Export],
-    entries: _Entries,
-    own: Any,
+    entries: Entries,
+    own: IntArray,
 ) -> ArgumentError:
     """Return why no terms of a group of parameters reproduce the exports, with the entries that say so.
 
     They are those that the terms miss which suit most of the entries.
     """
     best, least = None, np.inf
-    sample = entries.entry[:, own[:: max(len(own) // _MOST_SAMPLED, 1)]]
+    sample = entries.entry[:, own[:: max(len(own) // MOST_SAMPLED, 1)]]
     for powers in islice(_sets_of_powers(known, group, relative.shape[1], int(used.sum())), _MOST_COMPARED):
         fit = _Fit.of(powers, relative, used)
         error = np.inf if fit is None else float(np.median(fit.compute_errors(sample, used).max(axis=0)))
@@ -416,11 +335,11 @@ def _refusal(
     )
 
 
-def _worst(fit: _Fit, used: BoolArray, exports: Sequence[Export], entries: _Entries, own: Any) -> str:
+def _worst(fit: _Fit, used: BoolArray, exports: Sequence[Export], entries: Entries, own: IntArray) -> str:
     """Return the entries that are reproduced worst, in the export where they are."""
     error = fit.compute_errors(entries.entry[:, own], used)
     at = int(np.argmax(error.max(axis=1)))
-    worst = np.argsort(error[at])[::-1][:_TOLD]
+    worst = np.argsort(error[at])[::-1][:TOLD]
     told = "; ".join(f"{entries.place(int(own[k]))} by {significant(float(error[at, k]))}" for k in worst)
     return f"{exports[at].name or f'export {at}'} is missed, relative to the diagonal, at {told}"
 
