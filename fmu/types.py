@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from typing import Annotated, Any, Literal, Protocol, get_args, runtime_checkable
 
 import numpy as np
@@ -21,6 +22,8 @@ Vector = tuple[float, float, float]
 Direction = Literal["x", "y", "z", "rx", "ry", "rz"]
 """Of a degree of freedom: displacements and rotations."""
 DIRECTIONS: tuple[str, ...] = get_args(Direction)
+Dof = tuple[Hashable, str]
+"""A degree of freedom or a sensor: place (a node, or a name beside the nodes) and direction."""
 
 
 @runtime_checkable

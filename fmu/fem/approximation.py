@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from fmu.fem.certificates import Certificate
 from fmu.fem.pairing.modal_model import ModalModel
@@ -65,6 +64,6 @@ class Approximation(ModalModel):
         """Return frequencies and shapes at the sensors, with variances if the cheap model is uncertain."""
         return self.cheap.observed(theta, gradient)
 
-    def configuration(self) -> dict[str, Any]:
+    def configuration(self) -> dict[str, object]:
         """Return the data that identify the true model and the cheap one, in plain Python types."""
         return {"surrogate of": self._truth.configuration(), **self.cheap.configuration()}

@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from annotated_types import Interval
@@ -37,7 +37,7 @@ from fmu.fem.programs.answers import Answer
 from fmu.fem.programs.solves import Failure, Solves
 from fmu.fem.programs.sources import source_digest
 from fmu.fem.programs.store import Solve, SolveStore
-from fmu.types import FloatArray
+from fmu.types import Dof, FloatArray
 
 
 def solves_of_a_surrogate(n_parameters: int) -> int:
@@ -86,12 +86,12 @@ class BlackBoxModel:
 
     place = "model.function"
     """The key of problem files that is named where the function fails."""
-    sensors: tuple[tuple[Any, str], ...] = ()
+    sensors: tuple[Dof, ...] = ()
     """Where its shapes are, if that can be chosen."""
 
     def __init__(
         self,
-        function: Callable[[FloatArray], Any],
+        function: Callable[[FloatArray], object],
         n_parameters: Count,
         *,
         batched: bool = False,
@@ -114,11 +114,11 @@ class BlackBoxModel:
     def __repr__(self) -> str:
         return f"BlackBoxModel({self.name}, {self.n_parameters} parameters)"
 
-    def sees(self, sensor: tuple[Any, str]) -> bool:
+    def sees(self, sensor: Dof) -> bool:
         """Return True for every sensor (place, direction): only the function knows where its shapes are."""
         return True
 
-    def at_sensors(self, sensors: Sequence[tuple[Any, str]]) -> BlackBoxModel:
+    def at_sensors(self, sensors: Sequence[Dof]) -> BlackBoxModel:
         """Return the model with shapes at these sensors: itself, as its function gives shapes there."""
         return self
 
@@ -176,7 +176,7 @@ class BlackBoxModel:
         solve = self.solved.recall(theta)
         return None if solve is None else solve.reason or None
 
-    def configuration(self) -> dict[str, Any]:
+    def configuration(self) -> dict[str, object]:
         """Return the data that identify the model: the function's name, and a hash of its source."""
         return {"function": self.name, "batched": self.batched, "step": self.step, "sha256": self.sha256}
 
@@ -202,5 +202,5 @@ def _answer_of(solve: Solve) -> Answer:
     return Answer(solve.frequencies, solve.shapes, solve.gradient)
 
 
-def _name_of(function: Any) -> str:
+def _name_of(function: object) -> str:
     return str(getattr(function, "__qualname__", type(function).__qualname__))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Any, ClassVar, Self
 
@@ -34,7 +34,7 @@ class Certificate(ABC):
     """The keys in a trace that are not ``certificate_`` and the name of the field."""
 
     @classmethod
-    def from_trace(cls, attrs: Mapping[Any, Any]) -> Self | None:
+    def from_trace(cls, attrs: Mapping[Hashable, Any]) -> Self | None:
         """Return the certificate in the attributes of a trace, None if there is none of this kind."""
         found: dict[str, Any] = {}
         for field in fields(cls):
@@ -46,7 +46,7 @@ class Certificate(ABC):
                 return None
         return cls(**found)
 
-    def attributes(self) -> dict[str, Any]:
+    def attributes(self) -> dict[str, object]:
         """Return the attributes of a trace that contain the certificate."""
         return {self._key(name): value for name, value in asdict(self).items() if value is not None}
 

@@ -7,7 +7,7 @@ are for one K and M; for a model that is solved at many theta, `fmu.fem.reduced.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import scipy.sparse as sp
@@ -19,6 +19,7 @@ from scipy.sparse.csgraph import connected_components
 from fmu.arguments import ArgumentError, Numbers, check_arguments, require, shown
 from fmu.fem.modes.eigensolver import eigen, rank
 from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.solver import Matrix
 from fmu.types import FloatArray, IntArray
 
 
@@ -47,7 +48,7 @@ class Reduction:
 
 
 @check_arguments
-def guyan(K: Any, M: Any, masters: ArrayLike) -> Reduction:
+def guyan(K: Matrix, M: Matrix, masters: ArrayLike) -> Reduction:
     """Return the static condensation onto the masters (Guyan 1965): the slaves follow as in statics.
 
     T = [I; −K_ss⁻¹ K_sm]. Exact at frequency zero; the error grows with ω² over the lowest eigenvalue of the
@@ -75,7 +76,7 @@ def guyan(K: Any, M: Any, masters: ArrayLike) -> Reduction:
 
 
 @check_arguments
-def craig_bampton(K: Any, M: Any, boundary: ArrayLike, n_modes: Annotated[int, Ge(0)]) -> Reduction:
+def craig_bampton(K: Matrix, M: Matrix, boundary: ArrayLike, n_modes: Annotated[int, Ge(0)]) -> Reduction:
     """Return the Craig–Bampton reduction (Craig & Bampton 1968).
 
     The boundary separates the interior (all other degrees of freedom) into substructures. The basis consists of
@@ -118,7 +119,7 @@ def craig_bampton(K: Any, M: Any, boundary: ArrayLike, n_modes: Annotated[int, G
     return _ritz(K, M, np.concatenate(columns, axis=1), boundary)
 
 
-def substructures(K: Any, M: Any, boundary: ArrayLike) -> tuple[IntArray, ...]:
+def substructures(K: Matrix, M: Matrix, boundary: ArrayLike) -> tuple[IntArray, ...]:
     """Return the interior degrees of freedom of each part that the boundary separates from the others."""
     interior = np.setdiff1d(np.arange(K.shape[0]), np.asarray(boundary, dtype=np.int64))
     pattern = sp.csr_array(abs(K) + abs(M))[interior][:, interior]
@@ -167,7 +168,7 @@ class StaticCondensation:
         If K_ss is singular.
     """
 
-    def __init__(self, K: Any, masters: IntArray) -> None:
+    def __init__(self, K: Matrix, masters: IntArray) -> None:
         K = sp.csc_array(K)
         self.n_dof, self.masters = K.shape[0], masters
         self.slaves = np.setdiff1d(np.arange(self.n_dof), masters)
@@ -207,19 +208,19 @@ class StaticCondensation:
         return self._unit * self._factor.solve(self._unit * load) if len(load) else load
 
 
-def _constraint_modes(K: Any, masters: IntArray) -> FloatArray:
+def _constraint_modes(K: Matrix, masters: IntArray) -> FloatArray:
     return StaticCondensation(K, masters).extend(np.eye(len(masters)))
 
 
 _MOVES = "masters: the structure can still move when they are held (singular K_ss)"
 
 
-def _ritz(K: Any, M: Any, T: FloatArray, retained: IntArray) -> Reduction:
+def _ritz(K: Matrix, M: Matrix, T: FloatArray, retained: IntArray) -> Reduction:
     K_r, M_r = (T.T @ (sp.csr_array(matrix) @ T) for matrix in (K, M))
     return Reduction(0.5 * (K_r + K_r.T), 0.5 * (M_r + M_r.T), T, retained)
 
 
-def _matrices(K: Any, M: Any) -> list[Any]:
+def _matrices(K: Matrix, M: Matrix) -> list[sp.csr_array]:
     """Return both matrices as sparse arrays; ValueError unless they are square and of one size."""
     found = []
     for name, matrix in (("K", K), ("M", M)):

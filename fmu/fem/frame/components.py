@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from annotated_types import Interval
@@ -159,6 +159,8 @@ class ElementGroup:
     section: Section
     material: Material
     y_direction: tuple[float, float, float] | None = None
+    directions: ClassVar[tuple[str, ...]] = ()
+    """In which a property may be named: none of an element's."""
 
     def __post_init__(self) -> None:
         ends = np.asarray(self.elements)
@@ -191,6 +193,8 @@ class PointMass:
     mass: NotNegative
     inertia: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
     name: str = ""
+    directions: ClassVar[tuple[str, ...]] = DIRECTIONS[3:]
+    """In which an inertia may be named."""
 
     def value(self, direction: str) -> float:
         """Return the mass or the moment of inertia that resists acceleration in one of `DIRECTIONS`."""
@@ -252,6 +256,11 @@ class JointSpring:
             raise ArgumentError(here, "must have two ends to be tied; a support holds one to the ground")
         if self.nodes[0] == self.nodes[1]:
             raise ArgumentError(here, "ends must differ", self.nodes)
+
+    @property
+    def directions(self) -> tuple[str, ...]:
+        """The elastic directions."""
+        return tuple(self.stiffness)
 
     def value(self, direction: str) -> float:
         """Return the stiffness in a direction."""

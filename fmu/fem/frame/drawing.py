@@ -5,14 +5,13 @@ from __future__ import annotations
 import html
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from fmu.fem.modes.line_picture import LinePicture
 from fmu.fem.modes.separable import Geometry, SeparableModel
-from fmu.types import BoolArray, FloatArray, IntArray
+from fmu.types import BoolArray, Dof, FloatArray, IntArray
 
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 """Okabe & Ito's colour-blind safe palette."""
@@ -56,7 +55,7 @@ class Sketch:
     owners: IntArray
 
 
-def sketch(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> Sketch:
+def sketch(model: SeparableModel, sensors: Sequence[Dof] = ()) -> Sketch:
     """Return the drawing of a structure, with its sensors (place, direction).
 
     Raises
@@ -95,7 +94,7 @@ def is_drawable(model: SeparableModel, most: int) -> bool:
     return lines is not None and len(lines) <= most
 
 
-def _sketch_picture(picture: LinePicture, sensors: Sequence[tuple[Any, str]]) -> Sketch:
+def _sketch_picture(picture: LinePicture, sensors: Sequence[Dof]) -> Sketch:
     """Return the sketch of a picture of lines: the lines, and the sensors at points of their names."""
     place = dict(zip(picture.names, np.asarray(picture.points, dtype=float), strict=True))
     nowhere = np.full(3, np.nan)
@@ -107,7 +106,7 @@ def _sketch_picture(picture: LinePicture, sensors: Sequence[tuple[Any, str]]) ->
     return Sketch(nodes, np.asarray(picture.lines), picture.changed, kinds, places, ends, np.full(len(seen), -1))
 
 
-def drawing(model: SeparableModel, sensors: Sequence[tuple[Any, str]] = ()) -> str:
+def drawing(model: SeparableModel, sensors: Sequence[Dof] = ()) -> str:
     """Draw a structure with its sensors (place, direction), see `draw_svg`; ValueError if it has no geometry."""
     return draw_svg(sketch(model, sensors))
 

@@ -15,7 +15,7 @@ from fmu.fem.frame import beam
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, PointMass
 from fmu.fem.frame.updates import Factor, Ownership, Quantity, Target, ownership
 from fmu.fem.modes.separable import Geometry, RigidArm, SeparableModel
-from fmu.fem.modes.terms import Term, merge_terms
+from fmu.fem.modes.terms import Powers, Term, merge_terms
 from fmu.types import FloatArray, IntArray
 
 Dof = tuple[int, str]
@@ -161,8 +161,8 @@ class Frame:
                 "nodes", "a node without an element must be fixed, tied or have mass", f"nodes {loose}"
             )
 
-    def _mass_matrices(self, n_nodes: int, owned: Ownership) -> list[tuple[Any, tuple[float, ...]]]:
-        lumped: dict[tuple[float, ...], FloatArray] = {}
+    def _mass_matrices(self, n_nodes: int, owned: Ownership) -> list[tuple[sp.csr_array, Powers]]:
+        lumped: dict[Powers, FloatArray] = {}
         for index, mass in enumerate(self.masses):
             for k, direction in enumerate(DIRECTIONS):
                 quantity = Quantity("mass", index) if k < 3 else Quantity("inertia", index, direction)
@@ -170,7 +170,7 @@ class Frame:
                 lumped.setdefault(powers, np.zeros(6 * n_nodes))[6 * mass.node + k] += scale
         return [(sp.csr_array(sp.diags_array(diagonal)), powers) for powers, diagonal in lumped.items()]
 
-    def _spring_matrices(self, nodes: FloatArray, owned: Ownership) -> list[tuple[Any, tuple[float, ...]]]:
+    def _spring_matrices(self, nodes: FloatArray, owned: Ownership) -> list[tuple[sp.csr_array, Powers]]:
         found = []
         for index, spring in enumerate(self.springs):
             for direction, value in spring.stiffness.items():
@@ -249,7 +249,7 @@ class Numbering:
         tied = np.flatnonzero((self.owner != np.arange(len(self.owner))) & np.isin(self.owner, self.free))
         return {_name(i): _name(j) for i, j in zip(tied.tolist(), self.owner[tied].tolist(), strict=True)}
 
-    def restrict(self, matrix: Any) -> Any:
+    def restrict(self, matrix: sp.csr_array) -> sp.csr_array:
         """Return a matrix (6 n_nodes, 6 n_nodes) reduced to the free degrees of freedom, with tied ones merged."""
         n = len(self.owner)
         if np.any(self.owner != np.arange(n)):

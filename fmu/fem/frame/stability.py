@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,7 +68,7 @@ def free_motions(model: SeparableModel, theta: ArrayLike) -> FreeMotions:
     return FreeMotions(zero, rigid_motions(model, zero), negative)
 
 
-def _lowest_motions(model: SeparableModel, matrix: Any) -> tuple[FloatArray, FloatArray]:
+def _lowest_motions(model: SeparableModel, matrix: sp.csr_array) -> tuple[FloatArray, FloatArray]:
     """Return motions of no energy, and motions of negative energy, of a symmetric matrix, shapes (n_dof, n)."""
     zero: list[FloatArray] = []
     negative: list[FloatArray] = []
@@ -205,7 +205,10 @@ def rigid_in_words(rigid: FloatArray) -> list[str]:
 
 
 def what_moves(
-    model: SeparableModel, shapes: FloatArray, label: Callable[[Any], str] = str, rigid: FloatArray | None = None
+    model: SeparableModel,
+    shapes: FloatArray,
+    label: Callable[[Any], str] = str,
+    rigid: FloatArray | None = None,
 ) -> str:
     """Return the degrees of freedom that move most in a space of motions (n_dof, n), as "a rx, b rx move most".
 
@@ -248,7 +251,7 @@ def _rigid_rows(model: SeparableModel) -> tuple[FloatArray, FloatArray] | None:
         return None
     centre, length = nodes.mean(axis=0), _length(model)
 
-    def row(node: Any, direction: str) -> list[float]:
+    def row(node: Hashable, direction: str) -> list[float]:
         arm = RigidArm(node, tuple((nodes[row_of[node]] - centre).tolist())).motion(direction)
         return [arm.get(d, 0.0) / (length if d.startswith("r") else 1.0) for d in DIRECTIONS]
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, PointMass
 
+Thing = ElementGroup | PointMass | JointSpring
 Target = Sequence[str]
 """(property,), (property, name) or (property, name, direction)."""
 
@@ -93,7 +94,7 @@ def ownership(
         For names that are not distinct, a target that does not exist, one that two parameters have, or a factor
         of what is zero.
     """
-    things: dict[str, Sequence[Any]] = {"group": groups, "mass": masses, "spring": springs}
+    things: dict[str, Sequence[Thing]] = {"group": groups, "mass": masses, "spring": springs}
     for kind, plural in (("group", "groups"), ("mass", "masses"), ("spring", "springs")):
         names = [thing.name for thing in things[kind] if thing.name or kind == "group"]
         if len(set(names)) < len(names):
@@ -110,7 +111,7 @@ def ownership(
 
 
 def _quantities(
-    parameter: str, target: Target, things: Mapping[str, Sequence[Any]], factor: bool
+    parameter: str, target: Target, things: Mapping[str, Sequence[Thing]], factor: bool
 ) -> list[Quantity]:
     name, of, direction = target[0], target[1] if len(target) > 1 else None, target[2:]
     if name not in _KIND:
@@ -137,11 +138,9 @@ def _quantities(
     return found
 
 
-def _by_direction(parameter: str, name: str, i: int, thing: Any, direction: Sequence[str]) -> list[Quantity]:
-    if name == "stiffness":
-        known, has = tuple(thing.stiffness), tuple(thing.stiffness)
-    else:
-        known, has = ROTATIONS, tuple(d for d in ROTATIONS if thing.value(d) > 0.0)
+def _by_direction(parameter: str, name: str, i: int, thing: Thing, direction: Sequence[str]) -> list[Quantity]:
+    known = thing.directions
+    has = tuple(d for d in known if thing.value(d) > 0.0)
     if not direction and not has:
         raise ArgumentError(parameter, f"{name} of {thing.name!r} is 0: name a direction")
     for d in direction:
@@ -150,7 +149,7 @@ def _by_direction(parameter: str, name: str, i: int, thing: Any, direction: Sequ
     return [Quantity(name, i, d) for d in direction or has]
 
 
-def _in_words(quantity: Quantity, things: Mapping[str, Sequence[Any]]) -> str:
+def _in_words(quantity: Quantity, things: Mapping[str, Sequence[Thing]]) -> str:
     kind = _KIND[quantity.property]
     along = f" along {quantity.direction}" if quantity.direction else ""
     return f"{quantity.property}{along} of {kind} {things[kind][quantity.number].name!r}"

@@ -4,10 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import scipy.sparse as sp
+
+from fmu.fem.modes.solver import Matrix
 from fmu.fem.modes.terms import CoefficientMap, Term
 from fmu.types import FloatArray, IntArray
+
+Observation = tuple[Callable[[FloatArray], FloatArray], FloatArray]
+"""What maps a block's shapes to the coordinates of comparison, and the reference shapes there."""
+Solved = dict[int, tuple[FloatArray, FloatArray]]
+"""Eigenvalues and shapes by block."""
 
 
 class BlockPrediction(NamedTuple):
@@ -88,15 +96,15 @@ class Block:
         """Return φᵀ K_k φ, or φᵀ M_k φ, of every term, shape (n, n_terms, m)."""
         raise NotImplementedError
 
-    def coordinates(self, rows: Any) -> Any:
+    def coordinates(self, rows: sp.csr_array) -> Matrix:
         """Return sparse sensor rows (n_sensors, n) on the block's degrees of freedom as rows on its unknowns."""
         return rows
 
-    def compress_rows(self, rows: Any, reference: FloatArray) -> tuple[Any, FloatArray]:
+    def compress_rows(self, rows: Matrix, reference: FloatArray) -> tuple[Matrix, FloatArray]:
         """Return fewer rows and references (_, n_modes), from `coordinates`, with the same norms and products."""
         return rows, reference
 
-    def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
+    def observe(self, rows: sp.csr_array, reference: FloatArray) -> Observation:
         """Return how shapes are compared with references: a map of shapes (n, size, m), and the references there.
 
         Parameters
@@ -115,7 +123,7 @@ class Block:
         self,
         theta: FloatArray,
         count: int,
-        rows: Any,
+        rows: Matrix,
         gradient: bool = False,
         solved: tuple[FloatArray, FloatArray] | None = None,
     ) -> BlockPrediction:
@@ -138,12 +146,12 @@ class Block:
         lam_slopes, shape_slopes = self._slopes_seen(theta, count, rows, lam, phi)
         return seen._replace(eigenvalue_slopes=lam_slopes, shape_slopes=shape_slopes)
 
-    def _at(self, rows: Any, phi: FloatArray) -> FloatArray:
+    def _at(self, rows: Matrix, phi: FloatArray) -> FloatArray:
         """Return shapes (n, size, m) as the sensors see them, (n, n_sensors, m)."""
         raise NotImplementedError
 
     def _slopes_seen(
-        self, theta: FloatArray, count: int, rows: Any, lam: FloatArray, phi: FloatArray
+        self, theta: FloatArray, count: int, rows: Matrix, lam: FloatArray, phi: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return ∂λ (n, count, n_parameters) and ∂φ at the sensors (n, n_sensors, count, n_parameters)."""
         raise NotImplementedError

@@ -82,7 +82,7 @@ def changed_model(
     return other
 
 
-def _along(rows: Any, size: float) -> Any:
+def _along(rows: sp.csr_array, size: float) -> sp.csr_array:
     """Return size · RᵀR, for a mass or a spring that moves as the rows say."""
     return sp.csr_array(size * (rows.T @ rows))
 

@@ -19,12 +19,11 @@ has an error of ε over the gap in shapes.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
 
+from fmu.fem.modes.solver import Matrix
 from fmu.types import FloatArray
 
 REPEATED = 1e-9
@@ -60,7 +59,7 @@ def by_all_modes(lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArra
 
 
 def by_bordered_system(
-    K: Any, M: Any, lam: float, phi: FloatArray, dK_phi: FloatArray, dM_phi: FloatArray
+    K: Matrix, M: Matrix, lam: float, phi: FloatArray, dK_phi: FloatArray, dM_phi: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return ∂φ, shape (size, n_parameters), and ∂λ, shape (n_parameters,), of one mode.
 

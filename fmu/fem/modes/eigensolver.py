@@ -29,7 +29,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
 
-from fmu.fem.modes.solver import DenseFactor, Factor, factorise
+from fmu.fem.modes.solver import DenseFactor, Factor, Matrix, factorise
 from fmu.types import BoolArray, FloatArray
 
 # Up to this size LAPACK on the dense matrices beats a sparse factorisation and its Lanczos iterations.
@@ -54,7 +54,7 @@ class SingularMassError(ValueError):
     """The eigenproblem has no solution, because of the mass matrix, the stiffness matrix or the solver."""
 
 
-def eigen(K: Any, M: Any, count: int, finite: int | None = None) -> tuple[FloatArray, FloatArray]:
+def eigen(K: Matrix, M: Matrix, count: int, finite: int | None = None) -> tuple[FloatArray, FloatArray]:
     """Return the lowest modes of K φ = λ M φ.
 
     Parameters
@@ -102,7 +102,7 @@ def eigen(K: Any, M: Any, count: int, finite: int | None = None) -> tuple[FloatA
     return lam, y
 
 
-def _of_scaled(S: Any, M: Any, count: int) -> tuple[FloatArray, FloatArray]:
+def _of_scaled(S: Matrix, M: Matrix, count: int) -> tuple[FloatArray, FloatArray]:
     """Return the modes of a K with unit diagonal; both matrices are dense or both sparse."""
     factor = _safely_factored(S)
     if factor is None:  # free, nearly free, or negative for some motion: the lowest eigenvalues tell which
@@ -116,13 +116,13 @@ def _of_scaled(S: Any, M: Any, count: int) -> tuple[FloatArray, FloatArray]:
     return _polish(S, M, _highest(factor, M, count))
 
 
-def _is_strained(S: Any, X: FloatArray) -> BoolArray:
+def _is_strained(S: Matrix, X: FloatArray) -> BoolArray:
     """Say of which motions (n, m) the energy is more than rounding: soft, not rigid, however low."""
     sizes = np.sum(np.abs(X) * (abs(S) @ np.abs(X)), axis=0)
     return np.asarray(np.sum(X * (S @ X), axis=0) > _STRAINED * 0.5 * np.finfo(float).eps * sizes)
 
 
-def _of_free(S: Any, M: Any, N: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+def _of_free(S: Matrix, M: Matrix, N: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
     """Return the modes of a structure with the motions N without strain, shape (n, r), Nᵀ M N = 1."""
     n, r = N.shape
     if count <= r:
@@ -151,7 +151,7 @@ def _of_free(S: Any, M: Any, N: FloatArray, count: int) -> tuple[FloatArray, Flo
     return np.concatenate([np.zeros(r), lam]), np.concatenate([N, X], axis=1)
 
 
-def _definite(matrix: Any) -> Factor:
+def _definite(matrix: Matrix) -> Factor:
     """Return the factors of a positive definite matrix; LinAlgError if it is not definite."""
     factor = factorise(matrix)
     if factor.negative:
@@ -159,7 +159,7 @@ def _definite(matrix: Any) -> Factor:
     return factor
 
 
-def _safely_factored(S: Any) -> Factor | None:
+def _safely_factored(S: Matrix) -> Factor | None:
     """Return the factors of S; None if it is not definite, or only by rounding."""
     try:
         factor = _definite(S)
@@ -182,7 +182,7 @@ def _start(n: int) -> FloatArray:
     return np.random.default_rng(0).standard_normal(n)
 
 
-def _factorise_shifted(S: Any, M: Any) -> Factor:
+def _factorise_shifted(S: Matrix, M: Matrix) -> Factor:
     """Return the factors of S + s M for a shift s that makes it definite: K is negative for some motion."""
     start = 1e-6 * np.abs(S.diagonal()).sum() / M.diagonal().sum()
     for power in range(24):
@@ -193,7 +193,7 @@ def _factorise_shifted(S: Any, M: Any) -> Factor:
     raise SingularMassError("K is not positive definite for the motions without mass")
 
 
-def _mass_normalised(M: Any, N: FloatArray) -> FloatArray:
+def _mass_normalised(M: Matrix, N: FloatArray) -> FloatArray:
     """Return a basis of the columns of N with Nᵀ M N = 1."""
     G = N.T @ (M @ N)
     if np.linalg.eigvalsh(G)[0] <= ZERO * np.trace(G):
@@ -201,7 +201,7 @@ def _mass_normalised(M: Any, N: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(np.linalg.cholesky(G), N.T).T)
 
 
-def _highest(factor: Factor, M: Any, count: int) -> FloatArray:
+def _highest(factor: Factor, M: Matrix, count: int) -> FloatArray:
     """Return the vectors of the highest μ of M x = μ A x for the factors of A, shape (n, count), highest first."""
     if not isinstance(factor, DenseFactor):
         return _highest_sparse(factor.solve, M, count)
@@ -217,13 +217,13 @@ def _highest(factor: Factor, M: Any, count: int) -> FloatArray:
     return np.asarray(X[:, ::-1])
 
 
-def _highest_sparse(solve: Callable[[FloatArray], FloatArray], M: Any, count: int) -> FloatArray:
+def _highest_sparse(solve: Callable[[FloatArray], FloatArray], M: Matrix, count: int) -> FloatArray:
     """Return the same by Lanczos iterations of A⁻¹ M; the fixed start vector makes results repeatable."""
     n = M.shape[0]
     with_mass = np.flatnonzero(M.diagonal() > 0.0)
     if len(with_mass) <= DENSE_LIMIT:
         # Lanczos could run out of vectors: with M = V E Vᵀ solve the dense problem of √E Vᵀ A⁻¹ V √E
-        energy, V = np.linalg.eigh(M[with_mass][:, with_mass].toarray())
+        energy, V = np.linalg.eigh(_dense(M[with_mass][:, with_mass]))
         loads = np.zeros((n, len(with_mass)))
         loads[with_mass] = V * np.sqrt(np.maximum(energy, 0.0))
         moved = np.stack([solve(load) for load in loads.T], axis=1)
@@ -237,7 +237,7 @@ def _highest_sparse(solve: Callable[[FloatArray], FloatArray], M: Any, count: in
 
 
 def _polish(
-    S: Any, M: Any, X: FloatArray, elastic: Callable[[FloatArray], FloatArray] = lambda x: x
+    S: Matrix, M: Matrix, X: FloatArray, elastic: Callable[[FloatArray], FloatArray] = lambda x: x
 ) -> tuple[FloatArray, FloatArray]:
     """Return Rayleigh's quotients and mass-normalised vectors of a space, given lowest mode first.
 
@@ -271,14 +271,14 @@ def _dense(matrix: Any) -> FloatArray:
 # order of 1e-16, whatever the units and the mesh.
 
 
-def unit_diagonal(matrix: Any) -> tuple[Any, FloatArray]:
+def unit_diagonal(matrix: Matrix) -> tuple[Matrix, FloatArray]:
     """Return S = D A D with a diagonal of ones (or zeros), and the diagonal of D, for a dense or sparse A."""
     diagonal = np.abs(matrix.diagonal())
     scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
     return scale_matrix(matrix, scale), scale
 
 
-def scale_matrix(matrix: Any, scale: FloatArray) -> Any:
+def scale_matrix(matrix: Matrix, scale: FloatArray) -> Matrix:
     """Return D A D for the diagonal of D."""
     if not sp.issparse(matrix):
         return scale[:, None] * matrix * scale
@@ -287,7 +287,7 @@ def scale_matrix(matrix: Any, scale: FloatArray) -> Any:
     return matrix
 
 
-def lowest(S: Any) -> tuple[FloatArray, FloatArray]:
+def lowest(S: Matrix) -> tuple[FloatArray, FloatArray]:
     """Return all eigenvalues near and below zero of a matrix from `unit_diagonal`, and at least one above.
 
     Returns
@@ -298,7 +298,7 @@ def lowest(S: Any) -> tuple[FloatArray, FloatArray]:
     """
     n = S.shape[0]
     if n <= DENSE_LIMIT:
-        S, count = S.toarray() if sp.issparse(S) else S, min(_AT_ONCE, n)
+        S, count = _dense(S), min(_AT_ONCE, n)
         lam, vectors = sl.eigh(S, subset_by_index=[0, count - 1], check_finite=False)
         while lam[-1] < ZERO and count < n:
             count = min(2 * count, n)
@@ -318,7 +318,7 @@ def lowest(S: Any) -> tuple[FloatArray, FloatArray]:
     return lam, vectors
 
 
-def rank(matrix: Any) -> int:
+def rank(matrix: Matrix) -> int:
     """Return the rank of a positive semidefinite matrix.
 
     Zeros of a large sparse matrix are counted by inertia (Sylvester's law): they may be hundreds, as in solids of
@@ -330,8 +330,8 @@ def rank(matrix: Any) -> int:
     SingularMassError
         If it is negative for some vector.
     """
-    if matrix.shape[0] <= DENSE_LIMIT and sp.issparse(matrix):
-        matrix = matrix.toarray()
+    if matrix.shape[0] <= DENSE_LIMIT:
+        matrix = _dense(matrix)
     diagonal = matrix.diagonal()
     with_mass = np.flatnonzero(diagonal > 0.0)
     S = unit_diagonal(matrix)[0]
@@ -353,21 +353,21 @@ def rank(matrix: Any) -> int:
     return len(with_mass) - int(np.sum(lam < ZERO))
 
 
-def is_semidefinite(matrix: Any) -> bool:
+def is_semidefinite(matrix: sp.csr_array) -> bool:
     """Say whether a sparse symmetric matrix has no eigenvalue below zero, but for rounding in exported digits."""
     rows = np.flatnonzero(np.diff(matrix.indptr))
     if not len(rows):
         return True
     S, _ = unit_diagonal(matrix[rows][:, rows])
     if len(rows) <= DENSE_LIMIT:
-        return bool(np.linalg.eigvalsh(S.toarray())[0] > -NEGATIVE)
+        return bool(np.linalg.eigvalsh(_dense(S))[0] > -NEGATIVE)
     try:
         return factorise(S + NEGATIVE * sp.eye_array(len(rows))).negative == 0
     except np.linalg.LinAlgError:
         return False
 
 
-def _is_definite(S: Any) -> bool:
+def _is_definite(S: Matrix) -> bool:
     """Say whether no eigenvalue of a matrix of unit diagonal can be zero."""
     unit = sp.eye_array(S.shape[0]) if sp.issparse(S) else np.eye(S.shape[0])
     try:
@@ -377,7 +377,7 @@ def _is_definite(S: Any) -> bool:
         return False
 
 
-def _nearest(S: Any, factor: Any, sigma: float, count: int) -> tuple[FloatArray, FloatArray]:
+def _nearest(S: Matrix, factor: Factor, sigma: float, count: int) -> tuple[FloatArray, FloatArray]:
     """Return the eigenvalues of S nearest to `sigma`, given the factors of S − sigma."""
     n = S.shape[0]
     inverse = ssl.LinearOperator((n, n), matvec=factor.solve, dtype=float)

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.fem.modes.block import Block, Mapped, Picked
+from fmu.fem.modes.block import Block, Mapped, Observation, Picked
 from fmu.fem.modes.derivatives import by_bordered_system
 from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, eigen, rank
 from fmu.fem.modes.modal import BlockModel
 from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.solver import Matrix
 from fmu.fem.modes.terms import Term, WeightedSum, coefficient_gradients, weighted_sum
 from fmu.types import FloatArray, IntArray
 
@@ -52,9 +52,9 @@ class FullBlock(Block):
         self.massless = self.n_modes < self.size
         self.constant = self.constant_mass and all(term.constant for term in self.K_terms)
         self._constant_rank: int | None = None
-        self._last: tuple[Any, FloatArray, FloatArray] | None = None
+        self._last: tuple[tuple[bytes, int], FloatArray, FloatArray] | None = None
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         """Leave out what is prepared when needed."""
         return {name: value for name, value in self.__dict__.items() if name != "_sums"} | {"_last": None}
 
@@ -63,11 +63,11 @@ class FullBlock(Block):
         dense = self.size <= DENSE_LIMIT
         return WeightedSum(self.K_terms, dense), WeightedSum(self.M_terms, dense)
 
-    def _matrices(self, theta: FloatArray) -> Iterator[tuple[Any, Any]]:
+    def _matrices(self, theta: FloatArray) -> Iterator[tuple[Matrix, Matrix]]:
         """Yield K and M at each theta (n, n_parameters) in turn."""
         return zip(map(self._sums[0], self._K_map(theta)), self._masses(theta), strict=True)
 
-    def _masses(self, theta: FloatArray) -> Iterator[Any]:
+    def _masses(self, theta: FloatArray) -> Iterator[Matrix]:
         """Yield M at each theta (n, n_parameters) in turn."""
         return map(self._sums[1], self._M_map(theta))
 
@@ -114,19 +114,19 @@ class FullBlock(Block):
         except SingularMassError:
             return False
 
-    def _rank(self, M: Any, is_that_of_all: Any) -> int:
+    def _rank(self, M: Matrix, is_that_of_all: bool) -> int:
         if not (self.constant_mass or (is_that_of_all and self._has_semidefinite_masses)):
             return rank(M)
         if self._constant_rank is None:  # it costs a factorisation
             self._constant_rank = rank(M)
         return self._constant_rank
 
-    def _at(self, rows: Any, phi: FloatArray) -> FloatArray:
+    def _at(self, rows: Matrix, phi: FloatArray) -> FloatArray:
         # sparse rows multiply one shape at a time
         return np.stack([rows @ of for of in phi]) if len(phi) else np.empty((0, rows.shape[0], phi.shape[2]))
 
     def _slopes_seen(
-        self, theta: FloatArray, count: int, rows: Any, lam: FloatArray, phi: FloatArray
+        self, theta: FloatArray, count: int, rows: Matrix, lam: FloatArray, phi: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         phi = phi[:, :, :count]
         lam_slopes = np.full((len(theta), count, self.n_parameters), np.nan)
@@ -142,7 +142,7 @@ class FullBlock(Block):
                 shape_slopes[i, :, k] = rows @ slope
         return lam_slopes, shape_slopes
 
-    def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
+    def observe(self, rows: sp.csr_array, reference: FloatArray) -> Observation:
         """Return a map of shapes (n, size, m) to the coordinates `rows`, and the references as they are."""
         if rows.nnz == rows.shape[0] and np.all(rows.data == 1.0) and np.all(np.diff(rows.indptr) == 1):
             return Picked(rows.indices), reference
@@ -165,7 +165,7 @@ def _finite_modes(M_terms: tuple[Term, ...]) -> int:
         return int(np.sum(~empty))
 
 
-def _is_finite(matrix: Any) -> bool:
+def _is_finite(matrix: Matrix) -> bool:
     return bool(np.all(np.isfinite(matrix.data if sp.issparse(matrix) else matrix)))
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from fmu.fem.modes.block import Block
+from fmu.fem.modes.block import Block, Solved
 from fmu.types import BoolArray, FloatArray, IntArray
 
 # An eigenvalue this small relative to the highest of interest is that of a rigid-body mode. Where K is singular to
@@ -214,7 +214,7 @@ class FixedModes:
     def __init__(self, model: BlockModel, block: Sequence[int], rank: Sequence[int]) -> None:
         # as rows (1, m), to be repeated for each theta
         self._labels = np.array(block)[None], np.array(rank)[None]
-        self._parts: list[tuple[Block, int, Any]] = []
+        self._parts: list[tuple[Block, int, slice | IntArray]] = []
         columns = []
         for b in np.unique(block):
             columns.append(np.flatnonzero(self._labels[0][0] == b))
@@ -237,7 +237,7 @@ class FixedModes:
             self._join_columns(values), self._join_columns(slopes) if gradient else None, owner, rank
         )
 
-    def locate(self, theta: FloatArray, gradient: bool = False) -> tuple[IntArray, IntArray, dict[int, Any]]:
+    def locate(self, theta: FloatArray, gradient: bool = False) -> tuple[IntArray, IntArray, Solved]:
         """Return block and rank of the modes at theta (n, n_parameters), shapes (n, m); nothing is solved."""
         block, rank = self._labels
         return block.repeat(len(theta), axis=0), rank.repeat(len(theta), axis=0), {}
@@ -246,7 +246,7 @@ class FixedModes:
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)[:, self._order]
 
 
-def _as_slice(indices: IntArray) -> Any:
+def _as_slice(indices: IntArray) -> slice | IntArray:
     """Return consecutive indices as a slice, which NumPy takes without copying, others as they are."""
     first = int(indices[0])
     consecutive = np.array_equal(indices, np.arange(first, first + len(indices)))

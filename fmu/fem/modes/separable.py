@@ -6,7 +6,7 @@ monomials of the parameters, so that derivatives are exact.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -22,7 +22,7 @@ from fmu.fem.modes.terms import Term, coefficients, named_term, weighted_sum
 from fmu.formats.models.edges import edges
 from fmu.formats.models.exported import ExportedModel, Mesh
 from fmu.numbers import typed
-from fmu.types import FloatArray, IntArray
+from fmu.types import Dof, FloatArray, IntArray
 
 
 @check_arguments
@@ -165,7 +165,7 @@ class SeparableModel:
         self,
         K_terms: Sequence[Term],
         M_terms: Sequence[Term],
-        dofs: Sequence[tuple[Any, str]] | None = None,
+        dofs: Sequence[Dof] | None = None,
         geometry: Geometry | None = None,
         arms: Mapping[Any, RigidArm] | None = None,
         ties: Mapping[tuple[Any, str], tuple[Any, str]] | None = None,
@@ -197,7 +197,7 @@ class SeparableModel:
         parameters: Sequence[str],
         stiffness: Sequence[Any],
         mass: Sequence[Any],
-        dofs: Sequence[tuple[Any, str]] | None = None,
+        dofs: Sequence[Dof] | None = None,
         geometry: Geometry | None = None,
         motions: Mapping[tuple[Any, str], Mapping[tuple[Any, str], float]] | None = None,
     ) -> SeparableModel:
@@ -240,13 +240,13 @@ class SeparableModel:
             f"{len(self.blocks)} decoupled blocks, {self.n_parameters} parameters)"
         )
 
-    def K(self, theta: ArrayLike) -> Any:
+    def K(self, theta: ArrayLike) -> sp.csr_array:
         """Return the sparse stiffness matrix at `theta`, shape (n_parameters,), SI units."""
         return weighted_sum(
             self.K_terms, coefficients(self.K_terms, np.atleast_2d(np.asarray(theta, dtype=float)))[0]
         )
 
-    def M(self, theta: ArrayLike) -> Any:
+    def M(self, theta: ArrayLike) -> sp.csr_array:
         """Return the sparse mass matrix at `theta`, shape (n_parameters,), SI units."""
         return weighted_sum(
             self.M_terms, coefficients(self.M_terms, np.atleast_2d(np.asarray(theta, dtype=float)))[0]
@@ -277,7 +277,7 @@ class SeparableModel:
         """Indices of the translational degrees of freedom."""
         return np.array([i for i, (_, d) in enumerate(self.dofs) if d in ("x", "y", "z")], dtype=np.int64)
 
-    def dof(self, node: Any, direction: str) -> int:
+    def dof(self, node: Hashable, direction: str) -> int:
         """Return the index of a degree of freedom.
 
         Raises
@@ -292,7 +292,7 @@ class SeparableModel:
                 "sensor", "the model has no free degree of freedom", f"node {node!r}, {direction!r}"
             ) from None
 
-    def observation(self, sensors: Sequence[tuple[Any, str]]) -> Any:
+    def observation(self, sensors: Sequence[Dof]) -> sp.csr_array:
         """Return the matrix that maps a motion of the degrees of freedom to the sensor readings.
 
         Parameters
@@ -316,14 +316,14 @@ class SeparableModel:
         weight = [w for r in rows for w in r.values()]
         return sp.csr_array((weight, (row, column)), shape=(len(rows), self.n_dof), dtype=float)
 
-    def sees(self, sensor: tuple[Any, str]) -> bool:
+    def sees(self, sensor: Dof) -> bool:
         """Say whether a sensor sees a free degree of freedom, see `observation`."""
         try:
             return bool(self._seen_by(sensor))
         except ValueError:
             return False
 
-    def _seen_by(self, sensor: tuple[Any, str]) -> dict[int, float]:
+    def _seen_by(self, sensor: Dof) -> dict[int, float]:
         place, direction = sensor
         sign, direction = (-1.0, direction[1:]) if direction.startswith("-") else (1.0, direction)
         if (place, direction) in self.motions:
@@ -348,13 +348,13 @@ class SeparableModel:
                 yield row_of[node], direction, self._seen_by((node, direction))
 
     @cached_property
-    def dof_of(self) -> dict[tuple[Any, str], int]:
+    def dof_of(self) -> dict[Dof, int]:
         """Index of the degree of freedom of every name (node, direction), ties included."""
         index = {name: i for i, name in enumerate(self.dofs)}
         return index | {name: index[other] for name, other in self.ties.items()}
 
 
-def selection(dofs: ArrayLike, n_dof: int) -> Any:
+def selection(dofs: ArrayLike, n_dof: int) -> sp.csr_array:
     """Return the rows that pick degrees of freedom (q,) out of a motion, a csr_array of shape (q, n_dof)."""
     picked = np.asarray(dofs, dtype=np.int64)
     return sp.csr_array((np.ones(len(picked)), picked, np.arange(len(picked) + 1)), shape=(len(picked), n_dof))

@@ -26,6 +26,9 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from fmu.types import FloatArray, IntArray
 
+type Matrix = FloatArray | sp.sparray
+"""A matrix, dense or sparse."""
+
 LAPACK, SUPERLU, PARDISO = "LAPACK", "SuperLU", "PARDISO"
 # From PARDISO's manual: types of matrices, phases of a solution, the smallest pivot as a negative power of ten,
 # and the number of its domain.
@@ -62,7 +65,7 @@ def sparse_solver() -> str:
     return PARDISO if find_spec("pypardiso") else SUPERLU
 
 
-def factorise(matrix: Any, solver: str | None = None, is_definite: bool = True) -> Factor:
+def factorise(matrix: Matrix, solver: str | None = None, is_definite: bool = True) -> Factor:
     """Return the factors of a symmetric matrix, dense or sparse.
 
     Parameters
@@ -158,7 +161,7 @@ class _BandedFactor:
 
     negative = 0
 
-    def __init__(self, matrix: Any, band: _Band) -> None:
+    def __init__(self, matrix: sp.csr_array, band: _Band) -> None:
         self._order, n = band.order, matrix.shape[0]
         size = n * (band.half_width + 1)
         lower = np.bincount(band.at, matrix.data[band.entries], size).reshape(n, -1).T
@@ -174,7 +177,7 @@ class _BandedFactor:
 
 
 class _SuperLU:
-    def __init__(self, matrix: Any) -> None:
+    def __init__(self, matrix: sp.csr_array) -> None:
         options = {"SymmetricMode": True}
         try:
             self._lu = ssl.splu(
@@ -192,7 +195,7 @@ class _SuperLU:
 class _Pardiso:
     """Cholesky factors, or the factors L D Lᵀ of an indefinite matrix, with a diagonal D."""
 
-    def __init__(self, matrix: Any, is_definite: bool = True) -> None:
+    def __init__(self, matrix: sp.csr_array, is_definite: bool = True) -> None:
         self._upper, self.negative = _upper_triangle(matrix), 0
         if is_definite:
             try:
@@ -221,7 +224,7 @@ class _Pardiso:
         _call(self._solver, self._upper, _FACTORISE)
 
 
-def _call(solver: Any, upper: Any, phase: int, loads: FloatArray | None = None) -> FloatArray:
+def _call(solver: Any, upper: sp.csr_array, phase: int, loads: FloatArray | None = None) -> FloatArray:
     from pypardiso.pardiso_wrapper import PyPardisoError
 
     solver.set_phase(phase)
@@ -231,7 +234,7 @@ def _call(solver: Any, upper: Any, phase: int, loads: FloatArray | None = None) 
         raise np.linalg.LinAlgError(f"PARDISO ended with error {error.value}") from error
 
 
-def _upper_triangle(matrix: Any) -> Any:
+def _upper_triangle(matrix: sp.csr_array) -> sp.csr_array:
     """Return the upper triangle with every entry of the diagonal, zeros too."""
     entries = sp.triu(matrix, format="coo")
     n = matrix.shape[0]

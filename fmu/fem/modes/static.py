@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.solver import factorise
 from fmu.fem.modes.terms import CoefficientMap, coefficients, weighted_sum
 from fmu.numbers import significant
-from fmu.types import FloatArray
+from fmu.types import Dof, FloatArray
 
 TRANSLATIONS = ("x", "y", "z")
 _FIRST, _CHECKS, _MOST = 32, 8, 1024
@@ -116,9 +115,9 @@ class StaticDisplacement:
     def __init__(
         self,
         model: SeparableModel,
-        force: tuple[Any, str],
+        force: Dof,
         load: float,
-        at: tuple[Any, str],
+        at: Dof,
         points: Callable[[int], FloatArray],
     ) -> None:
         rows = model.observation([force, at]).toarray()

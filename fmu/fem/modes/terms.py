@@ -13,6 +13,9 @@ import scipy.sparse as sp
 from fmu.arguments import ArgumentError, check_arguments, shown
 from fmu.types import FloatArray
 
+Powers = tuple[float, ...]
+"""Of the parameters in a monomial."""
+
 
 @check_arguments
 @dataclass(frozen=True)
@@ -91,13 +94,13 @@ def _power(x: float, power: float) -> float:
 
 def merge_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
     """Add up the matrices of terms with the same coefficient."""
-    merged: dict[tuple[float, ...], Any] = {}
+    merged: dict[Powers, sp.csr_array] = {}
     for term in terms:
         merged[term.powers] = merged[term.powers] + term.matrix if term.powers in merged else term.matrix
     return tuple(Term(sp.csr_array(matrix), powers) for powers, matrix in merged.items())
 
 
-def weighted_sum(terms: Sequence[Term], weights: FloatArray) -> Any:
+def weighted_sum(terms: Sequence[Term], weights: FloatArray) -> sp.csr_array:
     """Return the sparse sum Σ weights[k] · K_k; its entries are not finite on overflow."""
     with np.errstate(over="ignore", invalid="ignore"):
         total = terms[0].matrix * weights[0]
@@ -177,7 +180,7 @@ class CoefficientMap:
         return np.einsum("nkm,kj->nmj", forms, self._slopes)
 
 
-def _as_csr(matrix: Any) -> Any:
+def _as_csr(matrix: Any) -> sp.csr_array:
     if not sp.issparse(matrix):
         try:
             matrix = np.asarray(matrix)

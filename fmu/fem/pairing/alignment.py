@@ -7,9 +7,8 @@ A regular mesh has a minimum at every shift by its spacing: the neighbours of th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from itertools import product
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,7 +35,11 @@ _KEEPS = 1e-10
 """Weight of the rotation so far, about an axis that points on one line leave free."""
 
 
-def kabsch(points: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
+Alignment = tuple[FloatArray, FloatArray]
+"""Rotation R and shift t of x → R x + t."""
+
+
+def kabsch(points: FloatArray, targets: FloatArray) -> Alignment:
     """Return the rotations R and shifts t of the least Σ |R x + t − y|² (Kabsch 1976), for n points a set.
 
     About an axis that the points leave free, as those on one line do, nothing is turned.
@@ -64,7 +67,7 @@ def kabsch(points: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatAr
 class Mesh:
     """Places of nodes, each once, and the spacing between them."""
 
-    def __init__(self, nodes: Sequence[Any], coordinates: ArrayLike) -> None:
+    def __init__(self, nodes: Sequence[Hashable], coordinates: ArrayLike) -> None:
         given = np.asarray(coordinates, dtype=float)
         if given.shape != (len(nodes), 3) or len(nodes) < 2 or not np.all(np.isfinite(given)):
             raise ValueError(f"coordinates: must be finite, for two nodes or more (got shape {given.shape})")
@@ -79,7 +82,7 @@ class Mesh:
         self.spacing = self.tree.query(self.places, k=2)[0][:, 1]
         self.usual = float(np.median(self.spacing))
 
-    def at(self, place: int) -> list[Any]:
+    def at(self, place: int) -> list[Hashable]:
         """Return the nodes at a place."""
         return [self._nodes[k] for k in np.flatnonzero(self._place_of.ravel() == place)]
 
@@ -93,7 +96,7 @@ class Mesh:
         return bool(np.mean(distance > self.spacing[place]) <= _MOST_FAR)
 
 
-def align_points(x: FloatArray, mesh: Mesh) -> tuple[FloatArray, FloatArray, list[tuple[FloatArray, FloatArray]]]:
+def align_points(x: FloatArray, mesh: Mesh) -> tuple[FloatArray, FloatArray, list[Alignment]]:
     """Return the best alignment R, t, and others that fit as well; of all these the one that turns least."""
     R, t = _best(x, mesh, *_closest(x, mesh, *_starts(x, mesh), _FIRST_STEPS), _BEST)
     R, t = _closest(x, mesh, R, t, _STEPS)
@@ -119,7 +122,7 @@ def align_points(x: FloatArray, mesh: Mesh) -> tuple[FloatArray, FloatArray, lis
     return R[kept[0]], t[kept[0]], [(R[k], t[k]) for k in kept[1:]]
 
 
-def _best(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+def _best(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray, count: int) -> Alignment:
     """Return the alignments that fit best, each once, at most so many."""
     places = mesh.tree.query(x @ np.swapaxes(R, -1, -2) + t[:, None])[1]
     which = np.concatenate([places, np.round(4.0 * R.reshape(-1, 9))], axis=1)
@@ -128,7 +131,7 @@ def _best(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray, count: int) -
     return R[best], t[best]
 
 
-def _starts(x: FloatArray, mesh: Mesh) -> tuple[FloatArray, FloatArray]:
+def _starts(x: FloatArray, mesh: Mesh) -> Alignment:
     """Return rotations and shifts to start from, shapes (n, 3, 3) and (n, 3).
 
     From those of axes, and of principal axes, with centres, corners or origins at one place; from many others with
@@ -157,7 +160,7 @@ def _three(x: FloatArray) -> FloatArray:
     return x if len(x) >= 3 else np.concatenate([x, np.repeat(x[-1:], 3 - len(x), axis=0)])
 
 
-def _closest(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray, steps: int) -> tuple[FloatArray, FloatArray]:
+def _closest(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray, steps: int) -> Alignment:
     """Return alignments (n, 3, 3) and (n, 3) after so many steps of iterative closest points."""
     for _ in range(steps):
         placed = x @ np.swapaxes(R, -1, -2) + t[:, None]
@@ -174,7 +177,7 @@ def _rms(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.mean(distance**2, axis=1)))
 
 
-def _differ(x: FloatArray, mesh: Mesh, one: tuple[Any, Any], other: tuple[Any, Any]) -> bool:
+def _differ(x: FloatArray, mesh: Mesh, one: Alignment, other: Alignment) -> bool:
     """Say whether two alignments give other nodes, or other directions."""
     places: list[IntArray] = [mesh.tree.query(x @ R.T + t)[1] for R, t in (one, other)]
     return bool(np.any(places[0] != places[1])) or turn_of(one[0] @ other[0].T)[0] > _ELSEWHERE

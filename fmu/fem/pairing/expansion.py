@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from fmu.fem.modes.separable import SeparableModel
 from fmu.numbers import typed
-from fmu.types import FloatArray
+from fmu.types import Dof, FloatArray
 
 METHODS = ("serep", "dynamic")
 
@@ -41,7 +40,7 @@ class Expanded:
     kept: FloatArray
 
 
-def serep(measured: FloatArray, rows: Any, modes: FloatArray) -> FloatArray:
+def serep(measured: FloatArray, rows: sp.sparray, modes: FloatArray) -> FloatArray:
     """Return Φ (C Φ)⁺ φ, the combination of modes that is closest to each measured shape at the sensors.
 
     The system equivalent reduction expansion process (O'Callahan, Avitabile & Riemer 1989, IMAC VII), smoothed.
@@ -74,7 +73,9 @@ def serep(measured: FloatArray, rows: Any, modes: FloatArray) -> FloatArray:
     return np.asarray(modes @ weights)
 
 
-def dynamic(measured: FloatArray, frequencies_hz: ArrayLike, rows: Any, K: Any, M: Any) -> FloatArray:
+def dynamic(
+    measured: FloatArray, frequencies_hz: ArrayLike, rows: sp.sparray, K: sp.sparray, M: sp.sparray
+) -> FloatArray:
     """Return shapes that are as measured at the sensors, with no force anywhere else.
 
     Dynamic expansion (Kidder 1973, AIAA Journal 11, 251). Of every mode (K − ω²M) u = Cᵀ f and C u = φ, with ω as
@@ -120,7 +121,7 @@ def expand(
     model: SeparableModel,
     theta: ArrayLike,
     modes: FloatArray,
-    sensors: Sequence[tuple[Any, str]],
+    sensors: Sequence[Dof],
     measured: ArrayLike,
     frequencies_hz: ArrayLike,
     method: str = "serep",

@@ -7,7 +7,7 @@ other alignment that fits as well, as on a symmetric structure; three points who
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike
 
 from fmu.arguments import check_arguments
 from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.pairing.alignment import Mesh, align_points, kabsch, turn_of
+from fmu.fem.pairing.alignment import Alignment, Mesh, align_points, kabsch, turn_of
 from fmu.formats.models.edges import inside
 from fmu.numbers import listed, names_in_words, significant
 from fmu.tables import data_frame
-from fmu.types import FloatArray
+from fmu.types import Dof, FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -61,7 +61,7 @@ class Matching:
     """
 
     points: tuple[str, ...]
-    nodes: tuple[Any, ...]
+    nodes: tuple[Hashable, ...]
     distances: FloatArray
     spacing: FloatArray
     rotation: FloatArray
@@ -69,7 +69,7 @@ class Matching:
     notes: tuple[str, ...]
     doubts: tuple[str, ...]
 
-    def sensor(self, point: Any, direction: str) -> tuple[Any, str]:
+    def sensor(self, point: Hashable, direction: str) -> Dof:
         """Return node and direction in the model of a sensor at a point, its direction in the axes of the test.
 
         Raises
@@ -97,8 +97,8 @@ class Matching:
         return bool(np.all(np.max(np.abs(self.rotation), axis=0) >= np.cos(np.radians(SNAPPED))))
 
     def turned(
-        self, sensors: Sequence[tuple[Any, str]], shapes: ArrayLike | None = None
-    ) -> tuple[tuple[tuple[Any, str], ...], FloatArray | None]:
+        self, sensors: Sequence[Dof], shapes: ArrayLike | None = None
+    ) -> tuple[tuple[Dof, ...], FloatArray | None]:
         """Return sensors at nodes along the axes of the model, and shapes (n_sensors, n_modes) as they read them.
 
         Where the axes of the test are not parallel to those of the model, the three components at each point are
@@ -136,7 +136,7 @@ class Matching:
 
 def match(
     points: Mapping[Any, ArrayLike],
-    nodes: Sequence[Any],
+    nodes: Sequence[Hashable],
     coordinates: ArrayLike,
     unit: str = "m",
     known: Mapping[Any, Any] | None = None,
@@ -233,9 +233,7 @@ def match_points(
     return match(points, [names[row] for row in rows], places, unit, known)
 
 
-def _by_known(
-    points: Mapping[str, FloatArray], mesh: Mesh, known: Mapping[Any, Any]
-) -> tuple[FloatArray, FloatArray]:
+def _by_known(points: Mapping[str, FloatArray], mesh: Mesh, known: Mapping[Any, Any]) -> Alignment:
     wrong = [str(point) for point in known if str(point) not in points]
     wrong += [str(node) for node in known.values() if str(node) not in mesh.index]
     if wrong:
@@ -264,7 +262,7 @@ def _notes(found: Matching) -> list[str]:
     return notes
 
 
-def _of_alignments(others: Sequence[tuple[FloatArray, FloatArray]]) -> list[str]:
+def _of_alignments(others: Sequence[Alignment]) -> list[str]:
     """Return a warning if other alignments fit as well."""
     if not others:
         return []
@@ -275,7 +273,7 @@ def _of_alignments(others: Sequence[tuple[FloatArray, FloatArray]]) -> list[str]
     ]
 
 
-def _of_places(found: Matching, at: Sequence[Sequence[Any]]) -> list[str]:
+def _of_places(found: Matching, at: Sequence[Sequence[Hashable]]) -> list[str]:
     """Return warnings on points at several nodes, and on points that share one."""
     doubts = [
         f"Point {name} is at nodes {names_in_words([str(node) for node in those])}, which are at one place: "
@@ -283,7 +281,7 @@ def _of_places(found: Matching, at: Sequence[Sequence[Any]]) -> list[str]:
         for name, those in zip(found.points, at, strict=True)
         if len(those) > 1
     ]
-    sharing: dict[Any, list[str]] = {}
+    sharing: dict[Hashable, list[str]] = {}
     for name, node in zip(found.points, found.nodes, strict=True):
         sharing.setdefault(node, []).append(name)
     doubts += [

@@ -152,7 +152,7 @@ class PairedBlackBox(ModalModel):
             frequencies, shapes, np.where(own[:, None, None], slopes, all_slopes[:, 0]), all_slopes[:, 1:]
         )
 
-    def configuration(self) -> dict[str, Any]:
+    def configuration(self) -> dict[str, object]:
         """Return the data that identify the model, in plain Python types."""
         return {**self.black_box.configuration(), "pairing": "shape" if self.by_shape else "index"}
 

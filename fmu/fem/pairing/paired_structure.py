@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping
 from copy import copy
-from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
 from fmu.fem.modes.full_block import full_model
@@ -27,7 +27,7 @@ from fmu.fem.pairing.rules import (
     reference_modes,
 )
 from fmu.progress.phases import count_solves
-from fmu.types import FloatArray, IntArray
+from fmu.types import Dof, FloatArray, IntArray
 
 PAIRINGS = ("shape", "index")
 SOFT = "soft"
@@ -73,7 +73,7 @@ class PairedStructure(ModalModel):
         blocks: BlockModel,
         rule: IndexPairing | ShapePairing,
         n_modes: int,
-        sensors: Any,
+        sensors: sp.csr_array,
         at_sensors: bool,
         pairing: RankPairing | None = None,
     ) -> None:
@@ -96,7 +96,7 @@ class PairedStructure(ModalModel):
         pairing: str,
         numbers: tuple[int, ...],
         elastic_from_hz: float | None = None,
-        sensors: tuple[tuple[Any, str], ...],
+        sensors: tuple[Dof, ...],
         reference: FloatArray,
         shapes: FloatArray | None = None,
         counterparts: tuple[int, ...] = (),
@@ -274,7 +274,7 @@ class PairedStructure(ModalModel):
                 digest.update(np.ascontiguousarray(part).tobytes())
         return digest.hexdigest()
 
-    def configuration(self) -> dict[str, Any]:
+    def configuration(self) -> dict[str, object]:
         """Return the data that identify the model, in plain Python types."""
         n_rigid = 0 if self.rule.by_shape else self.rule.n_rigid
         return {

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
 from fmu.fem.modes.block import Block, BlockPrediction
 from fmu.fem.modes.modal import BlockModel, frequency_gradient, frequency_hz
+from fmu.fem.modes.solver import Matrix
 from fmu.fem.pairing.rules import PairedSolve, ShapePairing
 from fmu.types import BoolArray, FloatArray
 
@@ -111,15 +113,15 @@ class SensorView:
         From `fmu.fem.modes.separable.SeparableModel.observation`.
     """
 
-    def __init__(self, model: BlockModel, solve: PairedSolve, sensors: Any) -> None:
+    def __init__(self, model: BlockModel, solve: PairedSolve, sensors: sp.csr_array) -> None:
         self.model, self._solve, self._sensors = model, solve, sensors
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         """Leave out what is prepared when needed."""
         return {name: value for name, value in self.__dict__.items() if name != "_rows"}
 
     @cached_property
-    def _rows(self) -> list[Any]:
+    def _rows(self) -> list[Matrix]:
         """The sensors on each block; many problems have no errors of shapes, and never need them."""
         return [block.coordinates(self._sensors[:, block.dofs]) for block in self.model.blocks]
 
@@ -155,7 +157,7 @@ class _View(NamedTuple):
 
     block: Block
     n_candidates: int
-    rows: Any
+    rows: Matrix
     reference: FloatArray
 
 
@@ -175,7 +177,7 @@ class CandidateView:
         self._model, self._rule, self._at_sensors = model, rule, at_sensors
         self._reference_size = np.sum(rule.shapes**2, axis=0)
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         """Leave out what is prepared when needed."""
         return {name: value for name, value in self.__dict__.items() if name != "_views"}
 

@@ -8,12 +8,14 @@ rank within the block, and eigenvalues suffice.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal, Protocol
+from typing import ClassVar, Literal, Protocol
 
 import numpy as np
+import scipy.sparse as sp
 
+from fmu.fem.modes.block import Observation, Solved
 from fmu.fem.modes.modal import BlockModel, FixedModes, ModalSolution, is_rigid
 from fmu.types import FloatArray, IntArray
 
@@ -25,11 +27,6 @@ _FAR_BELOW = 1e-3
 """Share of the lowest measured frequency below which a mode is a rigid-body mode."""
 AT_ONCE = 16
 """Points whose shapes are compared at once: it bounds the memory."""
-
-# what maps a block's shapes to the coordinates of comparison, and the reference shapes there
-Observation = tuple[Callable[[FloatArray], FloatArray], FloatArray]
-Solved = dict[int, tuple[FloatArray, FloatArray]]
-"""Eigenvalues and shapes by block."""
 
 
 class PairedSolve(Protocol):
@@ -102,7 +99,7 @@ class IndexPairing:
         counts = (int(np.max(np.sum(lam <= highest[:, None], axis=1))) + 1 for lam in values)
         return None, {b: min(c, eigenvalues[b].shape[1]) for b, c in zip(sorted(eigenvalues), counts, strict=True)}
 
-    def identity(self) -> tuple[bytes, tuple[Any, ...]]:
+    def identity(self) -> tuple[bytes, tuple[sp.csr_array, ...]]:
         """Return the data besides its name that identify the rule: bytes, and sparse matrices."""
         return repr(self).encode(), ()
 
@@ -142,7 +139,7 @@ class ShapePairing:
         were not measured, as rigid-body modes, and a few above.
     """
 
-    rows: Any
+    rows: sp.csr_array
     shapes: FloatArray
     margin: int = SPARE
     name: ClassVar[str] = "shape"
@@ -227,7 +224,7 @@ class ShapePairing:
         column = assign(np.nan_to_num(np.concatenate(similarity, axis=2)))
         return np.array(label)[column, 0], np.array(label)[column, 1], column
 
-    def identity(self) -> tuple[bytes, tuple[Any, ...]]:
+    def identity(self) -> tuple[bytes, tuple[sp.csr_array, ...]]:
         """Return the data besides its name that identify the rule: bytes, and sparse matrices."""
         return repr(self.margin).encode() + np.ascontiguousarray(self.shapes).tobytes(), (self.rows,)
 
@@ -294,8 +291,8 @@ class _ShapeSolve:
 def reference_modes(
     model: BlockModel,
     theta: FloatArray,
-    sensors: Any,
-    rows: Any,
+    sensors: sp.csr_array,
+    rows: sp.csr_array,
     n_modes: int,
     counterparts: tuple[int, ...] = (),
 ) -> ShapePairing:
@@ -376,7 +373,7 @@ def assign(mac: FloatArray) -> IntArray:
 
 
 def _visible_modes(
-    model: BlockModel, theta: FloatArray, sensors: Any, rows: Any, count: int
+    model: BlockModel, theta: FloatArray, sensors: sp.csr_array, rows: sp.csr_array, count: int
 ) -> tuple[FloatArray, IntArray]:
     """Return shapes (n, q) at `rows` and ranks (n,) in their blocks of the elastic modes that the sensors see."""
     point = np.atleast_2d(theta)

@@ -29,7 +29,7 @@ class AnswerError(ValueError):
     """The function returned something of the wrong kind or shape."""
 
 
-def read_answers(given: Any, n_parameters: int, n_points: int | None = None) -> list[Answer]:
+def read_answers(given: object, n_parameters: int, n_points: int | None = None) -> list[Answer]:
     """Return the result of a function as a list of answers, one per point.
 
     Parameters
@@ -71,7 +71,7 @@ def read_answers(given: Any, n_parameters: int, n_points: int | None = None) -> 
     return [Answer(*row) for row in zip(*rows, strict=True)]
 
 
-def _parts(given: Any) -> list[Any]:
+def _parts(given: object) -> list[Any]:
     """Return frequencies, shapes and gradient, None for what is missing."""
     if isinstance(given, Mapping):
         unknown = [key for key in given if key not in _PARTS]

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.durable_files import digest
@@ -29,6 +28,7 @@ from fmu.formats.matrices.limits import RefusedError
 from fmu.formats.matrices.nastran.includes import BULK_DATA, included_files
 from fmu.formats.modes import READERS
 from fmu.formats.shown import quote
+from fmu.types import Dof
 
 STEP = 1e-3
 """Of central differences: decks and results often have seven figures."""
@@ -162,7 +162,7 @@ class CommandModel(BlackBoxModel):
         self.function = self._describe_run()
         super().__init__(self.function, len(self.names), step=step, name=f"{self.command[0]} {self.deck}")
 
-    def sees(self, sensor: tuple[Any, str]) -> bool:
+    def sees(self, sensor: Dof) -> bool:
         """Return whether the reader can give the shape at a sensor."""
         if self.reader is None:
             return True
@@ -170,7 +170,7 @@ class CommandModel(BlackBoxModel):
         has_place = isinstance(sensor[0], int) or not form.has_numbers
         return has_place and sensor[1].removeprefix("-") in form.directions
 
-    def at_sensors(self, sensors: Sequence[tuple[Any, str]]) -> CommandModel:
+    def at_sensors(self, sensors: Sequence[Dof]) -> CommandModel:
         """Return the model with shapes at these sensors, if its reader gives shapes."""
         if self.reader is None or tuple(sensors) == self.sensors:
             return self
@@ -180,7 +180,7 @@ class CommandModel(BlackBoxModel):
         changed.solved = changed._begin_solves()
         return changed
 
-    def configuration(self) -> dict[str, Any]:
+    def configuration(self) -> dict[str, object]:
         """Return the data that identify the model: hashes of its files, the command and the reader."""
         return {"function": self.name, "batched": False, "step": self.step, **self._key}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 
@@ -20,7 +20,7 @@ _TAG = 987_654_321
 
 
 def follower_motions(
-    ops: Any, directions: Mapping[int, Sequence[str]], dofs: Collection[DofName], step: float
+    ops: ModuleType, directions: Mapping[int, Sequence[str]], dofs: Collection[DofName], step: float
 ) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
     """Return the motions of followers as weighted sums of the degrees of freedom that they follow.
 
@@ -84,7 +84,7 @@ def _weights(u: FloatArray, own: FloatArray) -> FloatArray | None:
 
 
 def _displacements(
-    ops: Any, directions: Mapping[int, Sequence[str]], n_loads: int, step: float
+    ops: ModuleType, directions: Mapping[int, Sequence[str]], n_loads: int, step: float
 ) -> dict[DofName, FloatArray]:
     """Return the displacements (n_loads,) of all degrees of freedom, fixed ones too, under random loads."""
     rng = np.random.default_rng(0)

@@ -19,7 +19,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from types import ModuleType
+from typing import Annotated
 
 import numpy as np
 import scipy.sparse as sp
@@ -39,9 +40,9 @@ from fmu.fem.programs.sources import source_digest
 from fmu.formats.models.exported import DofName, ExportedModel, mesh_of
 from fmu.formats.shown import in_words, quote
 from fmu.numbers import typed
-from fmu.types import FloatArray, Positive
+from fmu.types import Dof, FloatArray, Positive
 
-Build = Callable[[FloatArray], Any]
+Build = Callable[[FloatArray], object]
 
 MOST_DOFS = 5000
 """OpenSees prints dense matrices, of 200 MB each for so many."""
@@ -103,7 +104,7 @@ def export_matrices(build: Build, theta: FloatArray) -> ExportedModel:
         dofs_at = _assemble_matrix(ops, bool(followers))
         dofs: dict[int, DofName] = {}
         directions: dict[int, tuple[str, ...]] = {}
-        places: dict[int, Any] = {}
+        places: dict[int, Sequence[float]] = {}
         for node in nodes:
             place = ops.nodeCoord(node)
             places[node] = (*place, 0.0, 0.0)[:3]
@@ -230,11 +231,11 @@ class OpenSeesModel(BlackBoxModel):
         called = ModesInOpenSees(build, modes)
         super().__init__(called, len(start), step=step, store=store, name=f"{name} in OpenSees")
 
-    def sees(self, sensor: tuple[Any, str]) -> bool:
+    def sees(self, sensor: Dof) -> bool:
         """Say whether a sensor sees a degree of freedom, or the follower of one."""
         return self.assembled.sees(sensor)
 
-    def at_sensors(self, sensors: Sequence[tuple[Any, str]]) -> OpenSeesModel:
+    def at_sensors(self, sensors: Sequence[Dof]) -> OpenSeesModel:
         """Return the model with shapes at these sensors."""
         changed = copy(self)
         changed.sensors = tuple(sensors)
@@ -242,7 +243,7 @@ class OpenSeesModel(BlackBoxModel):
         changed.solved = changed._begin_solves()
         return changed
 
-    def configuration(self) -> dict[str, Any]:
+    def configuration(self) -> dict[str, object]:
         """Return the data that identify the model: its number of modes, and a hash of the source of `build`."""
         own = {"modes": self.modes, "sha256": self.sha256}
         return {"function": self.name, "batched": False, "step": self.step, **own}
@@ -267,9 +268,9 @@ class ModesInOpenSees:
 
     build: Build
     modes: int
-    sensors: tuple[tuple[Any, str], ...] = ()
+    sensors: tuple[Dof, ...] = ()
 
-    def __call__(self, theta: FloatArray) -> dict[str, Any]:
+    def __call__(self, theta: FloatArray) -> dict[str, object]:
         """Return frequencies, and shapes at the sensors."""
         model = export_matrices(self.build, theta)
         with single_thread():
@@ -288,7 +289,7 @@ _WHAT = {"stiffness": (0.0, 0.0, 1.0), "mass": (1.0, 0.0, 0.0)}
 
 
 @contextmanager
-def _alone(ops: Any) -> Iterator[None]:
+def _alone(ops: ModuleType) -> Iterator[None]:
     """Give OpenSees without a model, whose messages go to a file; the last of them are added to a ValueError.
 
     It complains of every mass matrix that is singular, which it may be.
@@ -308,7 +309,7 @@ def _alone(ops: Any) -> Iterator[None]:
             ops.logFile("", "-echo")
 
 
-def _openseespy() -> Any:
+def _openseespy() -> ModuleType:
     try:
         import openseespy.opensees as ops
     except ImportError as error:
@@ -316,7 +317,7 @@ def _openseespy() -> Any:
     return ops
 
 
-def _followers(ops: Any) -> dict[int, list[int]]:
+def _followers(ops: ModuleType) -> dict[int, list[int]]:
     """Return, by node, the degrees of freedom (from 1) that follow other nodes.
 
     A model of which nothing is free would crash OpenSees; ValueError instead.
@@ -329,7 +330,7 @@ def _followers(ops: Any) -> dict[int, list[int]]:
     return followers
 
 
-def _assemble_matrix(ops: Any, follows: bool) -> dict[int, list[int]]:
+def _assemble_matrix(ops: ModuleType, follows: bool) -> dict[int, list[int]]:
     """Return the equations of each node's degrees of freedom, negative where it has none, after numbering them.
 
     Where nodes follow others, which needs the handler Transformation, those of the others come behind their own.
@@ -347,7 +348,7 @@ def _assemble_matrix(ops: Any, follows: bool) -> dict[int, list[int]]:
     return {node: ops.nodeDOFs(node) for node in ops.getNodeTags()}
 
 
-def _matrix(ops: Any, what: str, n: int, factors: Sequence[float]) -> Any:
+def _matrix(ops: ModuleType, what: str, n: int, factors: Sequence[float]) -> sp.csr_array:
     """Return a matrix of the model, shape (n, n), sparse; ValueError if there is none, or it is not symmetric."""
     ops.integrator("GimmeMCK", *factors)
     ops.analyze(1, 0.0)

@@ -6,7 +6,6 @@ import shutil
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from fmu.fem.programs.store import Solve, SolveStore
 from fmu.formats.decks import fill_deck, write_deck
 from fmu.formats.modes import READERS
 from fmu.formats.shown import in_words, one_line, quote
-from fmu.types import FloatArray
+from fmu.types import Dof, FloatArray
 
 OUTPUT = "output.txt"
 MOST_KEPT = 20
@@ -51,10 +50,10 @@ class ProgramRun:
     result: str | None
     timeout: float
     keep: bool
-    sensors: tuple[tuple[Any, str], ...]
+    sensors: tuple[Dof, ...]
     store: SolveStore
 
-    def __call__(self, theta: FloatArray) -> dict[str, Any]:
+    def __call__(self, theta: FloatArray) -> dict[str, FloatArray | None]:
         """Return frequencies, and shapes if there are any; AnswerError if the program fails."""
         folder, failed = self.store.running_folder(theta), self.store.failed_folder(theta)
         shutil.rmtree(failed, ignore_errors=True)

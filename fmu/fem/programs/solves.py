@@ -10,7 +10,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -73,7 +73,7 @@ class Solves:
 
     def __init__(
         self,
-        call: Callable[[FloatArray], Any],
+        call: Callable[[FloatArray], object],
         n_parameters: int,
         *,
         batched: bool = False,
@@ -95,7 +95,7 @@ class Solves:
         self._engine: Engine | None = None
         self._keeps = store is not None  # until the callable turns out to be faster than a store
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         return self.__dict__ | {"reasons": [], "_known": {}, "_bytes": 0, "_first": None, "_engine": None}
 
     def of(self, theta: FloatArray) -> list[Solve]:

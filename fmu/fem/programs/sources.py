@@ -15,18 +15,17 @@ import importlib
 import importlib.util
 import inspect
 import sysconfig
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
-from typing import Any
 
 _INSTALLED = {"site-packages", "dist-packages"}
 _LIBRARIES = (sysconfig.get_path("stdlib"), sysconfig.get_path("platstdlib"), str(Path(__file__).parents[2]))
 """Python's own modules, and those of fmu."""
 
 
-def source_digest(function: Any) -> str:
+def source_digest(function: Callable[..., object]) -> str:
     """Return a hash of the source file of a function and of the user's own modules that it imports.
 
     Empty if the function has no source file, as in a notebook.

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg as sl
@@ -21,7 +21,7 @@ import scipy.linalg as sl
 from fmu.fem.modes.eigensolver import is_clearly_definite, is_semidefinite, unit_diagonal
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import is_rigid
-from fmu.fem.modes.solver import Factor, factorise
+from fmu.fem.modes.solver import Factor, Matrix, factorise
 from fmu.fem.modes.terms import Term, coefficients
 from fmu.fem.reduced.space import Space
 from fmu.types import FloatArray, IntArray
@@ -119,7 +119,7 @@ class Anchors:
             is_semidefinite(t.matrix) for t in self._terms
         )
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         """Leave out the factors, which cannot travel."""
         return {name: value for name, value in self.__dict__.items() if name != "first"} | {"_factors": {}}
 
@@ -136,13 +136,13 @@ class Anchors:
         except (np.linalg.LinAlgError, SingularAnchorError):
             return False
 
-    def matrix(self, a: int) -> Any:
+    def matrix(self, a: int) -> Matrix:
         """Return K + s M at anchor `a`."""
         ((K, M),) = self.block._matrices(self.theta[a : a + 1])
         return K + self.shift * M if self.shift else K
 
     @cached_property
-    def first(self) -> Any:
+    def first(self) -> Matrix:
         """K + s M at the first anchor: the inner product of training."""
         return self.matrix(0)
 

@@ -18,8 +18,9 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg as sl
+import scipy.sparse as sp
 
-from fmu.fem.modes.block import Block, Mapped
+from fmu.fem.modes.block import Block, Mapped, Observation
 from fmu.fem.modes.derivatives import by_all_modes, by_bordered_matrices
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.terms import CoefficientMap, Term
@@ -71,7 +72,7 @@ class ReducedBlock(Block):
         self.massless = block.massless
         self._set_terms(_project(block.K_terms, basis), _project(block.M_terms, basis))
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         """Leave out views of the same numbers."""
         return {name: value for name, value in self.__dict__.items() if name not in ("_K_rows", "_M_rows")}
 
@@ -122,7 +123,7 @@ class ReducedBlock(Block):
         """Return how many modes `seen` takes: for the derivatives all of them, where all are finite."""
         return self.size if gradient and not self.massless else count
 
-    def coordinates(self, rows: Any) -> Any:
+    def coordinates(self, rows: sp.csr_array) -> FloatArray:
         """Return sensor rows on the basis, a dense array."""
         return rows @ self.basis
 
@@ -175,7 +176,7 @@ class ReducedBlock(Block):
         forms = np.swapaxes(phi, 1, 2)[:, None] @ products
         return coefficient.contract(theta, forms.reshape(n, forms.shape[1], -1)).reshape(n, r, count, -1)
 
-    def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
+    def observe(self, rows: sp.csr_array, reference: FloatArray) -> Observation:
         """Return shapes at `rows` and the references in an orthonormal basis of what the block can show there."""
         seen, reference = self.compress_rows(self.coordinates(rows), reference)
         return Mapped(seen), reference
@@ -205,7 +206,7 @@ def _project(terms: tuple[Term, ...], basis: FloatArray) -> FloatArray:
     return 0.5 * (projected + np.swapaxes(projected, 1, 2))
 
 
-def _project_matrix(matrix: Any, basis: FloatArray) -> FloatArray:
+def _project_matrix(matrix: sp.csr_array, basis: FloatArray) -> FloatArray:
     """Return Vᵀ K V; for a large K with few non-empty rows by these alone."""
     rows = np.flatnonzero(np.diff(matrix.indptr))
     if len(basis) <= _LARGE or len(rows) > _FEW * len(basis):

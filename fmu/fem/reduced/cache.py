@@ -14,7 +14,6 @@ import os
 import tempfile
 import zipfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import platformdirs
@@ -25,7 +24,7 @@ from fmu.types import FloatArray
 _VERSION = 10
 
 
-def load_basis(key: Any) -> dict[str, FloatArray] | None:
+def load_basis(key: object) -> dict[str, FloatArray] | None:
     """Return the basis that `store_basis` stored for `key` (JSON-able), or None."""
     path = _path(key)
     if path is None:
@@ -41,7 +40,7 @@ def load_basis(key: Any) -> dict[str, FloatArray] | None:
         return None
 
 
-def store_basis(key: Any, state: dict[str, FloatArray]) -> None:
+def store_basis(key: object, state: dict[str, FloatArray]) -> None:
     """Store `state` for `key`, atomically; nothing happens if the cache cannot be written."""
     path = _path(key)
     if path is None:
@@ -58,7 +57,7 @@ def store_basis(key: Any, state: dict[str, FloatArray]) -> None:
         return
 
 
-def _path(key: Any) -> Path | None:
+def _path(key: object) -> Path | None:
     root = os.environ.get("FMU_CACHE_DIR")
     if root == "":
         return None

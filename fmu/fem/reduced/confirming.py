@@ -16,7 +16,7 @@ import numpy as np
 from fmu.fem.modes.block import Block
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import RIGID, BlockModel
-from fmu.fem.modes.solver import Factor, factorise
+from fmu.fem.modes.solver import Factor, Matrix, factorise
 from fmu.fem.reduced.anchors import Anchors
 from fmu.fem.reduced.residuals import FrequencyBound
 from fmu.fem.reduced.space import Space, new_directions
@@ -92,7 +92,14 @@ def confirmed_model(bound: FrequencyBound) -> BlockModel:
 
 
 def davidson(
-    A: Any, M: Any, shift: float, start: list[FloatArray], factor: Factor, wanted: int, count: int, alpha: float
+    A: Matrix,
+    M: Matrix,
+    shift: float,
+    start: list[FloatArray],
+    factor: Factor,
+    wanted: int,
+    count: int,
+    alpha: float,
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return Ritz pairs of A x = (λ + s) M x, of which the lowest `count` have converged; None if they do not.
 
@@ -135,7 +142,7 @@ def davidson(
     return None
 
 
-def _are_lowest(K: Any, M: Any, lam: FloatArray, count: int) -> bool:
+def _are_lowest(K: Matrix, M: Matrix, lam: FloatArray, count: int) -> bool:
     """Say whether K − σ M has as many negative eigenvalues as there are λ below σ, in a wide gap near `count`."""
     gap = lam[1:] / np.maximum(lam[:-1], RIGID * lam[-1])
     first = max(count - 1 - _BEYOND, 0)

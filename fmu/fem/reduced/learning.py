@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
-from fmu.fem.modes.block import Mapped
+from fmu.fem.modes.block import Mapped, Observation
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import RIGID
 from fmu.fem.modes.solver import factorise
@@ -22,7 +22,7 @@ from fmu.fem.reduced.anchors import Anchors
 from fmu.fem.reduced.basis import compress_rows
 from fmu.fem.reduced.residuals import at_once, bound_errors
 from fmu.fem.reduced.space import Space
-from fmu.types import BoolArray, FloatArray
+from fmu.types import BoolArray, FloatArray, IntArray
 
 # A step of Davidson's method leaves about this share of an error: what is smaller need not be added.
 _STEP = 0.05
@@ -126,7 +126,7 @@ class Learner:
             self._solved = (self.space, lam, y)
         return lam, y
 
-    def observe(self, rows: Any, reference: FloatArray) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
+    def observe(self, rows: sp.csr_array, reference: FloatArray) -> Observation:
         """Return how shapes in the trial vectors are compared with references, see `Block.observe`."""
         seen, reference = compress_rows(rows @ self.space.V, reference)
         return Mapped(seen), reference
@@ -192,13 +192,13 @@ class Learner:
         left, total = np.max(left, axis=2), np.sum(left, axis=2)
         rotated = space.restrict(Q)
 
-        def worst(size: int, rows: Any) -> FloatArray:
+        def worst(size: int, rows: IntArray) -> FloatArray:
             reduced = rotated.truncate(size).modes(theta[rows], min(count, size))[0]
             off = np.full((len(reduced), count), np.inf)
             off[:, : reduced.shape[1]] = apart(reduced, lam[rows, : reduced.shape[1]])
             return np.asarray(np.max(off, axis=1, where=kept[rows], initial=0.0) / share[rows])
 
-        def is_enough(size: int, rows: Any) -> bool:
+        def is_enough(size: int, rows: IntArray) -> bool:
             return bool(np.all(worst(size, rows) <= tolerance))
 
         low, high = max(smallest, needed) - 1, rotated.size

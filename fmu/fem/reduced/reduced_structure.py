@@ -186,7 +186,7 @@ class ReducedStructure(Approximation):
                 bound[inside] = self._bound(theta[inside], self.cheap.solve(theta[inside]))
         return bound
 
-    def configuration(self) -> dict[str, Any]:
+    def configuration(self) -> dict[str, object]:
         """Return the data that identify the structure and its pairing: the basis follows from the problem."""
         return self._truth.configuration()
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse.linalg as ssl
 
 from fmu.fem.modes.full_block import FullBlock
+from fmu.fem.modes.solver import Matrix
 from fmu.fem.modes.terms import Term, coefficients
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.types import FloatArray
@@ -61,7 +61,7 @@ class Space:
         """Number of vectors."""
         return self.V.shape[1]
 
-    def grown(self, X: FloatArray, A: Any) -> Space:
+    def grown(self, X: FloatArray, A: Matrix) -> Space:
         """Return the space with vectors X (size, q) added, what is new of them orthonormal in A and to V."""
         return self.join(new_directions(self.V, X, A))
 
@@ -119,7 +119,7 @@ class Space:
         return whole
 
 
-def new_directions(V: FloatArray, X: FloatArray, A: Any) -> FloatArray:
+def new_directions(V: FloatArray, X: FloatArray, A: Matrix) -> FloatArray:
     """Return a basis, A-orthonormal and normal to V (n, r), of the directions that X (n, q) adds to V."""
     X = X / np.sqrt(np.sum(X * (A @ X), axis=0))
     for new in (_RANK, 0.5):  # twice against rounding

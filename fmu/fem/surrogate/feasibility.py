@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fmu.numbers import names_in_words, significant
 from fmu.types import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from sklearn.tree import DecisionTreeClassifier
 
 _STRICT = 1e6  # penalty of a point on the wrong side: failures of a solver are no noise
 _WORDS_DEPTH = 3
@@ -88,7 +91,9 @@ def failed_region(theta: FloatArray, failed: BoolArray, names: Sequence[str]) ->
     )
 
 
-def _bounds_of(tree: Any, inside: BoolArray, theta: FloatArray, scale: FloatArray, names: Sequence[str]) -> str:
+def _bounds_of(
+    tree: DecisionTreeClassifier, inside: BoolArray, theta: FloatArray, scale: FloatArray, names: Sequence[str]
+) -> str:
     """Return in words the bounds of a leaf, given which points are in it."""
     path = np.flatnonzero(tree.decision_path(theta[inside][:1] / scale).toarray()[0])
     lowest: dict[int, float] = {}

@@ -16,11 +16,15 @@ the limit of large a, or of long ℓ.
 from __future__ import annotations
 
 import warnings
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fmu.types import FloatArray
+
+if TYPE_CHECKING:
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import Kernel
 
 LEAST_SCATTER = 1e-10
 """Least s², of a quantity of unit variance: the matrix of covariances stays well-conditioned."""
@@ -65,7 +69,7 @@ class Process:
         self._unit = np.where(spread > 0.0, spread, 1.0)
         z = (y - self._mean) / self._unit
         fitted = _fit(self.x, z, None if before is None else before.kernel, search)
-        self.kernel: Any = fitted.kernel_
+        self.kernel: Kernel = fitted.kernel_
         self.log_likelihood = float(fitted.log_marginal_likelihood_value_)
         self.n_hyper = len(fitted.kernel_.theta)
         p = self.kernel.get_params()
@@ -180,21 +184,21 @@ def _squares(x: FloatArray, other: FloatArray, weights: FloatArray) -> FloatArra
     return total
 
 
-def _fit(x: FloatArray, z: FloatArray, kernel: Any, search: bool) -> Any:
+def _fit(x: FloatArray, z: FloatArray, kernel: Kernel | None, search: bool) -> GaussianProcessRegressor:
     """Return scikit-learn's regressor, fitted to z (N, q) at x (N, d)."""
     from sklearn.base import clone
     from sklearn.exceptions import ConvergenceWarning
     from sklearn.gaussian_process import GaussianProcessRegressor
     from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct, WhiteKernel
 
-    def start(length: float) -> Any:
+    def start(length: float) -> Kernel:
         return (
             ConstantKernel(1.0, _BOUNDS["trend"]) * DotProduct(1.0, "fixed")
             + ConstantKernel(0.1, _BOUNDS["smooth"]) * RBF(np.full(x.shape[1], length), _BOUNDS["length"])
             + WhiteKernel(1e-6, _BOUNDS["scatter"])
         )
 
-    def fit_process(kernel: Any, optimizer: str | None) -> Any:
+    def fit_process(kernel: Kernel, optimizer: str | None) -> GaussianProcessRegressor:
         return GaussianProcessRegressor(kernel, alpha=0.0, optimizer=optimizer).fit(x, z)
 
     if not search:

@@ -182,7 +182,7 @@ class SurrogateModel(ModalModel):
         """Standard deviations of the scatter of what was learnt of frequencies, shape (n_modes,)."""
         return np.concatenate([p.scatter for p in self.of_frequencies])
 
-    def configuration(self) -> dict[str, Any]:
+    def configuration(self) -> dict[str, object]:
         """Return a hash of what was solved."""
         digest = hashlib.sha256()
         for part in (self.design.theta, self.design.frequencies, self.design.shapes):
