@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple, Self
 
 import scipy.sparse as sp
 
@@ -59,7 +59,7 @@ class Block:
         Whether no parameter changes its mass.
     """
 
-    is_reduced = False
+    is_reduced: ClassVar[bool] = False
     size: int
     n_modes: int
     n_trained: int
@@ -95,6 +95,10 @@ class Block:
     def _forms(self, phi: FloatArray, of_mass: bool) -> FloatArray:
         """Return φᵀ K_k φ, or φᵀ M_k φ, of every term, shape (n, n_terms, m)."""
         raise NotImplementedError
+
+    def coarser(self, share: float) -> Self:
+        """Return the block by the leading share of its basis; the block itself, if it is not reduced."""
+        return self
 
     def coordinates(self, rows: sp.csr_array) -> Matrix:
         """Return sparse sensor rows (n_sensors, n) on the block's degrees of freedom as rows on its unknowns."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cached_property
+from typing import ClassVar, Literal
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,7 +22,7 @@ from fmu.types import FloatArray, IntArray
 _DENSE_SLOPES = 128
 
 
-def full_model(model: SeparableModel) -> BlockModel:
+def full_model(model: SeparableModel) -> BlockModel[FullBlock]:
     """Return the unreduced blocks of `model`."""
     return BlockModel(tuple(FullBlock(model, dofs) for dofs in model.blocks), model.n_parameters)
 
@@ -43,6 +44,8 @@ class FullBlock(Block):
     constant : bool
         Whether no parameter changes it.
     """
+
+    is_reduced: ClassVar[Literal[False]] = False
 
     def __init__(self, model: SeparableModel, dofs: IntArray) -> None:
         self.K_terms, self.M_terms = _restrict_terms(model.K_terms, dofs), _restrict_terms(model.M_terms, dofs)

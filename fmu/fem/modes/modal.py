@@ -119,7 +119,7 @@ class ModalSolution:
 
 
 @dataclass(frozen=True, eq=False)
-class BlockModel:
+class BlockModel[Part: Block]:
     """A structure as its independent blocks, full (`fmu.fem.modes.full_block.full_model`) or reduced.
 
     Attributes
@@ -128,16 +128,16 @@ class BlockModel:
     n_parameters : int
     """
 
-    blocks: tuple[Block, ...]
+    blocks: tuple[Part, ...]
     n_parameters: int
 
-    def __iter__(self) -> Iterator[Any]:
+    def __iter__(self) -> Iterator[Part]:
         return iter(self.blocks)
 
     def __len__(self) -> int:
         return len(self.blocks)
 
-    def __getitem__(self, number: int) -> Any:
+    def __getitem__(self, number: int) -> Part:
         return self.blocks[number]
 
     @property

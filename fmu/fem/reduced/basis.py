@@ -12,9 +12,10 @@ By Rayleigh's principle the reduced eigenvalues lie above the exact ones.
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 import scipy.linalg as sl
@@ -23,6 +24,7 @@ import scipy.sparse as sp
 from fmu.fem.modes.block import Block, Mapped, Observation
 from fmu.fem.modes.derivatives import by_all_modes, by_bordered_matrices
 from fmu.fem.modes.full_block import FullBlock
+from fmu.fem.modes.modal import BlockModel
 from fmu.fem.modes.terms import CoefficientMap, Term
 from fmu.types import FloatArray
 
@@ -61,7 +63,7 @@ class ReducedBlock(Block):
     theta, so that no bit of a result depends on the rest of the batch.
     """
 
-    is_reduced = True
+    is_reduced: ClassVar[Literal[True]] = True
 
     def __init__(self, block: FullBlock, basis: FloatArray, n_trained: int) -> None:
         super().__init__(block.dofs, block.K_terms, block.M_terms)
@@ -85,13 +87,21 @@ class ReducedBlock(Block):
         """Projected terms of K and of M, shapes (n_terms, r, r)."""
         return self._K, self._M
 
-    def truncate(self, size: int) -> ReducedBlock:
+    def truncate(self, size: int) -> Self:
         """Return the block reduced by only the first `size` vectors of its basis."""
         leading = copy.copy(self)
         leading.basis, leading.size = self.basis[:, :size], size
         leading.n_modes = min(self.n_modes, size)
         leading._set_terms(self._K[:, :size, :size].copy(), self._M[:, :size, :size].copy())
         return leading
+
+    def coarser(self, share: float) -> Self:
+        """Return the block by the leading share of its basis; the block itself, if nothing is left out.
+
+        A basis of as many vectors as the block has unknowns keeps all of them.
+        """
+        few = max(self.n_trained, math.ceil(share * self.size))
+        return self.truncate(few) if few < self.size < len(self.dofs) else self
 
     def eigenvalues(self, theta: FloatArray, count: int) -> FloatArray:
         """Return the lowest eigenvalues, shape (n, count); NaN where the solver fails."""
@@ -191,6 +201,10 @@ class ReducedBlock(Block):
         shapes = np.ascontiguousarray(np.swapaxes(phi, 1, 2))
         products = (shapes @ rows.T).reshape(n, m, len(rows) // r, r)
         return np.swapaxes((products @ shapes[..., None])[..., 0], 1, 2)
+
+
+Parts = BlockModel[FullBlock | ReducedBlock]
+"""A structure of which some blocks are reduced."""
 
 
 def compress_rows(rows: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:

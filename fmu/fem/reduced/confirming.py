@@ -9,11 +9,8 @@ agree, or the iterations do not end, the modes are solved for as those of any ot
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from fmu.fem.modes.block import Block
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import RIGID, BlockModel
 from fmu.fem.modes.solver import Factor, Matrix, factorise
@@ -77,18 +74,14 @@ class ConfirmedBlock(FullBlock):
         return lam[:count], X[:, :count]
 
 
-def confirmed_model(bound: FrequencyBound) -> BlockModel:
+def confirmed_model(bound: FrequencyBound) -> BlockModel[FullBlock]:
     """Return the full model of a bound, whose large blocks start from the modes of the reduced model."""
-
-    def confirm_block(b: int, full: Any, reduced: Any) -> Block:
-        if full.size < LARGE or not reduced.is_reduced or reduced.size == full.size:
-            return full
-        return ConfirmedBlock(full, *bound.trial(b))
-
-    if all(block.size < LARGE for block in bound.full.blocks):
-        return bound.full
-    both = zip(bound.full.blocks, bound.reduced.blocks, strict=True)
-    return BlockModel(tuple(confirm_block(b, *of) for b, of in enumerate(both)), bound.full.n_parameters)
+    blocks = list(bound.full)
+    for b, (full, reduced) in enumerate(zip(bound.full, bound.reduced, strict=True)):
+        if full.size >= LARGE and reduced.is_reduced and reduced.size < full.size:
+            blocks[b] = ConfirmedBlock(full, *bound.trial(b))
+    changed = any(block.size >= LARGE for block in blocks)
+    return BlockModel(tuple(blocks), bound.full.n_parameters) if changed else bound.full
 
 
 def davidson(

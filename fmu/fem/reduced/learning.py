@@ -8,7 +8,7 @@ is the relative error of an eigenvalue.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import numpy as np
@@ -16,8 +16,9 @@ import scipy.sparse as sp
 
 from fmu.fem.modes.block import Mapped, Observation
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.modal import RIGID
+from fmu.fem.modes.modal import RIGID, BlockModel
 from fmu.fem.modes.solver import factorise
+from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing
 from fmu.fem.reduced.anchors import Anchors
 from fmu.fem.reduced.basis import compress_rows
 from fmu.fem.reduced.residuals import at_once, bound_errors
@@ -78,6 +79,11 @@ class Learner:
     def is_full(self) -> bool:
         """Whether the space may not grow any more."""
         return self.space.size >= self.largest
+
+    @property
+    def is_stuck(self) -> bool:
+        """Whether the space may not grow any more, and lacks motions of the block."""
+        return self.is_full and not self.is_whole
 
     def visit(self, theta: FloatArray, allowed: FloatArray, share: float = 1.0) -> BoolArray:
         """Return at which points (n, p) errors keep to their share of `allowed` (m,); grow where they do not.
@@ -217,6 +223,24 @@ class Learner:
                 energy = Q[:, :top].T @ Z
                 return rotated.truncate(top), np.linalg.eigh(energy @ energy.T)[1][:, ::-1]
             low, guess, tuned = top, top + 1, np.concatenate([tuned, bad])
+
+
+def count_needed(
+    full: BlockModel[FullBlock], rule: IndexPairing | ShapePairing, learners: Mapping[int, Learner]
+) -> tuple[RankPairing | None, dict[int, int]]:
+    """Return the pairing as fixed ranks where that is exact, and how many modes of each block are needed."""
+    # after a cut each block may have looked at points of its own: those before are the same
+    visited = [learner.theta for learner in learners.values()]
+    n = min(map(len, visited))
+    alike = np.all([np.all(theta[:n] == visited[0][:n], axis=1) for theta in visited], axis=0)
+    n = n if alike.all() else int(np.argmin(alike))
+    found = {b: tuple(of[:n] for of in learner.solve_visited()) for b, learner in learners.items()}
+    known = np.all([np.isfinite(lam).all(axis=1) for lam, _ in found.values()], axis=0)
+    found = {b: (lam[known], y[known]) for b, (lam, y) in found.items()}
+    seen = tuple(learners[b] if b in found else block for b, block in enumerate(full))
+    model = BlockModel(seen, full.n_parameters)  # type: ignore[type-var]
+    eigenvalues, shapes = ({b: of[i] for b, of in found.items()} for i in (0, 1))
+    return rule.find_needed(model, eigenvalues, shapes)
 
 
 def balance_directions(

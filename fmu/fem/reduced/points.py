@@ -9,10 +9,10 @@ import numpy as np
 
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.modal import BlockModel
 from fmu.fem.modes.terms import coefficients, weighted_sum
 from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing
 from fmu.fem.reduced.anchors import Anchors, SingularAnchorError
+from fmu.fem.reduced.basis import Parts
 from fmu.types import FloatArray
 
 _MOST_VECTORS = 1000
@@ -52,7 +52,7 @@ class Trained:
         The tolerance of the box, where a smaller one was kept in a part of it.
     """
 
-    model: BlockModel
+    model: Parts
     pairing: IndexPairing | ShapePairing | RankPairing
     lower: FloatArray
     upper: FloatArray

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -83,22 +82,15 @@ class ReducedStructure(Approximation):
         Parameters
         ----------
         share : float
-            The share of the vectors. A basis of as many vectors as its block has unknowns keeps all of them.
+            The share of the vectors, see `fmu.fem.reduced.basis.ReducedBlock.coarser`.
 
         Returns
         -------
         ReducedStructure
             This model itself, if nothing is left out.
         """
-
-        def leading(block: Any, size: int) -> Any:
-            few = max(block.n_trained, math.ceil(share * block.size))
-            return block.truncate(few) if block.is_reduced and few < block.size < size else block
-
-        mine = self.cheap.blocks
-        sizes = [block.size for block in self._truth.blocks]
-        blocks = tuple(leading(block, size) for block, size in zip(mine, sizes, strict=True))
-        if all(one is other for one, other in zip(blocks, mine, strict=True)):
+        blocks = tuple(block.coarser(share) for block in self.cheap.blocks)
+        if all(one is other for one, other in zip(blocks, self.cheap.blocks, strict=True)):
             return self
         other = copy(self)
         other._answer_by(self._truth.solved_by(replace(self.cheap.blocks, blocks=blocks), self.pairing))

@@ -23,13 +23,14 @@ modes at some points by Sylvester's law of inertia.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import RIGID, BlockModel, ModalSolution
-from fmu.fem.reduced.anchors import Anchors
+from fmu.fem.reduced.anchors import Anchors, Far
+from fmu.fem.reduced.basis import Parts
 from fmu.fem.reduced.space import Space
 from fmu.types import FloatArray
 
@@ -167,8 +168,8 @@ class FrequencyBound:
 
     def __init__(
         self,
-        full: BlockModel,
-        reduced: BlockModel,
+        full: BlockModel[FullBlock],
+        reduced: Parts,
         lower: FloatArray,
         upper: FloatArray,
         anchors: Mapping[int, Anchors],
@@ -186,17 +187,28 @@ class FrequencyBound:
             error[row, column] = self._of_block(int(b), theta, int(rank.max()) + 1)[row, rank]
         return error
 
+    def find_far(self, theta: FloatArray, counts: Mapping[int, int], tolerance: float) -> Far | None:
+        """Return where errors of so many modes of each block are not bounded to a tolerance, of theta (n, p).
+
+        There is no anchor near; None if there is no such place.
+        """
+        for b, count in counts.items():
+            space, anchors = self.trial(b)
+            far = anchors.far(theta, space)
+            if far and not np.all(bound_errors(space, anchors, far.theta[None], count).error <= tolerance):
+                return far
+        return None
+
     def trial(self, b: int) -> tuple[Space, Anchors]:
         """Return the space of the reduced block `b`, and its anchors, which are factorised at the first call."""
-        full: Any = self.full.blocks[b]
-        reduced: Any = self.reduced.blocks[b]
         if b not in self._anchors:
-            self._anchors[b] = Anchors(full, self.lower, self.upper)
-        return Space.of(reduced, full, self._anchors[b].shift), self._anchors[b]
+            self._anchors[b] = Anchors(self.full[b], self.lower, self.upper)
+        anchors, reduced = self._anchors[b], self.reduced[b]
+        assert reduced.is_reduced  # narrowed for the type checker
+        return Space.of(reduced, anchors.block, anchors.shift), anchors
 
     def _of_block(self, b: int, theta: FloatArray, count: int) -> FloatArray:
-        full: Any = self.full.blocks[b]
-        reduced: Any = self.reduced.blocks[b]
+        full, reduced = self.full[b], self.reduced[b]
         if not reduced.is_reduced or reduced.size == full.size:
             return np.zeros((len(theta), count))
         space, anchors = self.trial(b)

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import islice
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from fmu.fem.reduced.anchors import Anchors, Far
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.confirming import confirmed_model
 from fmu.fem.reduced.cost import Cost
-from fmu.fem.reduced.learning import SHARE, Learner, apart
+from fmu.fem.reduced.learning import SHARE, Learner, apart, count_needed
 from fmu.fem.reduced.points import (
     Trained,
     affordable,
@@ -33,7 +32,7 @@ from fmu.fem.reduced.points import (
     most_trial_vectors,
     points_near_zero,
 )
-from fmu.fem.reduced.residuals import FrequencyBound, bound_errors
+from fmu.fem.reduced.residuals import FrequencyBound
 from fmu.fem.reduced.snapshots import snapshot_basis
 from fmu.fem.reduced.space import Space
 from fmu.progress.phases import count_solves, phase
@@ -53,6 +52,8 @@ CHEAP = 0.01
 LOOSE = 1e-3
 # Points visited together, points in a row that must be good, and most of them.
 _TOGETHER, _ENOUGH, _MOST_POINTS = 16, 48, 2048
+# Points of the Sobol sequence, beside corners and faces, of which fresh points are drawn.
+_SOBOL = 32
 # Fresh points of full solves, and how often training goes on from them.
 _CHECKED, _ROUNDS = 4, 4
 _MOST_ROUNDS = 20  # in a region
@@ -74,26 +75,25 @@ class Training:
         The box.
     tolerance : float
         Largest relative error of a needed frequency at the points visited.
-    n_sobol : int
-        Points of the Sobol sequence, beside corners and faces, of which fresh points are drawn.
     engine : Engine, optional
         Solves the full model at several points at once. The result does not depend on it.
     """
 
     def __init__(
         self,
-        full: BlockModel,
+        full: BlockModel[FullBlock],
         rule: IndexPairing | ShapePairing,
         lower: FloatArray,
         upper: FloatArray,
         tolerance: float,
-        n_sobol: int = 32,
         engine: Engine | None = None,
     ) -> None:
+        for b, block in enumerate(full):
+            if block.is_reduced:
+                raise TypeError(f"block {b}: training needs the full model (got {type(block).__name__})")
         self.full, self.rule = full, rule
         self.lower, self.upper = lower, upper
         self.tolerance = tolerance
-        self.n_sobol = n_sobol
         self._engine = engine or InProcess()
         self.learners: dict[int, Learner] = {}
         self.fixed: RankPairing | None = None
@@ -116,7 +116,7 @@ class Training:
         """
         counts = self.rule.counts(self.full)
         for b, count in counts.items():
-            block = self._block(b)
+            block = self.full[b]
             self.learners[b] = Learner(block, self.lower, self.upper, count, most_trial_vectors(block.size))
             cost = Cost.of(block, self.learners[b].anchors.factor(0))
             if cost is not None:
@@ -124,24 +124,26 @@ class Training:
                 self.learners[b].largest = min(self.learners[b].largest, 2 * self._affordable(b))
         self.n_trained = dict.fromkeys(counts, 0)
         self._visit(2 * _TOGETHER)
-        self.fixed, self.n_trained = self._count_needed()
-        near_zero = points_near_zero(self.lower, self.upper, self.n_sobol)
+        self.fixed, self.n_trained = count_needed(self.full, self.rule, self.learners)
+        near_zero = points_near_zero(self.lower, self.upper, _SOBOL)
         for round_ in range(_ROUNDS):
             for b in self.learners:
                 self._look(b, near_zero)
             self.confirmed = self._visit(_ENOUGH)
-            fixed, needed = self._count_needed()
+            fixed, needed = count_needed(self.full, self.rule, self.learners)
             if fixed != self.fixed or any(n > self.n_trained.get(b, 0) for b, n in needed.items()):
                 self.fixed, self.n_trained = fixed, needed
                 self.confirmed = self._visit(_ENOUGH)
             self._cut()
-            if self.is_cut() or self.is_spent or self._verify(round_):
+            if not self.is_accurate or self._verify(round_):
                 break
             self._cut_share *= 0.5
         else:
             self.confirmed = False
-        self.confirmed &= not (self.is_cut() or self.is_spent)
-        self.far = self._far(np.concatenate([self._points(_CHECKS + _ROUNDS), near_zero]))
+        self.confirmed &= self.is_accurate
+        points = box_points(self.lower, self.upper, _SOBOL, _CHECKS + _ROUNDS)
+        points = np.concatenate([points, near_zero])
+        self.far = self._bound().find_far(points, self.n_trained, self.tolerance)
         return self._current()
 
     def refine(self, theta: FloatArray, times: float = 3.0) -> Trained:
@@ -177,7 +179,7 @@ class Training:
             theta = region()
             good = [self._look(b, theta, self.share) for b in self.learners]
             self._cut()
-            if self.is_cut() or self.is_spent:
+            if not self.is_accurate:
                 break
             if np.all(good):
                 yield self._current()
@@ -191,7 +193,7 @@ class Training:
         """
         centre = 0.5 * (self.lower + self.upper)
         for b, count in self.rule.counts(self.full).items():
-            block = self._block(b)
+            block = self.full[b]
             anchors = Anchors(block, self.lower, self.upper)
             cost = Cost.of(block, anchors.factor(0))
             if cost is not None:
@@ -218,7 +220,9 @@ class Training:
         return state
 
     @classmethod
-    def restore(cls, full: BlockModel, rule: IndexPairing | ShapePairing, state: dict[str, FloatArray]) -> Trained:
+    def restore(
+        cls, full: BlockModel[FullBlock], rule: IndexPairing | ShapePairing, state: dict[str, FloatArray]
+    ) -> Trained:
         """Return the outcome that `state` described."""
         training = cls(full, rule, state["lower"], state["upper"], tolerance=0.0)
         if "elsewhere" in state:
@@ -229,7 +233,7 @@ class Training:
         for b in range(len(full.blocks)):
             if f"basis{b}" in state:
                 n_trained = int(state[f"n_trained{b}"])
-                training.reduced[b] = ReducedBlock(training._block(b), state[f"basis{b}"], n_trained)
+                training.reduced[b] = ReducedBlock(full[b], state[f"basis{b}"], n_trained)
         return training._current()
 
     def _current(self) -> Trained:
@@ -239,13 +243,16 @@ class Training:
         elsewhere = self.tolerance if self.is_narrow else None
         return Trained(model, self.fixed or self.rule, self.lower, self.upper, self.confirmed, anchors, elsewhere)
 
+    def _bound(self) -> FrequencyBound:
+        trained = self._current()
+        return FrequencyBound(self.full, trained.model, self.lower, self.upper, trained.anchors)
+
     def _visit(self, enough: int) -> bool:
         """Visit fresh points until `enough` in a row are good, and say whether there were."""
         good = visited = 0
         with phase("training") as under_way:
             while good < enough and visited < _MOST_POINTS:
-                points = self._points(self._seed)
-                points = points[np.random.default_rng(self._seed).permutation(len(points))]
+                points = self._shuffled_points(self._seed, self._seed)
                 self._seed += 1
                 size = self._size()
                 for first in range(0, len(points), _TOGETHER):
@@ -258,7 +265,7 @@ class Training:
                     good = good + len(part) if was_good else 0
                     if good >= enough:
                         return True
-                    if not was_good and (self._is_full() or self.is_spent):
+                    if not was_good and (self.is_spent or any(of.is_stuck for of in self.learners.values())):
                         return False
                 if good < len(points) and self._size() == size:  # where no solve succeeds, or rounding is all
                     return False
@@ -267,54 +274,27 @@ class Training:
     def _fresh(self) -> FloatArray:
         """Return points that a cut has not seen; half of them near zero where a bound is zero."""
         self._cut_seed += 1
-        points = self._points(self._cut_seed)
-        points = points[np.random.default_rng(self._cut_seed).permutation(len(points))[:_FRESH]]
-        near_zero = points_near_zero(self.lower, self.upper, self.n_sobol, self._cut_seed)
-        return np.concatenate([points, near_zero[:_FRESH]])
+        points = self._shuffled_points(self._cut_seed, self._cut_seed)
+        near_zero = points_near_zero(self.lower, self.upper, _SOBOL, self._cut_seed)
+        return np.concatenate([points[:_FRESH], near_zero[:_FRESH]])
 
-    def _points(self, seed: int) -> FloatArray:
-        return box_points(self.lower, self.upper, self.n_sobol, seed)
-
-    def _far(self, theta: FloatArray) -> Far | None:
-        """Return where errors are not bounded to the tolerance, as no anchor is near, if there is such a place."""
-        for b, needed in self.n_trained.items():
-            anchors = self.learners[b].anchors
-            space = Space.of(self.reduced[b], self._block(b), anchors.shift)
-            far = anchors.far(theta, space)
-            if far and not np.all(bound_errors(space, anchors, far.theta[None], needed).error <= self.tolerance):
-                return far
-        return None
+    def _shuffled_points(self, seed: int, order: int) -> FloatArray:
+        """Return points of the box in an order by a seed of its own."""
+        points = box_points(self.lower, self.upper, _SOBOL, seed)
+        return points[np.random.default_rng(order).permutation(len(points))]
 
     def _size(self) -> int:
         return sum(learner.space.size for learner in self.learners.values())
-
-    def _is_full(self) -> bool:
-        return any(learner.is_full and not learner.is_whole for learner in self.learners.values())
 
     def _allowed_errors(self, b: int) -> FloatArray:
         """Return the errors that the modes of block `b` may have: its candidates, or those needed of them."""
         n = self.n_trained.get(b, 0)
         return np.full(n, self.tolerance) if n else np.full(self.learners[b].count, max(LOOSE, self.tolerance))
 
-    def _count_needed(self) -> tuple[RankPairing | None, dict[int, int]]:
-        """Return the pairing as fixed ranks where that is exact, and how many modes of each block are needed."""
-        # after a cut each block may have looked at points of its own: those before are the same
-        visited = [learner.theta for learner in self.learners.values()]
-        n = min(map(len, visited))
-        alike = np.all([np.all(theta[:n] == visited[0][:n], axis=1) for theta in visited], axis=0)
-        n = n if alike.all() else int(np.argmin(alike))
-        found = {b: tuple(of[:n] for of in learner.solve_visited()) for b, learner in self.learners.items()}
-        known = np.all([np.isfinite(lam).all(axis=1) for lam, _ in found.values()], axis=0)
-        found = {b: (lam[known], y[known]) for b, (lam, y) in found.items()}
-        seen = tuple(self.learners[b] if b in found else block for b, block in enumerate(self.full.blocks))
-        model = BlockModel(seen, self.full.n_parameters)  # type: ignore[arg-type]
-        eigenvalues, shapes = ({b: of[i] for b, of in found.items()} for i in (0, 1))
-        return self.rule.find_needed(model, eigenvalues, shapes)
-
     def _cut(self) -> None:
         """Find a small basis with errors within the tolerance at all points visited."""
         self.reduced = {
-            b: ReducedBlock(self._block(b), self._choose_cut(b, needed), needed)
+            b: ReducedBlock(self.full[b], self._choose_cut(b, needed), needed)
             for b, needed in self.n_trained.items()
         }
 
@@ -352,11 +332,11 @@ class Training:
 
     def _affordable(self, b: int) -> int:
         """Return the largest useful number of basis vectors of a block: a solve costs a third of a full one."""
-        most = affordable(self._block(b).size)
+        most = affordable(self.full[b].size)
         return min(most, self.costs[b].most_vectors()) if b in self.costs else most
 
     def _choose_cut(self, b: int, needed: int) -> FloatArray:
-        block = self._block(b)
+        block = self.full[b]
         centre = 0.5 * (self.lower + self.upper)
         if block.n_modes == block.size <= EXACT_LIMIT:
             lam, shapes = block.modes(centre[None], block.size)
@@ -384,13 +364,10 @@ class Training:
         The frequencies agree to the tolerance, the pairing is the same, and so is the number of modes below one
         that is not needed any more.
         """
-        points = self._points(_CHECKS + round_)
-        points = points[np.random.default_rng(round_).permutation(len(points))][: 2 * _CHECKED]
+        points = self._shuffled_points(_CHECKS + round_, round_)[: 2 * _CHECKED]
         counts = self.rule.counts(self.full)
         # where that is dear, the modes of the cut are a start, and one process has the factors
-        trained = self._current()
-        bound = FrequencyBound(self.full, trained.model, self.lower, self.upper, trained.anchors)
-        full = confirmed_model(bound)
+        full = confirmed_model(self._bound())
         engine = self._engine if full is self.full else InProcess()
         tasks = [(b, theta[None], count) for b, count in counts.items() for theta in points[:_CHECKED]]
         with phase("training", len(tasks)) as under_way:
@@ -415,13 +392,9 @@ class Training:
                 learner.add(shapes[b][row])
         return agreed
 
-    def _block(self, b: int) -> FullBlock:
-        block: Any = self.full.blocks[b]
-        if block.is_reduced:
-            raise TypeError(f"block {b}: training needs the full model (got {type(block).__name__})")
-        return block
 
-
-def _solve_there(full: BlockModel, task: tuple[int, FloatArray, int], _: object) -> tuple[FloatArray, FloatArray]:
+def _solve_there(
+    full: BlockModel[FullBlock], task: tuple[int, FloatArray, int], _: object
+) -> tuple[FloatArray, FloatArray]:
     b, theta, count = task
     return full.blocks[b].modes(theta, count)

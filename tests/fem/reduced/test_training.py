@@ -14,6 +14,7 @@ from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing, reference_modes
 from fmu.fem.reduced import training
 from fmu.fem.reduced.basis import ReducedBlock
+from fmu.fem.reduced.learning import count_needed
 from fmu.fem.reduced.points import box_points
 from fmu.fem.reduced.reduced_structure import restore, train
 from fmu.fem.reduced.training import EXACT_LIMIT, Training
@@ -300,11 +301,11 @@ def test_the_pairing_is_judged_at_points_that_all_blocks_visited():
     training = Training(full_model(model), rule, lower, upper, 1e-6)
     training.run()
     assert len(training.learners) >= 2
-    before = training._count_needed()
+    before = count_needed(training.full, rule, training.learners)
     first, *others = training.learners.values()
     own = inside(lower, upper, 3, seed=0)
     first.visit(own, np.full(first.count, 1e-6))
-    assert training._count_needed() == before
+    assert count_needed(training.full, rule, training.learners) == before
     for seed, other in enumerate(others, start=1):
         other.visit(inside(lower, upper, 3, seed), np.full(other.count, 1e-6))
-    assert training._count_needed() == before
+    assert count_needed(training.full, rule, training.learners) == before
