@@ -7,10 +7,11 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from types import FrameType
 
 GRACE_S = 1.0
 """How long the current step may take after a stop was requested."""
+_Handler = Callable[[int, FrameType | None], None]
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _HAS_TIMER = hasattr(signal, "setitimer")  # not on Windows
 
@@ -31,7 +32,7 @@ class _Stop:
     def __init__(self) -> None:
         self.asked = self.due = False
         self.polling = self.shields = 0
-        self.before: dict[int, Any] = {}
+        self.before: dict[int, _Handler | int | None] = {}
 
     def listen(self, number: int) -> None:
         """Install the handler of a signal, and remember the previous one."""
@@ -49,7 +50,7 @@ class _Stop:
             # None: it was not installed from Python, and cannot be restored
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
-    def hear(self, number: int, frame: Any) -> None:
+    def hear(self, number: int, frame: FrameType | None) -> None:
         """Handle a signal."""
         first, self.asked = not self.asked, True
         if first and self.polling:

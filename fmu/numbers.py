@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple, SupportsInt
 
 MISSING = "–"
 _MOST_DECIMALS, _MOST_DIGITS = 12, 15
@@ -214,14 +214,14 @@ def change(ratio: float) -> str:
     return _drop_sign_of_zero(f"{100.0 * ratio:+.{places}f} %")
 
 
-def whole(value: Any) -> str:
+def whole(value: SupportsInt | None) -> str:
     """Format a whole number, its thousands apart; a dash where there is none (None, NaN or pandas' NA)."""
     if value is None or str(value) in ("nan", "<NA>"):
         return MISSING
     return f"{int(value):,}".replace(",", " ")
 
 
-def about(value: Any) -> str:
+def about(value: float) -> str:
     """Format an estimate to two significant digits, ``"≈ 12 000 000"``; a dash where there is none."""
     text = whole(value)
     return text if text == MISSING else f"≈ {whole(float(f'{float(value):.2g}'))}"

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from fmu.types import AnyArray
 
 WIDTH = 100
 _GAP = "  "
@@ -15,7 +17,11 @@ _NARROWEST = 12
 """Fewest characters that a column of words is wrapped to."""
 
 
-def data_frame(content: Any, name: str, index: Any) -> pd.DataFrame:
+def data_frame(
+    content: Mapping[str, object] | Sequence[Mapping[str, object]],
+    name: str,
+    index: Sequence[object] | AnyArray,
+) -> pd.DataFrame:
     """Return a data frame from its columns (a mapping) or its rows (a list of mappings).
 
     Parameters

@@ -42,10 +42,10 @@ class LogDensity(Protocol):
     lower: FloatArray
     upper: FloatArray
 
-    def log_prob(self, theta: Any) -> Any:
+    def log_prob(self, theta: FloatArray) -> FloatArray:
         """Map ``(ndim,)`` to a float and ``(n, ndim)`` to ``(n,)``; ``-inf`` outside the box."""
         ...
 
-    def log_prob_and_grad(self, theta: Any) -> tuple[Any, Any]:
+    def log_prob_and_grad(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the log-density and its gradient, with the same leading shape as `theta`."""
         ...

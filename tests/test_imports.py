@@ -12,7 +12,8 @@ import fmu
 HOUSE = Path(fmu.__file__).parent
 FLOORS = (
     {"types", "numbers", "interruption", "durable_files"},
-    {"arguments", "box", "differences"},
+    {"box", "differences", "rules"},
+    {"arguments"},
     {"tables", "formats", "progress"},
     {"engines"},
     {"fem"},

@@ -1,0 +1,220 @@
+"""Rules of annotations: whether a value is of the kind that an annotation says, and the annotation in words."""
+
+from __future__ import annotations
+
+import math
+import numbers
+import operator
+import os
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, NamedTuple, Protocol, Union, get_args, get_origin, runtime_checkable
+
+from annotated_types import Ge, Gt, Interval, Le, Lt
+
+from fmu.numbers import significant
+
+_NAMES = {"DataTree": "a trace, as fmu.sample and fmu.load_trace return it"}
+
+
+@dataclass(frozen=True)
+class Unbounded:
+    """Mark of a number that may be infinite, such as a bound."""
+
+
+@dataclass(frozen=True)
+class OwnRule:
+    """Mark of an argument that the function itself compares with its rule, in words of its own."""
+
+
+class Numbers:
+    """The rule for ArrayLike and arrays: any value that NumPy turns into an array of numbers."""
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A rule: the type of an annotation, and the marks of ``Annotated`` beside it."""
+
+    form: object
+    marks: tuple[object, ...] = ()
+
+    @classmethod
+    def of(cls, annotation: object, marks: tuple[object, ...] = ()) -> Rule:
+        """Return the rule of an annotation; `marks` follow its own."""
+        if get_origin(annotation) is Annotated:
+            annotation, *own = get_args(annotation)
+            marks = (*own, *marks)
+        return cls(annotation, marks)
+
+    @cached_property
+    def origin(self) -> Any:
+        """The type without its parameters."""
+        return get_origin(self.form) or self.form
+
+    @cached_property
+    def options(self) -> list[Rule]:
+        """The rules of a union, of which one must hold; empty for any other type."""
+        is_union = self.origin in (Union, UnionType)
+        return [Rule.of(one, self.marks) for one in get_args(self.form)] if is_union else []
+
+    @cached_property
+    def parts(self) -> list[Rule]:
+        """The rules of the parameters of the type."""
+        return [Rule.of(one) for one in get_args(self.form)]
+
+    def pick[Mark](self, *kinds: type[Mark]) -> list[Mark]:
+        """Return the marks of some classes."""
+        return [mark for mark in self.marks if isinstance(mark, kinds)]
+
+    @cached_property
+    def limits(self) -> list[tuple[str, float]]:
+        """The limits of a number: ``("gt", 0.0)``."""
+        marks: list[Gt | Ge | Lt | Le | Interval] = self.pick(Gt, Ge, Lt, Le, Interval)
+        return [(key, end) for mark in marks for key, end in asdict(mark).items() if end is not None]
+
+
+def is_kind(value: Any, rule: Rule) -> bool:
+    """Return whether a value is of the kind of a rule that is no union, whatever its entries are."""
+    origin = rule.origin
+    if origin is Any:
+        return True
+    if origin is None or origin is NoneType:
+        return value is None
+    if origin is bool:
+        return type(value).__name__ == "bool"  # NumPy's, too
+    if origin is Numbers:
+        return _is_numeric(value, rule)
+    if origin is Callable:
+        return callable(value)
+    if origin in _CLASSES:
+        kind = _CLASSES[origin]
+        is_of_class = isinstance(value, kind.classes) and not isinstance(value, kind.others)
+        return is_of_class and kind.holds(value, rule)
+    if not isinstance(origin, type):
+        return True
+    members = vars(origin).get("__protocol_attrs__")
+    if origin.__name__ == "LogDensity":  # a gradient is not needed by all samplers
+        members = ("log_prob", "ndim")
+    elif isinstance(value, type):  # a class in place of its object
+        return origin is type
+    return all(hasattr(value, member) for member in members) if members else isinstance(value, origin)
+
+
+def _is_in_range(value: float, rule: Rule) -> bool:
+    """Return whether a number is none that is too large, not NaN, and in the range of the marks."""
+    try:
+        number = float(value)
+    except OverflowError:
+        return False
+    if math.isnan(number) or (math.isinf(number) and not rule.pick(Unbounded)):
+        return False
+    within = {"gt": operator.gt, "ge": operator.ge, "lt": operator.lt, "le": operator.le}
+    return all(within[key](number, end) for key, end in rule.limits)
+
+
+def _is_numeric(value: object, rule: Rule) -> bool:
+    """Return whether NumPy makes an array of numbers of a value, without words or truth values for numbers."""
+    import numpy as np
+
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind == "O":
+            if any(isinstance(one, str | None) for one in array.ravel()):
+                return False
+            array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        return False
+    if array.dtype.kind not in "iuf":
+        return False
+    return not rule.marks or (array.size > 0 and all(_is_in_range(one, rule) for one in array.ravel().tolist()))
+
+
+@runtime_checkable
+class _Indexed(Protocol):
+    """A sequence, or what is like one, as an array."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, i: int) -> object: ...
+
+
+class _Kind(NamedTuple):
+    """The values of a type: those of some classes but not of others, if they are as they must be."""
+
+    classes: tuple[type, ...]
+    others: tuple[type, ...] = ()
+    holds: Callable[[Any, Rule], bool] = lambda value, rule: True
+
+
+PATHS = (os.PathLike, Path)
+_CLASSES = (
+    {
+        int: _Kind((numbers.Integral,), (bool,), _is_in_range),
+        float: _Kind((numbers.Real,), (bool,), _is_in_range),
+        str: _Kind((str,), holds=lambda value, rule: "\0" not in value),
+        Literal: _Kind((str, int), holds=lambda value, rule: value in get_args(rule.form)),
+        Collection: _Kind((Collection,), (str, bytes)),
+        Iterable: _Kind((Iterable,), (str, bytes)),
+    }
+    | dict.fromkeys(
+        PATHS,
+        _Kind(
+            (str, os.PathLike), holds=lambda value, rule: "\0" not in os.fspath(value) and os.fspath(value) != ""
+        ),
+    )
+    | dict.fromkeys(
+        (Sequence, tuple, list),
+        _Kind((_Indexed,), (str, bytes, Mapping), lambda value, rule: getattr(value, "ndim", 1) != 0),
+    )
+)
+_KINDS = {
+    float: "a finite number",
+    int: "a whole number",
+    bool: "True or False",
+    str: "text",
+    NoneType: "None",
+    None: "None",
+    Numbers: "numbers (an array or a list)",
+    Mapping: "a mapping",
+    Callable: "a function",
+    os.PathLike: "a path",
+    Path: "a path",
+}
+
+
+def in_words(rule: Rule) -> str:
+    """Return a rule in words: ``"a positive finite number or None"``."""
+    origin, of = rule.origin, rule.parts
+    if rule.options:
+        parts = list(dict.fromkeys(map(in_words, rule.options)))
+        return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} or {parts[-1]}"
+    if origin is Literal:
+        return f"one of {', '.join(map(repr, get_args(rule.form)))}"
+    if origin in (float, int):
+        return _number_in_words(origin is int, rule)
+    if origin is Numbers and rule.marks:
+        return f"{_number_in_words(False, rule).removeprefix('a ')}s, in an array or a list"
+    if origin in (Sequence, tuple, list, Collection, Iterable):
+        return f"a sequence, each entry {in_words(of[0])}" if of else "a sequence"
+    if origin in _KINDS:
+        return _KINDS[origin]
+    name = name_of(origin)
+    return _NAMES.get(name) or f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"
+
+
+def name_of(kind: object) -> str:
+    """Return the name of a class, or a type in words where it has none."""
+    return getattr(kind, "__name__", str(kind))
+
+
+def _number_in_words(whole: bool, rule: Rule) -> str:
+    limits = rule.limits
+    kind = "whole number" if whole else "number" if rule.pick(Unbounded) else "finite number"
+    if ("gt", 0) in limits:
+        kind = f"positive {kind}"
+    words = {"gt": "above", "ge": "of at least", "lt": "below", "le": "of at most"}
+    ranges = [f"{words[key]} {significant(end)}" for key, end in limits if (key, end) != ("gt", 0)]
+    return f"a {kind}{' ' * bool(ranges)}{' and '.join(ranges)}"
