@@ -6,7 +6,6 @@ import datetime
 from collections.abc import Collection, Sequence
 from itertools import islice
 from reprlib import Repr
-from typing import Any
 
 from fmu.numbers import whole
 
@@ -28,7 +27,7 @@ class _Shown(Repr):
         self.maxlevel, self.maxother = 4, MOST
         self.maxlist = self.maxtuple = self.maxdict = self.maxset = 20
 
-    def repr1(self, x: Any, level: int) -> str:
+    def repr1(self, x: object, level: int) -> str:
         if isinstance(x, datetime.date | datetime.time):
             return x.isoformat()
         return super().repr1(x, level)
@@ -47,7 +46,7 @@ class _Shown(Repr):
 _SHOWN = _Shown()
 
 
-def quote(value: Any) -> str:
+def quote(value: object) -> str:
     """Return a value as text, at most `MOST` characters of it."""
     text = _SHOWN.repr(value)
     return text if len(text) <= MOST + 2 or text.endswith(" …") else f"{text[:MOST]} …"

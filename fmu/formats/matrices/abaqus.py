@@ -14,13 +14,13 @@ lines of row, column, entry, without the names of the degrees of freedom.
 
 from __future__ import annotations
 
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 import scipy.sparse as sp
 
 from fmu.formats.matrices.limits import entries_within, rows_within, tables
-from fmu.types import DIRECTIONS
+from fmu.types import DIRECTIONS, FloatArray, IntArray
 
 LARGEST_NUMBER = 10**9
 """Of a node, a row or a column."""
@@ -28,7 +28,7 @@ HELD = 1e30
 """Abaqus keeps the degrees of freedom held by supports, with 1e36 on the diagonal of the stiffness."""
 
 
-def parse(file: BinaryIO) -> tuple[Any, tuple[tuple[int, str], ...] | None]:
+def parse(file: BinaryIO) -> tuple[sp.csr_array, tuple[tuple[int, str], ...] | None]:
     """Return the matrix of a file and, of ``MATRIX INPUT``, its degrees of freedom (node, direction).
 
     Returns
@@ -79,7 +79,7 @@ def _without_keywords(text: str) -> str:
     return text.replace(",", " ")
 
 
-def _places(names: Any) -> Any:
+def _places(names: FloatArray) -> IntArray:
     """Return row and column of each entry, shape (n, 2): as they are, or 8 times the node and its direction."""
     if np.any(names != np.floor(names)) or np.any(names < 1) or np.any(names > LARGEST_NUMBER):
         raise ValueError(

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,14 +22,14 @@ from fmu.formats.matrices.limits import (
     mirror_triangle,
     rows_within,
 )
-from fmu.types import DIRECTIONS
+from fmu.types import DIRECTIONS, AnyArray
 
 LIBRARY = "ansys.mapdl.reader"
 EXTRA = "ansys"
 NAMES = ("stiffness", "mass")
 
 
-def full_arrays(path: Path) -> dict[str, Any]:
+def full_arrays(path: Path) -> dict[str, AnyArray]:
     """Return the arrays in a ``.full`` file; needs ansys-mapdl-reader.
 
     Raises
@@ -65,7 +64,7 @@ def full_arrays(path: Path) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=1)
-def _arrays(path: Path, _modified: int, _size: int) -> dict[str, Any]:
+def _arrays(path: Path, _modified: int, _size: int) -> dict[str, AnyArray]:
     """Return the arrays of a file, of which the stiffness and the mass are asked for one after the other."""
     return read_isolated(f"{__name__}:full_arrays", path, LIBRARY, EXTRA)
 

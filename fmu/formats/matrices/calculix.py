@@ -14,7 +14,7 @@ of one node: they are given numbers of their own above those of the file, and th
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -24,6 +24,7 @@ from fmu.formats.matrices.limits import (
     LARGEST_FILE,
     Labelled,
     MatrixFormat,
+    Motions,
     RefusedError,
     entries_within,
     mirror_triangle,
@@ -40,7 +41,7 @@ _MOST_NODES = 100
 """Of an element."""
 
 
-def parse(file: BinaryIO, n_dof: int) -> Any:
+def parse(file: BinaryIO, n_dof: int) -> sp.csr_array:
     """Return the matrix of a ``.sti`` or ``.mas`` file, both triangles filled, shape (n_dof, n_dof).
 
     Raises
@@ -154,7 +155,7 @@ def _copies(is_shell: bool, k: int, n: int) -> int:
     return 8 if n == 3 and k != 1 else 4
 
 
-def _apart(read: list[tuple[int, str]], expansion: _Expansion) -> tuple[Any, Any]:
+def _apart(read: list[tuple[int, str]], expansion: _Expansion) -> tuple[tuple[tuple[int, str], ...], Motions]:
     """Return names of rows, no two the same, and the motions that are means of several rows.
 
     Where a support holds some of the nodes that stand for one, the rest says nothing about the motion of that one.

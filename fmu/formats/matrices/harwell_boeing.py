@@ -10,18 +10,19 @@ import re
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 import scipy.sparse as sp
 
 from fmu.formats.matrices.limits import Labelled, MatrixFormat, check_indices, entries_within, rows_within
+from fmu.types import FloatArray
 
 LONGEST_LINE = 4096
 """Bytes; the format has 80."""
 
 
-def parse(file: BinaryIO) -> Any:
+def parse(file: BinaryIO) -> sp.csc_array:
     """Return the real assembled matrix of a file, right-hand sides left out.
 
     Returns
@@ -79,7 +80,7 @@ def _count(line: str, at: int) -> int:
     return int(word)
 
 
-def _numbers(file: BinaryIO, n_lines: int, fortran: str, expected: int) -> Any:
+def _numbers(file: BinaryIO, n_lines: int, fortran: str, expected: int) -> FloatArray:
     """Return the numbers on lines of fixed columns, as of ``(10I8)`` or ``(1P,3D26.18)``.
 
     Where blanks part as many as are expected, columns do not matter: SciPy writes wider ones than it announces.

@@ -13,7 +13,7 @@ import math
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sp
@@ -29,6 +29,11 @@ from fmu.formats.matrices.limits import (
     fitting,
 )
 from fmu.formats.shown import quote
+from fmu.types import AnyArray
+
+if TYPE_CHECKING:
+    import h5py
+    from numpy.typing import ArrayLike
 
 DEEPEST = 20
 """Groups within each other."""
@@ -63,7 +68,7 @@ def read(path: Path, variable: str | None) -> Labelled:
         return Labelled(matrix.T if "MATLAB_class" in member.attrs else matrix)
 
 
-def _write(path: Path, matrix: Any, variable: str) -> None:
+def _write(path: Path, matrix: sp.csr_array, variable: str) -> None:
     """Write a csr_array as a group of its arrays."""
     import h5py
 
@@ -74,7 +79,7 @@ def _write(path: Path, matrix: Any, variable: str) -> None:
             group[name] = np.asarray(getattr(matrix, name))
 
 
-def _members(file: Any) -> Iterator[tuple[str, Any]]:
+def _members(file: h5py.File) -> Iterator[tuple[str, h5py.Group | h5py.Dataset]]:
     """Yield each group and dataset of a file once, without parts of sparse matrices and links to other files."""
     import h5py
 
@@ -99,7 +104,7 @@ def _members(file: Any) -> Iterator[tuple[str, Any]]:
         raise RefusedError(f"must hold at most {MOST_NAMES} groups and datasets")
 
 
-def _is_matrix(member: Any) -> bool:
+def _is_matrix(member: h5py.Group | h5py.Dataset) -> bool:
     import h5py
 
     if isinstance(member, h5py.Group):
@@ -107,16 +112,16 @@ def _is_matrix(member: Any) -> bool:
     return isinstance(member, h5py.Dataset) and _is_dense(member)
 
 
-def _is_sparse(group: Any) -> bool:
+def _is_sparse(group: h5py.Group) -> bool:
     names = set(group)
     return "MATLAB_sparse" in group.attrs or names >= _COMPRESSED or names >= _COORDINATE
 
 
-def _is_dense(dataset: Any) -> bool:
+def _is_dense(dataset: h5py.Dataset) -> bool:
     return dataset.ndim == 2 and dataset.dtype.kind in "fiubc" and max(dataset.shape) > 1
 
 
-def _part(group: Any, name: str) -> Any:
+def _part(group: h5py.Group, name: str) -> AnyArray:
     """Return a part of a sparse matrix; links to other places are not followed."""
     import h5py
 
@@ -125,7 +130,7 @@ def _part(group: Any, name: str) -> Any:
     return _numbers(group[name])
 
 
-def _numbers(dataset: Any) -> Any:
+def _numbers(dataset: h5py.Dataset) -> AnyArray:
     """Read a dataset after checking that it holds numbers, in this file, and not too many.
 
     A dataset may be stored in other files, and its chunks, each read as a whole, may be larger than it is.
@@ -140,7 +145,7 @@ def _numbers(dataset: Any) -> Any:
     return np.asarray(dataset)
 
 
-def _sparse(group: Any) -> Any:
+def _sparse(group: h5py.Group) -> sp.sparray:
     wanted = ("data", "shape", "ir", "jc", "row", "col", "indices", "indptr")
     arrays = {name: _part(group, name) for name in wanted if group.get(name, getlink=True) is not None}
     if "MATLAB_sparse" in group.attrs:
@@ -159,7 +164,7 @@ def _sparse(group: Any) -> Any:
     return kind((arrays["data"], arrays["indices"], arrays["indptr"]), shape=size)
 
 
-def _sizes(given: Any, n: int) -> tuple[int, ...]:
+def _sizes(given: ArrayLike, n: int) -> tuple[int, ...]:
     """Return numbers of rows and columns."""
     sizes = np.ravel(given)
     if len(sizes) != n or sizes.dtype.kind not in "iuf" or not np.all((sizes >= 1) & (sizes <= MOST_DOFS)):

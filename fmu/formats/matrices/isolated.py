@@ -10,12 +10,12 @@ import sys
 import tempfile
 import warnings
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from fmu.formats.matrices.limits import LARGEST_CONTENT, RefusedError
 from fmu.formats.shown import one_line
+from fmu.types import AnyArray
 
 LONGEST = 300
 """Seconds that a reader may take."""
@@ -25,7 +25,7 @@ _TOLD = 3
 """Exit code of a reader that says what is wrong."""
 
 
-def read_isolated(reader: str, path: Path, library: str, extra: str) -> dict[str, Any]:
+def read_isolated(reader: str, path: Path, library: str, extra: str) -> dict[str, AnyArray]:
     """Return the arrays that ``reader(path)`` returns, called in another process.
 
     Parameters

@@ -6,7 +6,7 @@ import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -30,6 +30,12 @@ MOST_IDLE = 4
 """Consecutive blocks without a number."""
 
 
+type Matrix = sp.sparray | FloatArray
+DofName = tuple[int, str]
+"""Node id, and one of `fmu.types.DIRECTIONS`."""
+Motions = Mapping[DofName, Mapping[DofName, float]]
+
+
 class Labelled(NamedTuple):
     """A matrix, and the degrees of freedom (node, direction) of its rows where the file names them.
 
@@ -45,9 +51,9 @@ class Labelled(NamedTuple):
         What was filled in, a sentence each.
     """
 
-    matrix: Any
-    dofs: tuple[tuple[int, str], ...] | None = None
-    motions: Mapping[tuple[int, str], Mapping[tuple[int, str], float]] = {}
+    matrix: Matrix
+    dofs: tuple[DofName, ...] | None = None
+    motions: Mapping[DofName, Mapping[DofName, float]] = {}
     fill: bool = False
     notes: tuple[str, ...] = ()
 
@@ -71,7 +77,7 @@ class MatrixFormat:
 
     suffixes: tuple[str, ...]
     read: Callable[[Path, str | None], Labelled]
-    write: Callable[[Path, Any, str], None] | None = None
+    write: Callable[[Path, sp.csr_array, str], None] | None = None
     has_names: bool = False
 
 
@@ -135,18 +141,19 @@ def rows_within(n_rows: int) -> None:
         raise RefusedError(f"must have at most {MOST_DOFS} degrees of freedom (got {n_rows})")
 
 
-def check_indices(matrix: Any) -> Any:
-    """Return a compressed sparse matrix after checking its indices; ValueError if one lies outside.
+def check_indices(matrix: sp.sparray) -> None:
+    """Raise ValueError if an index of a compressed sparse matrix lies outside.
 
     SciPy's own full check misses inner pointers where the last is zero, or where their difference overflows.
     """
+    if matrix.format not in ("csr", "csc"):
+        return
     if np.any(matrix.indptr[1:] < matrix.indptr[:-1]):
         raise ValueError("index pointers must not decrease")
     matrix.check_format(full_check=True)
-    return matrix
 
 
-def mirror_triangle(matrix: Any) -> Any:
+def mirror_triangle(matrix: sp.sparray) -> sp.csr_array:
     """Return a symmetric csr_array from a file that has each pair of symmetric entries once.
 
     Raises

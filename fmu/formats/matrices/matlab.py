@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -19,6 +19,7 @@ from fmu.formats.matrices import hdf5, limits
 from fmu.formats.matrices.limits import (
     MOST_NAMES,
     Labelled,
+    Matrix,
     MatrixFormat,
     RefusedError,
     choose_variable,
@@ -26,7 +27,7 @@ from fmu.formats.matrices.limits import (
     fitting,
     rows_within,
 )
-from fmu.types import DIRECTIONS
+from fmu.types import DIRECTIONS, AnyArray
 
 _MATRIX, _COMPRESSED = 14, 15
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
@@ -96,16 +97,16 @@ def _is_names(name: str) -> bool:
     return name.rpartition(".")[2] == _NAMES
 
 
-def _dofs(table: Any) -> tuple[tuple[int, str], ...]:
+def _dofs(table: Matrix) -> tuple[tuple[int, str], ...]:
     """Return the names of rows from numbers of nodes and directions, shape (n, 2)."""
-    rows = np.asarray(table.todense() if sp.issparse(table) else table)
+    rows = sp.coo_array(table).toarray()
     is_whole = np.all(rows == np.floor(rows)) and np.all(rows >= 1) and np.all(rows < 2**31)
     if not is_whole or rows[:, 1].max(initial=1) > len(DIRECTIONS):
         raise RefusedError(f"{_NAMES} must have rows of node and direction, 1 to 6 for {', '.join(DIRECTIONS)}")
     return tuple((int(node), DIRECTIONS[int(k) - 1]) for node, k in rows)
 
 
-def _matrix(file: BinaryIO, one: _Variable, order: str) -> Any:
+def _matrix(file: BinaryIO, one: _Variable, order: str) -> Matrix:
     """Return a matrix, an ndarray or a csc_array."""
     if one.kind & _COMPLEX:
         raise RefusedError("must hold a real matrix (it is complex)")
@@ -208,7 +209,7 @@ def _parts(body: memoryview, order: str, *, cut: bool = False) -> Iterator[tuple
         yield kind, body[start : start + size]
 
 
-def _numbers(kind: int, part: memoryview, order: str) -> Any:
+def _numbers(kind: int, part: memoryview, order: str) -> AnyArray:
     if kind not in _TYPES:
         raise ValueError(f"it has numbers of the unknown type {kind}")
     dtype = np.dtype(order + _TYPES[kind])
@@ -224,7 +225,7 @@ def _read(path: Path, variable: str | None) -> Labelled:
         return parse(file, path.stat().st_size, variable)
 
 
-def _write(path: Path, matrix: Any, variable: str) -> None:
+def _write(path: Path, matrix: sp.csr_array, variable: str) -> None:
     from scipy.io import savemat
 
     savemat(path, {variable: matrix.tocsc()})

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from fmu.formats.matrices.limits import (
     text_lines,
 )
 from fmu.formats.shown import quote
+from fmu.types import FloatArray
 
 _COLUMN = r"\s*(?P={table})\s*\(\s*:\s*,\s*{k}\s*\)\s*"
 _STATEMENT = re.compile(
@@ -118,7 +119,7 @@ def _size(text: str, words: tuple[str, str] | None) -> tuple[int, int] | None:
     return (found[0], found[1]) if found else None
 
 
-def _table(text: str, name: str, at: int) -> tuple[Any, int]:
+def _table(text: str, name: str, at: int) -> tuple[FloatArray, int]:
     """Return the numbers up to the closing bracket, two-dimensional, and the position after it."""
     end = text.find("]", at)
     if end < 0:

@@ -8,13 +8,22 @@ from __future__ import annotations
 
 import gzip
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 import scipy.sparse as sp
 
 from fmu.formats.matrices import abaqus
-from fmu.formats.matrices.limits import Labelled, MatrixFormat, RefusedError, entries_within, rows_within, tables
+from fmu.formats.matrices.limits import (
+    Labelled,
+    Matrix,
+    MatrixFormat,
+    RefusedError,
+    entries_within,
+    rows_within,
+    tables,
+)
+from fmu.types import FloatArray
 
 BANNER = b"%%matrixmarket"
 LONGEST_LINE = 4096
@@ -36,14 +45,14 @@ def _read(path: Path, variable: str | None) -> Labelled:
         return Labelled(parse(file, None if is_compressed else path.stat().st_size))  # type: ignore[arg-type]
 
 
-def _write(path: Path, matrix: Any, variable: str) -> None:
+def _write(path: Path, matrix: sp.csr_array, variable: str) -> None:
     from scipy.io import mmwrite
 
     with gzip.open(path, "wb") if path.suffix.lower() == ".gz" else open(path, "wb") as file:
         mmwrite(file, matrix.tocoo(), precision=17)
 
 
-def parse(file: BinaryIO, n_bytes: int | None = None) -> Any:
+def parse(file: BinaryIO, n_bytes: int | None = None) -> Matrix:
     """Return the real matrix of a file, with both of its triangles.
 
     Parameters
@@ -123,7 +132,7 @@ def _count_stored(rows: int, columns: int, sign: float) -> int:
     return rows * (rows + 1) // 2 if sign > 0 else rows * (rows - 1) // 2
 
 
-def _numbers(file: BinaryIO, announced: int, columns: int) -> Any:
+def _numbers(file: BinaryIO, announced: int, columns: int) -> FloatArray:
     """Return a table of as many rows as were announced."""
     found = np.empty((announced, columns))
     n = 0
@@ -139,7 +148,7 @@ def _numbers(file: BinaryIO, announced: int, columns: int) -> Any:
     return found
 
 
-def _sparse(file: BinaryIO, sizes: list[int], sign: float) -> Any:
+def _sparse(file: BinaryIO, sizes: list[int], sign: float) -> sp.coo_array:
     table = _numbers(file, sizes[2], 3)
     places = table[:, :2]
     if np.any(places != np.floor(places)) or np.any(places < 1) or np.any(places > sizes[:2]):
@@ -151,7 +160,7 @@ def _sparse(file: BinaryIO, sizes: list[int], sign: float) -> Any:
     return sp.coo_array(matrix + sign * matrix.T - sp.diags_array(matrix.diagonal(), shape=matrix.shape))
 
 
-def _full(values: Any, rows: int, columns: int, sign: float) -> Any:
+def _full(values: FloatArray, rows: int, columns: int, sign: float) -> FloatArray:
     """Return a full matrix from its values column by column; of a symmetric one from the diagonal down."""
     if not sign:
         return values.reshape((rows, columns), order="F")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import zipfile
 from pathlib import Path
-from typing import Any
+from typing import IO
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,6 +23,7 @@ from fmu.formats.matrices.limits import (
     fitting,
     tables,
 )
+from fmu.types import FloatArray
 
 
 def shapes_in_archive(path: Path) -> dict[str, tuple[int, ...]]:
@@ -53,7 +54,7 @@ def shapes_in_archive(path: Path) -> dict[str, tuple[int, ...]]:
         return shapes
 
 
-def shape_in_header(file: Any) -> tuple[int, ...]:
+def shape_in_header(file: IO[bytes]) -> tuple[int, ...]:
     """Return the shape of a saved array, from its header alone.
 
     Raises
@@ -97,7 +98,7 @@ def _npy(path: Path, variable: str | None) -> Labelled:
 
 def _csv(path: Path, variable: str | None) -> Labelled:
     """Return a full matrix, or rows of row, column and entry; a full one has no more rows than columns."""
-    found: list[Any] = []
+    found: list[FloatArray] = []
     n = 0
     with open(path, "rb") as file:
         for rows in tables(file, "#", ","):

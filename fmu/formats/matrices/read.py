@@ -31,7 +31,7 @@ import warnings
 import zipfile
 import zlib
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import scipy.sparse as sp
@@ -44,6 +44,7 @@ from fmu.formats.matrices.limits import (
     LARGEST_FILE,
     MOST_DOFS,
     Labelled,
+    Matrix,
     MatrixFormat,
     NoMatrixError,
     RefusedError,
@@ -62,7 +63,7 @@ _FORMAT_OF: dict[str, MatrixFormat] = {suffix: form for form in FORMATS for suff
 ENTRIES_AT_A_TIME = 2**20
 
 
-def read_matrix(path: Path, variable: str | None = None, triangle: Triangle = False) -> Any:
+def read_matrix(path: Path, variable: str | None = None, triangle: Triangle = False) -> sp.csr_array:
     """Read a symmetric real matrix; see `read_labelled`.
 
     Parameters
@@ -146,7 +147,7 @@ def read_labelled(
     return found._replace(matrix=_symmetric(matrix, triangle or alone))
 
 
-def symmetric_matrix(matrix: Any, triangle: Triangle = False) -> Any:
+def symmetric_matrix(matrix: Matrix, triangle: Triangle = False) -> sp.csr_array:
     """Return a symmetric real matrix as a csr_array of float; ValueError if it is none.
 
     Parameters
@@ -158,7 +159,7 @@ def symmetric_matrix(matrix: Any, triangle: Triangle = False) -> Any:
     return _symmetric(_real_square(matrix), triangle)
 
 
-def write_matrix(path: Path, matrix: Any, variable: str = "matrix") -> None:
+def write_matrix(path: Path, matrix: Matrix, variable: str = "matrix") -> None:
     """Write a matrix, so that `read_matrix` gives it back to the last bit.
 
     Parameters
@@ -186,7 +187,7 @@ def _suffix(path: Path) -> str:
     return ".mtx.gz" if name.endswith(".mtx.gz") else Path(name).suffix
 
 
-def _is_triplets(matrix: Any) -> bool:
+def _is_triplets(matrix: Matrix) -> bool:
     """Say whether an array has a row of row, column and entry for each entry of a sparse matrix."""
     if sp.issparse(matrix) or matrix.ndim != 2 or matrix.shape[1] != 3 or len(matrix) < 4:
         return False
@@ -194,12 +195,12 @@ def _is_triplets(matrix: Any) -> bool:
     return bool(matrix.dtype.kind in "fiu" and np.all(places == np.floor(places)) and np.all(places >= 1))
 
 
-def _real_square(matrix: Any) -> Any:
+def _real_square(matrix: Matrix) -> sp.csr_array:
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.dtype.kind not in "fiub":
         raise ValueError(f"must hold a real square matrix (got {matrix.dtype} of shape {matrix.shape})")
     if not 1 <= matrix.shape[0] <= MOST_DOFS:
         raise ValueError(f"must have 1 to {MOST_DOFS} degrees of freedom (got {matrix.shape[0]})")
-    if sp.issparse(matrix) and matrix.format in ("csr", "csc"):
+    if sp.issparse(matrix):
         try:
             check_indices(matrix)
         except ValueError as error:
@@ -211,7 +212,7 @@ def _real_square(matrix: Any) -> Any:
     return square
 
 
-def _symmetric(matrix: Any, triangle: Triangle) -> Any:
+def _symmetric(matrix: sp.csr_array, triangle: Triangle) -> sp.csr_array:
     if triangle:
         return _mirror_triangle(matrix, triangle)
     n = matrix.shape[0]
@@ -237,7 +238,7 @@ def _symmetric(matrix: Any, triangle: Triangle) -> Any:
     return matrix
 
 
-def _triangle_alone(matrix: Any) -> str:
+def _triangle_alone(matrix: sp.csr_array) -> str:
     """Return advice for a matrix of which only one triangle is given; empty for others."""
     above, below = _off_diagonal(matrix)
     if above and below:
@@ -246,13 +247,13 @@ def _triangle_alone(matrix: Any) -> str:
     return f'; it holds only its {half} triangle: triangle = "{half}" fills in the other'
 
 
-def _off_diagonal(matrix: Any) -> tuple[int, int]:
+def _off_diagonal(matrix: sp.csr_array) -> tuple[int, int]:
     """Return the numbers of entries above and below the diagonal."""
     row = np.repeat(np.arange(matrix.shape[0], dtype=np.int32), np.diff(matrix.indptr))
     return int(np.sum(matrix.indices > row)), int(np.sum(matrix.indices < row))
 
 
-def _mirror_triangle(matrix: Any, triangle: Triangle) -> Any:
+def _mirror_triangle(matrix: sp.csr_array, triangle: Triangle) -> sp.csr_array:
     above, below = _off_diagonal(matrix)
     if (triangle == "lower" and above) or (triangle == "upper" and below):
         there = f"{above} above the diagonal, {below} below it"

@@ -5,15 +5,16 @@ They are read by mapdl-archive and ansys-mapdl-reader, in a process of its own: 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
 from fmu.formats.matrices import ansys
 from fmu.formats.matrices.isolated import read_isolated
 from fmu.formats.models.exported import Mesh, MeshFormat, mesh_of
-from fmu.types import FloatArray
+from fmu.types import AnyArray, FloatArray
 
 _KINDS = {
     1: {1: "vertex"},
@@ -35,21 +36,30 @@ _KINDS = {
 """By VTK's type of cell and the number of nodes."""
 
 
-def cdb_arrays(path: Path) -> dict[str, Any]:
+class _Grid(Protocol):
+    """A grid of PyVista."""
+
+    point_data: Mapping[str, AnyArray]
+    points: AnyArray
+    cells: AnyArray
+    celltypes: AnyArray
+
+
+def cdb_arrays(path: Path) -> dict[str, AnyArray]:
     """Return the grid of an archive as arrays; needs mapdl-archive."""
     from mapdl_archive import Archive
 
     return _arrays(Archive(str(path)).grid)
 
 
-def rst_arrays(path: Path) -> dict[str, Any]:
+def rst_arrays(path: Path) -> dict[str, AnyArray]:
     """Return the grid of a result file as arrays; needs ansys-mapdl-reader."""
     from ansys.mapdl import reader
 
     return _arrays(reader.read_binary(str(path)).grid)
 
 
-def _arrays(grid: Any) -> dict[str, Any]:
+def _arrays(grid: _Grid) -> dict[str, AnyArray]:
     found = {
         "nodes": grid.point_data["ansys_node_num"],
         "coordinates": grid.points,
@@ -70,7 +80,7 @@ def node_axes(angles: FloatArray) -> FloatArray:
     return np.asarray((about_z @ about_x @ about_y).T)
 
 
-def _mesh(found: dict[str, Any]) -> Mesh:
+def _mesh(found: dict[str, AnyArray]) -> Mesh:
     nodes, cells = found["nodes"].astype(np.int64), found["cells"].astype(np.int64)
     places = {
         node: place

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 
 from fmu.arguments import ArgumentError
 from fmu.formats.matrices.abaqus import HELD
-from fmu.formats.matrices.limits import Labelled
+from fmu.formats.matrices.limits import Labelled, Matrix, Motions
 from fmu.formats.models.exported import NO_MESH, DofName, Mesh
 from fmu.formats.shown import names_shown
 from fmu.types import DIRECTIONS, FloatArray
-
-Motions = Mapping[DofName, Mapping[DofName, float]]
 
 
 class Assembled(NamedTuple):
@@ -32,8 +30,8 @@ class Assembled(NamedTuple):
         What was left out or assumed, a sentence each.
     """
 
-    matrices: list[Any]
-    dofs: list[tuple[Any, str]]
+    matrices: list[sp.csr_array]
+    dofs: list[DofName]
     motions: Motions
     notes: list[str]
 
@@ -126,7 +124,7 @@ def _show_names(names: Sequence[DofName]) -> str:
     return names_shown([f"{node} {direction}" for node, direction in names[:3]])
 
 
-def _place_rows(matrix: Any, rows: Sequence[int], n_dof: int) -> Any:
+def _place_rows(matrix: Matrix, rows: Sequence[int], n_dof: int) -> sp.csr_array:
     """Return a matrix whose row i becomes rows[i] of n_dof, a csr_array; other rows are zero."""
     entries, at = sp.coo_array(matrix), np.asarray(rows)
     return sp.csr_array((entries.data, (at[entries.row], at[entries.col])), shape=(n_dof, n_dof))
@@ -134,7 +132,7 @@ def _place_rows(matrix: Any, rows: Sequence[int], n_dof: int) -> Any:
 
 def _turn_axes(
     dofs: Sequence[DofName], axes: Mapping[int, FloatArray]
-) -> tuple[Any, dict[DofName, dict[DofName, float]], list[str]]:
+) -> tuple[sp.csr_array | None, dict[DofName, dict[DofName, float]], list[str]]:
     """Return T of u = T u_global, None for none, the global motions of nodes that keep their axes, and notes."""
     index = {dof: i for i, dof in enumerate(dofs)}
     place: dict[tuple[int, int], float] = {}

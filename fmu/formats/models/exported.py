@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
 
-from fmu.formats.matrices.limits import RefusedError
+from fmu.formats.matrices.limits import DofName as DofName
+from fmu.formats.matrices.limits import Motions, RefusedError
 from fmu.types import FloatArray, IntArray
 
-DofName = tuple[int, str]
-"""Node id, and one of `fmu.types.DIRECTIONS`."""
 MOST_NODES = 2**20
 MOST_ELEMENTS = 2**20
 
@@ -53,7 +54,7 @@ NO_MESH = Mesh(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), (), ())
 
 
 def mesh_of(
-    places: Mapping[int, Any],
+    places: Mapping[int, ArrayLike],
     elements: Sequence[tuple[int, ...]],
     kinds: Sequence[str],
     notes: Sequence[str] = (),
@@ -116,15 +117,15 @@ class ExportedModel:
         in a model that has nodes on both faces. They go before `dofs` where both have a name.
     """
 
-    stiffness: Any
-    mass: Any
+    stiffness: sp.csr_array
+    mass: sp.csr_array
     dofs: tuple[DofName, ...]
     nodes: IntArray
     coordinates: FloatArray
     elements: tuple[tuple[int, ...], ...]
     kinds: tuple[str, ...]
     notes: tuple[str, ...] = ()
-    motions: Mapping[DofName, Mapping[DofName, float]] = field(default_factory=dict)
+    motions: Motions = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

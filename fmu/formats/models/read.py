@@ -22,7 +22,6 @@ import warnings
 from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.formats.calculix_dat import read_displacements, read_frequencies
@@ -113,7 +112,8 @@ def read_model(
     model = assemble(read, 1, where, found)
     if mesh is not None:
         require_nodes(model.dofs, model.motions, found, [path])
-    ties, notes = {}, list[str]()
+    ties: dict[DofName, dict[DofName, float]] = {}
+    notes: list[str] = []
     if tied_modes is not None:
         ties, notes = _name_argument("tied_modes", partial(read_ties, Path(tied_modes), found, model.dofs))
     return ExportedModel(
@@ -293,7 +293,7 @@ def _require_file(path: Path) -> None:
         raise ValueError(too_large(path, LARGEST_FILE))
 
 
-def _name_argument(argument: str, read: Callable[[], Any]) -> Any:
+def _name_argument[Read](argument: str, read: Callable[[], Read]) -> Read:
     """Call `read`, whose error is then an error of the argument."""
     try:
         return read()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Interval
@@ -27,7 +27,7 @@ LEAST_MPC = 0.8
 
 Place = int | str
 """A node, or the name of a place."""
-Sensors = Sequence[tuple[Any, str]]
+Sensors = Sequence[tuple[Place, str]]
 """Place and direction of each sensor; a direction may have a minus before it."""
 ModeNumber = Annotated[int, Ge(1)]
 Collinearity = Annotated[float, Interval(ge=0.0, le=1.0)]
@@ -73,7 +73,7 @@ class MeasuredModes:
     frequencies_hz: FloatArray
     labels: tuple[str, ...]
     sd_hz: FloatArray | None = None
-    sensors: tuple[tuple[Any, str], ...] = ()
+    sensors: tuple[tuple[Place, str], ...] = ()
     shapes: FloatArray | None = None
     numbers: tuple[int, ...] = ()
     use: tuple[bool, ...] = ()

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fmu.arguments import ArgumentError
 from fmu.formats.modes.measured_modes import (
@@ -35,7 +36,7 @@ from fmu.formats.modes.measured_modes import (
     real_shapes,
 )
 from fmu.formats.shown import in_words, quote
-from fmu.types import FloatArray
+from fmu.types import AnyArray, FloatArray
 
 _KEPT = ("Fn", "Phi", "Fn_std", "Phi_std", "Xi")
 FIXED = 1e-3
@@ -43,7 +44,7 @@ FIXED = 1e-3
 
 
 def pyoma_modes(
-    result: Any,
+    result: object,
     sensors: Sensors,
     modes: Sequence[int] | None = None,
     least_mpc: float = LEAST_MPC,
@@ -167,7 +168,7 @@ def read_pyoma(
     return pyoma_modes(load_pyoma(file), sensors, modes, least_mpc)
 
 
-def save_pyoma(path: Path, result: Any) -> None:
+def save_pyoma(path: Path, result: object) -> None:
     """Write the parts of a result that `pyoma_modes` needs to an ``.npz`` file, for use in a problem file."""
     given = {name: _attribute(result, name) for name in (*_KEPT, "setups_used")}
     if given["setups_used"] is not None:
@@ -177,7 +178,7 @@ def save_pyoma(path: Path, result: Any) -> None:
         np.savez(file, **arrays)
 
 
-def load_pyoma(path: Path) -> dict[str, Any]:
+def load_pyoma(path: Path) -> dict[str, AnyArray]:
     """Return the arrays that `save_pyoma` wrote; nothing is unpickled.
 
     Raises
@@ -216,7 +217,7 @@ def load_pyoma(path: Path) -> dict[str, Any]:
     return found
 
 
-def _attribute(result: Any, name: str) -> Any:
+def _attribute(result: object, name: str) -> ArrayLike | None:
     return result.get(name) if isinstance(result, Mapping) else getattr(result, name, None)
 
 

@@ -16,7 +16,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,7 +37,7 @@ from fmu.formats.modes.measured_modes import (
 )
 from fmu.formats.modes.vtu import CellType
 from fmu.formats.shown import in_words, quote
-from fmu.types import DIRECTIONS, FloatArray
+from fmu.types import DIRECTIONS, AnyArray, FloatArray
 
 SHAPES = 55
 NODES, ELEMENTS = (15, 2411), 2412
@@ -49,6 +49,10 @@ LARGEST_DATASET = 2**23
 _MOTION = (0, 1, 8, 11, 12)
 """Specific data types: unknown, general, displacement, velocity, acceleration."""
 _TAG = b"    -1"
+Dataset = Mapping[str, AnyArray]
+"""A dataset as pyuff returns it: numbers and arrays by their names."""
+_Written = dict[str | int, object]
+"""A dataset as pyuff writes it; groups of elements are by the number of their kind."""
 
 
 def read_uff(
@@ -126,10 +130,10 @@ def write_uff(
     path: Path,
     frequencies_hz: ArrayLike,
     shapes: ArrayLike,
-    sensors: Sequence[tuple[Any, str]],
+    sensors: Sensors,
     numbers: Sequence[int],
-    nodes: Mapping[Any, Any] | None = None,
-    places: Mapping[Any, ArrayLike] | None = None,
+    nodes: Mapping[int, Place] | None = None,
+    places: Mapping[Place, ArrayLike] | None = None,
     elements: Sequence[tuple[CellType, tuple[int, ...]]] = (),
 ) -> None:
     """Write real mode shapes, one dataset 55 per mode, and the nodes and elements if they are known.
@@ -175,45 +179,38 @@ def write_uff(
         table = np.zeros((len(written), len(columns)))
         for node, direction, value in zip(node_numbers, directions, sign * shape, strict=True):
             table[row[node], columns.index(direction)] = value
-        sets.append(
-            {"type": SHAPES, "analysis_type": 2, "data_ch": 2 if len(columns) == 3 else 3, "spec_data_type": 8}
-            | {"load_case": 0, "mode_n": int(number), "freq": float(frequency), "node_nums": written}
-            | {f"r{i + 1}": table[:, i] for i in range(len(columns))}
-        )
+        data_ch = 2 if len(columns) == 3 else 3
+        one: _Written = {"type": SHAPES, "analysis_type": 2, "data_ch": data_ch, "spec_data_type": 8}
+        one |= {"load_case": 0, "mode_n": int(number), "freq": float(frequency), "node_nums": written}
+        sets.append(one | {f"r{i + 1}": table[:, i] for i in range(len(columns))})
     with imported_pyuff() as pyuff:
         pyuff.UFF(str(path)).write_sets(sets, mode="overwrite")
 
 
 def _mesh(
-    places: Mapping[Any, ArrayLike],
+    places: Mapping[Place, ArrayLike],
     elements: Sequence[tuple[CellType, tuple[int, ...]]],
-    number_of: Mapping[Any, int],
-) -> list[dict[Any, Any]]:
+    number_of: Mapping[Place, int],
+) -> list[_Written]:
     """Return the datasets of nodes and elements."""
-    sets: list[dict[Any, Any]] = []
+    sets: list[_Written] = []
     if places:
         x, y, z = np.array([np.asarray(place, dtype=float) for place in places.values()]).T
         numbers = [int(number_of.get(place, place)) for place in places]
-        sets.append(
-            {"type": NODES[1], "node_nums": numbers, "x": x, "y": y, "z": z}
-            | {key: [1] * len(places) for key in ("def_cs", "disp_cs", "color")}
-        )
-    groups: dict[Any, Any] = {}
+        sets.append({"type": NODES[1], "node_nums": numbers, "x": x, "y": y, "z": z})
+        sets[0] |= {key: [1] * len(places) for key in ("def_cs", "disp_cs", "color")}
+    groups: dict[str | int, list[dict[str, object]]] = {}
     for k, (cell, nodes) in enumerate(elements, 1):
         if cell.uff:
-            one = {
-                "element_nums": k,
-                "fe_descriptor": cell.uff,
-                "num_nodes": len(nodes),
-                "nodes_nums": list(nodes),
-            }
+            one: dict[str, object] = {"element_nums": k, "fe_descriptor": cell.uff}
+            one |= {"num_nodes": len(nodes), "nodes_nums": list(nodes)}
             one |= dict.fromkeys(("phys_table", "mat_table", "color"), 1)
             one |= dict.fromkeys(("beam_orientation", "beam_foreend_cross", "beam_aftend_cross"), 0)
             groups.setdefault(cell.uff, []).append(one)
-    return [*sets, {"type": ELEMENTS} | groups] if groups else sets
+    return [*sets, {"type": ELEMENTS, **groups}] if groups else sets
 
 
-def _places(path: Path, nodes: Mapping[Any, Any] | None, modes: list[dict[str, Any]]) -> dict[int, Any]:
+def _places(path: Path, nodes: Mapping[int, Place] | None, modes: list[Dataset]) -> dict[int, Place]:
     """Return the place of each node to be used."""
     there = sorted({int(node) for mode in modes for node in mode["node_nums"]})
     if nodes is None:
@@ -225,7 +222,7 @@ def _places(path: Path, nodes: Mapping[Any, Any] | None, modes: list[dict[str, A
     return place_of
 
 
-def _values(mode: dict[str, Any], place_of: dict[int, Any]) -> dict[tuple[Any, str], complex]:
+def _values(mode: Dataset, place_of: dict[int, Place]) -> dict[tuple[Place, str], complex]:
     """Return the components of a mode by place and direction."""
     return {
         (place_of[int(node)], direction): complex(mode[f"r{i + 1}"][k])
@@ -236,24 +233,24 @@ def _values(mode: dict[str, Any], place_of: dict[int, Any]) -> dict[tuple[Any, s
     }
 
 
-def _find_moving(values: dict[int, dict[tuple[Any, str], complex]]) -> list[tuple[Any, str]]:
+def _find_moving(values: dict[int, dict[tuple[Place, str], complex]]) -> list[tuple[Place, str]]:
     """Return the sensors that move in at least one mode, in the order of the file."""
     everything = dict.fromkeys(sensor for mode in values.values() for sensor in mode)
     return [sensor for sensor in everything if any(mode.get(sensor, 0.0) != 0.0 for mode in values.values())]
 
 
-def _at(mode: dict[tuple[Any, str], complex], sensor: tuple[Any, str]) -> complex:
+def _at(mode: dict[tuple[Place, str], complex], sensor: tuple[Place, str]) -> complex:
     place, direction = sensor
     value = mode.get((place, direction.removeprefix("-")), 0.0)
     return -value if direction.startswith("-") else value
 
 
-def _frequency(mode: dict[str, Any]) -> float:
+def _frequency(mode: Dataset) -> float:
     return float(mode["freq"]) if mode["analysis_type"] in REAL else float(abs(mode["eig"]) / (2.0 * np.pi))
 
 
 @contextmanager
-def imported_pyuff() -> Iterator[Any]:
+def imported_pyuff() -> Iterator[ModuleType]:
     """Give pyuff, with its own deprecation warnings silenced."""
     try:
         import pyuff
@@ -264,7 +261,7 @@ def imported_pyuff() -> Iterator[Any]:
         yield pyuff
 
 
-def datasets(path: Path) -> list[dict[str, Any]]:
+def datasets(path: Path) -> list[Dataset]:
     """Return the datasets with modes.
 
     Raises
@@ -298,7 +295,7 @@ def read_uff_points(path: Path) -> dict[str, FloatArray]:
     return points
 
 
-def _wrong_nodes(one: Mapping[str, Any]) -> list[str]:
+def _wrong_nodes(one: Dataset) -> list[str]:
     columns = [np.asarray(one[key], dtype=float) for key in ("node_nums", "x", "y", "z")]
     if len({len(column) for column in columns}) > 1:
         return ["must have a number and three coordinates of each node"]
@@ -307,9 +304,7 @@ def _wrong_nodes(one: Mapping[str, Any]) -> list[str]:
     return []
 
 
-def _sets(
-    path: Path, kinds: tuple[int, ...], what: str, wrong: Callable[[Mapping[str, Any]], list[str]]
-) -> list[dict[str, Any]]:
+def _sets(path: Path, kinds: tuple[int, ...], what: str, wrong: Callable[[Dataset], list[str]]) -> list[Dataset]:
     """Return the datasets of some types; ModesError if one is broken, or `wrong` says so."""
     content = path.read_bytes()
     if content.count(_TAG) > 2 * MOST_DATASETS:
@@ -339,14 +334,14 @@ def _sets(
     return sets
 
 
-def _wrong(one: Mapping[str, Any]) -> list[str]:
+def _wrong(one: Dataset) -> list[str]:
     """Return the faults of a dataset that pyuff read, since pyuff accepts any number of values."""
     if one["analysis_type"] not in REAL + COMPLEX:
         return []
     frequency = "freq" if one["analysis_type"] in REAL else "eig"
-    found = (
-        [f"must have a whole mode number (got {one.get('mode_n')})"] if not _is_whole(one.get("mode_n")) else []
-    )
+    found = []
+    if not float(one.get("mode_n", np.nan)).is_integer():
+        found.append(f"must have a whole mode number (got {one.get('mode_n')})")
     if not np.isfinite(one.get(frequency, np.nan)):
         found.append(f"must have a finite frequency or eigenvalue (got {one.get(frequency)})")
     if one["spec_data_type"] not in _MOTION:
@@ -362,10 +357,6 @@ def _wrong(one: Mapping[str, Any]) -> list[str]:
     elif {len(one.get(f"r{i + 1}", ())) for i in range(one["n_data_per_node"])} != {len(one["node_nums"])}:
         found.append(f"must have {one['n_data_per_node']} values at each of its {len(one['node_nums'])} nodes")
     return found
-
-
-def _is_whole(number: Any) -> bool:
-    return isinstance(number, int | np.integer) or (isinstance(number, float) and number.is_integer())
 
 
 def computed_uff(path: Path, sensors: Sensors, _deck: Path | None = None) -> Computed:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -56,7 +56,7 @@ def write_vtu(
     elements: Iterable[Sequence[int]],
     kinds: Iterable[str],
     vectors: Mapping[str, FloatArray],
-    scalars: Mapping[str, Any],
+    scalars: Mapping[str, FloatArray],
 ) -> None:
     """Write a mesh with vectors and numbers at its nodes.
 

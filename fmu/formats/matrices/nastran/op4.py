@@ -14,7 +14,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -29,6 +29,7 @@ from fmu.formats.matrices.limits import (
     rows_within,
     text_lines,
 )
+from fmu.types import AnyArray
 
 REAL = (1, 2)
 """Types of single and double precision; 3 and 4 are complex."""
@@ -55,9 +56,9 @@ class _Entries:
     def __init__(self, header: _Header) -> None:
         self.header = header
         self.n = 0
-        self.strings: list[tuple[int, int, Any]] = []
+        self.strings: list[tuple[int, int, AnyArray]] = []
 
-    def add(self, column: int, row: int, values: Any) -> None:
+    def add(self, column: int, row: int, values: AnyArray) -> None:
         """Add values in one column from a row on, both counted from 1."""
         header = self.header
         if row < 1 or column < 1 or row - 1 + len(values) > abs(header.rows):
@@ -66,7 +67,7 @@ class _Entries:
         entries_within(self.n)
         self.strings.append((row - 1, column - 1, values))
 
-    def matrix(self) -> Any:
+    def matrix(self) -> sp.csr_array:
         """Return the matrix, a csr_array."""
         header = self.header
         rows_within(max(abs(header.rows), header.columns))
@@ -155,7 +156,7 @@ def _of_binary(file: BinaryIO, order: str, variable: str | None) -> Iterator[tup
         yield header.name, entries
 
 
-def _strings(entries: _Entries, column: int, data: bytes, whole: Any, real: Any) -> None:
+def _strings(entries: _Entries, column: int, data: bytes, whole: np.dtype, real: np.dtype) -> None:
     """Add the strings of consecutive nonzeros of a sparse column."""
     at = 0
     while at < len(data):
