@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import Protocol, Self, runtime_checkable
 
 from fmu.progress import Report
 
-Work = Callable[[Any, Any, Report | None], Any]
+type Work[Shared, Task, Result] = Callable[[Shared, Task, Report | None], Result]
 """``work(shared, task, report)``, a function of a module."""
-Follow = Callable[[int, Any], Any]
+type Follow[Task, Result] = Callable[[int, Result], Task | None]
 """``follow(i, result)`` returns the next task of sequence i, or None if the sequence has ended."""
 
 MAX_DEATHS = 3
@@ -53,14 +53,14 @@ class Engine(Protocol):
         """Number of tasks that run at once."""
         ...
 
-    def run_tasks(
+    def run_tasks[Shared, Task, Result](
         self,
-        work: Work,
-        shared: Any,
-        tasks: Sequence[Any],
-        follow: Follow | None = None,
+        work: Work[Shared, Task, Result],
+        shared: Shared,
+        tasks: Sequence[Task],
+        follow: Follow[Task, Result] | None = None,
         report: Report | None = None,
-    ) -> list[Any]:
+    ) -> list[Result]:
         """Run ``work(shared, task, report)`` for every task, and for every task that follows from a result.
 
         A sequence of tasks, in which each follows from the result of the one before, runs one after the other;
@@ -114,18 +114,18 @@ class InProcess(Engine):
     def __repr__(self) -> str:
         return "InProcess()"
 
-    def run_tasks(
+    def run_tasks[Shared, Task, Result](
         self,
-        work: Work,
-        shared: Any,
-        tasks: Sequence[Any],
-        follow: Follow | None = None,
+        work: Work[Shared, Task, Result],
+        shared: Shared,
+        tasks: Sequence[Task],
+        follow: Follow[Task, Result] | None = None,
         report: Report | None = None,
-    ) -> list[Any]:
+    ) -> list[Result]:
         """Run the tasks, see `Engine.run_tasks`; `shared` is passed as it is."""
         from threadpoolctl import threadpool_limits
 
-        results: list[Any] = [None] * len(tasks)
+        results: dict[int, Result] = {}
         waiting = deque(enumerate(tasks))
         with threadpool_limits(1, "blas"):
             while waiting:
@@ -134,7 +134,7 @@ class InProcess(Engine):
                 following = None if follow is None else follow(i, results[i])
                 if following is not None:
                     waiting.append((i, following))
-        return results
+        return [results[i] for i in range(len(tasks))]
 
     def close(self) -> None:
         """Do nothing: there are no workers to stop."""

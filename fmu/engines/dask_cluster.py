@@ -15,14 +15,13 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from functools import cache
-from typing import Any
 
 import cloudpickle
 import dask
 import distributed
 
 from fmu.engines.base import RunFailedError
-from fmu.engines.remote import Outcome, RemoteEngine, Shared, Task, carry_out, limit_blas_threads
+from fmu.engines.remote import Message, Outcome, RemoteEngine, Shared, Task, carry_out, limit_blas_threads
 from fmu.progress import Report
 
 _ADDRESS = re.compile(r"tcp://[^\s/]+:\d+")
@@ -68,12 +67,15 @@ class DaskCluster(RemoteEngine):
         except BaseException:
             _set_levels(self._levels)
             raise
-        self._running: dict[str, tuple[Any, Task]] = {}  # by key: the future and the task
+        self._shared: tuple[object, distributed.Future] | None = None  # for all tasks, and its task
+        self._running: dict[str, tuple[distributed.Future, Task]] = {}  # by key: the future and the task
         self._last_report: dict[str, int] = {}  # by key: the number of the last report that was passed on
         self._n_threads = self.workers
-        self._inbox: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
+        self._inbox: queue.SimpleQueue[tuple[str, bytes]] = (
+            queue.SimpleQueue()
+        )  # reports have no key
         self._topic = f"fmu-{self._client.id}"
-        self._client.subscribe_topic(self._topic, lambda event: self._inbox.put(("report", event[1])))
+        self._client.subscribe_topic(self._topic, lambda event: self._inbox.put(("", event[1])))
 
     def __repr__(self) -> str:
         return f"DaskCluster({self.address!r})"
@@ -89,7 +91,7 @@ class DaskCluster(RemoteEngine):
         self._client.close()
         _set_levels(self._levels)
 
-    def _start(self, waiting: deque[Task], shared: Any) -> bool:
+    def _start(self, waiting: deque[Task], shared: object) -> bool:
         """Submit as many tasks as there are threads: a task queued at a worker would be lost with that worker.
 
         A task can also be lost through the death of another task's worker. So a task that was lost is run again
@@ -103,10 +105,10 @@ class DaskCluster(RemoteEngine):
             common = self._future(shared)
             future = self._submit(key, run_on_worker, common, common.key, key, packed, self._topic)
             self._running[key] = future, waiting.popleft()
-            future.add_done_callback(lambda future: self._inbox.put(("done", future.key)))
+            future.add_done_callback(lambda future: self._inbox.put((future.key, b"")))
         return bool(self._running)
 
-    def _future(self, shared: Any) -> Any:
+    def _future(self, shared: object) -> distributed.Future:
         """Return `shared` as the future of a task of its own, which workers copy from each other.
 
         If it is lost with a worker, the scheduler runs that task again. Scattered data would be lost, and a
@@ -121,24 +123,24 @@ class DaskCluster(RemoteEngine):
             self._shared = shared, self._submit(key, return_argument, packed)
         return self._shared[1]
 
-    def _submit(self, key: str, function: Callable[..., Any], *arguments: Any) -> Any:
+    def _submit(self, key: str, function: Callable[..., Bytes], *arguments: object) -> distributed.Future:
         with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 TB"}):
             return self._client.submit(function, *arguments, key=key, pure=False)
 
     def _take_ended(self, report: Report | None) -> Iterator[tuple[Task, Outcome]]:
         try:
-            kind, content = self._inbox.get(timeout=_CHECK_INTERVAL_S)
+            key, content = self._inbox.get(timeout=_CHECK_INTERVAL_S)
         except queue.Empty:
             if self._client.status != "running":
                 raise RunFailedError(f"--cluster: lost the connection to the scheduler ({self.address})") from None
             self._n_threads = self.workers
             ended = [key for key, (future, _) in self._running.items() if future.status in ("cancelled", "lost")]
         else:
-            if kind == "report":
+            if not key:
                 key, number, message = cloudpickle.loads(content)
                 self._pass_on(key, number, message, report)
                 return
-            ended = [content]
+            ended = [key]
         for key in ended:
             if key in self._running:  # not a task that was abandoned
                 outcome = self._outcome(key, report)
@@ -157,7 +159,7 @@ class DaskCluster(RemoteEngine):
             self._pass_on(key, number, message, report)
         return Outcome(outcome)
 
-    def _pass_on(self, key: str, number: int, message: tuple[Any, ...], report: Report | None) -> None:
+    def _pass_on(self, key: str, number: int, message: Message, report: Report | None) -> None:
         if key in self._running and report is not None:
             self._last_report[key] = number
             report(*message)
@@ -204,9 +206,9 @@ def run_on_worker(shared: Bytes, name: str, key: str, task: Bytes, topic: str) -
     """
     _limit_blas_threads_once()
     number = 0
-    last: Any = None
+    last: Message | None = None
 
-    def send(report: tuple[Any, ...]) -> None:
+    def send(report: Message) -> None:
         nonlocal number, last
         number, last = number + 1, report
         distributed.get_worker().log_event(topic, cloudpickle.dumps((key, number, last)))
@@ -228,7 +230,7 @@ def _check_scheduler(address: str, answer_s: float) -> None:
     A client that cannot connect prints a second error when it is garbage-collected, so it is not created then.
     """
 
-    async def identity() -> Any:
+    async def identity() -> dict[str, object]:
         async with distributed.rpc(address, timeout=answer_s) as scheduler:
             return await asyncio.wait_for(scheduler.identity(), answer_s)
 

@@ -98,6 +98,7 @@ class ProcessPool(RemoteEngine):
     def __init__(self, workers: int) -> None:
         super().__init__()
         self._workers = workers
+        self._shared: tuple[object, bytes] | None = None  # the object that all tasks need, and its bytes
         self._processes: list[WorkerProcess] = []
         _pools.add(self)
 
@@ -116,7 +117,7 @@ class ProcessPool(RemoteEngine):
         for process in processes:
             process.stop()
 
-    def _start(self, waiting: deque[Task], shared: Any) -> bool:
+    def _start(self, waiting: deque[Task], shared: object) -> bool:
         packed = self._pack_shared(shared)
         idle = [process for process in self._processes if process.task is None]
         for _ in range(min(len(waiting) - len(idle), self.workers - len(self._processes))):
@@ -149,12 +150,11 @@ class ProcessPool(RemoteEngine):
         self._processes.remove(process)
         process.stop()
 
-    def _pack_shared(self, shared: Any) -> bytes:
+    def _pack_shared(self, shared: object) -> bytes:
         """Return `shared` pickled: the same bytes as last time if it is the same object."""
         if self._shared is None or self._shared[0] is not shared:
             self._shared = shared, cloudpickle.dumps(shared)
-        packed: bytes = self._shared[1]
-        return packed
+        return self._shared[1]
 
 
 def serve(connection: Connection, path: list[str], folder: str) -> None:

@@ -10,16 +10,18 @@ import threading
 import traceback
 from abc import abstractmethod
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import cloudpickle
 
 from fmu.engines.base import MAX_DEATHS, Engine, Follow, InProcess, LostTaskError, Work
-from fmu.progress import Report
+from fmu.progress import Info, Report
 from fmu.progress.pace import Throttle
 
 _REPORT_INTERVAL_S = 0.1
+Message = tuple[str, int, int, Info]
+"""The arguments of a `Report`."""
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 
@@ -27,8 +29,8 @@ class Task(NamedTuple):
     """A task of a sequence."""
 
     sequence: int
-    work: Work
-    argument: Any
+    work: Callable[..., object]
+    argument: object
     reports: bool
     deaths: int = 0
     """How many workers have died while they ran it."""
@@ -61,20 +63,19 @@ class RemoteEngine(Engine):
 
     def __init__(self) -> None:
         self._busy = threading.Lock()
-        self._shared: tuple[Any, Any] | None = None  # the object that all tasks need, and the form it is sent in
 
-    def run_tasks(
+    def run_tasks[Shared, Step, Result](
         self,
-        work: Work,
-        shared: Any,
-        tasks: Sequence[Any],
-        follow: Follow | None = None,
+        work: Work[Shared, Step, Result],
+        shared: Shared,
+        tasks: Sequence[Step],
+        follow: Follow[Step, Result] | None = None,
         report: Report | None = None,
-    ) -> list[Any]:
+    ) -> list[Result]:
         """Run the tasks, see `fmu.engines.base.Engine.run_tasks`."""
         if not self._busy.acquire(blocking=False):
             return InProcess().run_tasks(work, shared, tasks, follow, report)
-        results: list[Any] = [None] * len(tasks)
+        results: dict[int, Result] = {}
         waiting = deque(Task(i, work, task, report is not None) for i, task in enumerate(tasks))
         try:
             while self._start(waiting, shared):
@@ -92,10 +93,10 @@ class RemoteEngine(Engine):
             raise
         finally:
             self._busy.release()
-        return results
+        return [results[i] for i in range(len(tasks))]
 
     @abstractmethod
-    def _start(self, waiting: deque[Task], shared: Any) -> bool:
+    def _start(self, waiting: deque[Task], shared: object) -> bool:
         """Start as many of the waiting tasks as there are idle workers; return whether any task is running."""
 
     @abstractmethod
@@ -112,9 +113,9 @@ class Shared:
 
     def __init__(self, packed: bytes) -> None:
         self._packed: bytes | None = packed
-        self._value: Any = None
+        self._value: object = None
 
-    def __call__(self) -> Any:
+    def __call__(self) -> object:
         """Return the data."""
         if self._packed is not None:
             self._value = cloudpickle.loads(self._packed)
@@ -122,7 +123,7 @@ class Shared:
         return self._value
 
 
-def carry_out(task: bytes, shared: Callable[[], Any], send: Callable[[tuple[Any, ...]], None]) -> bytes:
+def carry_out(task: bytes, shared: Callable[[], object], send: Callable[[Message], None]) -> bytes:
     """Run a pickled task and return its pickled outcome: (result, exception or None, traceback).
 
     Its reports go to `send`, at most ten a second.
@@ -169,10 +170,10 @@ def _again(task: Task, outcome: Outcome) -> Task:
     return task._replace(deaths=deaths)
 
 
-def _throttle_reports(send: Callable[[tuple[Any, ...]], None]) -> Report:
+def _throttle_reports(send: Callable[[Message], None]) -> Report:
     throttle = Throttle(_REPORT_INTERVAL_S)
 
-    def report(phase: str, done: int, total: int, info: Mapping[str, Any]) -> None:
+    def report(phase: str, done: int, total: int, info: Info) -> None:
         if throttle.lets(None, ends=done >= total):
             send((phase, done, total, dict(info)))
 

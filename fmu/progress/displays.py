@@ -8,14 +8,16 @@ from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any, Self, TextIO
+from typing import TYPE_CHECKING, Self, TextIO
 
 from fmu.numbers import fixed
 from fmu.progress.pace import Pace, Throttle
 from fmu.progress.words import Info, Report, as_json, bar_name, duration, in_words
 
 if TYPE_CHECKING:
+    from IPython.display import DisplayHandle
     from rich.console import Console
+    from rich.progress import Progress, TaskID
 
 _LINE_S = 1.0
 _REDRAW_S = 0.05
@@ -46,7 +48,7 @@ def terminal_bars(console: Console | None = None) -> Iterator[Report]:
         TextColumn("{task.fields[words]}", table_column=Column(no_wrap=True, overflow="ellipsis")),
     )
     with Progress(*columns, console=console) as bars:
-        tasks: dict[str, Any] = {}
+        tasks: dict[str, TaskID] = {}
         paces: dict[str, Pace] = defaultdict(Pace)
         throttle, brief = Throttle(_REDRAW_S), bars.console.width < _NARROW
 
@@ -87,7 +89,7 @@ class SuccessiveBars:
         self._report = None
 
 
-def _make_room(bars: Any) -> None:
+def _make_room(bars: Progress) -> None:
     """Hide the first finished bars if they do not all fit on the terminal."""
     shown = [task for task in bars.tasks if task.visible]
     for task in shown[: max(len(shown) - (bars.console.size.height - _ROWS_SPARED), 0)]:
@@ -102,7 +104,7 @@ class NotebookBars:
         self._began: dict[str, float] = {}
         self._paces: dict[str, Pace] = defaultdict(Pace)
         self._throttle = Throttle(_REDRAW_S)
-        self._handle: Any = None
+        self._handle: DisplayHandle | None = None
 
     def report(self, phase: str, done: int, total: int, info: Info) -> None:
         """Report steps done of a phase."""
@@ -151,7 +153,7 @@ class JSONLines:
         self._stream: TextIO | None = stream
         self._throttle = Throttle(_LINE_S)
         self._paces: dict[str, Pace] = defaultdict(Pace)
-        self._held_back: dict[str, dict[str, Any]] = {}
+        self._held_back: dict[str, dict[str, object]] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -165,7 +167,7 @@ class JSONLines:
         self._paces[name].add(now, done, total)
         left = self._paces[name].remaining(now)
         stamp = datetime.now(UTC).isoformat(timespec="milliseconds").removesuffix("+00:00")
-        line = {
+        line: dict[str, object] = {
             "time": f"{stamp}Z",
             **({"label": info["label"]} if "label" in info else {}),
             "phase": phase,
@@ -186,7 +188,7 @@ class JSONLines:
             self._write(line)
         self._held_back.clear()
 
-    def _write(self, line: dict[str, Any]) -> None:
+    def _write(self, line: dict[str, object]) -> None:
         if self._stream is None:
             return
         try:

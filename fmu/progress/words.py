@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from numbers import Integral, Real
-from typing import Any
 
 from fmu.numbers import MISSING, fixed, significant
 
@@ -53,26 +52,18 @@ def number(value: float) -> str:
         if abs(value) >= 0.9995 * size:
             scaled = value / size
             return f"{fixed(scaled, 1 if abs(scaled) < 99.95 else 0)}{prefix}"
-    return fixed(value, 0) if isinstance(value, int) or abs(value) >= 99.95 else significant(value)
+    return fixed(value, 0) if abs(value) >= 99.95 else significant(value)
 
 
-def as_json(value: Any) -> str:
+def as_json(value: object) -> str:
     """Return a value as JSON: NumPy's numbers as numbers, non-finite values as null, other objects as text."""
-    return json.dumps(_plain(value))
+    return json.dumps(json.loads(json.dumps(value, default=_plain), parse_constant=lambda name: None))
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {name: _plain(item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if value is None or isinstance(value, bool | str):
-        return value
+def _plain(value: object) -> int | float | str:
     if isinstance(value, Integral):
         return int(value)
-    if isinstance(value, Real):
-        return float(value) if math.isfinite(value) else None
-    return str(value)
+    return float(value) if isinstance(value, Real) else str(value)
 
 
 def _item(name: str, value: str | int | float, brief: bool) -> str:
