@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -29,7 +28,7 @@ def _as_in_run(command: click.Command) -> click.Command:
               help="About how many solves a sampler may take, warm-up included.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), help="Output directory.  [default: compare/CASE-PAIRING]")
 @click.pass_context
-def compare(context: click.Context, case: str, out: Path | None, **orders: Any) -> int:
+def compare(context: click.Context, case: str, out: Path | None, pairing: str | None, **orders: object) -> int:
     """Compare samplers on one problem, with emcee as the baseline.
 
     Of a built-in problem or a TOML file, runs mh, slice, hmc, emcee and mixture, from one search for maxima, until
@@ -42,9 +41,9 @@ def compare(context: click.Context, case: str, out: Path | None, **orders: Any) 
         return 0
     from fmu.cli.problems import problem_of
 
-    problem = problem_of(case, orders["pairing"])
+    problem = problem_of(case, pairing)
     directory = out or Path("compare") / f"{problem.file.stem}-{problem.pairing}"
-    return int(context.invoke(run, case=case, out=directory, samplers=COMPARED, **orders))
+    return int(context.invoke(run, case=case, out=directory, pairing=pairing, samplers=COMPARED, **orders))
 
 
 def _compare_run(directory: Path) -> None:

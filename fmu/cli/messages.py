@@ -8,7 +8,7 @@ import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NoReturn, TextIO
 
 import click
 
@@ -23,10 +23,10 @@ STOPPED = 130  # what a shell reports for a command that Ctrl-C ended
 class _Unbroken:
     """Standard output that goes nowhere once its reader has gone, as ``head`` does: the command goes on."""
 
-    def __init__(self, stream: Any) -> None:
+    def __init__(self, stream: TextIO) -> None:
         self._stream = stream
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
@@ -57,7 +57,7 @@ class Commands(click.Group):
         """Return the commands in the order in which they are used."""
         return list(self.commands)
 
-    def main(self, *args: Any, **kwargs: Any) -> Any:
+    def main(self, *args: Any, **kwargs: Any) -> NoReturn:
         """Run a command and exit with its code, even if nobody reads its output any more."""
         if sys.stdout is sys.__stdout__ and sys.stdout is not None:
             sys.stdout = _Unbroken(sys.stdout)
@@ -94,7 +94,7 @@ def _of_system(error: OSError) -> str:
     return str(error)
 
 
-def _fail(message: str, *mistakes: object, code: int = BAD_INPUT) -> None:
+def _fail(message: str, *mistakes: object, code: int = BAD_INPUT) -> NoReturn:
     """Print one line, and one more for each of the first mistakes in a file; exit."""
     from fmu.formats.shown import list_mistakes, one_line
 
@@ -120,11 +120,18 @@ def warnings_as_notes() -> Iterator[None]:
 
     show = warnings.showwarning
 
-    def as_note(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+    def as_note(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
         if issubclass(category, notes):
             click.echo(f"Note: {message}", err=True)
         else:
-            show(message, category, *where, **more)
+            show(message, category, filename, lineno, file, line)
 
     warnings.showwarning = as_note
     try:

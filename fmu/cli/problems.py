@@ -6,7 +6,7 @@ import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 
-def pairing_option(command: Callable[..., Any]) -> Callable[..., Any]:
+def pairing_option[Command: Callable[..., object]](command: Command) -> Command:
     """Add the option ``--pairing``."""
     text = (
         "How computed modes are paired with measured ones: by shape, by number in the spectrum, or softly by "

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import click
 from click.core import ParameterSource
@@ -19,7 +19,7 @@ from fmu.cli.output import claim_directory, make_writable
 from fmu.cli.problems import build_problem, pairing_option, problem_of
 from fmu.cli.sampled import sample_problem, tell
 from fmu.cli.surrogate import MAX_SOLVES, NO_SURROGATE, of_its_surrogate, wants_surrogate, with_surrogate
-from fmu.config.kept import ORIGIN, KeptProblem, read_saved
+from fmu.config.kept import ORIGIN, KeptProblem, Orders, read_saved
 from fmu.interruption import stoppable
 from fmu.progress import Report, json_lines, progress_bars
 from fmu.progress.lines import progress_lines
@@ -44,7 +44,9 @@ _GARBAGE, _GARBAGE_OF_PAGES = 100_000, 1_000_000
 are written, nearly all of them are in use, and small."""
 
 
-def _option(name: str, kind: Any, text: str, **more: Any) -> Callable[..., Any]:
+def _option[Command: Callable[..., object]](
+    name: str, kind: click.ParamType | type | None, text: str, **more: Any
+) -> Callable[[Command], Command]:
     """Return an option; if it is an argument of `fmu.sample` with a default value, it has the same one."""
     default = DEFAULTS.get(name.removeprefix("--").replace("-", "_"))
     if default is not None:
@@ -109,7 +111,7 @@ def run(
     workers: int,
     cluster: str | None,
     progress: str,
-    **orders: Any,
+    **orders: Unpack[Orders],
 ) -> int:
     """Sample the posterior of CASE: a built-in problem, or a TOML file.
 
@@ -181,9 +183,7 @@ def _tell_stop(directory: Path, where: str = "") -> int:
     return STOPPED
 
 
-def _read_order(
-    context: click.Context, case: str | None, pairing: str | None, orders: dict[str, Any]
-) -> KeptProblem:
+def _read_order(context: click.Context, case: str | None, pairing: str | None, orders: Orders) -> KeptProblem:
     """Return the problem and the options of a new run; an error if they conflict."""
     if case is None:
         raise click.MissingParameter(ctx=context, param_hint="'CASE'", param_type="argument")
@@ -212,7 +212,7 @@ def _read_order(
     return replace(problem, orders=orders)
 
 
-def _read_resumed(context: click.Context, directory: Path, orders: dict[str, Any]) -> KeptProblem:
+def _read_resumed(context: click.Context, directory: Path, orders: Orders) -> KeptProblem:
     """Return the problem and the options of the run in a directory; BadParameter if one must not be changed."""
     from fmu.runs.run_directory import folder_of_order
 
@@ -229,8 +229,12 @@ def _read_resumed(context: click.Context, directory: Path, orders: dict[str, Any
     found = read_saved(where) if (where / ORIGIN).is_file() else None
     if found is None or not found.orders:
         raise click.BadParameter(f"{directory} contains no run that can be resumed.", param_hint="'--resume'")
-    anew = {str(p.name): orders[str(p.name)] for p in given if p.name in found.orders}
-    return replace(found, orders={**found.orders, **anew})
+    anew, names = found.orders.copy(), {p.name for p in given}
+    if "max_solves" in names:
+        anew["max_solves"] = orders["max_solves"]
+    if "max_failure_rate" in names:
+        anew["max_failure_rate"] = orders["max_failure_rate"]
+    return replace(found, orders=anew)
 
 
 def _begin_run(
@@ -256,7 +260,7 @@ def _begin_run(
     return problem
 
 
-def _echo_estimate(problem: UpdatingProblem, orders: Any, workers: int) -> None:
+def _echo_estimate(problem: UpdatingProblem, orders: Orders, workers: int) -> None:
     """Print an estimate of the time and the solves that the run will take."""
     from fmu.analysis.estimate import estimates, estimates_in_words
     from fmu.analysis.maxima.search import default_starts

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from fmu.analysis.maxima.results import Maxima
-    from fmu.config.kept import KeptProblem
+    from fmu.config.kept import KeptProblem, Orders
     from fmu.engines.base import Engine
     from fmu.posterior.problem import UpdatingProblem
     from fmu.runs.run_directory import RunDirectory
@@ -121,7 +121,7 @@ def _tell_draws(
     outcome: Sampled,
     problem: UpdatingProblem,
     running: RunDirectory,
-    orders: Mapping[str, Any],
+    orders: Orders,
     report: Report | None,
     trace: xr.DataTree,
 ) -> None:
@@ -139,7 +139,7 @@ def _tell_draws(
     _echo_failed_points(name, trace, running.path, problem)
     echo_verdict(name, diagnose_all({**outcome.traces, name: trace}, summaries=outcome.summaries)[name])
     if "limit" in trace.attrs and (_is_certified(problem, orders) or not may_learn_more(problem, orders)):
-        most, until = _until(orders)["max_solves"], orders["until_ess"]
+        most, until = _limit(orders), orders["until_ess"]
         if orders.get("exact"):
             most = int(trace.attrs["warmup_n_solves"]) + int(trace.attrs["n_solves"])
         aim = f"--until-ess {typed(until)}" if until else "convergence"
@@ -148,26 +148,33 @@ def _tell_draws(
     click.echo()
 
 
-def _is_certified(problem: UpdatingProblem, orders: Mapping[str, Any]) -> bool:
+def _is_certified(problem: UpdatingProblem, orders: Orders) -> bool:
     """Say whether the model has no surrogate, or a certified one, or draws are made exact."""
     certificate = problem.model.certificate
     return certificate is None or bool(orders.get("exact")) or certificate.ok
 
 
-def _until(orders: Mapping[str, Any]) -> dict[str, Any]:
+def _until(orders: Orders) -> dict[str, object]:
     """Return the options of a run that are arguments of `fmu.sample`; without draws, when its sampling ends."""
     from fmu.analysis.convergence.remedies import ESS_LIMIT
 
-    arguments = {key: orders[key] for key in sampling.DEFAULTS if key in orders}
-    if orders.get("surrogate"):  # the limit is of solves of the model itself
-        arguments["max_solves"] = max(orders["max_solves"], MAX_SOLVES)
+    arguments = {key: order for key, order in orders.items() if key in sampling.DEFAULTS}
     if orders["draws"] is None:
-        return arguments | {"until_ess": max(orders["until_ess"] or 0.0, ESS_LIMIT)}
+        return arguments | {"max_solves": _limit(orders), "until_ess": max(orders["until_ess"] or 0.0, ESS_LIMIT)}
     return arguments | {"max_solves": None}
 
 
+def _limit(orders: Orders) -> int:
+    """Return the limit of solves of a sampler: with a surrogate, of solves of the model itself."""
+    return max(orders["max_solves"], MAX_SOLVES if orders.get("surrogate") else 0)
+
+
 def _draw_trace(
-    draw: Callable[..., xr.DataTree], name: str, problem: UpdatingProblem, running: RunDirectory, **arguments: Any
+    draw: Callable[..., xr.DataTree],
+    name: str,
+    problem: UpdatingProblem,
+    running: RunDirectory,
+    **arguments: object,
 ) -> xr.DataTree:
     """Draw with one sampler and write its trace; StoppedRun says which sampler was stopped."""
     from fmu.samplers.loop.saving import TooManyFailuresError
@@ -211,7 +218,7 @@ def _write_csv(table: pd.DataFrame, path: Path) -> None:
     write_durably(path, table.to_csv().encode())
 
 
-def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Mapping[str, Any]) -> int:
+def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Orders) -> int:
     """Print evidences, comparison and the verdict on the model, and write the comparison; return the exit code."""
     from fmu.analysis.certificate import exact_in_words
     from fmu.analysis.convergence.diagnosis import choose_run, is_enough
@@ -219,6 +226,7 @@ def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Ma
     from fmu.analysis.trace.damage import GROUP as LOSSES
     from fmu.analysis.trace.reading import has
     from fmu.cli.damage import echo_losses
+    from fmu.surrogates.learning import certificate_of
 
     _, traces, summaries = outcome
     comparison, verdicts = echo_comparison(traces, summaries, with_verdicts=len(traces) > 1)
@@ -230,11 +238,11 @@ def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Ma
         click.echo(f"A picture, and other limits: fmu damage {directory}")
     echo_evidences(found_evidences(traces, verdicts, outcome.maxima))
     is_certified = _is_certified(problem, orders)
-    certificate: Any = problem.model.certificate
+    certificate = problem.model.certificate
     if certificate is not None:
         click.echo("\nCertificate of the surrogate\n" + "\n".join(certificate.sentences()))
         if not is_certified and may_learn_more(problem, orders):
-            more = 2 * certificate.solves
+            more = 2 * certificate_of(problem).solves
             click.echo(f"To learn from more solves: fmu run --resume {directory} --max-solves {more}")
     for name, trace in traces.items() if orders.get("exact") else ():
         click.echo("\n" + " ".join([f"{name}:", *exact_in_words(trace.attrs)]))

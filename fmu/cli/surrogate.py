@@ -10,11 +10,9 @@ import click
 from fmu.numbers import significant, whole
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     import xarray as xr
 
-    from fmu.config.kept import KeptProblem
+    from fmu.config.kept import KeptProblem, Orders
     from fmu.engines.base import Engine
     from fmu.posterior.problem import UpdatingProblem
     from fmu.runs.run_directory import RunDirectory
@@ -53,9 +51,7 @@ def wants_surrogate(problem: UpdatingProblem, asked: bool | None) -> bool:
     return seconds_of_a_solve(problem) >= SLOW_S
 
 
-def with_surrogate(
-    problem: UpdatingProblem, orders: Mapping[str, Any], engine: Engine, speaks: bool
-) -> UpdatingProblem:
+def with_surrogate(problem: UpdatingProblem, orders: Orders, engine: Engine, speaks: bool) -> UpdatingProblem:
     """Learn the surrogate; print its cost beforehand and its certificate afterwards."""
     from fmu.analysis.estimate import seconds_of_a_solve, time_in_words
     from fmu.surrogates.delayed_acceptance import proposals
@@ -83,7 +79,7 @@ def with_surrogate(
     return found
 
 
-def _budget(problem: UpdatingProblem, orders: Mapping[str, Any]) -> int:
+def _budget(problem: UpdatingProblem, orders: Orders) -> int:
     """Return the limit of solves of a surrogate: the requested one, but at most the default for exact draws."""
     from fmu.surrogates.learning import most_solves
 
@@ -91,7 +87,7 @@ def _budget(problem: UpdatingProblem, orders: Mapping[str, Any]) -> int:
     return min(by_default, most) if most == MAX_SOLVES or orders.get("exact") else most
 
 
-def may_learn_more(problem: UpdatingProblem, orders: Mapping[str, Any]) -> bool:
+def may_learn_more(problem: UpdatingProblem, orders: Orders) -> bool:
     """Return whether a surrogate ended because it had no solves left for another certificate."""
     from fmu.surrogates.learning import CHECKS, certificate_of
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -168,7 +168,7 @@ def _beside_the_ends(columns: list[str]) -> list[str]:
     return [name for column in others for name in (column, errors.get(column)) if name is not None]
 
 
-def _cell(name: str, value: Any) -> str:
+def _cell(name: str, value: object) -> str:
     """Format a value of the comparison: whole numbers in full, a dash for what does not apply."""
     if str(value) == "<NA>":
         return MISSING

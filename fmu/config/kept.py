@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypedDict
 
 from fmu.durable_files import write_durably
 
@@ -22,6 +22,28 @@ _ABOUT = (
 )
 
 
+class Orders(TypedDict, total=False):
+    """The options of a run, as ``fmu run`` has them; those that an earlier version did not have may be missing."""
+
+    samplers: Sequence[str]
+    draws: int | None
+    until_ess: float | None
+    max_solves: int
+    warmup: int | None
+    chains: int
+    groups: int | None
+    seed: int
+    starts: int | None
+    init: str
+    surrogate: bool | None
+    exact: bool
+    max_failure_rate: float
+    keep_draws: int
+    keep_seconds: float
+    design: str
+    """Of the surrogate: a hash of the solves that it has learnt from."""
+
+
 @dataclass(frozen=True)
 class KeptProblem:
     """A problem file, and what a run was asked to do with it.
@@ -33,7 +55,7 @@ class KeptProblem:
         Directory of the files that it refers to.
     pairing : str or None
         How modes are paired; None for the pairing in the file.
-    orders : mapping of str to JSON value
+    orders : Orders
         The options of the run: samplers, draws, seed and so on.
     finished : tuple of str
         The samplers that have finished.
@@ -42,7 +64,7 @@ class KeptProblem:
     file: Path
     folder: Path
     pairing: str | None
-    orders: Mapping[str, Any] = field(default_factory=dict)
+    orders: Orders = field(default_factory=Orders)
     finished: tuple[str, ...] = ()
 
     def load(self, engine: Engine | None = None) -> UpdatingProblem:
@@ -88,7 +110,8 @@ def read_saved(directory: Path, model: Path | None = None) -> KeptProblem:
     try:
         origin = json.loads((directory / ORIGIN).read_text(encoding="utf-8"))
         folder, pairing = str(origin["folder"]), str(origin["pairing"])
-        orders, finished = dict(origin["orders"]), tuple(map(str, origin["finished"]))
+        orders = Orders(**origin["orders"])
+        finished = tuple(map(str, origin["finished"]))
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{directory / ORIGIN} is not as fmu run wrote it ({error})") from error
     if model is not None:

@@ -71,9 +71,7 @@ class DaskCluster(RemoteEngine):
         self._running: dict[str, tuple[distributed.Future, Task]] = {}  # by key: the future and the task
         self._last_report: dict[str, int] = {}  # by key: the number of the last report that was passed on
         self._n_threads = self.workers
-        self._inbox: queue.SimpleQueue[tuple[str, bytes]] = (
-            queue.SimpleQueue()
-        )  # reports have no key
+        self._inbox: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()  # reports have no key
         self._topic = f"fmu-{self._client.id}"
         self._client.subscribe_topic(self._topic, lambda event: self._inbox.put(("", event[1])))
 

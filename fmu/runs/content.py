@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.durable_files import DamagedError, add_checksum, digest, payload_of
 from fmu.posterior.failures import Failure
 from fmu.samplers.loop.group import GroupState
 from fmu.samplers.loop.record import Steps
+from fmu.types import AnyArray
 
 TITLE = "fmu state 3"
 _EARLIER = (b"fmu state 1\n", b"fmu state 2\n")
@@ -188,10 +188,10 @@ def read_segment(directory: Path, segment: Segment) -> bytes:
     return content
 
 
-def _apart(tree: Mapping[str, Any], path: str = "") -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def _apart(tree: Mapping[str, Any], path: str = "") -> tuple[dict[str, Any], dict[str, AnyArray]]:
     """Return a tree without its arrays, and the arrays by their paths in it, such as ``state/position``."""
     plain: dict[str, Any] = {}
-    arrays: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, AnyArray] = {}
     for name, value in tree.items():
         if isinstance(value, Mapping):
             plain[name], inner = _apart(value, f"{path}{name}/")
@@ -203,7 +203,7 @@ def _apart(tree: Mapping[str, Any], path: str = "") -> tuple[dict[str, Any], dic
     return plain, arrays
 
 
-def _together(plain: dict[str, Any], arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+def _together(plain: dict[str, Any], arrays: Mapping[str, AnyArray]) -> dict[str, Any]:
     """Return the tree that `_apart` took apart."""
     for path, array in arrays.items():
         *folders, name = path.split("/")

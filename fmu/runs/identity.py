@@ -87,7 +87,7 @@ def arithmetic() -> str:
     return ", ".join((platform.machine(), *sorted(kinds)))
 
 
-def _differences(there: Any, here: Any, where: str = "") -> Iterator[str]:
+def _differences(there: object, here: object, where: str = "") -> Iterator[str]:
     """Yield the differences between two configurations, in words."""
     if isinstance(there, Mapping) and isinstance(here, Mapping):
         for key in dict.fromkeys((*there, *here)):
@@ -99,6 +99,6 @@ def _differences(there: Any, here: Any, where: str = "") -> Iterator[str]:
         yield f"{where} {_short(there)} there, {_short(here)} here"
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     text = json.dumps(value)
     return text if len(text) <= 60 else f"{text[:57]}…"

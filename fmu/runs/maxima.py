@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from fmu.analysis.maxima.results import Maxima
+    from fmu.posterior.problem import UpdatingProblem
 
 FILE = "maxima.nc"
 
 
-def keep_maxima(directory: Path, maxima: Maxima, problem: Any) -> None:
+def keep_maxima(directory: Path, maxima: Maxima, problem: UpdatingProblem) -> None:
     """Write the maxima into a directory, with a hash of the posterior."""
     import xarray as xr
 
@@ -24,7 +25,7 @@ def keep_maxima(directory: Path, maxima: Maxima, problem: Any) -> None:
     save_trace(tree, directory / FILE)
 
 
-def kept_maxima(directory: str | os.PathLike[str], problem: Any = None) -> Maxima | None:
+def kept_maxima(directory: str | os.PathLike[str], problem: UpdatingProblem | None = None) -> Maxima | None:
     """Return the saved maxima; None if they are missing, damaged, or not of the problem, if one is given."""
     from fmu.analysis.convergence.diagnosis import maxima_of
     from fmu.analysis.trace.netcdf import from_netcdf
@@ -40,7 +41,7 @@ def kept_maxima(directory: str | os.PathLike[str], problem: Any = None) -> Maxim
         return None
 
 
-def _posterior(problem: Any) -> str:
+def _posterior(problem: UpdatingProblem) -> str:
     """Return a hash of what defines the posterior."""
     from fmu.analysis.trace.provenance import configuration_hash, describe_inputs
 

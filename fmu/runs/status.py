@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import csv
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
-from fmu.config.kept import ORIGIN, read_saved
+from fmu.config.kept import ORIGIN, Orders, read_saved
 from fmu.durable_files import DamagedError
 from fmu.runs.content import numbered_files
 from fmu.runs.identity import FILE as IDENTITY
@@ -147,7 +145,7 @@ class RunReader:
         under_way = "" if phase is None else f"{phase[0]} {phase[1]}/{phase[2]}"
         return RunReading(self.directory, now, at_work, tuple(samplers), True, under_way, tuple(self._notes))
 
-    def _read_order(self, where: Path) -> tuple[Mapping[str, Any], tuple[str, ...]]:
+    def _read_order(self, where: Path) -> tuple[Orders, tuple[str, ...]]:
         """Return the options of the run and the samplers that have finished, as far as they can be read."""
         if not (where / ORIGIN).is_file():
             return {}, ()
@@ -158,7 +156,7 @@ class RunReader:
             return {}, ()
         return found.orders, found.finished
 
-    def _read_sampler(self, name: str, directory: Path, state: str, orders: Mapping[str, Any]) -> SamplerReading:
+    def _read_sampler(self, name: str, directory: Path, state: str, orders: Orders) -> SamplerReading:
         """Return the progress of a sampler that has not finished."""
         try:
             identity = Identity.read(directory)

@@ -21,7 +21,6 @@ from dataclasses import asdict
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlsplit
 
 from fmu.progress.words import as_json
@@ -30,6 +29,7 @@ from fmu.runs.words import HEADER, WORDS, rows, state_of, to_resume
 
 LOOPBACK = "127.0.0.1"
 _PAGE = Path(__file__).with_name("page.html")
+Request = socket.socket | tuple[bytes, socket.socket]
 _IDLE_S = 10.0
 """How long a connection may be silent within its request."""
 _PATIENCE = 0.5
@@ -150,21 +150,21 @@ class WatchServer(ThreadingHTTPServer):
         if waited:
             self._lock.release()
 
-    def process_request(self, request: Any, client_address: Any) -> None:
+    def process_request(self, request: Request, client_address: tuple[str, int]) -> None:
         """Answer in a thread of its own, or not at all where there are too many."""
         if self._open.acquire(blocking=False):
             super().process_request(request, client_address)
         else:
             self.shutdown_request(request)
 
-    def process_request_thread(self, request: Any, client_address: Any) -> None:
+    def process_request_thread(self, request: Request, client_address: tuple[str, int]) -> None:
         """Answer a connection, and count it no longer."""
         try:
             super().process_request_thread(request, client_address)
         finally:
             self._open.release()
 
-    def handle_error(self, request: Any, client_address: Any) -> None:
+    def handle_error(self, request: Request, client_address: tuple[str, int]) -> None:
         """Say nothing of a reader that has gone; anything else is a fault, which is said."""
         if not isinstance(sys.exception(), ConnectionError | TimeoutError):
             super().handle_error(request, client_address)
@@ -180,7 +180,7 @@ def why_not_to_stop(reading: RunReading) -> str:
     return ""
 
 
-def page_content(reading: RunReading) -> dict[str, Any]:
+def page_content(reading: RunReading) -> dict[str, object]:
     """Return the content of the page: the reading, as ``fmu watch --json`` prints it, and the same in words."""
     return {
         "reading": asdict(reading),
@@ -252,7 +252,7 @@ class _Handler(BaseHTTPRequestHandler):
         why = self.server.stop_run()
         self._send(HTTPStatus.CONFLICT if why else HTTPStatus.ACCEPTED, why)
 
-    def log_message(self, format: str, *args: Any) -> None:
+    def log_message(self, format: str, *args: object) -> None:
         """Log nothing: the address is secret."""
 
     def _is_admitted(self) -> bool:
