@@ -69,11 +69,11 @@ def computed_calculix(path: Path, sensors: Sensors = (), _deck: Path | None = No
     frequencies = read_frequencies(path)
     if not sensors:
         return frequencies, None
-    nodes = read_displacements(path, len(frequencies), [int(node) for node, _ in sensors])
+    nodes = read_displacements(path, len(frequencies), [int(str(node)) for node, _ in sensors])
     shapes = []
     for node, direction in sensors:
         sign, axis = (-1.0, direction[1:]) if direction.startswith("-") else (1.0, direction)
-        shapes.append(sign * nodes[int(node)][:, DIRECTIONS.index(axis)])
+        shapes.append(sign * nodes[int(str(node))][:, DIRECTIONS.index(axis)])
     return frequencies, np.array(shapes)
 
 

@@ -176,7 +176,7 @@ def _at(
     """Return the component of a shape that a sensor reads."""
     place, direction = sensor
     sign, along = (-1.0, direction[1:]) if direction.startswith("-") else (1.0, direction)
-    node = int(place) if isinstance(place, int | str) and str(place).isdecimal() else -1
+    node = int(str(place)) if str(place).isdecimal() else -1
     if node not in shape:
         raise ModesError(name, [f"sensors: must be at nodes of the file (got {quote(place)})"])
     k, values = DIRECTIONS.index(along), shape[node]

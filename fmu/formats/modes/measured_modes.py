@@ -15,7 +15,7 @@ from fmu.arguments import ArgumentError, MissingFileError
 from fmu.formats.files import too_large, why_no_file
 from fmu.formats.shown import list_mistakes, names_shown, quote
 from fmu.numbers import apart, given
-from fmu.types import DIRECTIONS, FloatArray
+from fmu.types import DIRECTIONS, Dof, FloatArray
 
 LARGEST_FILE = 2**26
 """Bytes of a file with modes; more is refused before it is read."""
@@ -27,7 +27,7 @@ LEAST_MPC = 0.8
 
 Place = int | str
 """A node, or the name of a place."""
-Sensors = Sequence[tuple[Place, str]]
+Sensors = Sequence[Dof]
 """Place and direction of each sensor; a direction may have a minus before it."""
 ModeNumber = Annotated[int, Ge(1)]
 Collinearity = Annotated[float, Interval(ge=0.0, le=1.0)]
@@ -73,7 +73,7 @@ class MeasuredModes:
     frequencies_hz: FloatArray
     labels: tuple[str, ...]
     sd_hz: FloatArray | None = None
-    sensors: tuple[tuple[Place, str], ...] = ()
+    sensors: tuple[Dof, ...] = ()
     shapes: FloatArray | None = None
     numbers: tuple[int, ...] = ()
     use: tuple[bool, ...] = ()

@@ -13,7 +13,7 @@ pyuff accepts any number of values, whatever a header announces, and does not sa
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
@@ -37,7 +37,7 @@ from fmu.formats.modes.measured_modes import (
 )
 from fmu.formats.modes.vtu import CellType
 from fmu.formats.shown import in_words, quote
-from fmu.types import DIRECTIONS, AnyArray, FloatArray
+from fmu.types import DIRECTIONS, AnyArray, Dof, FloatArray
 
 SHAPES = 55
 NODES, ELEMENTS = (15, 2411), 2412
@@ -161,12 +161,12 @@ def write_uff(
     ValueError
         If a place has no node number, or two sensors are one.
     """
-    number_of = {place: int(node) for node, place in (nodes or {}).items()}
-    node_numbers = []
+    number_of: dict[Hashable, int] = {place: int(node) for node, place in (nodes or {}).items()}
+    node_numbers: list[int] = []
     for place, _ in sensors:
         if place not in number_of and not isinstance(place, int | np.integer):
             raise ArgumentError("nodes", f"must say which node number {place!r} is")
-        node_numbers.append(number_of.get(place, place))
+        node_numbers.append(number_of[place] if place in number_of else int(str(place)))
     directions = [direction.removeprefix("-") for _, direction in sensors]
     if len(set(zip(node_numbers, directions, strict=True))) < len(directions):
         raise ArgumentError("sensors", "must be distinct nodes or directions")
@@ -190,7 +190,7 @@ def write_uff(
 def _mesh(
     places: Mapping[Place, ArrayLike],
     elements: Sequence[tuple[CellType, tuple[int, ...]]],
-    number_of: Mapping[Place, int],
+    number_of: Mapping[Hashable, int],
 ) -> list[_Written]:
     """Return the datasets of nodes and elements."""
     sets: list[_Written] = []
@@ -222,7 +222,7 @@ def _places(path: Path, nodes: Mapping[int, Place] | None, modes: list[Dataset])
     return place_of
 
 
-def _values(mode: Dataset, place_of: dict[int, Place]) -> dict[tuple[Place, str], complex]:
+def _values(mode: Dataset, place_of: dict[int, Place]) -> dict[Dof, complex]:
     """Return the components of a mode by place and direction."""
     return {
         (place_of[int(node)], direction): complex(mode[f"r{i + 1}"][k])
@@ -233,13 +233,13 @@ def _values(mode: Dataset, place_of: dict[int, Place]) -> dict[tuple[Place, str]
     }
 
 
-def _find_moving(values: dict[int, dict[tuple[Place, str], complex]]) -> list[tuple[Place, str]]:
+def _find_moving(values: dict[int, dict[Dof, complex]]) -> list[Dof]:
     """Return the sensors that move in at least one mode, in the order of the file."""
     everything = dict.fromkeys(sensor for mode in values.values() for sensor in mode)
     return [sensor for sensor in everything if any(mode.get(sensor, 0.0) != 0.0 for mode in values.values())]
 
 
-def _at(mode: dict[tuple[Place, str], complex], sensor: tuple[Place, str]) -> complex:
+def _at(mode: dict[Dof, complex], sensor: Dof) -> complex:
     place, direction = sensor
     value = mode.get((place, direction.removeprefix("-")), 0.0)
     return -value if direction.startswith("-") else value
