@@ -115,6 +115,7 @@ def certify(
     enough = effort.solved_of_large if largest >= effort.large else effort.solved
     fewest, fewest_solved, worst = (-(-n // model.n_tests) for n in (effort.fewest, enough, effort.worst))
     most = int(np.clip(effort.work // (largest * model.n_tests), fewest, effort.most))
+    draws = problem.layout.of_model(draws)
     outside = float(np.mean(model.of_modes(draws, _is_outside)))
     theta = draws[rng.permutation(len(draws))[:most]]
     bound = np.concatenate(

@@ -92,7 +92,7 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
             predicted = lines * draws * settings.cost[2]
             found.append(Estimate(f"predictions of {name}", predicted, predicted * one_s))
     if problem.model.sizes:
-        full_s = _time_call(lambda: problem.model.truth.frequencies(problem.start[None, : problem.n_structural]))
+        full_s = _time_call(lambda: problem.model.truth.frequencies(problem.model_parameters(problem.start[None])))
         of_each = Estimate("certificate", _CERTIFIED, _CERTIFIED * full_s)
         found += [of_each] * len(orders["samplers"])
     if sum(part.seconds for part in found) < _WORTH_S:
@@ -141,7 +141,7 @@ def gradient_cost(density: LogDensity, theta: FloatArray) -> float:
 
 def seconds_of_a_solve(problem: UpdatingProblem) -> float:
     """Return the time of one solve; for a function, of one call, or of as many as there are different tests."""
-    of_calls = problem.model.seconds_at(problem.start[: problem.n_structural])
+    of_calls = problem.model.seconds_at(problem.model_parameters(problem.start[None])[0])
     return _time_call(lambda: problem.log_prob(problem.start)) if of_calls is None else of_calls
 
 

@@ -188,7 +188,7 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
         raise ArgumentError("theta", f"must be {problem.ndim} numbers within the bounds", point.tolist())
     n = problem.n_structural
     prior_sd = np.array([truncated_sd(parameter) for parameter in problem.parameters[:n]])
-    sensitivity = problem.likelihood.sensitivity(point[None])[0] * prior_sd
+    sensitivity = problem.sensitivity(point[None])[0] * prior_sd
     if not np.all(np.isfinite(sensitivity)):
         raise ArgumentError("theta", "the modes must have finite derivatives", f"none at {point.tolist()}")
     labels = problem.likelihood.labels(tuple(map(str, problem.data.labels)))

@@ -217,7 +217,7 @@ class ProblemFile(TomlTable):
         pairing: str | None,
         beta: Any,
         engine: Engine | None,
-    ) -> JointProblem:
+    ) -> UpdatingProblem:
         """Return the problem of several tests."""
         if beta is not None:
             raise ValueError(f"beta: must not be given for several tests (got {beta})")

@@ -69,9 +69,9 @@ def paired_model(
         )
     if pairing == SOFT and not isinstance(model, SeparableModel):
         raise ArgumentError("pairing", "soft needs a SeparableModel, with slopes of shapes", type(model).__name__)
-    n = len(parameters)
-    if model.n_parameters != n:
-        raise ArgumentError("parameters", f"the model takes {model.n_parameters}", n)
+    n, n_tests = len(parameters), model.n_tests if isinstance(model, ModalModel) else 1
+    if model.n_parameters != n * n_tests:
+        raise ArgumentError("parameters", f"the model takes {model.n_parameters // n_tests}", n)
     start = np.array([p.start for p in parameters], dtype=float)
     shapes = None if data.shapes is None else np.asarray(data.shapes)
     paired: Any = None

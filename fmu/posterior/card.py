@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import html
 from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fmu.fem.frame.drawing import draw_svg, is_drawable, parameter_colours, sketch
 from fmu.numbers import change, customary_unit, given, round_by_sd, significant
 from fmu.posterior.parameters import prior_in_words
-from fmu.posterior.protocol import Problem
+
+if TYPE_CHECKING:
+    from fmu.posterior.problem import UpdatingProblem
 
 _MOST_DRAWN = 5000
 
 
-def problem_card(problem: Problem) -> str:
+def problem_card(problem: UpdatingProblem) -> str:
     """Return the HTML of a problem: a drawing of its structure, its parameters, and measured and initial modes."""
     parts = [f"<h4>{html.escape(problem.name)}</h4>"]
     colours: list[str | None] = [None] * problem.ndim
@@ -28,7 +31,7 @@ def problem_card(problem: Problem) -> str:
     return f'<div class="fmu-problem">{"".join(parts)}</div>'
 
 
-def _in_words(problem: Problem) -> str:
+def _in_words(problem: UpdatingProblem) -> str:
     model, structure = problem.model, problem.model.parts[0].structure
     if structure is None:
         return f"Model: {model.name}, {model.n_modes} modes."
@@ -42,7 +45,7 @@ def _in_words(problem: Problem) -> str:
     )
 
 
-def _parameters(problem: Problem, colours: Sequence[str | None]) -> str:
+def _parameters(problem: UpdatingProblem, colours: Sequence[str | None]) -> str:
     rows = []
     for p, colour in zip(problem.parameters, colours, strict=True):
         mark = f'<span style="color:{colour}" aria-hidden="true">&#9632;</span> ' if colour else ""
@@ -53,7 +56,7 @@ def _parameters(problem: Problem, colours: Sequence[str | None]) -> str:
     return _table(("parameter", "unit", "start", "lower", "upper", "prior, cut off at the bounds"), rows)
 
 
-def _modes(problem: Problem) -> str:
+def _modes(problem: UpdatingProblem) -> str:
     measured = np.asarray(problem.data.frequencies_hz)
     initial = problem.frequencies(problem.start)
     error = problem.likelihood.error

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from fmu.arguments import ArgumentError, Bound, check_arguments
 from fmu.numbers import customary_unit, given, typed
 from fmu.posterior.priors.base import Normal, Prior, Uniform
 from fmu.types import FloatArray
+
+if TYPE_CHECKING:
+    from fmu.posterior.joint.layout import Layout
 
 _IN_THE_UNIT = ("mean", "sd", "at", "median", "low", "high")
 """Settings of priors that are values of the parameter."""
@@ -154,10 +157,17 @@ class JointPrior:
     """The product of the parameters' priors, truncated to the bounds and normalised over them.
 
     Normal, half-normal and log-normal priors, the common ones, are evaluated together as one array.
+
+    Parameters
+    ----------
+    parameters : sequence of Parameter
+    layout : Layout, optional
+        Of several tests with populations, to which scores refer (`fmu.posterior.joint.layout.Layout.log_prior`).
     """
 
-    def __init__(self, parameters: Sequence[Parameter]) -> None:
+    def __init__(self, parameters: Sequence[Parameter], layout: Layout | None = None) -> None:
         self.parameters = tuple(parameters)
+        self._layout = layout
         forms = [(j, form) for j, p in enumerate(parameters) if (form := p.prior.gaussian_form) is not None]
         forms.sort(key=lambda one: (one[1].of_logarithm, one[1].log_factor))
         self._gaussian = np.array([j for j, _ in forms], dtype=int)
@@ -185,7 +195,7 @@ class JointPrior:
         value = constant + np.einsum("nj,nj,j->n", z, z, self._weight)
         for j, prior in self._others:
             value = value + prior.log_pdf(theta[:, j])
-        return value
+        return value if self._layout is None else self._layout.log_prior(theta, value)
 
     def log_pdf_gradient(self, theta: FloatArray) -> FloatArray:
         """Return its gradient, shape (n, ndim)."""
@@ -201,12 +211,13 @@ class JointPrior:
         gradient[:, self._gaussian] = slope
         for j, prior in self._others:
             gradient[:, j] = prior.log_pdf_gradient(theta[:, j])
-        return gradient
+        return gradient if self._layout is None else self._layout.log_prior_gradient(theta, gradient)
 
     def quadratic(self, theta: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return slope (n, ndim) and curvature −∇² (n, ndim, ndim) of the log-density, in units of `scale`.
 
-        The curvature by each parameter is a difference of slopes over 1e-4, and not negative.
+        The curvature by each parameter is a difference of slopes over 1e-4, and not negative; by scores it is the
+        curvature without bounds.
         """
         slope, curvature = np.empty_like(theta), np.zeros((*theta.shape, theta.shape[1]))
         for k, parameter in enumerate(self.parameters):
@@ -216,8 +227,12 @@ class JointPrior:
             ahead, behind = (parameter.prior.log_pdf_gradient(near + step) for step in (h, -h))
             curvature[:, k, k] = np.maximum(0.0, (behind - ahead) / (2.0 * h)) * scale[k] ** 2
             slope[:, k] = parameter.prior.log_pdf_gradient(theta[:, k]) * scale[k]
-        return slope, curvature
+        if self._layout is None:
+            return slope, curvature
+        curvature = self._layout.log_prior_curvature(theta, curvature, scale)
+        return self.log_pdf_gradient(theta) * scale, curvature
 
     def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
         """Draw `n` parameter vectors, shape (n, ndim)."""
-        return np.stack([p.prior.draw(rng, n, p.lower, p.upper) for p in self.parameters], axis=1)
+        theta = np.stack([p.prior.draw(rng, n, p.lower, p.upper) for p in self.parameters], axis=1)
+        return theta if self._layout is None else self._layout.draw_from_prior(theta, rng)

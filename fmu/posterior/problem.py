@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from copy import copy
 from dataclasses import replace
+from functools import partial
 from importlib import import_module
 from typing import Annotated, Any, Self
 
@@ -20,8 +21,10 @@ from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.rules import SOFTNESS
 from fmu.posterior.build import check_names, likelihood_of, paired_model
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.errors.base import ErrorModel
+from fmu.posterior.errors.base import Chain, ErrorModel
 from fmu.posterior.failures import Failure, FailureRecord
+from fmu.posterior.joint.layout import Layout, Role
+from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.parameters import JointPrior, Parameter
 from fmu.posterior.rounding import require_digits
 from fmu.posterior.train_reduced import Tolerance, reduced_model
@@ -38,7 +41,8 @@ class UpdatingProblem:
     Parameters
     ----------
     model : SeparableModel, BlackBoxModel or ModalModel
-        The structure, a function of the user, or any map from theta to the frequencies of the measured modes.
+        The structure, a function of the user, or any map from theta to the frequencies of the measured modes. Of
+        several tests (`fmu.JointProblem`) it maps the parameters in all tests to the modes of all.
     data : ModalData
     parameters : sequence of Parameter
         Parameters of the model, in the order of theta. Standard deviations inferred by `error` follow them.
@@ -58,17 +62,24 @@ class UpdatingProblem:
         error models to be summed: `fmu.FrequencyErrors`, `fmu.ShapeErrors`, `fmu.MACErrors`; and for data beside
         the modes `fmu.MassErrors` and `fmu.StaticErrors`, with which frequencies keep their default errors.
     name : str
+    layout : Layout, optional
+        From theta to the parameters of the structure in each of several tests; the identity by default.
 
     Attributes
     ----------
     ndim : int
     n_structural : int
-        Number of parameters of the model; the others are inferred standard deviations.
+        Number of parameters before the inferred standard deviations.
     names, units : tuple of str
     lower, upper, start : ndarray, shape (ndim,), SI units
     offset, scale : ndarray, shape (ndim,)
         (theta − offset)/scale is of order one: the unit box where there are bounds.
     prior : JointPrior
+    layout : Layout
+    tests : tuple of Test
+        One, unless the structure was tested several times.
+    roles : tuple of Role
+        What each parameter is for.
     tolerance : Tolerance or None
         Errors allowed to the reduced model; None where there is none, see `reduced`.
     failures : list of Failure
@@ -77,7 +88,7 @@ class UpdatingProblem:
     n_failures : int
         Number of such evaluations.
     is_hierarchical : bool
-        Whether parameters have a distribution that is inferred too (`fmu.JointProblem`). The maximum of such a
+        Whether parameters have a distribution that is inferred too (`fmu.Population`). The maximum of such a
         posterior lies far from its mass.
 
     Raises
@@ -97,8 +108,6 @@ class UpdatingProblem:
     is ``-inf`` outside the bounds, and never an exception for a finite theta.
     """
 
-    is_hierarchical = False
-
     @check_arguments
     def __init__(
         self,
@@ -111,16 +120,16 @@ class UpdatingProblem:
         beta: Annotated[ArrayLike, Gt(0.0)] | None = None,
         error: str | ErrorModel | Sequence[ErrorModel] = "frequency",
         name: str = "problem",
+        layout: Annotated[Layout | None, OwnRule()] = None,
     ) -> None:
-        self.data = data
-        self.parameters = tuple(parameters)
-        self.n_structural = len(self.parameters)
-        self.name = name
-        check_names(self.parameters)
+        check_names(parameters)
+        self.data, self.name = data, name
+        self.layout = Layout.of_one(parameters, data) if layout is None else layout
+        self.n_structural = len(self.layout.parameters)
         self.tolerance: Tolerance | None = None
-        self.model = paired_model(model, data, self.parameters, pairing, softness)
-        self.likelihood = likelihood_of(error, beta, model, self.model, data, self.parameters)
-        self.parameters += self.likelihood.noise
+        self.model = paired_model(model, data, parameters, pairing, softness)
+        self.likelihood = likelihood_of(error, beta, model, self.model, data, parameters)
+        self.parameters = (*self.layout.parameters, *self.likelihood.noise)
         check_names(self.parameters)
         self.ndim = len(self.parameters)
         self.names = tuple(p.name for p in self.parameters)
@@ -137,7 +146,7 @@ class UpdatingProblem:
         self.offset = np.array([offset for offset, _ in scales])
         self.scale = np.array([scale for _, scale in scales])
         self._failed = FailureRecord()
-        self.prior = JointPrior(self.parameters)
+        self.prior = self._prior_of(self.layout)
         require_digits(self)
 
     @classmethod
@@ -288,8 +297,20 @@ class UpdatingProblem:
         squares : ndarray, shape (n, n_kinds, n_used)
             Σ r² over the residuals r of a mode, by the error models of ``likelihood.chi_square``.
         """
-        terms, squares = self.likelihood.terms_and_misfit(theta)
+        terms, squares = self.likelihood.terms_and_misfit(self.layout.of_model(theta))
         return self._record_failures(terms, theta), squares
+
+    def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
+
+        At theta (n, ndim), of a likelihood of computed modes: JᵀJ of the residuals for the parameters of the
+        structure, Fisher's information for the inferred standard deviations.
+        """
+        return self.likelihood.quadratic(self.layout.of_model(theta), self._chain(theta))
+
+    def sensitivity(self, theta: FloatArray) -> FloatArray:
+        """Return the derivatives of errors over their sds, (n, n_residuals, n_structural), at theta (n, ndim)."""
+        return self.likelihood.residuals_and_slopes(self.layout.of_model(theta), self._chain(theta))[1]
 
     def log_prior(self, theta: ArrayLike) -> Any:
         """Return the log-density of the prior (6), normalised over the bounds; ``-inf`` outside them."""
@@ -314,8 +335,35 @@ class UpdatingProblem:
         Works outside the bounds too.
         """
         points, single = self._points(theta)
-        frequencies = self.model.frequencies(points[:, : self.n_structural])
+        frequencies = self.model.frequencies(self.model_parameters(points))
         return frequencies[0] if single else frequencies
+
+    def model_parameters(self, theta: FloatArray) -> FloatArray:
+        """Return the parameters of the model, (n, n_parameters), at theta (n, ndim).
+
+        Of several tests the structure's in the first test, then in the second, and so on.
+        """
+        return self.layout.of_model(theta)[:, : self.model.n_parameters]
+
+    def values(self, theta: ArrayLike) -> FloatArray:
+        """Return the parameters of the structure in every test, shape (n_tests, n) or (n_points, n_tests, n).
+
+        Parameters
+        ----------
+        theta : array_like, shape (ndim,) or (n_points, ndim)
+
+        Returns
+        -------
+        ndarray
+            In the order of the tests, and of ``layout.structural``; the known value where one is known in a test.
+        """
+        points, single = self._points(theta)
+        values = self.layout.values(points[:, : self.n_structural])
+        for t, test in enumerate(self.tests):
+            for j, parameter in enumerate(self.layout.structural):
+                if parameter.name in test.known:
+                    values[:, t, j] = test.known[parameter.name]
+        return values[0] if single else values
 
     def sample_prior(self, rng: np.random.Generator, n: int) -> FloatArray:
         """Draw `n` parameter vectors from the truncated prior, shape (n, ndim)."""
@@ -361,7 +409,7 @@ class UpdatingProblem:
         ValueError
             If the error models give no distribution of the frequencies (shapes alone, the modal residual).
         """
-        return self.likelihood.simulate(rng, frequencies, theta)
+        return self.likelihood.simulate(rng, frequencies, self._noise(theta))
 
     def simulate_test(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
@@ -378,7 +426,7 @@ class UpdatingProblem:
         """
         if self.data.tests is None:
             raise ValueError("data: must be the mean of repeated tests to simulate one more (got no tests)")
-        frequencies = self.likelihood.simulate_discrepancy(rng, frequencies, theta)
+        frequencies = self.likelihood.simulate_discrepancy(rng, frequencies, self._noise(theta))
         return np.asarray(frequencies + self.data.tests.simulate(rng, len(frequencies)))
 
     @property
@@ -401,6 +449,7 @@ class UpdatingProblem:
     def configuration(self) -> dict[str, Any]:
         """Return the data that define the posterior, in plain Python types."""
         other = {} if self.tolerance in (None, Tolerance()) else {"reduction": self.tolerance.frequency}
+        of_tests = {} if self.layout.is_identity else self.layout.configuration()
         return other | {
             "name": self.name,
             "model": self.model.configuration(),
@@ -417,6 +466,7 @@ class UpdatingProblem:
                 }
                 for p in self.parameters
             ],
+            **of_tests,
         }
 
     @property
@@ -424,6 +474,44 @@ class UpdatingProblem:
         """What `log_prob_and_grad` costs at one theta, in solves of the model: 1 where derivatives are exact."""
         of_model = self.model
         return of_model.solves_per_shape_gradient if self.likelihood.needs_shapes else of_model.solves_per_gradient
+
+    @property
+    def tests(self) -> tuple[Test, ...]:
+        """The tests of the structure."""
+        return self.layout.tests
+
+    @property
+    def roles(self) -> tuple[Role, ...]:
+        """What each parameter of theta is for."""
+        return (*self.layout.roles, *[Role("noise", None)] * (self.ndim - self.n_structural))
+
+    @property
+    def is_hierarchical(self) -> bool:
+        """Whether parameters have a distribution that is inferred: a population."""
+        return bool(self.layout.scales)
+
+    def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
+        """Return the first matrices that parameter `k` of theta changes, and its number there, or None."""
+        of = self.roles[k].of
+        return None if of is None else self.model.matrices_of(of)
+
+    def with_layout(self, layout: Layout) -> Self:
+        """Return the same problem with scores that refer to others, of the same parameters."""
+        other = copy(self)
+        other.layout, other.prior, other._failed = layout, self._prior_of(layout), FailureRecord()
+        return other
+
+    def _prior_of(self, layout: Layout) -> JointPrior:
+        return JointPrior(self.parameters, layout if layout.scales else None)
+
+    def _noise(self, theta: FloatArray | None) -> FloatArray | None:
+        return None if theta is None else theta[:, self.n_structural :]
+
+    def _chain(self, theta: FloatArray) -> Chain | None:
+        """Return the chain rule from the parameters of each test to theta; None if they are the same."""
+        if self.layout.is_identity:
+            return None
+        return partial(self.layout.chain_slopes, theta[:, : self.n_structural])
 
     def _points(self, theta: ArrayLike) -> tuple[FloatArray, bool]:
         if not isinstance(theta, np.ndarray) or theta.dtype.kind not in "fiu":
@@ -441,12 +529,16 @@ class UpdatingProblem:
         return self._terms(points).sum(axis=1) + self.prior.log_pdf(points)
 
     def _posterior_and_gradient(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        terms, slopes = self.likelihood.terms_and_gradient(points)
+        terms, slopes = self.likelihood.terms_and_gradient(self.layout.of_model(points))
         value = self._record_failures(terms, points).sum(axis=1) + self.prior.log_pdf(points)
-        return value, slopes.sum(axis=1) + self.prior.log_pdf_gradient(points)
+        if self.layout.is_identity:
+            gradient = slopes.sum(axis=1)
+        else:
+            gradient = self.layout.gradient(points, slopes, self.likelihood.test_of_terms)
+        return value, gradient + self.prior.log_pdf_gradient(points)
 
     def _terms(self, points: FloatArray) -> FloatArray:
-        return self._record_failures(self.likelihood.terms(points), points)
+        return self._record_failures(self.likelihood.terms(self.layout.of_model(points)), points)
 
     def _record_failures(self, terms: FloatArray, points: FloatArray) -> FloatArray:
         """Return `terms` with -inf in place of non-finite values, after recording the points that failed."""
@@ -457,7 +549,7 @@ class UpdatingProblem:
         self._failed.add(
             points[failed & self._within(points).all(axis=1)],
             lambda theta: (
-                self.likelihood.why_not_finite(theta)
+                self.likelihood.why_not_finite(self.layout.of_model(theta[None])[0])
                 or "the log-likelihood was not finite, and is when it is computed again"
             ),
         )

@@ -10,7 +10,7 @@ from fmu.arguments import ArgumentError
 from fmu.types import BoolArray, FloatArray, LogDensity
 
 if TYPE_CHECKING:
-    from fmu.posterior.protocol import Problem
+    from fmu.posterior.problem import UpdatingProblem
 
 WIDE = 1.0
 """Standard deviation of a logarithm above which a prior spans decades: 95 % of it lie within a factor of 50."""
@@ -104,7 +104,7 @@ class LogScaledDensity(ScaledDensity):
     is_log : ndarray of bool, shape (ndim,)
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: UpdatingProblem) -> None:
         forms = [p.prior.gaussian_form for p in problem.parameters] or [None] * problem.ndim
         logs = [form if form is not None and form.of_logarithm and form.sd > WIDE else None for form in forms]
         self.is_log = np.array([form is not None for form in logs])
@@ -132,7 +132,7 @@ class LogScaledDensity(ScaledDensity):
         return np.where(self.is_log, theta * self._sd, self.scale)
 
 
-def ascent_coordinates(problem: Problem) -> ScaledDensity:
+def ascent_coordinates(problem: UpdatingProblem) -> ScaledDensity:
     """Return the coordinates in which to climb: logarithms only if a prior spans decades."""
     with_logs = LogScaledDensity(problem)
     return with_logs if with_logs.is_log.any() else ScaledDensity(problem)

@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import chdtri
@@ -25,10 +26,12 @@ from fmu.numbers import apart, significant, typed
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.maxima import GaussNewton, local_maxima
 from fmu.posterior.parameters import Parameter, box
-from fmu.posterior.protocol import Problem
 from fmu.posterior.rounding import bounded_rounding
 from fmu.progress.phases import by_parts
 from fmu.types import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from fmu.posterior.problem import UpdatingProblem
 
 FREQUENCY_TOLERANCE = 1e-6
 LOG_PROB_TOLERANCE = 1e-3
@@ -102,7 +105,7 @@ class Tolerance:
 
 
 def reduced_model(
-    problem: Problem, tolerance: Tolerance, engine: Engine | None = None
+    problem: UpdatingProblem, tolerance: Tolerance, engine: Engine | None = None
 ) -> tuple[ModalModel, Tolerance | None]:
     """Return a reduced model, trained or read from the cache, and the tolerance that it is to keep.
 
@@ -212,7 +215,7 @@ def reduced_model(
 
 
 def _find_tolerance(
-    problem: Problem, model: ModalModel, tolerance: Tolerance, state: dict[str, FloatArray]
+    problem: UpdatingProblem, model: ModalModel, tolerance: Tolerance, state: dict[str, FloatArray]
 ) -> Tolerance | None:
     """Return the tolerance that a reduced model keeps, None without one; warn where it is not what was asked."""
     if model is model.truth:
@@ -222,7 +225,7 @@ def _find_tolerance(
 
 
 def _trained_at_draws(
-    problem: Problem, structure: PairedStructure, trained: FloatArray, frequency: float
+    problem: UpdatingProblem, structure: PairedStructure, trained: FloatArray, frequency: float
 ) -> tuple[ReducedStructure, dict[str, FloatArray]] | None:
     """Return a reduced model that is trained where prior and posterior have their mass, and its state.
 
@@ -257,7 +260,7 @@ def _trained_at_draws(
     return model.keeping(float(elsewhere)), state
 
 
-def _log_prob_errors(problem: Problem, model: ReducedStructure, points: FloatArray) -> FloatArray:
+def _log_prob_errors(problem: UpdatingProblem, model: ReducedStructure, points: FloatArray) -> FloatArray:
     """Return the errors of a reduced model's log-probability at points (n, ndim), shape (n,)."""
     exact = np.concatenate(by_parts("training", problem.likelihood.terms, points, _AT_ONCE))
     return np.asarray(np.sum(problem.with_model(model).likelihood.terms(points) - exact, axis=1))
@@ -295,7 +298,7 @@ def _log_prob_bound(model: ReducedStructure, likelihood: ModalLikelihood, points
     return off
 
 
-def _singular(problem: Problem, error: SingularAnchorError) -> str:
+def _singular(problem: UpdatingProblem, error: SingularAnchorError) -> str:
     if error.parameter is None:
         return f"reduction: {error}, in the middle of the bounds; hold the motion or give it mass"
     name = problem.parameters[error.parameter].name
@@ -330,7 +333,7 @@ def _off(found: float, tolerance: float) -> str:
 
 
 def _warn_if_missed(
-    problem: Problem, model: ModalModel, tolerance: Tolerance, state: dict[str, FloatArray]
+    problem: UpdatingProblem, model: ModalModel, tolerance: Tolerance, state: dict[str, FloatArray]
 ) -> None:
     if "far" in state:
         j, value, is_above, is_negative = state["far"]
@@ -414,7 +417,9 @@ def on_a_jump(
     return np.asarray(others.any(axis=1) & same.all(axis=1))
 
 
-def plausible_points(problem: Problem, n: int, rng: np.random.Generator, depth: float = PLAUSIBLE) -> FloatArray:
+def plausible_points(
+    problem: UpdatingProblem, n: int, rng: np.random.Generator, depth: float = PLAUSIBLE
+) -> FloatArray:
     """Return points inside the bounds at which the log-probability is within `depth` of its maximum.
 
     From every plausible local maximum they lie along random directions of the Laplace approximation, where the
@@ -452,13 +457,13 @@ def plausible_points(problem: Problem, n: int, rng: np.random.Generator, depth: 
     return np.concatenate(points)
 
 
-def _is_narrower(problem: Problem, trained: FloatArray) -> bool:
+def _is_narrower(problem: UpdatingProblem, trained: FloatArray) -> bool:
     """Say whether a box (2, n) is smaller than the bounds of its parameters."""
     n = trained.shape[1]
     return not (np.array_equal(trained[0], problem.lower[:n]) and np.array_equal(trained[1], problem.upper[:n]))
 
 
-def _box_of_the_posterior(problem: Problem, trained: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+def _box_of_the_posterior(problem: UpdatingProblem, trained: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     """Return a box that holds the plausible points too, if more of the posterior than `_OUTSIDE` leaves `trained`.
 
     How much leaves it is estimated by draws of the Laplace approximations at the maxima.
@@ -480,12 +485,12 @@ def _box_of_the_posterior(problem: Problem, trained: FloatArray) -> tuple[FloatA
     return theta.min(axis=0), theta.max(axis=0)
 
 
-def _along(problem: Problem, origin: FloatArray, direction: FloatArray, step: FloatArray) -> FloatArray:
+def _along(problem: UpdatingProblem, origin: FloatArray, direction: FloatArray, step: FloatArray) -> FloatArray:
     return np.clip(origin + step[:, None] * direction, problem.lower, problem.upper)
 
 
 def _laplace_directions(
-    problem: Problem, theta: FloatArray, n: int, rng: np.random.Generator
+    problem: UpdatingProblem, theta: FloatArray, n: int, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """Return random directions with the covariance of the Gauss–Newton approximation, turned inwards at bounds.
 

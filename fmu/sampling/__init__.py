@@ -181,7 +181,9 @@ def default_sampler(problem: LogDensity) -> str:
 
     HMC for a hierarchical posterior: it has a parameter for every test, too many for a mixture to learn.
     """
-    return "hmc" if getattr(problem, "is_hierarchical", False) else DEFAULT_SAMPLER
+    from fmu.analysis.maxima.search import is_searchable
+
+    return DEFAULT_SAMPLER if is_searchable(problem) else "hmc"
 
 
 DEFAULTS: Mapping[str, Any] = {

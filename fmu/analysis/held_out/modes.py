@@ -313,7 +313,7 @@ def _log_likelihood(problem: UpdatingProblem, draws: _Draws) -> FloatArray:
     likelihood: Any = problem.likelihood
     if likelihood.needs_shapes or problem.model.is_soft:
         return np.asarray(problem.log_likelihood(draws.theta))
-    return np.asarray(likelihood.terms_of_frequencies(draws.hz, draws.theta).sum(axis=1))
+    return np.asarray(likelihood.terms_of_frequencies(draws.hz, problem.layout.of_model(draws.theta)).sum(axis=1))
 
 
 def _predict_mode(problem: UpdatingProblem, k: int, draws: _Draws) -> HeldOut:

@@ -249,8 +249,9 @@ def log_prob_of_all(problems: Sequence[UpdatingProblem], theta: FloatArray) -> F
         log_p = [problem.log_likelihood(theta) for problem in problems]
         hz = whole.frequencies(theta)
     else:
-        seen = likelihoods[-1].observed(theta)
-        log_p = [likelihood.terms_of_observed(seen, theta).sum(axis=1) for likelihood in likelihoods]
+        of_model = whole.layout.of_model(theta)
+        seen = likelihoods[-1].observed(of_model)
+        log_p = [likelihood.terms_of_observed(seen, of_model).sum(axis=1) for likelihood in likelihoods]
         hz = seen.frequencies
     found = np.stack(log_p, axis=1) + np.asarray(whole.log_prior(theta))[:, None]
     return np.concatenate([np.where(np.isfinite(found), found, -np.inf), hz], axis=1)

@@ -27,7 +27,6 @@ from fmu.types import FloatArray, LogDensity
 if TYPE_CHECKING:
     from fmu.posterior.maxima import Maximum
     from fmu.posterior.problem import UpdatingProblem
-    from fmu.posterior.protocol import Problem
 
 
 STARTS = 256
@@ -150,7 +149,7 @@ def _most_solves(problem: UpdatingProblem) -> float:
     """Return the default limit of solves: for a slow function, as many as a surrogate takes; otherwise none."""
     if problem.solves_per_gradient == 1:
         return np.inf
-    seconds = problem.model.seconds_at(problem.start[: problem.n_structural])
+    seconds = problem.model.seconds_at(problem.model_parameters(problem.start[None])[0])
     is_slow = seconds is not None and seconds >= SLOW_S
     return solves_of_a_surrogate(problem.n_structural) if is_slow else np.inf
 
@@ -168,7 +167,7 @@ def _search_plain(density: PlainDensity, starts: int | None, seed: int) -> Maxim
     points = scaled.to_scaled(theta[:starts])
     begun = solves()
     with phase("search", len(points)):
-        found = maxima_from(cast("Problem", density), scaled, points, most)
+        found = maxima_from(cast("UpdatingProblem", density), scaled, points, most)
     is_spent = solves() - begun >= most
     if not found:
         raise ValueError(

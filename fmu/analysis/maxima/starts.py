@@ -75,7 +75,7 @@ def choose_starts(
     if maxima is not None:
         theta, origin = starts_at_maxima(density, maxima, chains, walkers, seed), {"maxima": maxima.hash}
         return Starts(theta, "maxima", origin)
-    if not getattr(density, "is_hierarchical", False):
+    if is_searchable(density):
         plain = PlainDensity(density)
         if hasattr(density, "sample_prior") and _is_finite_in_prior(plain, seed):
             return Starts("prior", "prior", "prior")

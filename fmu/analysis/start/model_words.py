@@ -11,7 +11,6 @@ from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.static import TRANSLATIONS, rigid_translation
 from fmu.fem.pairing.paired_structure import structure_of
 from fmu.numbers import customary_unit, listed, names_in_words, significant
-from fmu.posterior.joint.joint_problem import JointProblem
 from fmu.posterior.parameters import prior_in_words
 from fmu.tables import data_frame
 
@@ -29,8 +28,8 @@ _SAME_MASS = 1.1
 def model_in_words(problem: UpdatingProblem) -> list[str]:
     """Describe the model of a problem: its size, decoupled blocks, mass and reduced model."""
     model = structure_of(problem.model)
-    if isinstance(problem, JointProblem):
-        n, unknowns = len(problem.model.configurations), " + ".join(map(str, problem.model.sizes))
+    if len(problem.tests) > 1:
+        n, unknowns = len(problem.model.parts), " + ".join(map(str, problem.model.sizes))
         many = "" if n == 1 else f" in {n} configurations, each with matrices of its own"
         reduced = f" The reduced models have {unknowns} unknowns." if unknowns else ""
         return [f"{len(problem.tests)} tests of one structure{many}.{reduced}"]
@@ -54,9 +53,9 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
     """Return one row per parameter: unit, start, bounds, prior in words, and the matrices that it changes."""
     rows = []
     for k, parameter in enumerate(problem.parameters):
-        found, unit = problem.model.matrices_of(k), customary_unit(parameter.unit)
+        found, unit = problem.matrices_of(k), customary_unit(parameter.unit)
         changes = "" if found is None else _changes(*found)
-        if k >= problem.model.n_parameters:
+        if k >= problem.n_structural:
             changes = "measurement errors"
         rows.append(
             {
@@ -79,7 +78,7 @@ def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
         return "", [None] * problem.ndim
     found = sketch(structure, problem.data.sensors)
     colours = parameter_colours(found)
-    changed = [problem.model.matrices_of(k) for k in range(problem.ndim)]
+    changed = [problem.matrices_of(k) for k in range(problem.ndim)]
     return draw_svg(found), [None if of is None or of[0] is not structure else colours[of[1]] for of in changed]
 
 

@@ -23,6 +23,7 @@ from fmu.analysis.trace.reading import check_trace
 from fmu.arguments import check_arguments
 from fmu.durable_files import write_durably
 from fmu.interruption import shielded
+from fmu.posterior.joint.joint_problem import simulate_next_test
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers.mixture.kernel import CANDIDATE, LOG_WEIGHT
 from fmu.samplers.registry import SAMPLERS
@@ -102,7 +103,7 @@ def to_trace(
         groups["prior"] = _variables(prior[np.newaxis], names, units)
     if LOG_LIKELIHOOD in result.posterior.stats:
         groups["tempering"] = tempering_group(result)
-    if hasattr(density, "tests"):
+    if _has_several_tests(density):
         groups |= _groups_of_tests(result, density, predictions)
     if predictions and hasattr(density, "frequencies"):
         groups |= _frequency_groups(result, density, frequency)
@@ -242,7 +243,7 @@ def _constants(density: Any, names: tuple[str, ...]) -> xr.Dataset:
         if hasattr(density, name)
     }
     coordinates: dict[str, Any] = {"parameter": list(names)}
-    if hasattr(density, "tests"):
+    if _has_several_tests(density):
         of = ["" if role.of is None else density.layout.structural[role.of].name for role in density.roles]
         variables["role"] = "parameter", np.array([role.kind for role in density.roles])
         variables["role_of"] = "parameter", np.array(of)
@@ -298,9 +299,9 @@ def _frequency_groups(
     observed: dict[str, Any] = {"frequency": ("mode", np.asarray(problem.data.frequencies_hz, dtype=float), hertz)}
     if problem.data.tests is not None:
         observed["tests"] = (("test", "mode"), np.asarray(problem.data.tests.frequencies_hz), hertz)
-    if hasattr(problem, "tests"):
+    if len(problem.tests) > 1:
         names = [test.name for test in problem.tests]
-        observed["of_test"] = ("mode", np.array([names[t] for t in problem.model.test]))
+        observed["of_test"] = ("mode", np.array([names[t] for t in problem.model.test_of_modes]))
     if likelihood.used is not None:
         observed["used"] = ("mode", np.array(problem.data.use))
     used = {"mode": likelihood.of_used(np.array(coordinates["mode"]))}
@@ -315,6 +316,11 @@ def _frequency_groups(
     )
 
 
+def _has_several_tests(density: object) -> bool:
+    """Say whether a density, which may be a user's, is a problem of several tests."""
+    return len(getattr(density, "tests", ())) > 1
+
+
 def _groups_of_tests(result: RunResult, problem: Any, predictions: bool) -> dict[str, xr.Dataset]:
     """Return the groups of a trace on each test and on the next test."""
     import xarray as xr
@@ -322,6 +328,7 @@ def _groups_of_tests(result: RunResult, problem: Any, predictions: bool) -> dict
     position = result.posterior.position
     coordinates = _sample_coordinates(position)
     theta = position.reshape(-1, position.shape[-1])
+    structural = theta[:, : problem.n_structural]
     values = problem.values(theta).reshape(*position.shape[:2], len(problem.tests), -1)
     variables = {
         p.name: (("chain", "draw", "test"), values[..., j], {"units": p.unit})
@@ -331,19 +338,20 @@ def _groups_of_tests(result: RunResult, problem: Any, predictions: bool) -> dict
     found = {"tests": xr.Dataset(variables, coords=coordinates | {"test": names})}
     if problem.layout.correlation is not None:
         populations = list(problem.layout.populations)
-        matrices = problem.correlations(theta).reshape(*position.shape[:2], len(populations), -1)
+        matrices = problem.layout.correlations(structural).reshape(*position.shape[:2], len(populations), -1)
         found["populations"] = xr.Dataset(
             {"correlation": (("chain", "draw", "population", "other"), matrices)},
             coords=coordinates | {"population": populations, "other": populations},
         )
-    if problem.states:
-        losses = problem.losses(theta).reshape(*position.shape[:2], len(problem.states), -1)
+    states = problem.layout.states
+    if states:
+        losses = problem.layout.losses(structural).reshape(*position.shape[:2], len(states), -1)
         lost = {n: (("chain", "draw", "state"), losses[..., j]) for j, n in enumerate(problem.layout.by_state)}
-        attributes = {"reference": problem.reference}
-        found["loss"] = xr.Dataset(lost, coords=coordinates | {"state": list(problem.states)}, attrs=attributes)
+        attributes = {"reference": problem.layout.reference}
+        found["loss"] = xr.Dataset(lost, coords=coordinates | {"state": list(states)}, attrs=attributes)
     found |= drawn_structure(problem)
     if predictions and problem.is_hierarchical and problem.likelihood.simulates:
-        computed, measured = problem.simulate_next_test(generator(result.seed, NEXT_TEST_STREAM), theta)
+        computed, measured = simulate_next_test(problem, generator(result.seed, NEXT_TEST_STREAM), theta)
         dims, shape = ("chain", "draw", "mode"), (*position.shape[:2], computed.shape[1])
         predicted = {
             "frequency": (dims, measured.reshape(shape), {"units": "Hz"}),

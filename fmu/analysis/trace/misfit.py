@@ -87,7 +87,7 @@ def quantities_group(problem: Any, position: FloatArray, coordinates: Mapping[st
     terms = problem.likelihood.quantities
     if not terms:
         return {}
-    theta = position.reshape(-1, position.shape[-1])[:, : problem.n_structural]
+    theta = problem.model_parameters(position.reshape(-1, position.shape[-1]))
     computed = np.concatenate([term.computed(theta)[0] for term in terms], axis=1)
     of_datum = {key: np.concatenate([getattr(term, key) for term in terms]) for key in ("measured", "sd", "units")}
     variables = {

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from fmu.fem.modes.separable import SeparableModel
     from fmu.fem.pairing.paired_structure import PairedStructure
     from fmu.posterior.data.modal_data import ModalData
-    from fmu.posterior.joint.joint_problem import JointProblem
     from fmu.posterior.problem import UpdatingProblem
 
 
@@ -207,22 +206,22 @@ def _sketch_variables(found: Sketch) -> dict[str, Any]:
     return variables
 
 
-def drawn_structure(problem: JointProblem) -> dict[str, xr.Dataset]:
+def drawn_structure(problem: UpdatingProblem) -> dict[str, xr.Dataset]:
     """Return the group of a trace of several tests with what `sketch_of` draws; none without geometry.
 
     It is the structure of the first test.
     """
     import xarray as xr
 
-    first = next(part for part in problem.model.configurations if 0 in part.tests)
-    model = structure_of(first.model)
+    model = structure_of(problem.model.parts[0])
     if model is None or (model.structure.geometry is None and model.structure.picture is None):
         return {}
     found = sketch(model.structure, problem.tests[0].data.sensors)
     names = [parameter.name for parameter in problem.layout.structural]
     changed = np.zeros((len(found.elements), len(names)), dtype=bool)
-    changed[:, first.parameters] = found.changed
-    owners = np.where(found.owners < 0, -1, np.asarray(first.parameters)[found.owners])
+    unknown = np.array([j for j, name in enumerate(names) if name not in problem.tests[0].known])
+    changed[:, unknown] = found.changed
+    owners = np.where(found.owners < 0, -1, unknown[found.owners])
     variables = _sketch_variables(replace(found, changed=changed, owners=owners))
     return {_STRUCTURE: xr.Dataset(variables, coords={"structural": names})}
 

@@ -15,7 +15,7 @@ from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.programs.solves import Failure
 from fmu.formats.shown import in_words
-from fmu.types import FloatArray
+from fmu.types import FloatArray, IntArray
 
 
 class FrequencyMap(Protocol):
@@ -122,8 +122,13 @@ class ModalModel:
         """Return why a user's function gave no frequencies at theta (n_parameters,); None if not known."""
         return None
 
+    @property
+    def test_of_modes(self) -> IntArray:
+        """The test that each measured mode is of, shape (n_modes,)."""
+        return np.zeros(self.n_modes, dtype=np.int64)
+
     def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
-        """Return the matrices that parameter `k` of theta changes, and its number there; None without any."""
+        """Return the matrices that parameter `k` of the structure changes, and its number there, or None."""
         return None if self.structure is None or k >= self.n_parameters else (self.structure, k)
 
     def failed_tests(self, theta: FloatArray) -> Iterator[tuple[str, ModalModel, FloatArray]]:
@@ -156,6 +161,10 @@ class ModalModel:
     def frequencies(self, theta: FloatArray) -> FloatArray:
         """Return frequencies in Hz, shape (n, n_modes), at theta (n, n_parameters); NaN where a solve failed."""
         raise NotImplementedError
+
+    def frequencies_of_test(self, test: int, values: FloatArray) -> FloatArray:
+        """Return frequencies in Hz of the measured modes of a test, at the parameters in it, (n, P)."""
+        return self.frequencies(values)
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters)."""

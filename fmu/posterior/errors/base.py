@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from typing import Any, ClassVar, NamedTuple, Protocol, Self
 
@@ -18,6 +18,10 @@ from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray, IntArray
 
 LOG_2PI = float(np.log(2.0 * np.pi))
+
+type Chain = Callable[[FloatArray, IntArray], FloatArray]
+"""From derivatives by the parameters of the structure in one test, (n, m, P), and the test of each of the m, to
+derivatives by the parameters of all tests, (n, m, n_parameters)."""
 
 
 class ErrorModel(Protocol):
@@ -206,10 +210,14 @@ class ErrorTerm:
 class Likelihood:
     """The log-likelihood of the measured modes as a function of theta.
 
+    Here theta has the parameters of the model, and then the inferred standard deviations. Of several tests the
+    former are those of the structure in each test (`fmu.posterior.joint.layout.Layout.of_model`), and derivatives
+    are by the parameters in a value's own test, unless there is a `Chain`.
+
     Attributes
     ----------
     of_modes : bool
-        Whether the errors are those of computed modes: then `quadratic`, `sensitivity`, `labels` and
+        Whether the errors are those of computed modes: then `quadratic`, `residuals_and_slopes`, `labels` and
         `in_standard_deviations` exist.
     needs_shapes : bool
         Whether errors of mode shapes are among them.
@@ -275,12 +283,19 @@ class Likelihood:
         """Return the terms and their gradients, shape (n, n_used, ndim)."""
         raise NotImplementedError
 
-    def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def quadratic(
+        self, theta: FloatArray, chain: Chain | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim)."""
         raise NotImplementedError
 
-    def sensitivity(self, theta: FloatArray) -> FloatArray:
-        """Return the derivatives of the residuals, shape (n, n_residuals, n_structural)."""
+    def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
+        """Return the residuals (n, n_residuals) and their derivatives (n, n_residuals, n_structural)."""
+        raise NotImplementedError
+
+    @property
+    def test_of_terms(self) -> IntArray:
+        """The test that each term belongs to, shape (n_terms,); there is one test only."""
         raise NotImplementedError
 
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
@@ -292,9 +307,9 @@ class Likelihood:
         raise NotImplementedError
 
     def simulate(
-        self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
+        self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes) with measurement errors added, Hz.
+        """Return frequencies (n, n_modes) with measurement errors added, Hz; the inferred sds are (n, n_noise).
 
         Raises
         ------
@@ -304,7 +319,7 @@ class Likelihood:
         raise ArgumentError("error", "must be a distribution of the frequencies to simulate them")
 
     def simulate_discrepancy(
-        self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
+        self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
         """Return frequencies (n, n_modes), Hz, with only the inferred errors, of the model, added."""
         return frequencies

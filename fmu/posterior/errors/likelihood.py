@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
+from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
@@ -13,7 +14,7 @@ from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.numbers import names_in_words
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.errors.base import ErrorModel, Evaluated, Likelihood
+from fmu.posterior.errors.base import Chain, ErrorModel, Evaluated, Likelihood
 from fmu.posterior.errors.frequency import BetaFrequencyErrors, CorrelatedFrequencyTerm, FrequencyTerm
 from fmu.posterior.errors.quantities import QuantityTerm
 from fmu.posterior.errors.surrogate_variance import (
@@ -167,17 +168,13 @@ class ModalLikelihood(Likelihood):
             of_frequency[:, unused], of_shape[:, :, unused] = 0.0, 0.0
         return of_frequency, of_shape
 
-    def residuals_and_slopes(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return all errors divided by their standard deviations, and their derivatives by the model's parameters.
+    def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
+        """Return all errors divided by their standard deviations, and their derivatives.
 
         Shapes (n, n_residuals) and (n, n_residuals, n_structural): what Gauss–Newton steps and the linearised
         information of the data are made of. Inferred standard deviations are held fixed.
         """
-        return self._all_residuals_and_slopes(self.observed(theta, True), theta)
-
-    def sensitivity(self, theta: FloatArray) -> FloatArray:
-        """Return the derivatives of the residuals, shape (n, n_residuals, n_structural)."""
-        return self.residuals_and_slopes(theta)[1]
+        return self._all_residuals_and_slopes(self._chained(self.observed(theta, True), chain), theta, chain)
 
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
         """Return a name for each row of `sensitivity`."""
@@ -203,22 +200,22 @@ class ModalLikelihood(Likelihood):
         return np.asarray(np.linalg.norm(slopes[0], axis=0))
 
     def simulate(
-        self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
+        self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
         """Return frequencies (n, n_modes) with the errors of the first error model of them added, Hz.
 
         Raises
         ------
         ValueError
-            If the errors are of shapes alone, or standard deviations are inferred and `theta` (n, ndim) is not
+            If the errors are of shapes alone, or standard deviations are inferred and `noise` (n, n_noise) is not
             given.
         """
         if self.frequency_term is None:
             raise ValueError("error: must be a distribution of the frequencies to simulate them")
-        return self.frequency_term.simulate(rng, frequencies, self._noise_of(frequencies, theta))
+        return self.frequency_term.simulate(rng, frequencies, self._given_noise(frequencies, noise))
 
     def simulate_discrepancy(
-        self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
+        self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
         """Return frequencies (n, n_modes), Hz, with only the inferred errors, of the model, added.
 
@@ -229,20 +226,22 @@ class ModalLikelihood(Likelihood):
         """
         if self.frequency_term is None:
             return frequencies
-        return self.frequency_term.simulate_inferred(rng, frequencies, self._noise_of(frequencies, theta))
+        return self.frequency_term.simulate_inferred(rng, frequencies, self._given_noise(frequencies, noise))
 
-    def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def quadratic(
+        self, theta: FloatArray, chain: Chain | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
 
         JᵀJ of the residuals for the model's parameters, Fisher's information for the standard deviations.
         """
-        seen = self.observed(theta, True)
-        r, J = self._all_residuals_and_slopes(seen, theta)
+        seen = self._chained(self.observed(theta, True), chain)
+        r, J = self._all_residuals_and_slopes(seen, theta, chain)
         is_plain = not (self.noise or self.model.is_uncertain)
         if is_plain and all(term.is_least_squares for term in self.terms_of):
             value, gradient = self.terms_of_observed(seen, theta).sum(axis=1), -np.einsum("nr,nrk->nk", r, J)
         else:
-            terms, slopes = self._terms_and_gradient(seen, theta)
+            terms, slopes = self._terms_and_gradient(seen, theta, chain)
             value, gradient = terms.sum(axis=1), slopes.sum(axis=1)
         return value, gradient, self._information(J, theta)
 
@@ -282,12 +281,10 @@ class ModalLikelihood(Likelihood):
         named = described.get("errors", [described])
         return [(str(one["error"]), self.of_used(part.terms)) for one, part in zip(named, parts, strict=True)]
 
-    def _noise_of(self, frequencies: FloatArray, theta: FloatArray | None) -> FloatArray:
-        if theta is None:
-            if self.noise:
-                raise ValueError("theta: must be given where standard deviations are inferred (got None)")
-            return np.empty((len(frequencies), 0))
-        return theta[:, self.n_structural :]
+    def _given_noise(self, frequencies: FloatArray, noise: FloatArray | None) -> FloatArray:
+        if noise is None and self.noise:
+            raise ValueError("theta: must be given where standard deviations are inferred (got None)")
+        return np.empty((len(frequencies), 0)) if noise is None else noise
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
         """Return the frequencies at theta (n, ndim), and the shapes where they have errors."""
@@ -313,7 +310,18 @@ class ModalLikelihood(Likelihood):
             ]
         return views, parts
 
-    def _terms_and_gradient(self, seen: ModalPrediction, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _chained(self, seen: ModalPrediction, chain: Chain | None) -> ModalPrediction:
+        """Return a prediction with derivatives by all parameters of theta, if there is a `chain` to them."""
+        if chain is None or seen.frequency_slopes is None:
+            return seen
+        test, by_shape = self.model.test_of_modes, seen.shape_slopes
+        if by_shape is not None:
+            by_shape = np.stack([chain(by_shape[:, s], test) for s in range(by_shape.shape[1])], axis=1)
+        return replace(seen, frequency_slopes=chain(seen.frequency_slopes, test), shape_slopes=by_shape)
+
+    def _terms_and_gradient(
+        self, seen: ModalPrediction, theta: FloatArray, chain: Chain | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         views, parts = self._parts(seen, theta, gradient=True)
         with np.errstate(invalid="ignore", over="ignore"):
             slopes = np.asarray(sum(map(self._chain_slopes, parts, views)))
@@ -321,7 +329,7 @@ class ModalLikelihood(Likelihood):
         if np.count_nonzero(finite) < finite.size:
             slopes[~finite] = np.nan
         terms = self.of_used(np.asarray(sum(part.terms for part in parts)))
-        return self._with_quantities_and_slopes(terms, self.of_used(slopes, 1), theta)
+        return self._with_quantities_and_slopes(terms, self.of_used(slopes, 1), theta, chain)
 
     def _with_quantities(self, terms: FloatArray, theta: FloatArray) -> FloatArray:
         """Return terms of modes (n, n_used), followed by terms of the quantities."""
@@ -330,26 +338,40 @@ class ModalLikelihood(Likelihood):
         structural = theta[:, : self.n_structural]
         return np.concatenate([terms, *(term.terms(structural) for term in self.quantities)], axis=1)
 
+    @property
+    def test_of_terms(self) -> IntArray:
+        """The test that each term belongs to, shape (n_terms,)."""
+        of_quantities = [np.full(len(term.labels), term.test) for term in self.quantities]
+        return np.concatenate([self.of_used(self.model.test_of_modes), *of_quantities])
+
     def _with_quantities_and_slopes(
-        self, terms: FloatArray, slopes: FloatArray, theta: FloatArray
+        self, terms: FloatArray, slopes: FloatArray, theta: FloatArray, chain: Chain | None = None
     ) -> tuple[FloatArray, FloatArray]:
         """Return terms of modes and gradients (n, n_used, ndim), then terms and gradients of the quantities."""
         if not self.quantities:
             return terms, slopes
         parts = [slopes]
-        for term in self.quantities:
-            r, J = term.residuals_and_slopes(theta[:, : self.n_structural])
+        for r, J in self._residuals_of_quantities(theta, chain):
             part = np.zeros((*r.shape, slopes.shape[-1]))
-            part[..., : self.n_structural] = -r[..., None] * J
+            part[..., : J.shape[-1]] = -r[..., None] * J
             parts.append(part)
         return self._with_quantities(terms, theta), np.concatenate(parts, axis=1)
 
-    def _all_residuals_and_slopes(self, seen: ModalPrediction, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals of modes and quantities, and their derivatives by the model's parameters."""
+    def _all_residuals_and_slopes(
+        self, seen: ModalPrediction, theta: FloatArray, chain: Chain | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the residuals of modes and quantities, and their derivatives."""
         found = [self._residuals_and_slopes(seen, theta[:, self.n_structural :])]
-        found += [term.residuals_and_slopes(theta[:, : self.n_structural]) for term in self.quantities]
-        r, J = zip(*found, strict=True)
+        r, J = zip(*found, *self._residuals_of_quantities(theta, chain), strict=True)
         return np.concatenate(r, axis=1), np.concatenate(J, axis=1)
+
+    def _residuals_of_quantities(
+        self, theta: FloatArray, chain: Chain | None
+    ) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """Yield the residuals (n, q) and their derivatives for each of `quantities`."""
+        for term in self.quantities:
+            r, J = term.residuals_and_slopes(theta[:, : self.n_structural])
+            yield r, J if chain is None else chain(J, np.full(r.shape[1], term.test))
 
     def _chain_slopes(self, part: Evaluated, seen: ModalPrediction) -> FloatArray:
         """Return the gradient of an error model's terms by all parameters, shape (n, n_modes, ndim).
@@ -395,8 +417,8 @@ class ModalLikelihood(Likelihood):
         return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
 
     def _information(self, J: FloatArray, theta: FloatArray) -> FloatArray:
-        n, s = self.n_structural, theta[:, self.n_structural :]
-        information = np.zeros((len(theta), theta.shape[1], theta.shape[1]))
+        n, s = J.shape[-1], theta[:, self.n_structural :]
+        information = np.zeros((len(theta), n + s.shape[1], n + s.shape[1]))
         information[:, :n, :n] = np.einsum("nrk,nrl->nkl", J, J)
         if self.noise:
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):

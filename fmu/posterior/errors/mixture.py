@@ -11,7 +11,7 @@ from fmu.arguments import ArgumentError
 from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.pairing.prediction import Candidates, ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.errors.base import ErrorModel, Evaluated, Likelihood
+from fmu.posterior.errors.base import Chain, ErrorModel, Evaluated, Likelihood
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.types import FloatArray, IntArray
 
@@ -107,7 +107,7 @@ class MixtureLikelihood(ModalLikelihood):
         candidates = self._candidates(theta, True)
         return self._mix(self._pairs(candidates, theta, True), candidates, theta)
 
-    def residuals_and_slopes(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
         """Return the errors divided by their standard deviations, and their derivatives, for the best MAC.
 
         The modes of the best MAC are the measured ones even where frequencies are still so wrong that other
@@ -117,7 +117,9 @@ class MixtureLikelihood(ModalLikelihood):
         best = _best(np.swapaxes(candidates.mac, 1, 2))
         return self._residuals_and_slopes(_pick_candidates(candidates, best), theta[:, self.n_structural :])
 
-    def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def quadratic(
+        self, theta: FloatArray, chain: Chain | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
 
         The information is that of the candidates with the largest share.

@@ -33,6 +33,8 @@ class QuantityTerm(NamedTuple):
     measured, sd : ndarray, shape (q,)
     computed : callable
         Returns the values (n, q) at the model's parameters (n, n_structural), and if asked for their derivatives.
+    test : int
+        The test in which they were measured.
     """
 
     labels: tuple[str, ...]
@@ -40,6 +42,7 @@ class QuantityTerm(NamedTuple):
     measured: FloatArray
     sd: FloatArray
     computed: Any
+    test: int = 0
 
     def terms(self, theta: FloatArray) -> FloatArray:
         """Return the log-densities, shape (n, q)."""

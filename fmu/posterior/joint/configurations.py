@@ -13,9 +13,9 @@ from fmu.fem.modes.changes import changed_model
 from fmu.fem.modes.separable import SeparableModel
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.repeated import mean_shapes
-from fmu.posterior.joint.joint_model import Configuration
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.modal_test import Test, TestsError
+from fmu.posterior.joint.model_in_tests import Configuration
 from fmu.posterior.joint.quantities import over
 from fmu.posterior.problem import UpdatingProblem
 from fmu.types import FloatArray

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from copy import copy
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
@@ -16,14 +15,13 @@ from fmu.posterior.build import check_names
 from fmu.posterior.errors.base import ErrorModel
 from fmu.posterior.errors.mac import MACErrors
 from fmu.posterior.errors.shape import ShapeErrors
+from fmu.posterior.joint.build_layout import BY_GROUP, BY_TEST, VARIES, build_layout, find_populations
 from fmu.posterior.joint.configurations import find_configurations, stack_tests
 from fmu.posterior.joint.damage import Damage
-from fmu.posterior.joint.joint_model import JointModel, SlopesByTest
-from fmu.posterior.joint.layout import BY_GROUP, BY_TEST, VARIES, Layout, Role, find_populations
 from fmu.posterior.joint.modal_test import Test, TestsError
+from fmu.posterior.joint.model_in_tests import ModelInTests
 from fmu.posterior.joint.population import Population
 from fmu.posterior.joint.quantities import Errors
-from fmu.posterior.joint.scored_prior import ScoredPrior
 from fmu.posterior.joint.typical import centre_scores
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Prior
@@ -32,13 +30,27 @@ from fmu.types import FloatArray, Positive
 
 
 @check_arguments
-class JointProblem(UpdatingProblem):
-    """The posterior of all tests of a structure together.
+def JointProblem(  # it is the constructor of a problem
+    model: Annotated[SeparableModel | BlackBoxModel, OwnRule()],
+    tests: Sequence[Test],
+    parameters: Sequence[Parameter],
+    *,
+    varies: Mapping[str, str | Population | Damage] | None = None,
+    slopes: Mapping[str, Mapping[str, Prior]] | None = None,
+    reference: str | None = None,
+    correlation: float | None = None,
+    pairing: str = "shape",
+    beta: Positive | None = None,
+    error: str | ErrorModel | Sequence[ErrorModel] = "frequency",
+    reduction: Annotated[bool | float, OwnRule()] = True,
+    engine: Engine | None = None,
+    name: str = "problem",
+) -> UpdatingProblem:
+    """Return the posterior of all tests of a structure together.
 
-    It is an `UpdatingProblem` whose modes are those of every test, named ``"test: mode"``. Its parameters are the
-    shared ones and those of each test, group or population (`fmu.posterior.joint.layout`). Everything that
-    takes a problem takes it. One evaluation answers all tests: those that share the matrices are one batch, and
-    one reduced model serves them.
+    Its modes are the modes of every test, named ``"test: mode"``. Its parameters are the shared ones and those of
+    each test, group or population (`fmu.posterior.joint.layout`). Everything that takes a problem takes it. One
+    evaluation answers all tests: those that share the matrices are one batch, and one reduced model serves them.
 
     Parameters
     ----------
@@ -56,7 +68,7 @@ class JointProblem(UpdatingProblem):
         By the names of parameter and covariate: the prior of the relative slope b, with which the value in a test
         is multiplied by 1 + b (x − x₀), where x₀ is the mean of the covariate over the tests.
     reference : str, optional
-        The group of tests that losses refer to (`losses`); that of the first test by default.
+        The group of tests that losses refer to; that of the first test by default.
     correlation : float, optional
         The populations are correlated (`fmu.posterior.joint.correlation`), and this is the shape η of the prior of
         their correlation matrix, LKJ(η): 1 is flat, and the larger it is, the smaller are the correlations.
@@ -66,10 +78,10 @@ class JointProblem(UpdatingProblem):
         single tests. `fmu.MassErrors` and `fmu.StaticErrors` name the test in which the mass was weighed, or the
         displacement measured: ``fmu.MassErrors(32.5e3, sd=300.0, test="autumn")``.
 
-    Attributes
-    ----------
-    tests : tuple of Test
-    layout : Layout
+    Returns
+    -------
+    UpdatingProblem
+        See its `tests`, `layout` and `values`.
 
     Raises
     ------
@@ -78,216 +90,76 @@ class JointProblem(UpdatingProblem):
     ValueError
         As `UpdatingProblem` does.
     """
+    tests = tuple(tests)
+    varies, slopes = dict(varies or {}), {key: dict(value) for key, value in (slopes or {}).items()}
+    check_names(parameters)
+    reference = (tests[0].group if tests else "") if reference is None else reference
+    errors = Errors.of(error)
+    found = find_mistakes(tests, parameters, varies, slopes, reference, correlation)
+    found += errors.find_mistakes(model, [test.name for test in tests])
+    if any(isinstance(one, (ShapeErrors, MACErrors)) for one in np.ravel(np.array(error, dtype=object))):
+        found += mistakes_of_shapes(tests)
+    if found:
+        raise TestsError(found)
+    if pairing == "soft" or (isinstance(error, str) and error == "modal-residual"):
+        what = "soft pairing" if pairing == "soft" else "the modal residual"
+        raise ValueError(f"tests: {what} is for a single test (got {len(tests)})")
+    layout = build_layout(parameters, tests, varies, slopes, reference, correlation)
+    data = stack_tests(tests)
+    common = {"beta": beta, "error": errors.of_modes}
+    options = {"pairing": pairing, "reduction": reduction, "engine": engine, **common}
+    parts, tolerance = find_configurations(model, tests, layout, options)
+    joint = ModelInTests(parts, [test.name for test in tests], len(parameters), data.n_modes)
+    problem = UpdatingProblem(joint, data, parameters, name=name, layout=layout, **common)
+    problem.likelihood.quantities = errors.bound(joint, layout)
+    problem.tolerance = tolerance
+    return problem.with_layout(centre_scores(problem)) if problem.is_hierarchical else problem
 
-    model: JointModel
 
-    def __init__(
-        self,
-        model: SeparableModel | BlackBoxModel,
-        tests: Sequence[Test],
-        parameters: Sequence[Parameter],
-        *,
-        varies: Mapping[str, str | Population | Damage] | None = None,
-        slopes: Mapping[str, Mapping[str, Prior]] | None = None,
-        reference: str | None = None,
-        correlation: float | None = None,
-        pairing: str = "shape",
-        beta: Positive | None = None,
-        error: str | ErrorModel | Sequence[ErrorModel] = "frequency",
-        reduction: Annotated[bool | float, OwnRule()] = True,
-        engine: Engine | None = None,
-        name: str = "problem",
-    ) -> None:
-        self.tests = tuple(tests)
-        varies, slopes = dict(varies or {}), {key: dict(value) for key, value in (slopes or {}).items()}
-        check_names(parameters)
-        self.reference = (self.tests[0].group if self.tests else "") if reference is None else reference
-        errors = Errors.of(error)
-        found = find_mistakes(self.tests, parameters, varies, slopes, self.reference, correlation)
-        found += errors.find_mistakes(model, [test.name for test in self.tests])
-        if any(isinstance(one, (ShapeErrors, MACErrors)) for one in np.ravel(np.array(error, dtype=object))):
-            found += mistakes_of_shapes(self.tests)
-        if found:
-            raise TestsError(found)
-        if pairing == "soft" or (isinstance(error, str) and error == "modal-residual"):
-            what = "soft pairing" if pairing == "soft" else "the modal residual"
-            raise ValueError(f"tests: {what} is for a single test (got {len(self.tests)})")
-        self.layout = Layout.of(parameters, self.tests, varies, slopes, self.reference, correlation)
-        data = stack_tests(self.tests)
-        common = {"beta": beta, "error": errors.of_modes}
-        options = {"pairing": pairing, "reduction": reduction, "engine": engine, **common}
-        parts, tolerance = find_configurations(model, self.tests, self.layout, options)
-        joint = JointModel(self.layout, parts, data.n_modes)
-        super().__init__(joint, data, self.layout.parameters, name=name, **common)
-        self.likelihood.quantities = errors.bound(joint)
-        self.tolerance = tolerance
-        if self.is_hierarchical:
-            self._take(centre_scores(self))
+def simulate_next_test(
+    problem: UpdatingProblem,
+    rng: np.random.Generator,
+    theta: FloatArray,
+    like: str | None = None,
+    covariates: Mapping[str, float] | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the frequencies of one more test of the structure, Hz: computed, and with the errors of a test.
 
-    @classmethod
-    def reduced(cls, *args: Any, **options: Any) -> JointProblem:
-        """Return ``JointProblem(…)``, which has a certified reduced model unless `reduction` is False.
+    Parameters
+    ----------
+    problem : UpdatingProblem
+        Of several tests.
+    rng : Generator
+    theta : ndarray, shape (n, ndim)
+        Draws: values that scatter over the tests are drawn anew from the population of each.
+    like : str, optional
+        Name of the test that it resembles in configuration, group, modes and errors; the first by default.
+    covariates : mapping of str to float, optional
+        Those not named are at their means over the tests.
 
-        Parameters
-        ----------
-        *args, **options
-            Those of `JointProblem`.
+    Returns
+    -------
+    computed, measured : ndarray, shape (n, n_modes of that test)
 
-        Raises
-        ------
-        ValueError
-            As `JointProblem` does.
-        """
-        return cls(*args, **options)
-
-    def _posterior_and_gradient(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the log-probability and its gradient, put together from the derivatives in every test."""
-        likelihood: Any = copy(self.likelihood)
-        n = self.n_structural
-        likelihood.model, likelihood.quantities = SlopesByTest(self.model), ()
-        terms, slopes = likelihood.terms_and_gradient(points)
-        P, modes = len(self.layout.structural), likelihood.of_used(np.arange(self.data.n_modes))
-        test = self.model.test[modes]  # ascending
-        first = np.flatnonzero(np.diff(test, prepend=-1))
-        by_test = np.zeros((len(points), self.layout.n_tests, P))
-        by_test[:, test[first]] = np.add.reduceat(slopes[:, :, :P], first, axis=1)
-        gradient = self.prior.log_pdf_gradient(points)
-        gradient[:, :n] += self.layout.pull_slopes(points[:, :n], by_test)
-        gradient[:, n:] += slopes[:, :, P:].sum(axis=1)
-        parts = [terms]
-        for quantity in self.likelihood.quantities:
-            r, J = quantity.residuals_and_slopes(points[:, :n])
-            gradient[:, :n] -= np.einsum("nq,nqk->nk", r, J)
-            parts.append(quantity.terms(points[:, :n]))
-        terms = terms if len(parts) == 1 else np.concatenate(parts, axis=1)
-        return self._record_failures(terms, points).sum(axis=1) + self.prior.log_pdf(points), gradient
-
-    def _take(self, layout: Layout) -> None:
-        """Let the scores refer to what `layout` says."""
-        self.layout = self.model.layout = layout
-        self.prior = ScoredPrior(self.parameters, layout)
-
-    @property
-    def roles(self) -> tuple[Role, ...]:
-        """What each parameter of theta is for."""
-        return (*self.layout.roles, *[Role("noise", None)] * (self.ndim - self.n_structural))
-
-    @property
-    def is_hierarchical(self) -> bool:  # type: ignore[override]
-        """Whether parameters have a distribution that is inferred: a population."""
-        return bool(self.layout.scales)
-
-    def values(self, theta: Any) -> FloatArray:
-        """Return the parameters of the structure in every test, shape (n_tests, n) or (n_points, n_tests, n).
-
-        Parameters
-        ----------
-        theta : array_like, shape (ndim,) or (n_points, ndim)
-
-        Returns
-        -------
-        ndarray
-            The order is that of the tests, and of ``layout.structural``; NaN where a parameter is known.
-        """
-        points, single = self._points(theta)
-        values = self.layout.values(points[:, : self.n_structural])
-        for t, test in enumerate(self.tests):
-            for j, parameter in enumerate(self.layout.structural):
-                if parameter.name in test.known:
-                    values[:, t, j] = test.known[parameter.name]
-        return values[0] if single else values
-
-    def correlations(self, theta: FloatArray) -> FloatArray:
-        """Return the correlation matrix of the populations, shape (n, n_populations, n_populations).
-
-        Parameters
-        ----------
-        theta : ndarray, shape (n, ndim)
-        """
-        if self.layout.correlation is None:
-            return np.tile(np.eye(len(self.layout.drawn)), (len(theta), 1, 1))
-        factor = self.layout.correlation.factor(theta[:, : self.n_structural])
-        return np.asarray(np.einsum("nik,njk->nij", factor, factor))
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        """The groups of tests other than the reference, where a parameter varies between groups; else none."""
-        groups = dict.fromkeys(test.group for test in self.tests if test.group != self.reference)
-        return tuple(groups) if self.layout.by_state else ()
-
-    def losses(self, theta: FloatArray) -> FloatArray:
-        """Return the losses 1 − θ/θ_reference, shape (n, n_states, n_parameters that vary between groups).
-
-        Parameters
-        ----------
-        theta : ndarray, shape (n, ndim)
-
-        Raises
-        ------
-        ValueError
-            If no parameter varies between groups.
-        """
-        if not self.states:
-            raise ValueError("varies: a parameter must vary between groups of tests to have losses (got none)")
-        groups = [test.group for test in self.tests]
-        later = np.array([groups.index(state) for state in self.states])
-        reference = np.full(len(later), groups.index(self.reference))
-        return self.layout.losses(theta[:, : self.n_structural], reference, later)
-
-    def simulate_next_test(
-        self,
-        rng: np.random.Generator,
-        theta: FloatArray,
-        like: str | None = None,
-        covariates: Mapping[str, float] | None = None,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the frequencies of one more test of the structure, Hz: computed, and with the errors of a test.
-
-        Parameters
-        ----------
-        rng : Generator
-        theta : ndarray, shape (n, ndim)
-            Draws: values that scatter over the tests are drawn anew from the population of each.
-        like : str, optional
-            Name of the test that it resembles in configuration, group, modes and errors; the first by default.
-        covariates : mapping of str to float, optional
-            Those not named are at their means over the tests.
-
-        Returns
-        -------
-        computed, measured : ndarray, shape (n, n_modes of that test)
-
-        Raises
-        ------
-        ValueError
-            If there is no such test or covariate, or the error models give no distribution of the frequencies.
-        """
-        names = [test.name for test in self.tests]
-        if like is not None and like not in names:
-            raise ValueError(f"like: must be one of {', '.join(names)} (got {like!r})")
-        t = 0 if like is None else names.index(like)
-        unknown = [name for name in covariates or {} if name not in self.tests[t].covariates]
-        if unknown:
-            raise ValueError(
-                f"covariates: must be among {', '.join(self.tests[t].covariates)} (got {unknown[0]!r})"
-            )
-        values = self.layout.of_next_test(theta[:, : self.n_structural], rng, t, covariates or {})
-        part = next(one for one in self.model.configurations if t in one.tests)
-        here = part.tests[part.test] == t
-        columns = part.columns[here]
-        computed = part.model.frequencies(values[:, part.parameters])[:, part.mode[here]]
-        every = np.tile(np.asarray(self.data.frequencies_hz), (len(theta), 1))
-        every[:, columns] = computed
-        return computed, self.simulate_data(rng, every, theta)[:, columns]
-
-    def configuration(self) -> dict[str, Any]:
-        """Return the data that define the posterior, in plain Python types."""
-        return super().configuration() | {
-            "tests": [test.as_dict() for test in self.tests],
-            "populations": {name: one.as_dict() for name, one in self.layout.populations.items()},
-            "reference": self.reference,
-            "correlated": self.layout.correlation is not None,
-        }
+    Raises
+    ------
+    ValueError
+        If there is no such test or covariate, or the error models give no distribution of the frequencies.
+    """
+    tests = problem.tests
+    names = [test.name for test in tests]
+    if like is not None and like not in names:
+        raise ValueError(f"like: must be one of {', '.join(names)} (got {like!r})")
+    t = 0 if like is None else names.index(like)
+    unknown = [name for name in covariates or {} if name not in tests[t].covariates]
+    if unknown:
+        raise ValueError(f"covariates: must be among {', '.join(tests[t].covariates)} (got {unknown[0]!r})")
+    values = problem.layout.of_next_test(theta[:, : problem.n_structural], rng, t, covariates or {})
+    computed = problem.model.frequencies_of_test(t, values)
+    columns = problem.model.test_of_modes == t
+    every = np.tile(np.asarray(problem.data.frequencies_hz), (len(theta), 1))
+    every[:, columns] = computed
+    return computed, problem.simulate_data(rng, every, theta)[:, columns]
 
 
 def find_mistakes(

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from fmu.posterior.joint.correlation import Correlation, correlations
-from fmu.posterior.joint.damage import Damage
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.joint.correlation import Correlation
 from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.population import Population
-from fmu.posterior.joint.values import Drawn, Future, InTests, Lost, Taken, Trend
+from fmu.posterior.joint.values import Drawn, Future, InTests, Taken
 from fmu.posterior.parameters import Parameter, box
-from fmu.posterior.priors.base import Normal, Prior
 from fmu.types import FloatArray, IntArray
 
-SHARED, BY_TEST, BY_GROUP = "shared", "test", "group"
-VARIES = (SHARED, BY_TEST, BY_GROUP)
+SHARED = "shared"
 
 
 class Role(NamedTuple):
@@ -27,9 +25,10 @@ class Role(NamedTuple):
 
     Attributes
     ----------
-    kind : {"shared", "test", "group", "mean", "sd", "score", "loss", "slope", "correlation"}
+    kind : {"shared", "test", "group", "mean", "sd", "score", "loss", "slope", "correlation", "noise"}
         The value in all tests, in one, or in a group of them; mean or standard deviation of a population, or a
-        test's score in it; a share that a group has lost; a slope by a covariate.
+        test's score in it; a share that a group has lost; a slope by a covariate; an inferred standard deviation
+        of the errors.
     of : int or None
         The parameter of the structure, by its number in ``layout.structural``; None for correlations.
     where : str
@@ -45,6 +44,8 @@ class Role(NamedTuple):
 class Layout:
     """The parameters of all tests together, and their meaning for each test.
 
+    Of a single test it is the identity.
+
     Attributes
     ----------
     structural : tuple of Parameter
@@ -52,8 +53,7 @@ class Layout:
     parameters : tuple of Parameter
         What is inferred: shared parameters, those of each test or group, means, standard deviations and slopes;
         then the scores.
-    tests : tuple of str
-        Names.
+    tests : tuple of Test
     values_of : tuple of InTests
         One per parameter of the structure.
     populations : mapping of str to Population
@@ -66,120 +66,95 @@ class Layout:
         Of the populations; they are independent without one.
     roles : tuple of Role
         What each of `parameters` is for.
+    reference : str
+        The group of tests that losses refer to.
     """
 
     structural: tuple[Parameter, ...]
     parameters: tuple[Parameter, ...]
-    tests: tuple[str, ...]
+    tests: tuple[Test, ...]
     values_of: tuple[InTests, ...]
     populations: Mapping[str, Population] = field(default_factory=dict)
     by_test: tuple[str, ...] = ()
     by_state: tuple[str, ...] = ()
     correlation: Correlation | None = None
     roles: tuple[Role, ...] = ()
+    reference: str = ""
 
     @classmethod
-    def of(
-        cls,
-        structural: Sequence[Parameter],
-        tests: Sequence[Test],
-        varies: Mapping[str, str | Population | Damage],
-        slopes: Mapping[str, Mapping[str, Prior]],
-        reference: str = "",
-        eta: float | None = None,
-    ) -> Layout:
-        """Return the layout; what the arguments mean is told in `fmu.JointProblem`, which has checked them."""
-        main: list[Parameter] = []
-        scores: list[Parameter] = []
-        pending: list[Any] = []
-        roles: list[Role] = []
-        of_scores: list[Role] = []
-
-        def add(parameter: Parameter, kind: str, of: int | None, where: str = "") -> int:
-            main.append(parameter)
-            roles.append(Role(kind, of, where))
-            return len(main) - 1
-
-        for j, p in enumerate(structural):
-            how = varies.get(p.name, SHARED)
-            here = [t for t, test in enumerate(tests) if p.name not in test.known]
-            columns = np.zeros(len(tests), dtype=np.int64)
-            base: Any
-            if isinstance(how, Population):
-                mean, sd = how.parameters(p)
-                centre, width = add(mean, "mean", j), add(sd, "sd", j)
-                columns[here] = len(scores) + np.arange(len(here))
-                for t in here:
-                    scores.append(Parameter(f"{p.name} score [{tests[t].name}]", 0.0, prior=Normal(1.0)))
-                    of_scores.append(Role("score", j, tests[t].name))
-                scored, start = np.isin(range(len(tests)), here), (main[centre].start, main[width].start)
-                base = Drawn(how, centre, width, columns, scored, p.lower, p.upper, np.zeros(len(tests)), start)
-            elif isinstance(how, Damage):
-                base = _lose(p, how, tests, reference, partial(add, of=j))
-            else:
-                places = [_place_of(how, test) for test in tests]
-                number = {
-                    place: add(_rename(p, f"{p.name} [{place}]" if how != SHARED else p.name), how, j, place)
-                    for place in dict.fromkeys(places[t] for t in here)
-                }
-                columns[here] = [number[places[t]] for t in here]
-                base = Taken(columns, p if how == BY_TEST else None)
-            of_slopes, away, means = [], [], []
-            for covariate, prior in slopes.get(p.name, {}).items():
-                x = np.array([test.covariates[covariate] for test in tests])
-                away.append(x - x.mean())
-                means.append(float(x.mean()))
-                at = float(np.clip(0.0, *prior.support))
-                of_slope = Parameter(f"{p.name} per {covariate}", at, prior=prior)
-                of_slopes.append(add(of_slope, "slope", j, covariate))
-            trend = (tuple(of_slopes), np.array(away), tuple(slopes.get(p.name, {})), tuple(means))
-            pending.append((base, trend))
-
-        correlation = None
-        if eta is not None:
-            of_both = correlations([name for name, _ in find_populations(structural, varies)], eta)
-            correlation = Correlation(
-                tuple(add(parameter, "correlation", None) for parameter in of_both),
-                np.stack([base.scored for base, _ in pending if isinstance(base, Drawn)], axis=1),
-            )
-        values_of = []
-        for base, trend in pending:
-            if isinstance(base, Drawn):  # the scores follow all others
-                base = replace(base, columns=base.columns + len(main))
-            values_of.append(Trend(base, *trend) if trend[0] else base)
+    def of_one(cls, parameters: Sequence[Parameter], data: ModalData) -> Layout:
+        """Return the layout of a single test, in which theta has the parameters of the structure themselves."""
+        numbers = range(len(parameters))
         return cls(
-            tuple(structural),
-            (*main, *scores),
-            tuple(test.name for test in tests),
-            tuple(values_of),
-            dict(find_populations(structural, varies)),
-            tuple(name for name, how in varies.items() if how == BY_TEST),
-            tuple(
-                p.name
-                for p in structural
-                if varies.get(p.name) == BY_GROUP or isinstance(varies.get(p.name), Damage)
-            ),
-            correlation,
-            (*roles, *of_scores),
+            tuple(parameters),
+            tuple(parameters),
+            (Test("test", data),),
+            tuple(Taken(np.array([j])) for j in numbers),
+            roles=tuple(Role(SHARED, j) for j in numbers),
         )
 
-    def losses(self, theta: FloatArray, reference: IntArray, later: IntArray) -> FloatArray:
-        """Return 1 − θ/θ_reference of the parameters of `by_state`, shape (n, n_later, n_by_state).
+    @cached_property
+    def is_identity(self) -> bool:
+        """Whether theta has the parameters of the structure in one test, and nothing else."""
+        return len(self.tests) == 1
 
-        Without what covariates do.
+    def of_model(self, theta: FloatArray) -> FloatArray:
+        """Return the parameters of the model and the inferred standard deviations, at theta (n, ndim).
+
+        Those of the model are the structure's in every test, one test after the other
+        (`fmu.posterior.joint.model_in_tests.ModelInTests`).
+        """
+        if self.is_identity:
+            return theta
+        n = len(self.parameters)
+        return np.concatenate([self.values(theta[:, :n]).reshape(len(theta), -1), theta[:, n:]], axis=1)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The groups of tests other than the reference, where a parameter varies between groups; else none."""
+        groups = dict.fromkeys(test.group for test in self.tests if test.group != self.reference)
+        return tuple(groups) if self.by_state else ()
+
+    def configuration(self) -> dict[str, Any]:
+        """Return the data that define it, in plain Python types."""
+        return {
+            "tests": [test.as_dict() for test in self.tests],
+            "populations": {name: one.as_dict() for name, one in self.populations.items()},
+            "reference": self.reference,
+            "correlated": self.correlation is not None,
+        }
+
+    def losses(self, theta: FloatArray) -> FloatArray:
+        """Return 1 − θ/θ_reference of the parameters of `by_state`, shape (n, n_states, n_by_state).
+
+        Without the effects of covariates.
 
         Parameters
         ----------
         theta : ndarray, shape (n, n_parameters)
-        reference, later : ndarray of int, shape (n_later,)
-            A test of either state.
+
+        Raises
+        ------
+        ValueError
+            If no parameter varies between groups.
         """
+        if not self.states:
+            raise ValueError("varies: a parameter must vary between groups of tests to have losses (got none)")
+        groups = [test.group for test in self.tests]
+        later, reference = [groups.index(state) for state in self.states], groups.index(self.reference)
         found = []
         for parameter, value_of in zip(self.structural, self.values_of, strict=True):
             if parameter.name in self.by_state:
                 value = value_of.base(theta)[0]
-                found.append(1.0 - value[:, later] / value[:, reference])
+                found.append(1.0 - value[:, later] / value[:, [reference]])
         return np.stack(found, axis=2)
+
+    def correlations(self, theta: FloatArray) -> FloatArray:
+        """Return the correlation matrix of the populations, shape (n, n_populations, n_populations)."""
+        if self.correlation is None:
+            return np.tile(np.eye(len(self.drawn)), (len(theta), 1, 1))
+        factor = self.correlation.factor(theta)
+        return np.asarray(np.einsum("nik,njk->nij", factor, factor))
 
     @property
     def drawn(self) -> list[Drawn]:
@@ -191,11 +166,6 @@ class Layout:
         """Numbers in theta of what tells how others scatter: of populations and their correlations."""
         found = [k for one in self.drawn for k in (one.centre, one.width)]
         return sorted([*found, *(self.correlation.columns if self.correlation else ())])
-
-    @property
-    def n_tests(self) -> int:
-        """Number of tests."""
-        return len(self.tests)
 
     def values(self, theta: FloatArray) -> FloatArray:
         """Return the parameters of the structure, shape (n, n_tests, n_structural), at theta (n, n_parameters).
@@ -274,50 +244,93 @@ class Layout:
                 found[:, rows, columns[test]] += slopes[:, :, j] * values[:, test]
         return found
 
-    def pull_slopes(self, theta: FloatArray, slopes: FloatArray) -> FloatArray:
-        """Return derivatives by theta, (n, n_parameters), of a quantity that depends on all tests.
+    def gradient(self, theta: FloatArray, slopes: FloatArray, test: IntArray) -> FloatArray:
+        """Return the gradient (n, ndim) of a sum of terms that each belong to one test of several.
 
         Parameters
         ----------
-        theta : ndarray, shape (n, n_parameters)
-        slopes : ndarray, shape (n, n_tests, n_structural)
-            By the structure's parameters in each test.
+        theta : ndarray, shape (n, ndim)
+        slopes : ndarray, shape (n, m, n_structural + n_noise)
+            Derivatives of each term by the structure's parameters in its test, and by the standard deviations.
+        test : ndarray of int, shape (m,)
+            The test of each term.
         """
-        every = [(j, slope) for j, value_of in enumerate(self.values_of) for slope in value_of(theta)[1]]
-        terms = np.concatenate([slopes[:, :, j] * slope.values for j, slope in every], axis=1)
+        n, P = len(self.parameters), len(self.structural)
+        order = np.argsort(test, kind="stable")
+        first = np.flatnonzero(np.diff(test[order], prepend=-1))
+        by_test = np.zeros((len(theta), len(self.tests), P))
+        by_test[:, test[order][first]] = np.add.reduceat(slopes[:, order, :P], first, axis=1)
+        every = [(j, slope) for j, value_of in enumerate(self.values_of) for slope in value_of(theta[:, :n])[1]]
+        terms = np.concatenate([by_test[:, :, j] * slope.values for j, slope in every], axis=1)
         columns = np.concatenate([slope.columns for _, slope in every])
         order = np.argsort(columns, kind="stable")
         distinct, first = np.unique(columns[order], return_index=True)
         found = np.zeros_like(theta)
         found[:, distinct] = np.add.reduceat(terms[:, order], first, axis=1)
+        found[:, n:] = slopes[:, :, P:].sum(axis=1)
         return found
 
+    def log_prior(self, theta: FloatArray, independent: FloatArray) -> FloatArray:
+        """Return the log-density of the prior (n,), given the log-density of independent parameters.
 
-def find_populations(structural: Sequence[Parameter], varies: Mapping[str, Any]) -> list[tuple[str, Population]]:
-    """Return the parameters that scatter over the tests, in the order of theta, with their populations."""
-    every = ((p.name, varies.get(p.name)) for p in structural)
-    return [(name, how) for name, how in every if isinstance(how, Population)]
+        Independent scores are standard normal. Centred scores refer to a population, and those of several
+        populations may be correlated.
+        """
+        value = independent
+        for one in self._centred:
+            value = value + np.einsum("nt->n", one.log_prior(theta)[0])
+        if self.correlation is not None:
+            z = np.stack([one.population_scores(theta)[0] for one in self.drawn], axis=2)
+            value = value + self.correlation.log_density(theta, z)[0]
+        return value
 
+    def log_prior_gradient(self, theta: FloatArray, independent: FloatArray) -> FloatArray:
+        """Return the gradient of `log_prior` (n, ndim), given the gradient for independent parameters."""
+        gradient = independent
+        for one in self._centred:
+            by_score, by_centre, by_width = one.log_prior(theta)[1]
+            gradient[:, by_score.columns[one.scored]] += by_score.values[:, one.scored]
+            for slope in (by_centre, by_width):
+                gradient[:, slope.columns[0]] += np.einsum("nt->n", slope.values)
+        if self.correlation is not None:
+            found = [one.population_scores(theta) for one in self.drawn]
+            z = np.stack([z for z, _ in found], axis=2)
+            _, by_z, by_correlation = self.correlation.log_density(theta, z)
+            gradient[:, self.correlation.columns] += by_correlation
+            for j, (one, (_, slopes)) in enumerate(zip(self.drawn, found, strict=True)):
+                of_score, *of_both = (by_z[:, :, j] * np.where(one.scored, s, 0.0) for s in slopes)
+                gradient[:, one.columns[one.scored]] += of_score[:, one.scored]
+                for column, of_all in zip((one.centre, one.width), of_both, strict=True):
+                    gradient[:, column] += np.einsum("nt->n", of_all)
+        return gradient
 
-def _lose(
-    p: Parameter,
-    how: Damage,
-    tests: Sequence[Test],
-    reference: str,
-    add: Callable[..., int],
-) -> Lost:
-    """Return a parameter with losses, and add its parameters to the parameters of all tests."""
-    column = add(p, "group", where=reference)
-    states = dict.fromkeys(test.group for test in tests if test.group != reference)
-    numbers = {reference: column} | {state: add(how.loss(p, state), "loss", where=state) for state in states}
-    is_lost = np.array([test.group != reference for test in tests])
-    return Lost(column, np.array([numbers[test.group] for test in tests]), is_lost)
+    def log_prior_curvature(self, theta: FloatArray, independent: FloatArray, scale: FloatArray) -> FloatArray:
+        """Return −∇² of `log_prior` (n, ndim, ndim), in units of `scale`, given it for independent parameters."""
+        curvature = independent
+        for one in self._centred:
+            columns = one.columns[one.scored]
+            curvature[:, columns, columns] = one.curvature(theta)[:, one.scored] * scale[columns] ** 2
+        if self.correlation is not None:
+            precision = self.correlation.precision(theta)
+            slopes = [np.sqrt(one.curvature(theta)) for one in self.drawn]
+            for i, of_rows in enumerate(self.drawn):
+                for j, of_columns in enumerate(self.drawn):
+                    here = of_rows.scored & of_columns.scored
+                    rows, columns = of_rows.columns[here], of_columns.columns[here]
+                    of_both = precision[:, here, i, j] * slopes[i][:, here] * slopes[j][:, here]
+                    curvature[:, rows, columns] += of_both * scale[rows] * scale[columns]
+        return curvature
 
+    def draw_from_prior(self, theta: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Return draws from the prior (n, ndim), given draws of independent parameters."""
+        if self.correlation is not None:
+            z = self.draw_scores(theta, rng, len(self.tests))
+            for j, one in enumerate(self.drawn):
+                theta[:, one.columns[one.scored]] = z[:, one.scored, j]
+        for one in self._centred:
+            theta = one.drawn(theta)
+        return theta
 
-def _place_of(how: str, test: Test) -> str:
-    """Return the test or group that has a value of its own; empty where all share it."""
-    return {SHARED: "", BY_TEST: test.name, BY_GROUP: test.group}[how]
-
-
-def _rename(p: Parameter, name: str) -> Parameter:
-    return p if name == p.name else Parameter(name, p.start, p.lower, p.upper, p.prior, p.unit, p.group)
+    @property
+    def _centred(self) -> list[Drawn]:
+        return [one for one in self.drawn if np.any(one.centring > 0.0)]

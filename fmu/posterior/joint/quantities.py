@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -13,10 +13,11 @@ from fmu.fem.modes.separable import SeparableModel
 from fmu.formats.shown import names_shown
 from fmu.posterior.errors.base import ErrorModel
 from fmu.posterior.errors.quantities import QuantityErrors, QuantityTerm
-from fmu.posterior.joint.joint_model import Configuration, JointModel
+from fmu.posterior.joint.layout import Layout
+from fmu.posterior.joint.model_in_tests import ModelInTests
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Uniform
-from fmu.types import FloatArray
+from fmu.types import FloatArray, IntArray
 
 
 class Errors(NamedTuple):
@@ -58,61 +59,61 @@ class Errors(NamedTuple):
             )
         return found
 
-    def bound(self, joint: JointModel) -> tuple[QuantityTerm, ...]:
-        """Return the quantities as functions of the parameters of all tests, with the test in their labels.
+    def bound(self, joint: ModelInTests, layout: Layout) -> tuple[QuantityTerm, ...]:
+        """Return the quantities as functions of the parameters in all tests, with the test in their labels.
 
         Raises
         ------
         ValueError
             If the structure, as it was in that test, cannot give one; with its place.
         """
-        lower, upper = joint.layout.box()
+        lower, upper = layout.box()
         found = []
         for i, one in self.of_quantities.items():
-            t = joint.layout.tests.index(str(one.test))
+            t = joint.tests.index(str(one.test))
             part = next(part for part in joint.configurations if t in part.tests)
-            parameters = [
-                _close_box(joint.layout.structural[j], lower[t, j], upper[t, j]) for j in part.parameters
-            ]
+            parameters = [_close_box(layout.structural[j], lower[t, j], upper[t, j]) for j in part.parameters]
             structure: Any = part.model.structure
             try:
                 term = one.bind_structure(structure, parameters)
             except ValueError as error:
                 raise ValueError(f"error.{i}.{error}") from error
             labels = tuple(f"{one.test}: {label}" for label in term.labels)
-            found.append(term._replace(labels=labels, computed=InOneTest(term.computed, joint, part, t)))
+            columns = t * joint.n_structural + part.parameters
+            computed = InOneTest(term.computed, columns, part.parameters, joint.n_structural)
+            found.append(term._replace(labels=labels, computed=computed, test=t))
         return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)
 class InOneTest:
-    """A quantity of the structure in one test, as a function of the parameters of all tests.
+    """A quantity of the structure in one test, as a function of the parameters in all tests.
 
     Attributes
     ----------
     computed : callable
         Of the structure's parameters in the test, see `fmu.posterior.errors.quantities.QuantityTerm`.
-    joint : JointModel
-    part : Configuration
-        The one of the test.
-    test : int
+    columns : ndarray of int, shape (p,)
+        The parameters that it takes, by their numbers among those in all tests.
+    parameters : ndarray of int, shape (p,)
+        The same by their numbers in the structure.
+    n_structural : int
+        Number of parameters of the structure.
     """
 
-    computed: Any
-    joint: JointModel
-    part: Configuration
-    test: int
+    computed: Callable[[FloatArray, bool], tuple[FloatArray, FloatArray | None]]
+    columns: IntArray
+    parameters: IntArray
+    n_structural: int
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> tuple[FloatArray, FloatArray | None]:
-        """Return the values, (n, q), at theta (n, n_parameters), and their derivatives if `gradient`."""
-        layout = self.joint.layout
-        own = layout.values(theta)[:, self.test, self.part.parameters]
-        values, by_own = self.computed(own, gradient)
+        """Return the values, (n, q), at the parameters in all tests, and derivatives by those in its own."""
+        values, by_own = self.computed(theta[:, self.columns], gradient)
         if by_own is None:
             return values, None
-        slopes = np.zeros((*values.shape, len(layout.structural)))
-        slopes[:, :, self.part.parameters] = by_own
-        return values, layout.chain_slopes(theta, slopes, np.full(values.shape[1], self.test))
+        slopes = np.zeros((*values.shape, self.n_structural))
+        slopes[:, :, self.parameters] = by_own
+        return values, slopes
 
 
 def over(p: Parameter, lower: float, upper: float) -> Parameter:

@@ -10,6 +10,7 @@ import numpy as np
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.values import Drawn
 from fmu.posterior.maxima import GaussNewton, ascend
+from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.scaled import ScaledDensity
 from fmu.types import FloatArray, IntArray
 
@@ -22,7 +23,7 @@ _LEAST_SD = 1e-3
 """Of a population, relative to the middle of its prior."""
 
 
-def typical_point(problem: Any) -> tuple[FloatArray, FloatArray]:
+def typical_point(problem: UpdatingProblem) -> tuple[FloatArray, FloatArray]:
     """Return a theta where most of the posterior is, and −∇² log P there, both in scaled coordinates.
 
     The highest density of a hierarchical posterior says nothing: it depends on the coordinates, and lies where the
@@ -33,7 +34,7 @@ def typical_point(problem: Any) -> tuple[FloatArray, FloatArray]:
 
     Parameters
     ----------
-    problem : JointProblem
+    problem : UpdatingProblem
         With a population.
 
     Returns
@@ -53,7 +54,7 @@ def typical_point(problem: Any) -> tuple[FloatArray, FloatArray]:
     return u, hessian
 
 
-def centre_scores(problem: Any) -> Layout:
+def centre_scores(problem: UpdatingProblem) -> Layout:
     """Return the layout in which every score refers to what is easiest to sample.
 
     With the variance C that a test alone leaves to its value, the best weight of the centred form is σ²/(σ² + C)
@@ -63,7 +64,7 @@ def centre_scores(problem: Any) -> Layout:
 
     Parameters
     ----------
-    problem : JointProblem
+    problem : UpdatingProblem
         Its scores are not centred yet.
     """
     u, variance = _search(problem)
@@ -82,7 +83,7 @@ def centre_scores(problem: Any) -> Layout:
     return replace(problem.layout, values_of=values_of)
 
 
-def _search(problem: Any) -> tuple[FloatArray, FloatArray]:
+def _search(problem: UpdatingProblem) -> tuple[FloatArray, FloatArray]:
     """Return the typical point, scaled, and what the tests leave of the scores' variances, (ndim,)."""
     quadratic, scaled = GaussNewton(problem), ScaledDensity(problem)
     held = np.array(problem.layout.scales)
@@ -140,7 +141,7 @@ def _correlate(layout: Layout, theta: FloatArray, variance: FloatArray) -> None:
         theta[list(correlation.columns)] = correlation.of_scores(moments)
 
 
-def _most_probable(problem: Any, one: Drawn, theta: FloatArray, variance: FloatArray) -> float:
+def _most_probable(problem: UpdatingProblem, one: Drawn, theta: FloatArray, variance: FloatArray) -> float:
     """Give a population the centre and width that its values now have; return how far they moved, in widths."""
     columns = one.columns[one.scored]
     value, by_score = one(theta[None])[0][0, one.scored], one(theta[None])[1][0].values[0, one.scored]

@@ -237,7 +237,7 @@ def test_what_the_data_can_tell_is_about_the_mode_of_the_same_shape():
     hard = veering_problem(pairing="shape", sd_hz=0.01, frequencies=(5.3, 5.33))
     theta = np.array([[0.9, 1.0]])
     assert soft.log_likelihood(theta) > hard.log_likelihood(theta) + 100.0  # it takes the second mode for both
-    assert_allclose(soft.likelihood.sensitivity(theta)[0], hard.likelihood.sensitivity(theta)[0], rtol=1e-6)
+    assert_allclose(soft.sensitivity(theta)[0], hard.sensitivity(theta)[0], rtol=1e-6)
 
 
 def test_what_does_not_go_with_it():

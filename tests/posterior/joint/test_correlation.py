@@ -79,7 +79,7 @@ def test_draws_of_the_prior_have_its_correlations():
     problem = posed(values_of(np.random.default_rng(6), 5), correlation=1.0)
     theta = problem.sample_prior(np.random.default_rng(7), 4000)
     z = np.stack([one.population_scores(theta)[0] for one in problem.layout.drawn], axis=2)
-    R = problem.correlations(theta)
+    R = problem.layout.correlations(theta)
     assert_allclose(np.mean(z[:, :, 0] * z[:, :, 1] * R[:, None, 0, 1]), np.mean(R[:, 0, 1] ** 2), atol=0.03)
     assert_allclose(np.mean(z[:, :, 1] * z[:, :, 2] * R[:, None, 1, 2]), np.mean(R[:, 1, 2] ** 2), atol=0.03)
     assert_allclose(np.std(z, axis=(0, 1)), 1.0, atol=0.03)

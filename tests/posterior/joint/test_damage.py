@@ -43,11 +43,11 @@ def posed(building, losses, damage, **options):
 )
 def test_gradient_and_losses(building, damage):
     problem = posed(building, {"later": [0.2, 0.0, 0.0, 0.0], "last": [0.2, 0.0, 0.1, 0.0]}, damage)
-    assert problem.states == ("later", "last")
+    assert problem.layout.states == ("later", "last")
     theta = problem.sample_prior(np.random.default_rng(1), 5)
     theta[:, :4] = np.clip(theta[:, :4], 0.6, 1.4)
     values = problem.values(theta)
-    assert_allclose(problem.losses(theta), 1 - values[:, 1:] / values[:, :1], rtol=1e-12, atol=1e-14)
+    assert_allclose(problem.layout.losses(theta), 1 - values[:, 1:] / values[:, :1], rtol=1e-12, atol=1e-14)
     points = 0.9 * problem.start + 0.1 * theta
     gradient = problem.log_prob_and_grad(points)[1]
     assert_gradient(gradient, problem.log_prob, points, 1e-6 * problem.scale, rtol=1e-4, of_largest=1e-5)

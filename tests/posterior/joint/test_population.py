@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 
 import fmu
 from fmu.analysis.convergence.diagnosis import POPULATION
+from fmu.posterior.joint.joint_problem import simulate_next_test
 from fmu.posterior.joint.population import (
     truncated_normal_log_pdf,
     truncated_normal_scores,
@@ -56,7 +57,7 @@ def springs(distribution="normal", n=8, scatter=0.1, noise=0.01, centring=None):
     )
     if centring is not None:
         one = replace(problem.layout.values_of[0], centring=np.full(n, centring))
-        problem._take(replace(problem.layout, values_of=(one,)))
+        return problem.with_layout(replace(problem.layout, values_of=(one,)))
     return problem
 
 
@@ -138,7 +139,7 @@ def test_the_next_test_is_a_draw_from_the_population():
     theta = np.tile(problem.start, (20_000, 1))
     theta[:, problem.names.index("k mean")] = 0.9
     theta[:, problem.names.index("k sd")] = 0.2
-    computed, measured = problem.simulate_next_test(rng, theta)
+    computed, measured = simulate_next_test(problem, rng, theta)
     drawn = scipy.stats.truncnorm((0.7 - 0.9) / 0.2, (1.4 - 0.9) / 0.2, 0.9, 0.2)
     assert scipy.stats.kstest((2 * np.pi * computed[:, 0]) ** 2, drawn.cdf).pvalue > 1e-4
     assert_allclose(np.std(measured - computed), problem.tests[0].data.sd_hz[0], rtol=0.03)

@@ -1,4 +1,4 @@
-"""The modes of all tests as the modes of one model, for samplers, diagnostics and reports of a single test."""
+"""The structure in several tests as one model of its parameters in each of them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.programs.solves import Failure
-from fmu.posterior.joint.layout import Layout
 from fmu.types import FloatArray, IntArray
 
 
@@ -47,7 +46,7 @@ class Configuration:
     mode: IntArray
 
     def points(self, values: FloatArray) -> FloatArray:
-        """Return the model's parameters, (n · n_distinct, p), from all of them, (n, n_tests, n_structural)."""
+        """Return the model's parameters, (n · n_distinct, p), from those in all tests, (n, n_tests, P)."""
         own = values[:, self.distinct[:, None], self.parameters]
         return own.reshape(-1, len(self.parameters))
 
@@ -56,41 +55,45 @@ class Configuration:
         return found.reshape(-1, len(self.distinct), *found.shape[1:])[:, self.row, self.mode]
 
 
-class JointModel(ModalModel):
-    """One model that has the modes of every test, as a function of the parameters of all tests.
+class ModelInTests(ModalModel):
+    """The modes of a structure in all tests, as a function of its parameters in each of them.
 
-    An evaluation at one theta is counted as one solve, however many tests there are.
+    An evaluation of all tests is counted as one solve. Derivatives are by the parameters of the structure in the
+    test that a mode is of: by all parameters of all tests most of them would be zero.
 
     Parameters
     ----------
-    layout : Layout
     configurations : sequence of Configuration
         Every test is in one of them.
+    tests : sequence of str
+        Names.
+    n_structural : int
+        P, the number of parameters of the structure.
     n_modes : int
         Number of measured modes of all tests.
 
     Attributes
     ----------
-    test : ndarray of int, shape (n_modes,)
-        The test that each mode is of.
+    n_parameters : int
+        n_tests P: the parameters of the first test, then those of the second, and so on.
     """
 
-    name = "JointModel"
+    name = "ModelInTests"
 
-    def __init__(self, layout: Layout, configurations: Sequence[Configuration], n_modes: int) -> None:
-        self.layout, self.configurations = layout, tuple(configurations)
-        self.n_parameters, self.n_modes, self.n_tests = len(layout.parameters), n_modes, layout.n_tests
-        models = [part.model for part in self.configurations]
+    def __init__(
+        self, configurations: Sequence[Configuration], tests: Sequence[str], n_structural: int, n_modes: int
+    ) -> None:
+        self.configurations, self.tests = tuple(configurations), tuple(tests)
+        self.n_tests, self.n_structural, self.n_modes = len(tests), n_structural, n_modes
+        self.n_parameters = self.n_tests * n_structural
+        models = self.parts
         self.gives_shapes = all(model.gives_shapes for model in models)
         self.by_shape = any(model.by_shape for model in models)
         self.solves_per_gradient = max(model.solves_per_gradient for model in models)
         self.solves_per_shape_gradient = max(model.solves_per_shape_gradient for model in models)
-        self.test = np.empty(n_modes, dtype=np.int64)
-        for part in self.configurations:
-            self.test[part.columns] = part.tests[part.test]
 
     def __repr__(self) -> str:
-        return f"JointModel({self.layout.n_tests} tests, {len(self.configurations)} configurations)"
+        return f"ModelInTests({self.n_tests} tests, {len(self.configurations)} configurations)"
 
     @property
     def parts(self) -> tuple[ModalModel, ...]:
@@ -98,71 +101,77 @@ class JointModel(ModalModel):
         return tuple(part.model for part in self.configurations)
 
     @property
-    def truth(self) -> JointModel:
-        """The joint model of the true model of each configuration."""
-        truths = [part.model.truth for part in self.configurations]
-        return self if list(self.parts) == truths else self._with(truths)
+    def test_of_modes(self) -> IntArray:
+        """The test that each measured mode is of, shape (n_modes,)."""
+        found = np.empty(self.n_modes, dtype=np.int64)
+        for part in self.configurations:
+            found[part.columns] = part.tests[part.test]
+        return found
+
+    @property
+    def truth(self) -> ModelInTests:
+        """The true model of each configuration."""
+        return self._with([model.truth for model in self.parts])
 
     @property
     def full_solves(self) -> int:  # type: ignore[override]
         """How often a full model had to answer where there is a reduced one."""
-        return sum(part.model.full_solves for part in self.configurations)
+        return sum(model.full_solves for model in self.parts)
 
     @property
     def sizes(self) -> tuple[int, ...]:  # type: ignore[override]
         """Unknowns of each block of the reduced models."""
-        return tuple(size for part in self.configurations for size in part.model.sizes)
+        return tuple(size for model in self.parts for size in model.sizes)
 
     @property
     def reasons(self) -> Sequence[Failure]:
         """The first points at which a user's function failed, and why."""
-        return tuple(reason for part in self.configurations for reason in part.model.reasons)
+        return tuple(reason for model in self.parts for reason in model.reasons)
 
     @property
     def functions(self) -> tuple[BlackBoxModel, ...]:  # type: ignore[override]
         """Return the users' functions that answer, each once."""
-        return tuple(dict.fromkeys(function for part in self.configurations for function in part.model.functions))
+        return tuple(dict.fromkeys(function for model in self.parts for function in model.functions))
 
     def seconds_at(self, theta: FloatArray) -> float | None:
         """Return the seconds that users' functions take at a theta (n_parameters,), None without any."""
-        values, found = self.layout.values(theta[None]), []
+        found = []
         for part in self.configurations:
-            points = part.points(values)
+            points = part.points(self._in_tests(theta[None]))
             found.append((part.model.seconds_at(points[0]), len(points)))
         return sum(one * n for one, n in found if one is not None) if self.functions else None
 
     def coarser(self, share: float) -> Self:
         """Return the model with a coarser one of each configuration; itself if there is none."""
-        coarse = [model.coarser(share) for model in self.parts]
-        return self if list(self.parts) == coarse else self._with(coarse)
+        return self._with([model.coarser(share) for model in self.parts])
 
     def _with(self, models: Sequence[ModalModel]) -> Self:
-        both = zip(self.configurations, models, strict=True)
-        return type(self)(self.layout, [replace(part, model=model) for part, model in both], self.n_modes)
+        if tuple(models) == self.parts:
+            return self
+        both = [replace(part, model=model) for part, model in zip(self.configurations, models, strict=True)]
+        return type(self)(both, self.tests, self.n_structural, self.n_modes)
 
     def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
-        """Return the first matrices that parameter `k` of theta changes, and its number there, or None."""
-        j = self.layout.roles[k].of if k < self.n_parameters else None
+        """Return the first matrices that parameter `k` of the structure changes, and its number there, or None."""
         for part in self.configurations:
-            if j is not None and j in part.parameters:
-                return part.model.matrices_of(int(np.flatnonzero(part.parameters == j)[0]))
+            if k in part.parameters:
+                return part.model.matrices_of(int(np.flatnonzero(part.parameters == k)[0]))
         return None
 
     def failed_tests(self, theta: FloatArray) -> Iterator[tuple[str, ModalModel, FloatArray]]:
         """Yield the tests without frequencies at a theta (n_parameters,): name, model, and its own parameters."""
-        values = self.layout.values(theta[None])
         for part in self.configurations:
-            points = part.points(values)
+            points = part.points(self._in_tests(theta[None]))
             if part.model.functions:  # not called again
                 failed = np.ones(len(points), dtype=bool)
             else:
                 failed = ~np.isfinite(part.model.frequencies(points)).all(axis=1)
             for row in np.flatnonzero(failed):
-                yield self.layout.tests[part.distinct[row]], part.model, points[row]
+                yield self.tests[part.distinct[row]], part.model, points[row]
 
     def of_modes(self, theta: FloatArray, of: Callable[[Any, FloatArray], FloatArray]) -> FloatArray:
         """Apply `of` to each configuration's model and parameters; return its values for every measured mode."""
-        values = self.layout.values(theta[:, : self.n_parameters])
+        values = self._in_tests(theta)
         seen = [part.pick(of(part.model, part.points(values))) for part in self.configurations]
         found = np.empty((len(theta), self.n_modes, *seen[0].shape[2:]))
         for part, one in zip(self.configurations, seen, strict=True):
@@ -173,23 +182,29 @@ class JointModel(ModalModel):
         """Return frequencies in Hz, shape (n, n_modes), at theta (n, n_parameters); NaN where a solve failed."""
         return self.of_modes(theta, lambda model, points: model.frequencies(points))
 
+    def frequencies_of_test(self, test: int, values: FloatArray) -> FloatArray:
+        """Return frequencies in Hz of the measured modes of a test, at the parameters in it, (n, P)."""
+        part = next(one for one in self.configurations if test in one.tests)
+        modes = part.mode[part.tests[part.test] == test]
+        return part.model.frequencies(values[:, part.parameters])[:, modes]
+
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters)."""
-        values = self.layout.values(theta)
+        """Return frequencies (n, n_modes), and derivatives by the parameters of their tests, (n, n_modes, P)."""
+        values = self._in_tests(theta)
         frequencies = np.empty((len(theta), self.n_modes))
-        slopes = np.zeros((len(theta), self.n_modes, values.shape[2]))
+        slopes = np.zeros((len(theta), self.n_modes, self.n_structural))
         for part in self.configurations:
             found, gradient = part.model.frequencies_and_gradient(part.points(values))
             frequencies[:, part.columns] = part.pick(found)
             slopes[:, part.columns[:, None], part.parameters] = part.pick(gradient)
-        return frequencies, self._chain_slopes(theta, slopes)
+        return frequencies, slopes
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies and shapes at the sensors, at theta (n, n_parameters), with derivatives if wanted."""
-        values = self.layout.values(theta)
-        n, m = len(theta), self.n_modes
+        """Return frequencies and shapes at the sensors, with derivatives as of `frequencies_and_gradient`."""
+        values = self._in_tests(theta)
+        n, m, p = len(theta), self.n_modes, self.n_structural
         seen = [part.model.observed(part.points(values), gradient) for part in self.configurations]
-        q, p = seen[0].shapes.shape[1], values.shape[2]
+        q = seen[0].shapes.shape[1]
         frequencies, shapes = np.empty((n, m)), np.empty((n, q, m))
         by_frequency, by_shape = np.zeros((n, m, p)), np.zeros((n, q, m, p))
         for part, one in zip(self.configurations, seen, strict=True):
@@ -202,10 +217,7 @@ class JointModel(ModalModel):
                 by_shape[:, :, columns, part.parameters] = np.moveaxis(moved, 1, 2)
         if not gradient:
             return ModalPrediction(frequencies, shapes)
-        chained = [self._chain_slopes(theta, by_shape[:, s]) for s in range(q)]
-        return ModalPrediction(
-            frequencies, shapes, self._chain_slopes(theta, by_frequency), np.stack(chained, axis=1)
-        )
+        return ModalPrediction(frequencies, shapes, by_frequency, by_shape)
 
     def configuration(self) -> dict[str, Any]:
         """Return the data that identify the model, in plain Python types."""
@@ -215,22 +227,6 @@ class JointModel(ModalModel):
             ],
         }
 
-    def _chain_slopes(self, theta: FloatArray, slopes: FloatArray) -> FloatArray:
-        return self.layout.chain_slopes(theta, slopes, self.test)
-
-
-class SlopesByTest(JointModel):
-    """The same model with derivatives by the parameters of the structure in the mode's own test, (n, n_modes, P).
-
-    They are few; by all parameters of all tests most derivatives are zero.
-
-    Parameters
-    ----------
-    model : JointModel
-    """
-
-    def __init__(self, model: JointModel) -> None:
-        vars(self).update(vars(model))
-
-    def _chain_slopes(self, theta: FloatArray, slopes: FloatArray) -> FloatArray:
-        return slopes
+    def _in_tests(self, theta: FloatArray) -> FloatArray:
+        """Return the parameters in each test, shape (n, n_tests, P), of theta (n, n_parameters or more)."""
+        return theta[:, : self.n_parameters].reshape(len(theta), self.n_tests, self.n_structural)
