@@ -1,5 +1,5 @@
 """Several tests of one structure, updated together: shared parameters, varying ones, and known differences.
 
-Reading order: modal_test, population, correlation, damage, layout, joint_model, scored_prior, joint_problem,
+Reading order: modal_test, population, correlation, damage, layout, build_layout, model_in_tests, joint_problem,
 typical.
 """
