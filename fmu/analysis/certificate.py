@@ -15,7 +15,8 @@ from fmu.fem.modes.modal import frequency_hz
 from fmu.fem.reduced.confirming import LARGE
 from fmu.fem.reduced.reduced_structure import largest_tolerance_elsewhere, reduced_structures
 from fmu.numbers import share, whole
-from fmu.posterior.train_reduced import PLAUSIBLE, Tolerance
+from fmu.posterior.reduction.region import PLAUSIBLE
+from fmu.posterior.reduction.tolerance import Tolerance
 from fmu.progress.phases import by_parts
 from fmu.types import FloatArray
 

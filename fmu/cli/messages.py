@@ -108,8 +108,8 @@ def _fail(message: str, *mistakes: object, code: int = BAD_INPUT) -> NoReturn:
 def warnings_as_notes() -> Iterator[None]:
     """Print warnings of stores, rounding and reduced models as notes, without the line of code they come from."""
     from fmu.fem.programs.store import StoreWarning
+    from fmu.posterior.reduction.train_reduced import ReductionWarning
     from fmu.posterior.rounding import RoundingWarning
-    from fmu.posterior.train_reduced import ReductionWarning
     from fmu.runs.store import CheckpointWarning, OtherArithmeticWarning
     from fmu.surrogates.learning import SurrogateWarning
 

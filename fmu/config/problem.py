@@ -32,7 +32,7 @@ from fmu.posterior.joint.joint_problem import JointProblem
 from fmu.posterior.joint.modal_test import TestsError
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.problem import UpdatingProblem
-from fmu.posterior.train_reduced import LOOSEST_FREQUENCY
+from fmu.posterior.reduction.tolerance import LOOSEST_FREQUENCY
 from fmu.progress.phases import phase, tell_fact
 
 NamedError = Annotated[Literal["frequency", "modal-residual"], Tag("<text>")]

@@ -79,7 +79,7 @@ class ReductionCertificate(Certificate):
         How often the true model was solved during the run, because a theta lay outside the trained box or the
         reduced solve failed.
     frequency_tolerance, log_prob_tolerance : float
-        See `fmu.posterior.train_reduced.Tolerance`.
+        See `fmu.posterior.reduction.tolerance.Tolerance`.
     bound_draws : int
         Draws at which the errors of the frequencies were bounded by their residuals.
     bound, bound_median : float

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import html
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fmu.fem.frame.drawing import draw_svg, is_drawable, parameter_colours, sketch
 from fmu.numbers import change, customary_unit, given, round_by_sd, significant
+from fmu.posterior.density import Posterior
 from fmu.posterior.parameters import prior_in_words
-
-if TYPE_CHECKING:
-    from fmu.posterior.problem import UpdatingProblem
 
 _MOST_DRAWN = 5000
 
 
-def problem_card(problem: UpdatingProblem) -> str:
+def problem_card(problem: Posterior) -> str:
     """Return the HTML of a problem: a drawing of its structure, its parameters, and measured and initial modes."""
     parts = [f"<h4>{html.escape(problem.name)}</h4>"]
     colours: list[str | None] = [None] * problem.ndim
@@ -31,7 +28,7 @@ def problem_card(problem: UpdatingProblem) -> str:
     return f'<div class="fmu-problem">{"".join(parts)}</div>'
 
 
-def _in_words(problem: UpdatingProblem) -> str:
+def _in_words(problem: Posterior) -> str:
     model, structure = problem.model, problem.model.parts[0].structure
     if structure is None:
         return f"Model: {model.name}, {model.n_modes} modes."
@@ -45,7 +42,7 @@ def _in_words(problem: UpdatingProblem) -> str:
     )
 
 
-def _parameters(problem: UpdatingProblem, colours: Sequence[str | None]) -> str:
+def _parameters(problem: Posterior, colours: Sequence[str | None]) -> str:
     rows = []
     for p, colour in zip(problem.parameters, colours, strict=True):
         mark = f'<span style="color:{colour}" aria-hidden="true">&#9632;</span> ' if colour else ""
@@ -56,7 +53,7 @@ def _parameters(problem: UpdatingProblem, colours: Sequence[str | None]) -> str:
     return _table(("parameter", "unit", "start", "lower", "upper", "prior, cut off at the bounds"), rows)
 
 
-def _modes(problem: UpdatingProblem) -> str:
+def _modes(problem: Posterior) -> str:
     measured = np.asarray(problem.data.frequencies_hz)
     initial = problem.frequencies(problem.start)
     error = problem.likelihood.error

@@ -8,18 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fmu.numbers import names_in_words
+from fmu.posterior.density import Posterior
 from fmu.posterior.parameters import box
 from fmu.posterior.scaled import ScaledDensity, ascent_coordinates
 from fmu.progress.phases import advance_phase, phase, solves
 from fmu.types import BoolArray, FloatArray, IntArray
-
-if TYPE_CHECKING:
-    from fmu.posterior.problem import UpdatingProblem
 
 STARTS = 256
 _ROUGH, _TOLERANCE = 0.1, 1e-10
@@ -46,7 +43,7 @@ class Maximum:
 
 
 def local_maxima(
-    problem: UpdatingProblem,
+    problem: Posterior,
     starts: int = STARTS,
     seed: int = 1,
     near: FloatArray | None = None,
@@ -91,7 +88,7 @@ def local_maxima(
 
 
 def maxima_from(
-    problem: UpdatingProblem, scaled: ScaledDensity, points: FloatArray, most_solves: float = np.inf
+    problem: Posterior, scaled: ScaledDensity, points: FloatArray, most_solves: float = np.inf
 ) -> tuple[Maximum, ...]:
     """Return the maxima reached from scaled points (n, ndim), the highest first; see `local_maxima`."""
     before = solves()
@@ -125,7 +122,7 @@ def maxima_from(
     return _merge(problem, [*arrived, *near, *polished])
 
 
-def _nowhere(problem: UpdatingProblem, n: int) -> str:
+def _nowhere(problem: Posterior, n: int) -> str:
     """Return why no start has a gradient."""
     why = ""
     still = np.flatnonzero(~(problem.frequencies(problem.start) > 0.0))
@@ -138,7 +135,7 @@ def _nowhere(problem: UpdatingProblem, n: int) -> str:
     return f"problem: the log-probability must have a finite gradient at one of {n} starts (got none{why})"
 
 
-def _starting_points(problem: UpdatingProblem, scaled: ScaledDensity, starts: int, seed: int) -> FloatArray:
+def _starting_points(problem: Posterior, scaled: ScaledDensity, starts: int, seed: int) -> FloatArray:
     """Return scaled points (starts, ndim) within the bounds."""
     from scipy.stats import qmc
 
@@ -177,14 +174,14 @@ def _collect_ends(scaled: ScaledDensity, u: FloatArray, starts: IntArray) -> lis
     return [Maximum(x, float(v), int(n)) for x, v, n in zip(theta, values, starts, strict=True) if np.isfinite(v)]
 
 
-def _is_same(problem: UpdatingProblem, one: Maximum, other: Maximum) -> bool:
+def _is_same(problem: Posterior, one: Maximum, other: Maximum) -> bool:
     if np.all(np.abs(one.theta - other.theta) < _SAME * problem.scale):
         return True
     between = problem.log_prob(one.theta + _ON_THE_WAY * (other.theta - one.theta))
     return bool(np.min(between) >= min(one.log_prob, other.log_prob) - _VALLEY)
 
 
-def _merge(problem: UpdatingProblem, maxima: Iterable[Maximum]) -> tuple[Maximum, ...]:
+def _merge(problem: Posterior, maxima: Iterable[Maximum]) -> tuple[Maximum, ...]:
     """Return the distinct maxima, the highest first, each with the starts of all that are equal to it."""
     distinct: list[Maximum] = []
     for maximum in sorted(maxima, key=lambda m: -m.log_prob):
@@ -197,7 +194,7 @@ def _merge(problem: UpdatingProblem, maxima: Iterable[Maximum]) -> tuple[Maximum
     return tuple(distinct)
 
 
-def _distinct(problem: UpdatingProblem, tops: Iterable[Maximum]) -> tuple[Maximum, ...]:
+def _distinct(problem: Posterior, tops: Iterable[Maximum]) -> tuple[Maximum, ...]:
     """Return the distinct maxima of those with a finite log-probability, the highest first."""
     return _merge(problem, [top for top in tops if np.isfinite(top.log_prob)])
 
@@ -257,7 +254,7 @@ class GaussNewton:
     Inferred standard deviations contribute their Fisher information (Fisher scoring).
     """
 
-    def __init__(self, problem: UpdatingProblem, scaled: ScaledDensity | None = None) -> None:
+    def __init__(self, problem: Posterior, scaled: ScaledDensity | None = None) -> None:
         self.problem = problem
         self._scaled = ScaledDensity(problem) if scaled is None else scaled
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,9 +12,6 @@ from fmu.arguments import ArgumentError, Bound, check_arguments
 from fmu.numbers import customary_unit, given, typed
 from fmu.posterior.priors.base import Normal, Prior, Uniform
 from fmu.types import FloatArray
-
-if TYPE_CHECKING:
-    from fmu.posterior.joint.layout import Layout
 
 _IN_THE_UNIT = ("mean", "sd", "at", "median", "low", "high")
 """Settings of priors that are values of the parameter."""
@@ -151,88 +147,3 @@ def box(parameters: Sequence[Parameter]) -> tuple[FloatArray, FloatArray]:
     """Return the lower and upper limits of the box in which a reduced model must be accurate, shape (n,) each."""
     lower, upper = np.array([p.prior.box(p.lower, p.upper) for p in parameters]).T
     return lower, upper
-
-
-class JointPrior:
-    """The product of the parameters' priors, truncated to the bounds and normalised over them.
-
-    Normal, half-normal and log-normal priors, the common ones, are evaluated together as one array.
-
-    Parameters
-    ----------
-    parameters : sequence of Parameter
-    layout : Layout, optional
-        Of several tests with populations, to which scores refer (`fmu.posterior.joint.layout.Layout.log_prior`).
-    """
-
-    def __init__(self, parameters: Sequence[Parameter], layout: Layout | None = None) -> None:
-        self.parameters = tuple(parameters)
-        self._layout = layout
-        forms = [(j, form) for j, p in enumerate(parameters) if (form := p.prior.gaussian_form) is not None]
-        forms.sort(key=lambda one: (one[1].of_logarithm, one[1].log_factor))
-        self._gaussian = np.array([j for j, _ in forms], dtype=int)
-        self._n_logs = sum(form.of_logarithm for _, form in forms)
-        self._n_direct = len(forms) - self._n_logs
-        # a row, like one theta, which spares it NumPy's broadcasting
-        self._mean = np.array([form.mean for _, form in forms])[None]
-        self._precision = np.array([form.sd for _, form in forms]) ** -2.0
-        self._others = [(j, p.prior) for j, p in enumerate(parameters) if p.prior.gaussian_form is None]
-        log_mass = sum(p.prior.log_mass(p.lower, p.upper) for p in parameters)
-        log_mass -= math.fsum(form.log_factor for _, form in forms)
-        self._weight = -0.5 * self._precision
-        self._constant = 0.5 * float(np.sum(np.log(self._precision / (2.0 * np.pi)))) - log_mass
-
-    def log_pdf(self, theta: FloatArray) -> FloatArray:
-        """Return the log-density, shape (n,), at theta (n, ndim) where every prior has a density."""
-        # `take` gives C order, in which a row is summed in the same order whatever the batch; einsum does not warn
-        # where it overflows
-        x = theta.take(self._gaussian, axis=1)
-        constant: float | FloatArray = self._constant
-        if self._n_logs:
-            x[:, self._n_direct :] = np.log(x[:, self._n_direct :])
-            constant = constant - np.einsum("nj->n", x[:, self._n_direct :])
-        z = x - self._mean
-        value = constant + np.einsum("nj,nj,j->n", z, z, self._weight)
-        for j, prior in self._others:
-            value = value + prior.log_pdf(theta[:, j])
-        return value if self._layout is None else self._layout.log_prior(theta, value)
-
-    def log_pdf_gradient(self, theta: FloatArray) -> FloatArray:
-        """Return its gradient, shape (n, ndim)."""
-        gradient = np.empty_like(theta)
-        x = theta.take(self._gaussian, axis=1)
-        with np.errstate(over="ignore"):
-            if self._n_logs:
-                x_of_logs = x[:, self._n_direct :].copy()
-                x[:, self._n_direct :] = np.log(x_of_logs)
-            slope = -self._precision * (x - self._mean)
-            if self._n_logs:
-                slope[:, self._n_direct :] = (slope[:, self._n_direct :] - 1.0) / x_of_logs
-        gradient[:, self._gaussian] = slope
-        for j, prior in self._others:
-            gradient[:, j] = prior.log_pdf_gradient(theta[:, j])
-        return gradient if self._layout is None else self._layout.log_prior_gradient(theta, gradient)
-
-    def quadratic(self, theta: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return slope (n, ndim) and curvature −∇² (n, ndim, ndim) of the log-density, in units of `scale`.
-
-        The curvature by each parameter is a difference of slopes over 1e-4, and not negative; by scores it is the
-        curvature without bounds.
-        """
-        slope, curvature = np.empty_like(theta), np.zeros((*theta.shape, theta.shape[1]))
-        for k, parameter in enumerate(self.parameters):
-            h = 1e-4 * scale[k]
-            low, high = parameter.prior.support
-            near = np.clip(theta[:, k], low + 2.0 * h, high - 2.0 * h)
-            ahead, behind = (parameter.prior.log_pdf_gradient(near + step) for step in (h, -h))
-            curvature[:, k, k] = np.maximum(0.0, (behind - ahead) / (2.0 * h)) * scale[k] ** 2
-            slope[:, k] = parameter.prior.log_pdf_gradient(theta[:, k]) * scale[k]
-        if self._layout is None:
-            return slope, curvature
-        curvature = self._layout.log_prior_curvature(theta, curvature, scale)
-        return self.log_pdf_gradient(theta) * scale, curvature
-
-    def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Draw `n` parameter vectors, shape (n, ndim)."""
-        theta = np.stack([p.prior.draw(rng, n, p.lower, p.upper) for p in self.parameters], axis=1)
-        return theta if self._layout is None else self._layout.draw_from_prior(theta, rng)

@@ -17,7 +17,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -30,10 +30,8 @@ from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
 from fmu.fem.reduced.reduced_structure import ReducedStructure
 from fmu.numbers import share, significant
+from fmu.posterior.density import Posterior
 from fmu.types import FloatArray
-
-if TYPE_CHECKING:
-    from fmu.posterior.problem import UpdatingProblem
 
 UNIT = 2.0**-53
 WARN, REFUSE = 0.05, 1.0
@@ -90,7 +88,7 @@ class Rounding:
         )
 
 
-def rounding(problem: UpdatingProblem) -> Rounding | None:
+def rounding(problem: Posterior) -> Rounding | None:
     """Return the rounding errors of a problem's frequencies at the start.
 
     None if the model has no matrices, or its likelihood is not one of computed modes.
@@ -131,7 +129,7 @@ def rounding(problem: UpdatingProblem) -> Rounding | None:
     return Rounding(relative, of_sd, str(problem.data.labels[worst]), where, float(K.diagonal()[dof]))
 
 
-def bounded_rounding(problem: UpdatingProblem) -> Rounding | None:
+def bounded_rounding(problem: Posterior) -> Rounding | None:
     """Return the `rounding` of a problem; ValueError if it exceeds the errors of the measurement."""
     found = rounding(problem)
     if found is not None and np.max(found.of_sd) > REFUSE:
@@ -139,7 +137,7 @@ def bounded_rounding(problem: UpdatingProblem) -> Rounding | None:
     return found
 
 
-def require_digits(problem: UpdatingProblem) -> None:
+def require_digits(problem: Posterior) -> None:
     """Raise ValueError if rounding errors exceed the errors of the measurement; warn if they are not negligible.
 
     Also raises where the start of a structure has no finite log-probability.
@@ -159,13 +157,13 @@ def require_digits(problem: UpdatingProblem) -> None:
     warnings.warn(found.sentence(), RoundingWarning, skip_file_prefixes=(f"{Path(__file__).parents[1]}{os.sep}",))
 
 
-def _without_density(problem: UpdatingProblem) -> str:
+def _without_density(problem: Posterior) -> str:
     """Say why the start has no finite log-probability."""
     why = problem.likelihood.why_not_finite(problem.start) or "the modes at the start cannot be computed"
     return f"start: must have a finite log-probability (got -inf: {why}); correct the model, or the start"
 
 
-def _require_no_term_lost(problem: UpdatingProblem, model: PairedStructure, theta: FloatArray, top: float) -> None:
+def _require_no_term_lost(problem: Posterior, model: PairedStructure, theta: FloatArray, top: float) -> None:
     """Raise ValueError if a mode taken for a rigid-body mode strains a term of K, or K is negative for one.
 
     A λ that is tiny relative to `top` is taken for zero, and pairing ignores the mode. If a term of K has strain
@@ -200,7 +198,7 @@ def _lost(model: PairedStructure, theta: FloatArray, dof: int) -> str:
     )
 
 
-def _negative(problem: UpdatingProblem, model: PairedStructure, theta: FloatArray, motion: FloatArray) -> str:
+def _negative(problem: Posterior, model: PairedStructure, theta: FloatArray, motion: FloatArray) -> str:
     """Name the term that makes K negative for a motion (n_dof,), or blame its rounding."""
     terms = model.structure.K_terms
     weights = coefficients(terms, theta[None])[0]

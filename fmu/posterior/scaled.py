@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from fmu.arguments import ArgumentError
+from fmu.posterior.density import Posterior
 from fmu.types import BoolArray, FloatArray, LogDensity
-
-if TYPE_CHECKING:
-    from fmu.posterior.problem import UpdatingProblem
 
 WIDE = 1.0
 """Standard deviation of a logarithm above which a prior spans decades: 95 % of it lie within a factor of 50."""
@@ -104,7 +102,7 @@ class LogScaledDensity(ScaledDensity):
     is_log : ndarray of bool, shape (ndim,)
     """
 
-    def __init__(self, problem: UpdatingProblem) -> None:
+    def __init__(self, problem: Posterior) -> None:
         forms = [p.prior.gaussian_form for p in problem.parameters] or [None] * problem.ndim
         logs = [form if form is not None and form.of_logarithm and form.sd > WIDE else None for form in forms]
         self.is_log = np.array([form is not None for form in logs])
@@ -132,7 +130,7 @@ class LogScaledDensity(ScaledDensity):
         return np.where(self.is_log, theta * self._sd, self.scale)
 
 
-def ascent_coordinates(problem: UpdatingProblem) -> ScaledDensity:
+def ascent_coordinates(problem: Posterior) -> ScaledDensity:
     """Return the coordinates in which to climb: logarithms only if a prior spans decades."""
     with_logs = LogScaledDensity(problem)
     return with_logs if with_logs.is_log.any() else ScaledDensity(problem)

@@ -7,7 +7,7 @@ import fmu
 from fmu.analysis.certificate import CertificateWarning, Effort, certify
 from fmu.fem.modes.modal import BlockModel
 from fmu.fem.reduced.basis import ReducedBlock
-from fmu.posterior.train_reduced import Tolerance
+from fmu.posterior.reduction.tolerance import Tolerance
 
 pytestmark = pytest.mark.usefixtures("certified")
 

@@ -7,7 +7,7 @@ from fmu.fem.condensation import craig_bampton, guyan
 from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.modes.modal import frequency_gradient, frequency_hz
 from fmu.fem.reduced.basis import ReducedBlock
-from fmu.posterior.train_reduced import plausible_points
+from fmu.posterior.reduction.region import plausible_points
 
 CASES = [(case, pairing) for case in ("cantilever-young", "cantilever-section") for pairing in ("shape", "index")]
 

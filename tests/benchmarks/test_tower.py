@@ -12,7 +12,7 @@ from fmu.fem.frame.frame import Frame
 from fmu.fem.modes.modal import BlockModel, frequency_hz
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.posterior.priors.base import Normal
-from fmu.posterior.train_reduced import plausible_points
+from fmu.posterior.reduction.region import plausible_points
 from tests import cantilever
 from tests.benchmarks.tower import tower_problem
 

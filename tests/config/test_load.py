@@ -14,7 +14,7 @@ from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, PointMa
 from fmu.fem.frame.frame import Frame
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
-from fmu.posterior.train_reduced import Tolerance
+from fmu.posterior.reduction.tolerance import Tolerance
 from tests import cantilever
 from tests.shear_building import shear_building
 

@@ -10,7 +10,7 @@ from fmu.posterior.maxima import STARTS, local_maxima
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
-from fmu.posterior.train_reduced import PLAUSIBLE, plausible_points
+from fmu.posterior.reduction.region import PLAUSIBLE, plausible_points
 
 
 class Squares:

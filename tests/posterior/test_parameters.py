@@ -6,8 +6,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 import fmu
-from fmu.posterior.parameters import JointPrior, Parameter, share_alpha
+from fmu.posterior.parameters import Parameter, share_alpha
 from fmu.posterior.priors.base import Normal, Uniform
+from fmu.posterior.priors.joint import JointPrior
 from fmu.posterior.priors.one_sided import HalfNormal, LogNormal
 from fmu.posterior.priors.scipy_distributions import ScaledBeta, ScipyPrior
 

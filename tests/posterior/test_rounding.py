@@ -17,8 +17,8 @@ from fmu.posterior import rounding as module
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.problem import UpdatingProblem
+from fmu.posterior.reduction.train_reduced import ReductionWarning
 from fmu.posterior.rounding import RoundingWarning, rounding
-from fmu.posterior.train_reduced import ReductionWarning
 from tests.models.extended_precision import HAS_DIGITS, elastic_modes, long_sum
 
 LONG_DOUBLE = pytest.mark.skipif(not HAS_DIGITS, reason="numpy.longdouble has no more digits than float here")

@@ -459,14 +459,14 @@ IN_THE_POSTERIOR = (
     ),
     Fault(
         "prior: its mass inside the bounds left out",
-        "fmu/posterior/parameters.py",
+        "fmu/posterior/priors/joint.py",
         "np.sum(np.log(self._precision / (2.0 * np.pi)))) - log_mass",
         "np.sum(np.log(self._precision / (2.0 * np.pi))))",
         ("tests/posterior/test_parameters.py", "tests/posterior/test_problem.py"),
     ),
     Fault(
         "prior: left out of the gradient",
-        "fmu/posterior/problem.py",
+        "fmu/posterior/density.py",
         "return value, gradient + self.prior.log_pdf_gradient(points)",
         "return value, gradient",
         ("tests/posterior/test_problem_gradient.py",),
@@ -531,7 +531,7 @@ IN_THE_STRUCTURE = (
         "fmu/fem/reduced/residuals.py",
         "end = np.maximum(np.sqrt(blind), sigma / rest[:, None])",
         "end = np.sqrt(blind)",
-        ("tests/posterior/test_large_structure.py",),
+        ("tests/posterior/reduction/test_large_structure.py",),
     ),
     Fault(
         "a mode that the trial space does not know goes uncounted",

@@ -19,8 +19,8 @@ import fmu
 from fmu.fem.reduced.reduced_structure import largest_tolerance_elsewhere
 from fmu.fem.reduced.training import BUDGET
 from fmu.numbers import MISSING, significant, whole
+from fmu.posterior.reduction.train_reduced import ReductionWarning
 from fmu.posterior.rounding import WARN, RoundingWarning
-from fmu.posterior.train_reduced import ReductionWarning
 from fmu.tables import markdown_table
 from fmu.types import FloatArray
 from tests.models.extended_precision import rounded

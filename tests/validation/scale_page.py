@@ -172,7 +172,7 @@ def _demand(rows: Rows) -> str:
         f"A full solve takes {first['full_s']:.2g} s. Times online are a theta's, in a batch of "
         f"{first['chains']}. The tolerance is that of the frequencies over the whole box, at fresh points, "
         "corners and faces; what the log-probability may be off follows from it "
-        "(`fmu.posterior.train_reduced.Tolerance`).\n\n"
+        "(`fmu.posterior.reduction.tolerance.Tolerance`).\n\n"
         + markdown_table(header, lines)
         + ("\n\nWhat training says:\n\n" + "\n".join(said) if said else "\n\nTraining reached every tolerance.")
         + ("\n\n![Basis and time against the tolerance](scale/tolerance.png)" if len(rows) > 1 else "")

@@ -20,7 +20,7 @@ import numpy as np
 
 from fmu.fem.modes import full_block, solver
 from fmu.fem.reduced.basis import ReducedBlock
-from fmu.posterior import train_reduced as focus
+from fmu.posterior.reduction import train_reduced as focus
 from tests.validation.scale_model import Size, scale_problem
 
 REPEATS, AT_MOST_S = 5, 20.0

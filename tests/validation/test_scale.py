@@ -7,7 +7,7 @@ import fmu
 from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.modes.modal import frequency_hz
 from fmu.fem.modes.solver import PARDISO, SUPERLU
-from fmu.posterior.train_reduced import Tolerance
+from fmu.posterior.reduction.tolerance import Tolerance
 from tests.validation.scale import BEFORE, rows
 from tests.validation.scale_files import RHO, SIDES, STEEL, plate, write_plate
 from tests.validation.scale_model import E, Size, frame, scale_problem

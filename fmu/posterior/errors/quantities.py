@@ -18,7 +18,8 @@ from fmu.fem.modes.static import MassMoments, StaticDisplacement
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import LOG_2PI, ErrorTerm
 from fmu.posterior.errors.noise import NoiseIndex
-from fmu.posterior.parameters import JointPrior, Parameter
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors.joint import JointPrior
 from fmu.types import FloatArray, Positive
 
 _AXES = ("x", "y", "z")

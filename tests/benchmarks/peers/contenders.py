@@ -9,7 +9,7 @@ from functools import cache, partial
 import numpy as np
 
 from fmu.analysis.estimate import gradient_cost
-from fmu.posterior.train_reduced import plausible_points
+from fmu.posterior.reduction.region import plausible_points
 from tests.benchmarks.peers.chains import pints_adaptive
 from tests.benchmarks.peers.ensembles import emcee_default, emcee_dense
 from tests.benchmarks.peers.jax_model import JaxBeam, in_jax

@@ -14,9 +14,10 @@ from fmu.fem.modes.solver import LAPACK
 from fmu.fem.reduced import training
 from fmu.fem.reduced.cost import Cost
 from fmu.fem.reduced.reduced_structure import largest_tolerance_elsewhere
-from fmu.posterior import train_reduced
 from fmu.posterior.errors.likelihood import ModalLikelihood
-from fmu.posterior.train_reduced import ReductionWarning
+from fmu.posterior.reduction import train_reduced
+from fmu.posterior.reduction.region import plausible_points
+from fmu.posterior.reduction.train_reduced import ReductionWarning
 from tests.models import free_bar, truss_deck
 from tests.models.random_models import random_model
 from tests.work import counted
@@ -61,7 +62,7 @@ def test_where_a_basis_for_the_box_would_not_pay_one_is_trained_where_the_poster
     assert problem.model.elsewhere >= problem.tolerance.frequency
     assert not problem.model.truth.why_full
     assert default_starts(problem) == STARTS_IF_SLOW < STARTS  # more than a millisecond a solve
-    points = train_reduced.plausible_points(problem, 30, np.random.default_rng(7), 15.0)
+    points = plausible_points(problem, 30, np.random.default_rng(7), 15.0)
     full = problem.with_model(problem.model.truth).likelihood.terms(points)
     assert np.all(np.abs(np.sum(problem.likelihood.terms(points) - full, axis=1)) < problem.tolerance.log_prob)
     reduced, exact = problem.frequencies(points), problem.model.truth.frequencies(points)

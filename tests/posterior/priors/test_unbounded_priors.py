@@ -10,7 +10,7 @@ import fmu
 from fmu.analysis.identifiability import truncated_sd
 from fmu.fem.modes.modal import frequency_hz
 from fmu.fem.reduced.basis import ReducedBlock
-from fmu.posterior.train_reduced import FREQUENCY_TOLERANCE
+from fmu.posterior.reduction.tolerance import FREQUENCY_TOLERANCE
 from tests.gradients import assert_gradient
 
 

@@ -14,7 +14,7 @@ import fmu
 from fmu.analysis.convergence.effective import ess_bulk, mcse_mean
 from fmu.analysis.estimate import gradient_cost
 from fmu.analysis.trace.reading import parameter_draws, walkers_of
-from fmu.posterior.train_reduced import plausible_points
+from fmu.posterior.reduction.region import plausible_points
 from fmu.samplers.registry import plan_steps
 from tests.benchmarks.peers.outcome import Cost, Stopwatch
 from tests.benchmarks.peers.target import Target

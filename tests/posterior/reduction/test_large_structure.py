@@ -5,9 +5,9 @@ import pytest
 
 from fmu.fem.modes import full_block
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
-from fmu.posterior import train_reduced
 from fmu.posterior.problem import UpdatingProblem
-from fmu.posterior.train_reduced import plausible_points
+from fmu.posterior.reduction import train_reduced
+from fmu.posterior.reduction.region import plausible_points
 from tests.validation.bound import _of_problem, examined
 from tests.validation.scale_model import Size, scale_problem
 

@@ -9,7 +9,8 @@ from fmu.analysis.certificate import CertificateWarning, certify
 from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.modes.modal import frequency_hz
 from fmu.fem.reduced import training
-from fmu.posterior.train_reduced import PLAUSIBLE, ReductionWarning
+from fmu.posterior.reduction.region import PLAUSIBLE, plausible_points
+from fmu.posterior.reduction.train_reduced import ReductionWarning
 from tests.validation.scale_model import NOISE, E, Size, frame
 
 PARAMETERS, MODES, PAYS = 4, 8, 100
@@ -63,7 +64,7 @@ def test_the_box_keeps_a_thousandth_and_the_region_the_tolerance(made):
     assert size < PAYS
     theta = problem.sample_prior(np.random.default_rng(2), 60)
     assert 1e-5 < off(problem, theta).max() <= 1e-3
-    region = fmu.posterior.train_reduced.plausible_points(problem, 40, np.random.default_rng(3))
+    region = plausible_points(problem, 40, np.random.default_rng(3))
     assert off(problem, region).max() <= 1e-6
 
 

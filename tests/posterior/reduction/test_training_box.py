@@ -5,7 +5,7 @@ import pytest
 
 import fmu
 from fmu.posterior.parameters import Parameter, box
-from fmu.posterior.train_reduced import training_box
+from fmu.posterior.reduction.region import training_box
 
 
 def ends(prior, lower, upper):

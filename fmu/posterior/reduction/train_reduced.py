@@ -5,9 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import chdtri
@@ -23,21 +21,18 @@ from fmu.fem.reduced.points import box_points
 from fmu.fem.reduced.reduced_structure import ReducedStructure, restore, train, train_at
 from fmu.fem.reduced.training import BUDGET
 from fmu.numbers import apart, significant, typed
+from fmu.posterior.density import Posterior
 from fmu.posterior.errors.likelihood import ModalLikelihood
-from fmu.posterior.maxima import GaussNewton, local_maxima
-from fmu.posterior.parameters import Parameter, box
+from fmu.posterior.reduction.region import PLAUSIBLE, is_narrower, plausible_points, posterior_box, training_box
+from fmu.posterior.reduction.tolerance import (
+    LOOSEST_FREQUENCY,
+    LOOSEST_LOG_PROB,
+    Tolerance,
+)
 from fmu.posterior.rounding import bounded_rounding
 from fmu.progress.phases import by_parts
 from fmu.types import BoolArray, FloatArray
 
-if TYPE_CHECKING:
-    from fmu.posterior.problem import UpdatingProblem
-
-FREQUENCY_TOLERANCE = 1e-6
-LOG_PROB_TOLERANCE = 1e-3
-LOOSEST_FREQUENCY, LOOSEST_LOG_PROB = 1e-2, 0.1
-# Log-probabilities lower than the maximum by more than this are neglected.
-PLAUSIBLE = 50.0
 PATIENCE = 3
 _AT_ONCE = 16  # points
 # The share of the tolerance of the log-probability at the points that training looks at: others lie further out.
@@ -49,63 +44,14 @@ _CHECKED, _CHECK_SEED = 32, 10_000
 # Points of the prior, and of the posterior, whose modes are a basis for wide bounds; the share of a Gaussian
 # posterior that may lie further out than the latter.
 _SNAPSHOTS, _BEYOND = 60, 1e-3
-_TRIED = 7  # steps along the way to a point
-# A box leaves out at most this share of the posterior, as draws at maxima this little below the highest tell.
-_OUTSIDE, _RELEVANT, _DRAWN = 0.02, 10.0, 512
-# A bound belongs to the box if it is at most this share of the width beyond, and the prior's log-density is no
-# further below that at the end of the box: of a normal prior, within six standard deviations.
-_NEAR, _NOT_RARE = 0.5, 10.0
 
 
 class ReductionWarning(UserWarning):
     """Training ended before the reduced model met its tolerance, or met it in a part of the box only."""
 
 
-@dataclass(frozen=True)
-class Tolerance:
-    """Errors that a reduced model may have.
-
-    Attributes
-    ----------
-    frequency : float
-        Largest relative error of a frequency, over the whole box.
-    log_prob : float
-        Largest error of the log-probability, wherever that is within `PLAUSIBLE` of its maximum.
-    """
-
-    frequency: float = FREQUENCY_TOLERANCE
-    log_prob: float = LOG_PROB_TOLERANCE
-
-    @classmethod
-    def of(cls, reduction: bool | float) -> Tolerance | None:
-        """Return the tolerance for the argument `reduction` of a problem, None for no reduced model.
-
-        Raises
-        ------
-        ValueError
-            If it is neither true or false nor a number in (0, 0.01].
-
-        Notes
-        -----
-        Errors δ_i f_i of the frequencies change the log-probability by Σ z_i δ_i f_i/σ_i to first order, where z_i
-        are the standardised errors. The tolerance of the log-probability is therefore proportional to that of the
-        frequencies: 1e-3 at 1e-6. An error ε(θ) of log P with |ε| ≤ t moves the posterior mean of g by Cov(g, ε) ≤
-        t sd(g) to first order, at most t posterior standard deviations. So t never exceeds 0.1, which is the Monte
-        Carlo error of 100 effective draws.
-        """
-        if isinstance(reduction, bool | np.bool_):
-            return cls() if reduction else None
-        if not (isinstance(reduction, int | float | np.number) and 0.0 < reduction <= LOOSEST_FREQUENCY):
-            raise ValueError(
-                "reduction: must be true, false or the largest relative error of a frequency, above 0 and at most "
-                f"{LOOSEST_FREQUENCY} (got {reduction!r})"
-            )
-        frequency = float(reduction)
-        return cls(frequency, min(LOG_PROB_TOLERANCE * (frequency / FREQUENCY_TOLERANCE), LOOSEST_LOG_PROB))
-
-
 def reduced_model(
-    problem: UpdatingProblem, tolerance: Tolerance, engine: Engine | None = None
+    problem: Posterior, tolerance: Tolerance, engine: Engine | None = None
 ) -> tuple[ModalModel, Tolerance | None]:
     """Return a reduced model, trained or read from the cache, and the tolerance that it is to keep.
 
@@ -160,7 +106,7 @@ def reduced_model(
         return np.concatenate([np.clip(points[:, :n], *trained), points[:, n:]], axis=1)
 
     def wider_box(model: ReducedStructure) -> tuple[FloatArray, FloatArray] | None:
-        found = _box_of_the_posterior(problem.with_model(model.extend(*bounds)), trained)
+        found = posterior_box(problem.with_model(model.extend(*bounds)), trained)
         if found is not None:
             trained[:] = found
         return found
@@ -197,7 +143,7 @@ def reduced_model(
             inaccurate_points if likelihood.of_modes else None,
             engine,
             (lambda model: some_points(model)[:, :n]) if likelihood.of_modes else None,
-            wider_box if likelihood.of_modes and _is_narrower(problem, trained) else None,
+            wider_box if likelihood.of_modes and is_narrower(problem, trained) else None,
         )
     except SingularAnchorError as singular:
         raise ValueError(_singular(problem, singular)) from singular
@@ -215,7 +161,7 @@ def reduced_model(
 
 
 def _find_tolerance(
-    problem: UpdatingProblem, model: ModalModel, tolerance: Tolerance, state: dict[str, FloatArray]
+    problem: Posterior, model: ModalModel, tolerance: Tolerance, state: dict[str, FloatArray]
 ) -> Tolerance | None:
     """Return the tolerance that a reduced model keeps, None without one; warn where it is not what was asked."""
     if model is model.truth:
@@ -225,7 +171,7 @@ def _find_tolerance(
 
 
 def _trained_at_draws(
-    problem: UpdatingProblem, structure: PairedStructure, trained: FloatArray, frequency: float
+    problem: Posterior, structure: PairedStructure, trained: FloatArray, frequency: float
 ) -> tuple[ReducedStructure, dict[str, FloatArray]] | None:
     """Return a reduced model that is trained where prior and posterior have their mass, and its state.
 
@@ -260,26 +206,10 @@ def _trained_at_draws(
     return model.keeping(float(elsewhere)), state
 
 
-def _log_prob_errors(problem: UpdatingProblem, model: ReducedStructure, points: FloatArray) -> FloatArray:
+def _log_prob_errors(problem: Posterior, model: ReducedStructure, points: FloatArray) -> FloatArray:
     """Return the errors of a reduced model's log-probability at points (n, ndim), shape (n,)."""
     exact = np.concatenate(by_parts("training", problem.likelihood.terms, points, _AT_ONCE))
     return np.asarray(np.sum(problem.with_model(model).likelihood.terms(points) - exact, axis=1))
-
-
-def training_box(parameters: Sequence[Parameter]) -> tuple[FloatArray, FloatArray]:
-    """Return the limits of the box in which a reduced model is trained first, shape (n,) each.
-
-    That of the priors (`fmu.posterior.parameters.box`), and up to a bound that is near: some draws in ten thousand
-    lie outside four standard deviations of a prior, and none outside the bounds.
-    """
-    ends, bounds = np.array(box(parameters)), np.array([[p.lower, p.upper] for p in parameters]).T
-    is_near = np.abs(bounds - ends) <= _NEAR * (ends[1] - ends[0])
-    for j, parameter in enumerate(parameters):
-        with np.errstate(divide="ignore", invalid="ignore"):  # a log-normal prior has no density at 0
-            fall = parameter.prior.log_pdf(ends[:, j]) - parameter.prior.log_pdf(bounds[:, j])
-        is_near[:, j] &= fall <= _NOT_RARE
-    lower, upper = np.where(is_near, bounds, ends)
-    return lower, upper
 
 
 def _log_prob_bound(model: ReducedStructure, likelihood: ModalLikelihood, points: FloatArray) -> FloatArray:
@@ -298,7 +228,7 @@ def _log_prob_bound(model: ReducedStructure, likelihood: ModalLikelihood, points
     return off
 
 
-def _singular(problem: UpdatingProblem, error: SingularAnchorError) -> str:
+def _singular(problem: Posterior, error: SingularAnchorError) -> str:
     if error.parameter is None:
         return f"reduction: {error}, in the middle of the bounds; hold the motion or give it mass"
     name = problem.parameters[error.parameter].name
@@ -333,7 +263,7 @@ def _off(found: float, tolerance: float) -> str:
 
 
 def _warn_if_missed(
-    problem: UpdatingProblem, model: ModalModel, tolerance: Tolerance, state: dict[str, FloatArray]
+    problem: Posterior, model: ModalModel, tolerance: Tolerance, state: dict[str, FloatArray]
 ) -> None:
     if "far" in state:
         j, value, is_above, is_negative = state["far"]
@@ -415,89 +345,3 @@ def on_a_jump(
     same = np.abs(answers - full.eigenvalues) <= 2.0 * tolerance * np.abs(full.eigenvalues)
     others = (reduced.block != full.block) | (reduced.rank != full.rank)
     return np.asarray(others.any(axis=1) & same.all(axis=1))
-
-
-def plausible_points(
-    problem: UpdatingProblem, n: int, rng: np.random.Generator, depth: float = PLAUSIBLE
-) -> FloatArray:
-    """Return points inside the bounds at which the log-probability is within `depth` of its maximum.
-
-    From every plausible local maximum they lie along random directions of the Laplace approximation, where the
-    log-probability has decreased by a random amount, or at the bounds.
-
-    Parameters
-    ----------
-    n : int
-        Points per maximum.
-
-    Returns
-    -------
-    ndarray, shape (n · maxima, ndim)
-    """
-    maxima = local_maxima(problem, starts=8)
-    points = []
-    for maximum in maxima:
-        allowed = maximum.log_prob - (maxima[0].log_prob - depth)
-        if allowed < 0:
-            continue
-        direction, curvature = _laplace_directions(problem, maximum.theta, n, rng)
-        floor = maximum.log_prob - rng.uniform(0.0, allowed, size=n)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            walls = (
-                np.where(direction > 0, problem.upper - maximum.theta, problem.lower - maximum.theta) / direction
-            )
-        near, far = np.zeros(n), np.minimum(np.min(np.where(direction == 0, np.inf, walls), axis=1), 100.0)
-        # first where the Laplace approximation reaches the floor
-        step = np.minimum(np.sqrt(2.0 * (maximum.log_prob - floor) / curvature), far)
-        for _ in range(_TRIED):
-            above = problem.log_prob(_along(problem, maximum.theta, direction, step)) >= floor
-            near, far = np.where(above, step, near), np.where(above, far, step)
-            step = 0.5 * (near + far)
-        points.append(_along(problem, maximum.theta, direction, near))
-    return np.concatenate(points)
-
-
-def _is_narrower(problem: UpdatingProblem, trained: FloatArray) -> bool:
-    """Say whether a box (2, n) is smaller than the bounds of its parameters."""
-    n = trained.shape[1]
-    return not (np.array_equal(trained[0], problem.lower[:n]) and np.array_equal(trained[1], problem.upper[:n]))
-
-
-def _box_of_the_posterior(problem: UpdatingProblem, trained: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Return a box that holds the plausible points too, if more of the posterior than `_OUTSIDE` leaves `trained`.
-
-    How much leaves it is estimated by draws of the Laplace approximations at the maxima.
-    """
-    n, rng, quadratic = trained.shape[1], np.random.default_rng(0), GaussNewton(problem)
-    maxima = local_maxima(problem, starts=8)
-    draws = []
-    for maximum in maxima:
-        if maximum.log_prob > maxima[0].log_prob - _RELEVANT:
-            hessian = quadratic((maximum.theta[None] - problem.offset) / problem.scale)[2][0]
-            root = np.linalg.cholesky(hessian + np.eye(problem.ndim))
-            z = np.linalg.solve(root.T, rng.standard_normal((problem.ndim, _DRAWN))).T * problem.scale
-            draws.append(np.clip(maximum.theta + z, problem.lower, problem.upper)[:, :n])
-    theta = np.concatenate(draws)
-    is_outside = np.any((theta < trained[0]) | (theta > trained[1]), axis=1)
-    if np.mean(is_outside) <= _OUTSIDE:
-        return None
-    theta = np.concatenate([theta, trained, plausible_points(problem, 64, rng)[:, :n]])
-    return theta.min(axis=0), theta.max(axis=0)
-
-
-def _along(problem: UpdatingProblem, origin: FloatArray, direction: FloatArray, step: FloatArray) -> FloatArray:
-    return np.clip(origin + step[:, None] * direction, problem.lower, problem.upper)
-
-
-def _laplace_directions(
-    problem: UpdatingProblem, theta: FloatArray, n: int, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
-    """Return random directions with the covariance of the Gauss–Newton approximation, turned inwards at bounds.
-
-    Directions (n, ndim), and the curvature of −log P along each, (n,).
-    """
-    information = problem.likelihood.quadratic(theta[None])[2][0]
-    precision = information * np.outer(problem.scale, problem.scale) + np.eye(problem.ndim)
-    z = np.linalg.solve(np.linalg.cholesky(precision).T, rng.standard_normal((problem.ndim, n))).T
-    z = np.where(theta <= problem.lower, np.abs(z), np.where(theta >= problem.upper, -np.abs(z), z))
-    return z * problem.scale, np.einsum("ni,ij,nj->n", z, precision, z)

@@ -16,12 +16,14 @@ from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.points import Trained
 from fmu.fem.reduced.reduced_structure import ReducedStructure
 from fmu.fem.reduced.training import Training
-from fmu.posterior import train_reduced as focus
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
-from fmu.posterior.train_reduced import LOG_PROB_TOLERANCE, ReductionWarning, Tolerance, plausible_points
+from fmu.posterior.reduction import train_reduced as focus
+from fmu.posterior.reduction.region import plausible_points
+from fmu.posterior.reduction.tolerance import FREQUENCY_TOLERANCE, LOG_PROB_TOLERANCE, Tolerance
+from fmu.posterior.reduction.train_reduced import ReductionWarning
 
 CASES = [
     pytest.param((f"cantilever-{case}", pairing), id=f"{case}, {pairing}", marks=marks)
@@ -271,8 +273,8 @@ def test_training_ends_where_the_best_fit_is_on_a_jump_of_the_pairing(bases, mon
     exact = problem.likelihood.error.log_prob_terms(full).sum(axis=1)
     differ = np.abs(problem.log_likelihood(theta) - exact) > LOG_PROB_TOLERANCE
     assert differ.any()
-    assert focus.on_a_jump(structure, theta[differ], focus.FREQUENCY_TOLERANCE).all()
-    assert not focus.on_a_jump(structure, theta[~differ], focus.FREQUENCY_TOLERANCE).any()
+    assert focus.on_a_jump(structure, theta[differ], FREQUENCY_TOLERANCE).all()
+    assert not focus.on_a_jump(structure, theta[~differ], FREQUENCY_TOLERANCE).any()
 
 
 def test_a_reduced_model_without_the_modes_is_not_on_a_jump(bases):
@@ -282,7 +284,7 @@ def test_a_reduced_model_without_the_modes_is_not_on_a_jump(bases):
     half = poor.basis[:, : poor.basis.shape[1] // 2]
     changed = ReducedBlock(structure.truth.blocks[0], half, poor.n_trained)
     trained = Trained(BlockModel((changed,), 2), structure.pairing, np.full(2, 0.7), np.full(2, 1.3))
-    assert not focus.on_a_jump(ReducedStructure(structure.truth, trained), theta, focus.FREQUENCY_TOLERANCE).any()
+    assert not focus.on_a_jump(ReducedStructure(structure.truth, trained), theta, FREQUENCY_TOLERANCE).any()
 
 
 def test_training_stalls_when_three_rounds_halve_nothing():

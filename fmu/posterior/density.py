@@ -1,0 +1,307 @@
+"""The log-probability of theta, its gradient and its parts: what an updating problem answers."""
+
+from __future__ import annotations
+
+from copy import copy
+from functools import partial
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fmu.arguments import Numbers, require
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.pairing.modal_model import ModalModel
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.errors.base import Chain, Likelihood
+from fmu.posterior.failures import Failure, FailureRecord
+from fmu.posterior.joint.layout import Layout, Role
+from fmu.posterior.joint.modal_test import Test
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors.joint import JointPrior
+from fmu.posterior.reduction.tolerance import Tolerance
+from fmu.types import BoolArray, FloatArray
+
+
+class Posterior:
+    """The posterior of eq. (8) as a density of theta.
+
+    theta → layout → parameters of the structure in every test → model → likelihood; and the prior of theta. It is
+    an `fmu.posterior.problem.UpdatingProblem` without its construction, and has the attributes named there.
+    """
+
+    name: str
+    data: ModalData
+    layout: Layout
+    model: ModalModel
+    likelihood: Likelihood
+    prior: JointPrior
+    parameters: tuple[Parameter, ...]
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    ndim: int
+    n_structural: int
+    lower: FloatArray
+    upper: FloatArray
+    start: FloatArray
+    offset: FloatArray
+    scale: FloatArray
+    tolerance: Tolerance | None
+    _lowest: FloatArray
+    _highest: FloatArray
+    _failed: FailureRecord
+
+    def with_model(self, model: ModalModel) -> Self:
+        """Return the same problem with another model of the same parameters and modes."""
+        other = copy(self)
+        other.model, other.likelihood = model, self.likelihood.with_model(model)
+        other._failed = FailureRecord()
+        return other
+
+    def log_prob(self, theta: ArrayLike) -> Any:
+        """Return log P(θ|D) up to the evidence: the sum of `log_likelihood` and `log_prior`."""
+        points, single = self._points(theta)
+        within = self._within(points)
+        if np.count_nonzero(within) == within.size > 0:  # as a rule; it saves the copies
+            value = self._posterior(points)
+        else:
+            value = np.full(len(points), -np.inf)
+            inside = within.all(axis=1)
+            if inside.any():
+                value[inside] = self._posterior(points[inside])
+        return float(value[0]) if single else value
+
+    def log_prob_and_grad(self, theta: ArrayLike) -> tuple[Any, Any]:
+        """Return the log-probability and its gradient (NaN outside the bounds), with the shapes of `log_prob`."""
+        points, single = self._points(theta)
+        within = self._within(points)
+        if np.count_nonzero(within) == within.size > 0:
+            value, gradient = self._posterior_and_gradient(points)
+        else:
+            value, gradient = np.full(len(points), -np.inf), np.full(points.shape, np.nan)
+            inside = within.all(axis=1)
+            if inside.any():
+                value[inside], gradient[inside] = self._posterior_and_gradient(points[inside])
+        return (float(value[0]), gradient[0]) if single else (value, gradient)
+
+    def log_likelihood(self, theta: ArrayLike) -> Any:
+        """Return log P(D|θ), eq. (4) with its normaliser (5); defined outside the bounds too."""
+        points, single = self._points(theta)
+        value = self._terms(points).sum(axis=1)
+        return float(value[0]) if single else value
+
+    def log_likelihood_terms(self, theta: ArrayLike) -> FloatArray:
+        """Return the log-likelihood of each datum, shape (n_terms,) or (n, n_terms).
+
+        The modes used in updating come first, then masses and displacements.
+        """
+        points, single = self._points(theta)
+        terms = self._terms(points)
+        return terms[0] if single else terms
+
+    def terms_and_misfit(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the log-likelihood and the squared residuals of each used mode, from the same solves.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (n, ndim)
+
+        Returns
+        -------
+        terms : ndarray, shape (n, n_used)
+        squares : ndarray, shape (n, n_kinds, n_used)
+            Σ r² over the residuals r of a mode, by the error models of ``likelihood.chi_square``.
+        """
+        terms, squares = self.likelihood.terms_and_misfit(self.layout.of_model(theta))
+        return self._record_failures(terms, theta), squares
+
+    def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
+
+        At theta (n, ndim), of a likelihood of computed modes: JᵀJ of the residuals for the parameters of the
+        structure, Fisher's information for the inferred standard deviations.
+        """
+        return self.likelihood.quadratic(self.layout.of_model(theta), self._chain(theta))
+
+    def sensitivity(self, theta: FloatArray) -> FloatArray:
+        """Return the derivatives of errors over their sds, (n, n_residuals, n_structural), at theta (n, ndim)."""
+        return self.likelihood.residuals_and_slopes(self.layout.of_model(theta), self._chain(theta))[1]
+
+    def log_prior(self, theta: ArrayLike) -> Any:
+        """Return the log-density of the prior (6), normalised over the bounds; ``-inf`` outside them."""
+        points, single = self._points(theta)
+        value = np.full(len(points), -np.inf)
+        inside = self._within(points).all(axis=1)
+        value[inside] = self.prior.log_pdf(points[inside])
+        return float(value[0]) if single else value
+
+    def log_prior_and_grad(self, theta: ArrayLike) -> tuple[Any, Any]:
+        """Return `log_prior` and its gradient (NaN outside the bounds), with the shapes of `log_prob`."""
+        points, single = self._points(theta)
+        value, gradient = np.full(len(points), -np.inf), np.full(points.shape, np.nan)
+        inside = self._within(points).all(axis=1)
+        value[inside] = self.prior.log_pdf(points[inside])
+        gradient[inside] = self.prior.log_pdf_gradient(points[inside])
+        return (float(value[0]), gradient[0]) if single else (value, gradient)
+
+    def frequencies(self, theta: ArrayLike) -> FloatArray:
+        """Return the frequencies in Hz paired with the measured modes, shape (n_modes,) or (n, n_modes).
+
+        Works outside the bounds too.
+        """
+        points, single = self._points(theta)
+        frequencies = self.model.frequencies(self.model_parameters(points))
+        return frequencies[0] if single else frequencies
+
+    def model_parameters(self, theta: FloatArray) -> FloatArray:
+        """Return the parameters of the model, (n, n_parameters), at theta (n, ndim).
+
+        Of several tests the structure's in the first test, then in the second, and so on.
+        """
+        return self.layout.of_model(theta)[:, : self.model.n_parameters]
+
+    def values(self, theta: ArrayLike) -> FloatArray:
+        """Return the parameters of the structure in every test, shape (n_tests, n) or (n_points, n_tests, n).
+
+        Parameters
+        ----------
+        theta : array_like, shape (ndim,) or (n_points, ndim)
+
+        Returns
+        -------
+        ndarray
+            In the order of the tests, and of ``layout.structural``; the known value where one is known in a test.
+        """
+        points, single = self._points(theta)
+        values = self.layout.values(points[:, : self.n_structural])
+        for t, test in enumerate(self.tests):
+            for j, parameter in enumerate(self.layout.structural):
+                if parameter.name in test.known:
+                    values[:, t, j] = test.known[parameter.name]
+        return values[0] if single else values
+
+    @property
+    def failures(self) -> list[Failure]:
+        """The points inside the bounds that have no finite log-likelihood, and why; the first ten thousand."""
+        return list(self._failed.first)
+
+    @property
+    def n_failures(self) -> int:
+        """How many evaluations inside the bounds gave no finite log-likelihood."""
+        return self._failed.count
+
+    def take_failures(self) -> list[Failure]:
+        """Return the failures since this was last called; they remain in `failures`.
+
+        A theta that failed several times is returned once; at most ten thousand are kept, `n_failures` counts all.
+        """
+        return self._failed.take()
+
+    def configuration(self) -> dict[str, Any]:
+        """Return the data that define the posterior, in plain Python types."""
+        other = {} if self.tolerance in (None, Tolerance()) else {"reduction": self.tolerance.frequency}
+        of_tests = {} if self.layout.is_identity else self.layout.configuration()
+        return other | {
+            "name": self.name,
+            "model": self.model.configuration(),
+            "data": self.data.as_dict(),
+            "likelihood": self.likelihood.as_dict(),
+            "parameters": [
+                {
+                    "name": p.name,
+                    "unit": p.unit,
+                    "start": p.start,
+                    "lower": p.lower,
+                    "upper": p.upper,
+                    "prior": p.prior.as_dict(),
+                }
+                for p in self.parameters
+            ],
+            **of_tests,
+        }
+
+    @property
+    def solves_per_gradient(self) -> int:
+        """What `log_prob_and_grad` costs at one theta, in solves of the model: 1 where derivatives are exact."""
+        of_model = self.model
+        return of_model.solves_per_shape_gradient if self.likelihood.needs_shapes else of_model.solves_per_gradient
+
+    @property
+    def tests(self) -> tuple[Test, ...]:
+        """The tests of the structure."""
+        return self.layout.tests
+
+    @property
+    def roles(self) -> tuple[Role, ...]:
+        """What each parameter of theta is for."""
+        return (*self.layout.roles, *[Role("noise", None)] * (self.ndim - self.n_structural))
+
+    @property
+    def is_hierarchical(self) -> bool:
+        """Whether parameters have a distribution that is inferred: a population."""
+        return bool(self.layout.scales)
+
+    def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
+        """Return the first matrices that parameter `k` of theta changes, and its number there, or None."""
+        of = self.roles[k].of
+        return None if of is None else self.model.matrices_of(of)
+
+    def with_layout(self, layout: Layout) -> Self:
+        """Return the same problem with scores that refer to others, of the same parameters."""
+        other = copy(self)
+        other.layout, other.prior, other._failed = layout, self._prior_of(layout), FailureRecord()
+        return other
+
+    def _prior_of(self, layout: Layout) -> JointPrior:
+        return JointPrior(self.parameters, layout if layout.scales else None)
+
+    def _noise(self, theta: FloatArray | None) -> FloatArray | None:
+        return None if theta is None else theta[:, self.n_structural :]
+
+    def _chain(self, theta: FloatArray) -> Chain | None:
+        """Return the chain rule from the parameters of each test to theta; None if they are the same."""
+        if self.layout.is_identity:
+            return None
+        return partial(self.layout.chain_slopes, theta[:, : self.n_structural])
+
+    def _points(self, theta: ArrayLike) -> tuple[FloatArray, bool]:
+        if not isinstance(theta, np.ndarray) or theta.dtype.kind not in "fiu":
+            require("theta", theta, Numbers)
+        points = np.asarray(theta, dtype=float, order="C")
+        if points.ndim not in (1, 2) or points.shape[-1] != self.ndim:
+            raise ValueError(f"theta: must have shape ({self.ndim},) or (n, {self.ndim}) (got {points.shape})")
+        return (points[None], True) if points.ndim == 1 else (points, False)
+
+    def _within(self, points: FloatArray) -> BoolArray:
+        return (points >= self._lowest) & (points <= self._highest)
+
+    def _posterior(self, points: FloatArray) -> FloatArray:
+        """Return the log-probability, shape (n,), at points (n, ndim) inside the bounds."""
+        return self._terms(points).sum(axis=1) + self.prior.log_pdf(points)
+
+    def _posterior_and_gradient(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        terms, slopes = self.likelihood.terms_and_gradient(self.layout.of_model(points))
+        value = self._record_failures(terms, points).sum(axis=1) + self.prior.log_pdf(points)
+        if self.layout.is_identity:
+            gradient = slopes.sum(axis=1)
+        else:
+            gradient = self.layout.gradient(points, slopes, self.likelihood.test_of_terms)
+        return value, gradient + self.prior.log_pdf_gradient(points)
+
+    def _terms(self, points: FloatArray) -> FloatArray:
+        return self._record_failures(self.likelihood.terms(self.layout.of_model(points)), points)
+
+    def _record_failures(self, terms: FloatArray, points: FloatArray) -> FloatArray:
+        """Return `terms` with -inf in place of non-finite values, after recording the points that failed."""
+        finite = np.isfinite(terms)
+        if np.count_nonzero(finite) == finite.size:
+            return terms
+        failed = ~finite.all(axis=1)
+        self._failed.add(
+            points[failed & self._within(points).all(axis=1)],
+            lambda theta: (
+                self.likelihood.why_not_finite(self.layout.of_model(theta[None])[0])
+                or "the log-likelihood was not finite, and is when it is computed again"
+            ),
+        )
+        return np.where(failed[:, None], -np.inf, terms)

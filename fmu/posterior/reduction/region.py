@@ -1,0 +1,121 @@
+"""Where a reduced model must be accurate: where prior and posterior have their mass."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fmu.posterior.density import Posterior
+from fmu.posterior.maxima import GaussNewton, local_maxima
+from fmu.posterior.parameters import Parameter, box
+from fmu.types import FloatArray
+
+# Log-probabilities lower than the maximum by more than this are neglected.
+PLAUSIBLE = 50.0
+_TRIED = 7  # steps along the way to a point
+# A box leaves out at most this share of the posterior, as draws at maxima this little below the highest tell.
+_OUTSIDE, _RELEVANT, _DRAWN = 0.02, 10.0, 512
+# A bound belongs to the box if it is at most this share of the width beyond, and the prior's log-density is no
+# further below that at the end of the box: of a normal prior, within six standard deviations.
+_NEAR, _NOT_RARE = 0.5, 10.0
+
+
+def training_box(parameters: Sequence[Parameter]) -> tuple[FloatArray, FloatArray]:
+    """Return the limits of the box in which a reduced model is trained first, shape (n,) each.
+
+    That of the priors (`fmu.posterior.parameters.box`), and up to a bound that is near: some draws in ten thousand
+    lie outside four standard deviations of a prior, and none outside the bounds.
+    """
+    ends, bounds = np.array(box(parameters)), np.array([[p.lower, p.upper] for p in parameters]).T
+    is_near = np.abs(bounds - ends) <= _NEAR * (ends[1] - ends[0])
+    for j, parameter in enumerate(parameters):
+        with np.errstate(divide="ignore", invalid="ignore"):  # a log-normal prior has no density at 0
+            fall = parameter.prior.log_pdf(ends[:, j]) - parameter.prior.log_pdf(bounds[:, j])
+        is_near[:, j] &= fall <= _NOT_RARE
+    lower, upper = np.where(is_near, bounds, ends)
+    return lower, upper
+
+
+def plausible_points(problem: Posterior, n: int, rng: np.random.Generator, depth: float = PLAUSIBLE) -> FloatArray:
+    """Return points inside the bounds at which the log-probability is within `depth` of its maximum.
+
+    From every plausible local maximum they lie along random directions of the Laplace approximation, where the
+    log-probability has decreased by a random amount, or at the bounds.
+
+    Parameters
+    ----------
+    n : int
+        Points per maximum.
+
+    Returns
+    -------
+    ndarray, shape (n · maxima, ndim)
+    """
+    maxima = local_maxima(problem, starts=8)
+    points = []
+    for maximum in maxima:
+        allowed = maximum.log_prob - (maxima[0].log_prob - depth)
+        if allowed < 0:
+            continue
+        direction, curvature = _laplace_directions(problem, maximum.theta, n, rng)
+        floor = maximum.log_prob - rng.uniform(0.0, allowed, size=n)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            walls = (
+                np.where(direction > 0, problem.upper - maximum.theta, problem.lower - maximum.theta) / direction
+            )
+        near, far = np.zeros(n), np.minimum(np.min(np.where(direction == 0, np.inf, walls), axis=1), 100.0)
+        # first where the Laplace approximation reaches the floor
+        step = np.minimum(np.sqrt(2.0 * (maximum.log_prob - floor) / curvature), far)
+        for _ in range(_TRIED):
+            above = problem.log_prob(_along(problem, maximum.theta, direction, step)) >= floor
+            near, far = np.where(above, step, near), np.where(above, far, step)
+            step = 0.5 * (near + far)
+        points.append(_along(problem, maximum.theta, direction, near))
+    return np.concatenate(points)
+
+
+def is_narrower(problem: Posterior, trained: FloatArray) -> bool:
+    """Say whether a box (2, n) is smaller than the bounds of its parameters."""
+    n = trained.shape[1]
+    return not (np.array_equal(trained[0], problem.lower[:n]) and np.array_equal(trained[1], problem.upper[:n]))
+
+
+def posterior_box(problem: Posterior, trained: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Return a box that holds the plausible points too, if more of the posterior than `_OUTSIDE` leaves `trained`.
+
+    How much leaves it is estimated by draws of the Laplace approximations at the maxima.
+    """
+    n, rng, quadratic = trained.shape[1], np.random.default_rng(0), GaussNewton(problem)
+    maxima = local_maxima(problem, starts=8)
+    draws = []
+    for maximum in maxima:
+        if maximum.log_prob > maxima[0].log_prob - _RELEVANT:
+            hessian = quadratic((maximum.theta[None] - problem.offset) / problem.scale)[2][0]
+            root = np.linalg.cholesky(hessian + np.eye(problem.ndim))
+            z = np.linalg.solve(root.T, rng.standard_normal((problem.ndim, _DRAWN))).T * problem.scale
+            draws.append(np.clip(maximum.theta + z, problem.lower, problem.upper)[:, :n])
+    theta = np.concatenate(draws)
+    is_outside = np.any((theta < trained[0]) | (theta > trained[1]), axis=1)
+    if np.mean(is_outside) <= _OUTSIDE:
+        return None
+    theta = np.concatenate([theta, trained, plausible_points(problem, 64, rng)[:, :n]])
+    return theta.min(axis=0), theta.max(axis=0)
+
+
+def _along(problem: Posterior, origin: FloatArray, direction: FloatArray, step: FloatArray) -> FloatArray:
+    return np.clip(origin + step[:, None] * direction, problem.lower, problem.upper)
+
+
+def _laplace_directions(
+    problem: Posterior, theta: FloatArray, n: int, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Return random directions with the covariance of the Gauss–Newton approximation, turned inwards at bounds.
+
+    Directions (n, ndim), and the curvature of −log P along each, (n,).
+    """
+    information = problem.quadratic(theta[None])[2][0]
+    precision = information * np.outer(problem.scale, problem.scale) + np.eye(problem.ndim)
+    z = np.linalg.solve(np.linalg.cholesky(precision).T, rng.standard_normal((problem.ndim, n))).T
+    z = np.where(theta <= problem.lower, np.abs(z), np.where(theta >= problem.upper, -np.abs(z), z))
+    return z * problem.scale, np.einsum("ni,ij,nj->n", z, precision, z)
