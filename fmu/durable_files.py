@@ -80,7 +80,7 @@ def payload_of(title: str, content: bytes) -> bytes:
 
 def sync_directory(directory: Path) -> None:
     """Write the names in a directory to disk, if the system can do that."""
-    if hasattr(os, "O_DIRECTORY"):
+    if os.name == "posix":
         handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
         try:
             os.fsync(handle)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
@@ -13,7 +14,7 @@ GRACE_S = 1.0
 """How long the current step may take after a stop was requested."""
 _Handler = Callable[[int, FrameType | None], None]
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_HAS_TIMER = hasattr(signal, "setitimer")  # not on Windows
+_HAS_TIMER = os.name == "posix"
 
 
 class _Stop:

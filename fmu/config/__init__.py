@@ -9,7 +9,7 @@ import math
 import os
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -127,22 +127,22 @@ def _parse_toml(path: Path) -> dict[str, Any]:
         raise ValueError(f"is not valid TOML: it has a number or a date that cannot be read ({error})") from error
 
 
-def _out_of_size(content: Any) -> Iterator[ArgumentError]:
+def _out_of_size(content: Mapping[str, object]) -> Iterator[ArgumentError]:
     """Yield a mistake for everything nested too deeply and for every number out of the range of SI values."""
-    ahead: list[tuple[tuple[int | str, ...], Any]] = [((), content)]
+    ahead: list[tuple[tuple[int | str, ...], object]] = [((), content)]
     while ahead:
         where, value = ahead.pop()
         if isinstance(value, dict | list):
             if len(where) > DEEPEST:
                 yield ArgumentError(place(where), f"must not be nested more than {DEEPEST} tables and lists deep")
                 continue
-            items = list(value.items() if isinstance(value, dict) else enumerate(value))
-            ahead += [((*where, key), inner) for key, inner in reversed(items)]
+            items = value.items() if isinstance(value, dict) else enumerate(value)
+            ahead += [((*where, key), inner) for key, inner in reversed(list(items))]
         elif isinstance(value, float | int) and _is_out_of_size(value):
             rule = f"must be 0, or from {typed(SMALLEST_NUMBER)} to {typed(LARGEST_NUMBER)} in size"
             yield ArgumentError(place(where), rule, quote(value))
 
 
 def _is_out_of_size(value: float) -> bool:
-    is_finite = isinstance(value, int) or math.isfinite(value)
-    return value != 0 and is_finite and not SMALLEST_NUMBER <= abs(value) <= LARGEST_NUMBER
+    size = abs(value)
+    return 0 < size < SMALLEST_NUMBER or LARGEST_NUMBER < size < math.inf

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import Annotated, Any, TypeGuard, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,6 +11,7 @@ from pydantic import Tag
 
 from fmu.arguments import ArgumentError
 from fmu.config.tables import Declared, Name, Number, Numbers, OneOf, Positive, by_kind, tuple_as_list
+from fmu.formats.modes.measured_modes import Place
 from fmu.formats.shown import names_shown, quote
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors import ERROR_MODELS
@@ -28,7 +29,7 @@ Deviation = Annotated[
 _ARRAY = set(get_args(ArrayLike | None)) - {type(None)}
 
 
-def _in_a_file(annotation: Any) -> Any:
+def _in_a_file(annotation: object) -> object:
     """Return the type that an error model's argument has in a file: numbers for an array, a name for a noise."""
     parts = set(get_args(annotation))
     is_array, optional = parts >= _ARRAY, type(None) in parts
@@ -72,14 +73,18 @@ def build_error_models(
     return models, found
 
 
-def with_places(models: Sequence[ErrorModel], places: Mapping[str, Any]) -> list[ErrorModel]:
+def with_places(models: Sequence[ErrorModel], places: Mapping[str, Place]) -> list[ErrorModel]:
     """Return error models at nodes of the model, in place of the names that the file has for them."""
-    return [one.at_places(places) if isinstance(one, QuantityErrors) else one for one in models]
+    return [one.at_places(places) if _are_of_quantities(one) else one for one in models]
 
 
 def is_of_modes(model: ErrorModel) -> bool:
     """Say whether errors are of modes, and not of a mass or a displacement."""
-    return not isinstance(model, QuantityErrors)
+    return not _are_of_quantities(model)
+
+
+def _are_of_quantities(model: ErrorModel) -> TypeGuard[QuantityErrors]:
+    return isinstance(model, QuantityErrors)
 
 
 def _noises(table: Declared) -> dict[str, str]:
@@ -124,10 +129,10 @@ def vanishing(
     """
     counts, bounded = dict.fromkeys(noise, 0), set()
     for model in models:
-        inferred = {value.name for value in vars(model).values() if isinstance(value, Parameter)}
-        counts |= {name: counts[name] + model.n_errors(data) for name in inferred}
-        if model.data_give_sd(data) if model.sd is None else not isinstance(model.sd, Parameter):
-            bounded |= inferred
+        inferred = {key: value.name for key, value in vars(model).items() if isinstance(value, Parameter)}
+        counts |= {name: counts[name] + model.n_errors(data) for name in set(inferred.values())}
+        if model.data_give_sd(data) if model.sd is None else "sd" not in inferred:
+            bounded |= set(inferred.values())
     found = []
     for i, (name, parameter) in enumerate(noise.items()):
         n, nearly_none = counts[name], parameter.start * np.array([1e-6, 1e-9])

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
+from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from fmu.arguments import ArgumentError
 from fmu.config.mistakes import BrokenError
 from fmu.config.tables import Built, FileName, Name, TomlTable, Vector
-from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.matching import Matching, match_points
 from fmu.formats.modes.csv import read_points
 from fmu.formats.modes.measured_modes import ModesError, Place
@@ -43,8 +44,8 @@ class GeometryTable(TomlTable):
 
     def build(self, folder: Path, built: Built) -> Matching:
         """Return the points on the nodes of a model; BrokenError if there are none or they do not fit."""
-        model = built.model
-        if not isinstance(model, SeparableModel) or model.geometry is None:
+        model = built.separable
+        if model is None or model.geometry is None:
             rule = "must be given with a model whose nodes have coordinates: of a frame, or exported with its mesh"
             raise BrokenError([ArgumentError(WHERE, rule)])
         known = {point: built.places.get(str(place), place) for point, place in self.nodes.items()}
@@ -59,9 +60,9 @@ class GeometryTable(TomlTable):
             )
             raise BrokenError([ArgumentError(at, rule if key in ("nodes", "points") else str(error))]) from None
 
-    def _read(self, folder: Path) -> dict[str, Any]:
+    def _read(self, folder: Path) -> Mapping[str, ArrayLike]:
         if self.points is not None:
-            return dict(self.points)
+            return self.points
         path = folder / str(self.file)
         try:
             return read_uff_points(path) if path.suffix.lower() in _UNIVERSAL else read_points(path)

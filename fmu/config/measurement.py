@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,11 +34,12 @@ from fmu.fem.pairing.matching import Matching
 from fmu.formats.matrices.read import read_matrix
 from fmu.formats.modes import READERS
 from fmu.formats.modes.csv import read_frequencies, read_shapes, read_tests
-from fmu.formats.modes.measured_modes import MOST_MODES, ModesError, ModesFormat, Place, Sensors
+from fmu.formats.modes.measured_modes import MOST_MODES, MeasuredModes, ModesError, ModesFormat, Place, Sensors
 from fmu.formats.shown import quote
 from fmu.posterior.data.covariance import checked_covariance
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
+from fmu.types import Dof, FloatArray
 
 Missed = Annotated[float, Field(allow_inf_nan=True)]
 """A number, or nan where a test missed the mode."""
@@ -129,17 +131,17 @@ class MeasurementTable(TomlTable):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        given = [key for key in _SOURCES if getattr(self, key) is not None]
+        given = self._given(_SOURCES)
         if len(given) != 1:
             raise ArgumentError("", f"must have one of {', '.join(_SOURCES)}", quote(given))
-        trust = [key for key in _TRUST if getattr(self, key) is not None]
+        trust = self._given(_TRUST)
         if len(trust) > 1:
             raise ArgumentError("", _ONE_TRUST, quote(trust))
         if trust and given[0] in _TESTS:
             raise ValueError(
                 f"{trust[0]} must not be given together with {given[0]}, whose scatter gives the error"
             )
-        shapes = [key for key in _SHAPES if getattr(self, key) is not None]
+        shapes = self._given(_SHAPES)
         if len(shapes) > 1:
             raise ValueError(f"must have either {' or '.join(shapes)}")
         if self.test_shapes is not None and given[0] not in _TESTS:
@@ -157,15 +159,22 @@ class MeasurementTable(TomlTable):
         rows = [self.frequencies] if self.frequencies is not None else self.tests or []
         if not rows:
             return
-        for key in ("sd", "beta", "covariance", "numbers", "counterparts", "labels", "use", "shapes"):
-            value = getattr(self, key)
-            if isinstance(value, list) and value and len(value) != len(rows[0]):
-                raise ValueError(f"{key} must be {len(rows[0])}, one per mode (got {len(value)})")
+        values: dict[str, ArrayLike | None] = {"sd": self.sd, "beta": self.beta, "covariance": self.covariance}
+        values |= {"numbers": self.numbers, "counterparts": self.counterparts, "labels": self.labels}
+        values |= {"use": self.use, "shapes": self.shapes}
+        for key, value in values.items():
+            n = 0 if value is None else sum(np.shape(value)[:1])
+            if n not in (0, len(rows[0])):
+                raise ValueError(f"{key} must be {len(rows[0])}, one per mode (got {n})")
+
+    def _given(self, keys: Sequence[str]) -> list[str]:
+        """Return those of some keys that the table has."""
+        return [key for key in keys if key in self.model_fields_set]
 
     @property
     def _source(self) -> str:
         """The key that has the frequencies."""
-        return next(key for key in _SOURCES if getattr(self, key) is not None)
+        return self._given(_SOURCES)[0]
 
     @property
     def _reads_shapes(self) -> bool:
@@ -174,10 +183,9 @@ class MeasurementTable(TomlTable):
 
     def mistakes(self, needs_trust: bool) -> list[ArgumentError]:
         """Return a mistake if the size of the frequency errors is given neither here nor by an error model."""
-        given = [key for key in _TRUST if getattr(self, key) is not None]
-        if given or not needs_trust or self.frequencies is None:
+        if self._given(_TRUST) or not needs_trust or self.frequencies is None:
             return []
-        return [ArgumentError("measurement", _ONE_TRUST, quote(given))]
+        return [ArgumentError("measurement", _ONE_TRUST, "[]")]
 
     def build(self, folder: Path, built: Built, needs_trust: bool = True) -> ModalData:
         """Return the data at sensors of the model; BrokenError if they cannot be built.
@@ -192,23 +200,36 @@ class MeasurementTable(TomlTable):
         """
         given = self._read(folder)
         points = None if self.geometry is None else self.geometry.build(folder, built)
-        given |= {"points": points} | self._turn_sensors(given, points)
+        modes = self._turn_sensors(given.modes, points)
         parallel = points if points is not None and points.is_parallel else None
-        given["sensors"] = self._sensors(given.get("sensors", ()), built, parallel)
-        n, most = len(given["frequencies_hz"]), built.most_modes
+        sensors = self._sensors(modes.sensors, built, parallel)
+        n, most = len(modes.frequencies_hz), built.most_modes
         if n > most:
             rule = f"must have at most {most} modes, one per degree of freedom of the model"
             raise BrokenError([ArgumentError("measurement", rule, n)])
-        trust = {"sd_hz": self.sd, "covariance_hz2": self._covariance(folder)}
-        if any(getattr(self, key) is not None for key in _TRUST):
-            given |= trust
-        elif needs_trust and all(given.get(key) is None for key in trust):
+        sd_hz: ArrayLike | None = modes.sd_hz
+        covariance: ArrayLike | None = given.covariance_hz2
+        if self._given(_TRUST):
+            sd_hz, covariance = self.sd, self._covariance(folder)
+        elif needs_trust and sd_hz is None and covariance is None:
             rule = f"{_ONE_TRUST}, as the file has no standard deviations"
             raise BrokenError([ArgumentError("measurement", rule)])
-        keys = ("numbers", "labels", "counterparts", "use")
-        given |= {key: tuple(getattr(self, key)) for key in keys if getattr(self, key)}
         try:
-            return ModalData(**given)
+            return ModalData(
+                modes.frequencies_hz,
+                tuple(self.numbers) or modes.numbers,
+                sensors,
+                tuple(self.labels) or modes.labels,
+                modes.shapes,
+                sd_hz,
+                covariance,
+                modes.shapes_sd,
+                tuple(self.counterparts),
+                given.tests,
+                tuple(self.use) or modes.use,
+                modes.mpc,
+                points,
+            )
         except ValueError as error:
             wrong = ArgumentError.of(error)
             for key in ("frequencies", "sd", "covariance"):  # keys of the file have no units in their names
@@ -229,32 +250,31 @@ class MeasurementTable(TomlTable):
             ) from None
         return np.asarray(matrix.toarray())
 
-    def _turn_sensors(self, given: Mapping[str, Any], points: Matching | None) -> dict[str, Any]:
-        """Turn sensors and shapes into the axes of the model, unless the axes of the test are parallel."""
+    def _turn_sensors(self, modes: MeasuredModes, points: Matching | None) -> MeasuredModes:
+        """Return modes with sensors and shapes along the axes of the model, unless the test has parallel ones."""
         if points is None or points.is_parallel:
-            return {}
-        if self.test_shapes is not None and given.get("shapes_sd") is not None:
+            return modes
+        if self.test_shapes is not None and modes.shapes_sd is not None:
             rule = "must have axes parallel to the model's, as the scatter of test_shapes is along them"
             raise BrokenError([ArgumentError("measurement.geometry", rule)])
         try:
-            sensors, shapes = points.turned(given.get("sensors", ()), given.get("shapes"))
+            sensors, shapes = points.turned(modes.sensors, modes.shapes)
         except ValueError as error:
             raise BrokenError([ArgumentError(f"measurement.{self._where}", str(error))]) from None
-        return {"sensors": sensors, "shapes_sd": None} | ({} if shapes is None else {"shapes": shapes})
+        return replace(modes, sensors=sensors, shapes=shapes, shapes_sd=None)
 
     @property
     def _where(self) -> str:
         """The key that names the sensors."""
         return "sensors" if self.sensors else self._source if self._reads_shapes else "shapes_file"
 
-    def _sensors(
-        self, given: tuple[tuple[Any, str], ...], built: Built, points: Matching | None
-    ) -> tuple[tuple[Any, str], ...]:
+    def _sensors(self, given: Sensors, built: Built, points: Matching | None) -> tuple[Dof, ...]:
         """Return the sensors of the model at the places and directions that the file gives."""
-        sensors, found = [], []
+        sensors: list[Dof] = []
+        found: list[ArgumentError] = []
         for i, (place, direction) in enumerate(given):
             where = f"sensors.{i}" if self.sensors else self._where
-            sensor = (built.places.get(str(place), place), str(direction))
+            sensor: Dof = (built.places.get(str(place), place), str(direction))
             try:
                 sensor = sensor if points is None else points.sensor(place, str(direction))
             except ValueError as error:
@@ -268,29 +288,30 @@ class MeasurementTable(TomlTable):
             raise BrokenError(found)
         return tuple(sensors)
 
-    def _read(self, folder: Path) -> dict[str, Any]:
-        """Read the source, and return arguments of `ModalData`."""
+    def _read(self, folder: Path) -> _Given:
+        """Read the source."""
         sensors = tuple((place, str(direction)) for place, direction in self.sensors)
         given = self._frequencies(folder, {"sensors": sensors} if sensors and self._reads_shapes else {})
         if self._reads_shapes:
             return given
-        given["sensors"] = sensors
+        modes = replace(given.modes, sensors=sensors)
         if self.shapes is not None:
-            given["shapes"] = np.array(self.shapes, dtype=float).T
-        if self.test_shapes is not None:
-            given |= _repeated_shapes(self.test_shapes, given["tests"])
+            modes = replace(modes, shapes=np.array(self.shapes, dtype=float).T)
+        if self.test_shapes is not None and given.tests is not None:
+            shapes, sd = _repeated_shapes(self.test_shapes, given.tests)
+            modes = replace(modes, shapes=shapes, shapes_sd=sd)
         if self.shapes_file is not None:
-            n_modes = len(given["frequencies_hz"])
-            labels = given.get("labels") or tuple(self.labels) or tuple(str(i + 1) for i in range(n_modes))
+            n_modes = len(modes.frequencies_hz)
+            labels = modes.labels or tuple(self.labels) or tuple(str(i + 1) for i in range(n_modes))
             with _at("measurement.shapes_file"):
-                modes = read_shapes(folder / self.shapes_file, labels)
-            given |= {"sensors": modes.sensors, "shapes": modes.shapes}
-        return given
+                read = read_shapes(folder / self.shapes_file, labels)
+            modes = replace(modes, sensors=read.sensors, shapes=read.shapes)
+        return given._replace(modes=modes)
 
-    def _frequencies(self, folder: Path, options: dict[str, Any]) -> dict[str, Any]:
+    def _frequencies(self, folder: Path, options: Mapping[str, Sensors]) -> _Given:
         """Return the frequencies and their own uncertainty, with labels, numbers and tests where there are any."""
         if self.frequencies is not None:
-            return {"frequencies_hz": np.array(self.frequencies)}
+            return _Given(MeasuredModes(np.array(self.frequencies), ()))
         if self.tests is not None:
             return _mean("tests", self.tests, self.scatter)
         with _at(f"measurement.{self._source}"):
@@ -299,11 +320,19 @@ class MeasurementTable(TomlTable):
                 files = {
                     key: folder / str(given) for key, given in table.given_arguments().items() if key in _FILES
                 }
-                return dict(vars(table.build(**files, **options)))
+                return _Given(table.build(**files, **options))
             if self.file is not None:
-                return dict(vars(read_frequencies(folder / self.file)))
+                return _Given(read_frequencies(folder / self.file))
             values, labels = read_tests(folder / str(self.tests_file))
-        return _mean("tests_file", values, self.scatter) | {"labels": labels}
+        return _mean("tests_file", values, self.scatter, labels)
+
+
+class _Given(NamedTuple):
+    """What the source has: modes, the tests whose mean they are, and the covariance of this mean."""
+
+    modes: MeasuredModes
+    tests: RepeatedTests | None = None
+    covariance_hz2: ArrayLike | None = None
 
 
 @contextmanager
@@ -317,17 +346,20 @@ def _at(where: str) -> Iterator[None]:
         raise BrokenError([ArgumentError.of(error).replace_key("path", "").under(where)]) from None
 
 
-def _mean(key: str, values: ArrayLike, scatter: str) -> dict[str, Any]:
-    """Return the mean of repeated tests, as arguments of `ModalData`."""
+def _mean(key: str, values: ArrayLike, scatter: str, labels: tuple[str, ...] = ()) -> _Given:
+    """Return the mean of repeated tests."""
     try:
         tests = RepeatedTests(values, scatter)
     except ValueError as error:
         raise BrokenError([ArgumentError.of(error).replace_key("frequencies", f"measurement.{key}")]) from None
-    return {**tests.mean()._asdict(), "tests": tests}
+    mean = tests.mean()
+    return _Given(MeasuredModes(mean.frequencies_hz, labels, mean.sd_hz), tests, mean.covariance_hz2)
 
 
-def _repeated_shapes(shapes: list[list[list[float]]], tests: RepeatedTests) -> dict[str, Any]:
-    """Return the mean of the tests' shapes and its standard deviation, as arguments of `ModalData`."""
+def _repeated_shapes(
+    shapes: list[list[list[float]]], tests: RepeatedTests
+) -> tuple[FloatArray, FloatArray | None]:
+    """Return the mean of the tests' shapes and its standard deviation."""
     where, (n_tests, n_modes) = "measurement.test_shapes", np.shape(tests.frequencies_hz)
     wrong = (
         [ArgumentError(where, f"must be {n_tests}, one per test", len(shapes))] if len(shapes) != n_tests else []
@@ -344,6 +376,6 @@ def _repeated_shapes(shapes: list[list[list[float]]], tests: RepeatedTests) -> d
         raise BrokenError(wrong)
     values = np.swapaxes(np.array(shapes, dtype=float), 1, 2)
     try:
-        return {"shapes": mean_shapes(values), "shapes_sd": shapes_sd(values)}
+        return mean_shapes(values), shapes_sd(values)
     except ValueError as error:
         raise BrokenError([ArgumentError.of(error).replace_key("shapes", where)]) from None

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from fmu.arguments import ArgumentError
 from fmu.formats.shown import list_mistakes, quote
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
+    from pydantic_core import ErrorDetails
 
 _NAME = r"[^\W\d]\w*"
 FUNCTION = rf"^{_NAME}(\.{_NAME})*:{_NAME}(\.{_NAME})*$"
@@ -71,10 +72,10 @@ def place(parts: Sequence[int | str]) -> str:
 
 def of_validation(error: ValidationError) -> list[ArgumentError]:
     """Return the errors of pydantic as mistakes."""
-    return [_of_one(dict(one)) for one in error.errors(include_url=False)]
+    return [_of_one(one) for one in error.errors(include_url=False)]
 
 
-def _of_one(error: dict[str, Any]) -> ArgumentError:
+def _of_one(error: ErrorDetails) -> ArgumentError:
     where = place(_in_the_file(error["loc"]))
     kind, value = error["type"], quote(error["input"])
     if kind == "extra_forbidden":
@@ -98,7 +99,7 @@ def _as_rule(message: str) -> str:
     return f"must {rest}" if should and subject in ("Input", "String", "List", "Dictionary") else message
 
 
-def _of_tag(where: str, error: dict[str, Any]) -> ArgumentError:
+def _of_tag(where: str, error: ErrorDetails) -> ArgumentError:
     """Return the mistake in the key that selects the kind of a table."""
     context = error["ctx"]
     where = f"{where}.{context['discriminator'].strip("'")}"

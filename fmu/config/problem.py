@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
+from numpy.typing import ArrayLike
 from pydantic import Field, Tag
 
 from fmu.arguments import ArgumentError
@@ -23,7 +25,6 @@ from fmu.config.parameters import NoiseTable, ParameterTable, build_parameters, 
 from fmu.config.tables import Built, FileName, Name, Positive, TomlTable, by_kind
 from fmu.config.tests import MOST_TESTS, TestTable, build_tests, in_the_file, variations
 from fmu.engines.base import Engine
-from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.rules import SOFTNESS
 from fmu.formats.decks import EXPORTED, fill_deck, filled_name, read_deck
 from fmu.posterior.data.modal_data import ModalData
@@ -118,7 +119,7 @@ class ProblemFile(TomlTable):
         source: str,
         folder: Path,
         pairing: str | None = None,
-        beta: Any = None,
+        beta: ArrayLike | None = None,
         engine: Engine | None = None,
     ) -> UpdatingProblem:
         """Return the problem.
@@ -152,8 +153,8 @@ class ProblemFile(TomlTable):
         try:
             with phase("reading the model"):
                 structure = self.model.build(folder, self.parameters)
-            if isinstance(structure.model, SeparableModel):
-                tell_fact(f"{structure.model.n_dof} degrees of freedom, {len(self.parameters)} parameters")
+            if structure.separable is not None:
+                tell_fact(f"{structure.separable.n_dof} degrees of freedom, {len(self.parameters)} parameters")
             if self.tests is not None:
                 return self._joint(folder, structure, parameters, errors, pairing, beta, engine)
             data = self._data(folder, structure, beta, errors)
@@ -198,8 +199,8 @@ class ProblemFile(TomlTable):
     @property
     def decks(self) -> list[str]:
         """Templates that ``fmu export`` fills: the deck of a program's model, and those below ``[export]``."""
-        own = [self.model.template] if isinstance(self.model, CommandTable) else []
-        return list(dict.fromkeys([*own, *([] if self.export is None else self.export.templates)]))
+        others = [] if self.export is None else self.export.templates
+        return list(dict.fromkeys([*self.model.decks, *others]))
 
     @property
     def measured(self) -> MeasurementTable:
@@ -213,9 +214,9 @@ class ProblemFile(TomlTable):
         folder: Path,
         structure: Built,
         parameters: Mapping[str, Parameter],
-        errors: Any,
+        errors: Sequence[ErrorModel],
         pairing: str | None,
-        beta: Any,
+        beta: ArrayLike | None,
         engine: Engine | None,
     ) -> UpdatingProblem:
         """Return the problem of several tests."""
@@ -225,12 +226,14 @@ class ProblemFile(TomlTable):
         tests, found = build_tests(self.tests or [], folder, structure, not any(map(is_of_modes, errors)))
         if found:
             raise BrokenError(found)
+        varies, slopes = variations(self.parameters)
         try:
             return JointProblem(
                 structure.model,
                 tests,
                 list(parameters.values()),
-                **variations(self.parameters),
+                varies=varies,
+                slopes=slopes,
                 reference=self.reference,
                 correlation=self.correlation,
                 pairing=pairing or self.pairing,
@@ -242,7 +245,7 @@ class ProblemFile(TomlTable):
         except TestsError as error:
             raise BrokenError(in_the_file(error, self.parameters)) from None
 
-    def _data(self, folder: Path, built: Built, beta: Any, errors: Sequence[ErrorModel]) -> ModalData:
+    def _data(self, folder: Path, built: Built, beta: ArrayLike | None, errors: Sequence[ErrorModel]) -> ModalData:
         """Return the measured data, without their own uncertainty where `beta` replaces it."""
         data = self.measured.build(folder, built, needs_trust=not any(map(is_of_modes, errors)))
         if beta is not None:
@@ -263,20 +266,16 @@ def schema() -> dict[str, Any]:
         Draft 2020-12. It knows keys, types and ranges; what holds between the tables, such as that a member's
         section exists, only `fmu.load` checks.
     """
-    found = _for_toml(ProblemFile.model_json_schema())
+    found = json.loads(json.dumps(ProblemFile.model_json_schema()), object_hook=_for_toml)
     one = [{"required": [key]} for key in ("measurement", "tests")]
     return {"$schema": DIALECT, "title": TITLE} | found | {"oneOf": one}
 
 
-def _for_toml(part: Any) -> Any:
-    """Return a schema in the form that editors show best.
+def _for_toml(part: dict[str, Any]) -> dict[str, Any]:
+    """Return a table of a schema in the form that editors show best.
 
     Without null, which TOML does not have, and without pydantic's titles; line breaks in descriptions are removed.
     """
-    if isinstance(part, list):
-        return [_for_toml(item) for item in part]
-    if not isinstance(part, dict):
-        return part
     found: dict[str, Any] = {}
     for key, value in part.items():
         if (key, value) == ("default", None) or (key == "title" and isinstance(value, str)):
@@ -284,8 +283,8 @@ def _for_toml(part: Any) -> Any:
         if key == "description" and isinstance(value, str):
             found[key] = " ".join(value.replace("``", "`").split())
         elif key == "anyOf" and {"type": "null"} in value:
-            rest = [_for_toml(item) for item in value if item != {"type": "null"}]
+            rest = [item for item in value if item != {"type": "null"}]
             found |= rest[0] if len(rest) == 1 else {"anyOf": rest}
         else:
-            found[key] = _for_toml(value)
+            found[key] = value
     return found

@@ -21,23 +21,25 @@ from pydantic import (
     ConfigDict,
     Discriminator,
     Field,
+    GetCoreSchemaHandler,
     StringConstraints,
     Tag,
     create_model,
     model_validator,
 )
-from pydantic_core import core_schema
+from pydantic_core import CoreSchema, core_schema
 
 from fmu.arguments import ArgumentError
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
+from fmu.formats.modes.measured_modes import Place
 from fmu.formats.shown import quote
 from fmu.numbers import names_in_words
 from fmu.posterior.parameters import require_name
 from fmu.types import NotNegative as NotNegative
 from fmu.types import Positive as Positive
 
-Maker = Callable[..., Any]
+Maker = Callable[..., object]
 """A class of the library, or a function that returns an object of one."""
 
 Name = Annotated[str, StringConstraints(min_length=1, max_length=100, pattern=r"^[^/\x00-\x1f]+$")]
@@ -63,19 +65,23 @@ class Built(NamedTuple):
     """A model, and the node of the model that each place named in the file is."""
 
     model: SeparableModel | BlackBoxModel
-    places: Mapping[str, Any]
+    places: Mapping[str, Place]
     most_modes: float = math.inf
 
+    @property
+    def separable(self) -> SeparableModel | None:
+        """The model, if it is one of matrices."""
+        return self.model if isinstance(self.model, SeparableModel) else None
 
-def kind_of(value: Any) -> str | None:
+
+_KIND_OF = {str: "<text>", bool: "<switch>", int: "<number>", float: "<number>"}
+
+
+def kind_of(value: object) -> str | None:
     """Return the kind of a value, where a key takes several; kinds are in angle brackets, unlike keys."""
     if isinstance(value, list):
-        return "<rows>" if value and isinstance(value[0], list) else "<list>"
-    if isinstance(value, str):
-        return "<text>"
-    if isinstance(value, bool):
-        return "<switch>"
-    return "<number>" if isinstance(value, int | float) else None
+        return "<rows>" if value and kind_of(value[0]) in ("<list>", "<rows>") else "<list>"
+    return next((kind for cls, kind in _KIND_OF.items() if isinstance(value, cls)), None)
 
 
 def by_kind(words: str) -> Discriminator:
@@ -113,6 +119,15 @@ class TomlTable(BaseModel):
     )
 
 
+class ModelTable(TomlTable):
+    """The table of a model."""
+
+    @property
+    def decks(self) -> list[str]:
+        """Input decks that are filled with the values of parameters."""
+        return []
+
+
 class Declared(TomlTable):
     """A table whose keys are the arguments of a constructor, or of one of several; see `declare_table`."""
 
@@ -126,14 +141,14 @@ class Declared(TomlTable):
     @property
     def called(self) -> str:
         """The value of the key that says what kind of table it is."""
-        return str(getattr(self, self.tag))
+        return str(dict(self)[self.tag])
 
-    def given_arguments(self) -> dict[str, Any]:
+    def given_arguments(self) -> dict[str, object]:
         """Return the arguments that the file gives."""
-        keys = [key for key in type(self).model_fields if key in self.model_fields_set and key != self.tag]
-        return {self.renamed.get(key, key): getattr(self, key) for key in keys}
+        given = self.model_fields_set - {self.tag}
+        return {self.renamed.get(key, key): value for key, value in self if key in given}
 
-    def build(self, **others: Any) -> Any:
+    def build(self, **others: object) -> Any:
         """Return the object built from the arguments in the file, with `others` in place of some of them.
 
         Raises
@@ -158,7 +173,7 @@ def declare_table(
     name: str,
     *makes: Maker,
     tag: str = "",
-    in_a_file: Callable[[Any], Any] | None = None,
+    in_a_file: Callable[[Any], object] | None = None,
     renamed: Mapping[str, str] | None = None,
 ) -> type[Declared]:
     """Return the table of a constructor: its keys, their types, ranges, defaults and descriptions are its own.
@@ -217,14 +232,14 @@ class OneOf:
         self,
         tag: str,
         kinds: Mapping[str, tuple[Maker, ...]],
-        in_a_file: Callable[[Any], Any] | None = None,
+        in_a_file: Callable[[Any], object] | None = None,
     ) -> None:
         self._tag = tag
         self._tables = tuple(
             declare_table(name, *makes, tag=tag, in_a_file=in_a_file) for name, makes in kinds.items()
         )
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         return handler(Annotated[Union[self._tables], Field(discriminator=self._tag)])  # noqa: UP007
 
 
@@ -244,17 +259,17 @@ class Of:
     def __init__(self, name: str, *makes: Maker, **renamed: str) -> None:
         self._table = declare_table(name, *makes, renamed=renamed)
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_after_validator_function(lambda table: table.build(), handler(self._table))
 
 
 def inside(key: str, make: Maker) -> Maker:
     """Return a constructor whose only argument is the table of another: ``{ tube = { diameter = …, … } }``."""
 
-    def take_argument(**given: Any) -> Any:
+    def take_argument(**given: object) -> object:
         return given[key]
 
-    annotation = Annotated[Any, Of(key, make)]
+    annotation = Annotated[object, Of(key, make)]
     take_argument.__annotations__ = {key: annotation}
     take_argument.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         [inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, annotation=annotation)]
@@ -274,10 +289,9 @@ def required_arguments(make: Maker) -> set[str]:
 
 
 @cache
-def arguments(make: Maker) -> dict[str, tuple[Any, Any]]:
+def arguments(make: Maker) -> dict[str, tuple[Any, object]]:
     """Return annotation and default of each argument."""
-    function: Any = make.__init__ if inspect.isclass(make) else make
-    hints = get_type_hints(function, include_extras=True)
+    hints = get_type_hints(make.__init__ if inspect.isclass(make) else make, include_extras=True)
     return {key: (hints[key], argument.default) for key, argument in inspect.signature(make).parameters.items()}
 
 
@@ -296,7 +310,7 @@ def _descriptions(make: Maker) -> dict[str, str]:
     return {key: " ".join(about.split()) for keys, about in entries for key in keys.split(", ") if about.strip()}
 
 
-def tuple_as_list(annotation: Any) -> Any:
+def tuple_as_list(annotation: object) -> Any:
     """Return a type of lists for a type of tuples, which TOML lacks; any other type as it is."""
     parts = get_args(annotation)
     if type(None) in parts and any(get_origin(part) is tuple for part in parts):

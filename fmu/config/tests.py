@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -17,6 +17,7 @@ from fmu.config.tables import Built, Name, ParameterName, TomlTable
 from fmu.posterior.joint.damage import Damage
 from fmu.posterior.joint.modal_test import Test, TestsError
 from fmu.posterior.joint.population import Population
+from fmu.posterior.priors.base import Prior
 from fmu.types import Direction
 
 MOST_TESTS = 2000
@@ -95,9 +96,12 @@ def build_tests(
     return tests, found
 
 
-def variations(tables: Sequence[ParameterTable]) -> dict[str, Any]:
+Varies = dict[str, str | Population | Damage]
+
+
+def variations(tables: Sequence[ParameterTable]) -> tuple[Varies, dict[str, dict[str, Prior]]]:
     """Return the arguments `varies` and `slopes` of `fmu.JointProblem`."""
-    varies: dict[str, Any] = {}
+    varies: Varies = {}
     for table in tables:
         if table.varies == "population":
             given = table.population
@@ -111,7 +115,7 @@ def variations(tables: Sequence[ParameterTable]) -> dict[str, Any]:
         elif table.varies is not None:
             varies[table.name] = table.varies
     slopes = {t.name: {name: prior.build() for name, prior in t.slopes.items()} for t in tables if t.slopes}
-    return {"varies": varies, "slopes": slopes}
+    return varies, slopes
 
 
 def in_the_file(error: TestsError, tables: Sequence[ParameterTable]) -> list[ArgumentError]:

@@ -33,7 +33,7 @@ from fmu.progress import Report
 # How often workers are checked: processes that a worker started itself may keep its pipe open after its death.
 _CHECK_INTERVAL_S = 0.5
 _STOP_TIMEOUT_S = 2.0
-_MASKS = hasattr(signal, "pthread_sigmask")
+_MASKS = os.name == "posix"
 _starting = threading.Lock()
 _pools: weakref.WeakSet[ProcessPool] = weakref.WeakSet()
 

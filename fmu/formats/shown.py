@@ -27,10 +27,10 @@ class _Shown(Repr):
         self.maxlevel, self.maxother = 4, MOST
         self.maxlist = self.maxtuple = self.maxdict = self.maxset = 20
 
-    def repr1(self, x: object, level: int) -> str:
-        if isinstance(x, datetime.date | datetime.time):
-            return x.isoformat()
-        return super().repr1(x, level)
+    def repr_date(self, x: datetime.date | datetime.time, level: int) -> str:
+        return x.isoformat()
+
+    repr_time = repr_datetime = repr_date
 
     def repr_str(self, x: str, level: int) -> str:
         return repr(x) if len(x) <= MOST else f"{x[:MOST]!r} …"

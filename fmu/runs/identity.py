@@ -89,12 +89,11 @@ def arithmetic() -> str:
 
 def _differences(there: object, here: object, where: str = "") -> Iterator[str]:
     """Yield the differences between two configurations, in words."""
+    if isinstance(there, list) and isinstance(here, list) and len(there) == len(here):
+        there, here = dict(enumerate(there)), dict(enumerate(here))
     if isinstance(there, Mapping) and isinstance(here, Mapping):
         for key in dict.fromkeys((*there, *here)):
             yield from _differences(there.get(key), here.get(key), f"{where}.{key}" if where else str(key))
-    elif isinstance(there, list) and isinstance(here, list) and len(there) == len(here):
-        for i, (one, other) in enumerate(zip(there, here, strict=True)):
-            yield from _differences(one, other, f"{where}.{i}")
     elif json.dumps(there) != json.dumps(here):  # NaN is NaN
         yield f"{where} {_short(there)} there, {_short(here)} here"
 

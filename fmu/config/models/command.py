@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
 from fmu.arguments import ArgumentError
 from fmu.config.mistakes import BrokenError
 from fmu.config.parameters import ParameterTable, without_targets
-from fmu.config.tables import Built, FileName, Of, Positive, TomlTable
+from fmu.config.tables import Built, FileName, ModelTable, Of, Positive
 from fmu.fem.programs.command import STEP, CommandError, CommandModel
 from fmu.fem.programs.found_frequencies import FoundFrequencies
 from fmu.formats.modes import READERS
@@ -22,7 +22,7 @@ else:
     ReaderName = Literal[tuple(READERS)]
 
 
-class CommandTable(TomlTable):
+class CommandTable(ModelTable):
     """A finite-element program that fmu starts: it fills the template, runs the command, and reads the modes."""
 
     type: Literal["command"]
@@ -51,13 +51,18 @@ class CommandTable(TomlTable):
     step: Annotated[float, Field(gt=0, le=0.1)] = STEP
     """Of central differences, relative to the range of each parameter."""
 
+    @property
+    def decks(self) -> list[str]:
+        """The template."""
+        return [self.template]
+
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
         """Return a mistake for each key that a program cannot use."""
         return without_targets(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
         """Return the model; BrokenError if a file or the program is missing, or the template lacks a parameter."""
-        given: dict[str, Any] = {key: getattr(self, key) for key in type(self).model_fields if key != "type"}
+        given = {key: value for key, value in self if key != "type"}
         try:
             return Built(CommandModel([p.name for p in parameters], folder=folder, **given), {})
         except CommandError as error:

@@ -14,7 +14,7 @@ from pydantic import Field
 from fmu.arguments import ArgumentError
 from fmu.config.mistakes import BrokenError
 from fmu.config.parameters import ParameterTable, without_targets
-from fmu.config.tables import Built, FileName, Name, TomlTable
+from fmu.config.tables import Built, FileName, ModelTable, Name, TomlTable
 from fmu.fem.exports.from_exports import from_exports
 from fmu.fem.exports.recovery import Export
 from fmu.fem.frame.stability import require_stable
@@ -37,7 +37,7 @@ class ExportedTable(TomlTable):
     """Not used, but to be reproduced by what is recovered from the others."""
 
 
-class ExportsTable(TomlTable):
+class ExportsTable(ModelTable):
     """Matrices at first values, and with each parameter changed; ``free = true`` if nothing holds it."""
 
     type: Literal["exports"]

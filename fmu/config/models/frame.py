@@ -5,22 +5,22 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
-from fmu.arguments import ArgumentError
+from fmu.arguments import ArgumentError, Place
 from fmu.config.mistakes import BrokenError
 from fmu.config.parameters import KEYS, ParameterTable, Target
-from fmu.config.tables import Built, Name, Of, TomlTable, Vector, inside
+from fmu.config.tables import Built, ModelTable, Name, Of, TomlTable, Vector, inside
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, Material, PointMass, Section
 from fmu.fem.frame.frame import Frame
 from fmu.fem.frame.stability import require_stable
 from fmu.fem.frame.updates import ROTATIONS, Factor
 from fmu.fem.modes.separable import RigidArm
 from fmu.formats.shown import names_shown, quote
-from fmu.types import Direction, Positive
+from fmu.types import Direction, FloatArray, Positive
 
 MOST_ELEMENTS = 10_000
 """60 000 degrees of freedom, one second per solve. Condense a larger structure and give its matrices."""
@@ -52,7 +52,7 @@ def _spring(
     """
     if (point is None) == (points is None):
         raise ValueError("must have either point (to the ground) or points (between two)")
-    ends: Any = (point, None) if points is None else tuple(points)
+    ends = (str(point), None) if points is None else (points[0], points[1])
     try:
         return JointSpring("", ends, stiffness, tied)  # type: ignore[arg-type]
     except ArgumentError as error:
@@ -71,7 +71,7 @@ class Member(TomlTable):
     y_direction: Vector | None = None
 
 
-class FrameTable(TomlTable):
+class FrameTable(ModelTable):
     """A structure of beam elements; ``free = true`` if nothing holds it, on purpose."""
 
     type: Literal["frame"]
@@ -187,7 +187,7 @@ class FrameTable(TomlTable):
         return found
 
     def _of_points(self) -> list[ArgumentError]:
-        named: list[tuple[str, Any]] = [("supports", name) for name in self.supports]
+        named: list[tuple[str, Place]] = [("supports", name) for name in self.supports]
         named += [("masses", mass.node) for mass in self.masses]
         named += [(f"springs.{key}", end) for key, spring in self.springs.items() for end in _ends(spring)]
         named += [(f"offsets.{key}.point", arm.node) for key, arm in self.offsets.items()]
@@ -213,7 +213,7 @@ class _Mesh:
 
     def __init__(self, table: FrameTable) -> None:
         self.table = table
-        self.nodes: list[Any] = []
+        self.nodes: list[FloatArray] = []
         self.node_of: dict[str, int] = {}
         self.parts: dict[str, list[str]] = {}
         self._between: dict[int, str] = {}
@@ -292,9 +292,9 @@ def _out_of_place(where: str, table: Target, key: str) -> list[ArgumentError]:
     ]
 
 
-def _ends(spring: JointSpring) -> list[Any]:
+def _ends(spring: JointSpring) -> list[str]:
     """Return the points at the ends of a spring."""
-    return [end for end in spring.nodes if end is not None]
+    return [str(end) for end in spring.nodes if end is not None]
 
 
 def _known_as(mass: PointMass) -> str:
@@ -302,5 +302,5 @@ def _known_as(mass: PointMass) -> str:
     return mass.name or str(mass.node)
 
 
-def _unknown(where: str, name: str, known: Any) -> ArgumentError:
+def _unknown(where: str, name: Place, known: Collection[str]) -> ArgumentError:
     return ArgumentError(where, f"must be one of {names_shown(known)}", quote(name))

@@ -7,16 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from fmu.arguments import ArgumentError
+from fmu.arguments import ArgumentError, Place
 from fmu.config.mistakes import BrokenError
 from fmu.config.models.lines import LineTable, mistakes_of_lines, picture_of
 from fmu.config.parameters import ParameterTable, without_targets
-from fmu.config.tables import Built, FileName, Name, SensorTable, TomlTable, Vector, one_length
+from fmu.config.tables import Built, FileName, ModelTable, Name, SensorTable, TomlTable, Vector, one_length
 from fmu.fem.frame.stability import MechanismError, require_stable
 from fmu.fem.modes.separable import Geometry, SeparableModel
 from fmu.fem.modes.terms import Term
@@ -69,7 +69,7 @@ class TermTable(TomlTable):
         return Labelled(symmetric_matrix(np.array(self.matrix), self.triangle), None)
 
 
-class MatricesTable(TomlTable):
+class MatricesTable(ModelTable):
     """K(theta) and M(theta) as sums of matrices; ``free = true`` if nothing holds the structure, on purpose."""
 
     type: Literal["matrices"]
@@ -181,7 +181,7 @@ class MatricesTable(TomlTable):
             seen.add((node, direction))
         return found
 
-    def _on_the_same_dofs(self, read: Sequence[Labelled], mesh: Mesh) -> Assembled:
+    def _on_the_same_dofs(self, read: Sequence[Labelled], mesh: Mesh) -> Assembled[Place]:
         """Return the matrices on the same degrees of freedom, with their names.
 
         Where files name them, a matrix may lack degrees of freedom at which it is zero; those at which all are
@@ -190,11 +190,12 @@ class MatricesTable(TomlTable):
         rows = [one.matrix.shape[0] for one in read]
         is_known = any(len(names) in rows for names in mesh.sets.values()) and self.dofs is None
         self._check(read, any(one.dofs is not None for one in read) or is_known, is_known)
-        named: list[tuple[Any, str]] = [(node, str(direction)) for node, direction in self.dofs or []]
+        named = [(node, str(direction)) for node, direction in self.dofs or []]
         if self.mesh is not None and self.dofs is not None:
-            if not all(isinstance(node, int) for node, _ in named):
+            numbered = [(node, direction) for node, direction in named if isinstance(node, int)]
+            if len(numbered) < len(named):
                 raise BrokenError([ArgumentError("model.dofs", "must be nodes of the mesh, by their numbers")])
-            read = [one._replace(dofs=tuple(named)) for one in read]
+            read = [one._replace(dofs=tuple(numbered)) for one in read]
         if self.mesh is not None or read[0].dofs is not None:
             try:
                 found = assemble(read, len(self.stiffness), [self._at(k) for k in range(len(read))], mesh)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, StringConstraints
@@ -16,7 +16,7 @@ from fmu.arguments import ArgumentError
 from fmu.config.mistakes import PYTHON_FILE, BrokenError
 from fmu.config.models.python import import_function
 from fmu.config.parameters import ParameterTable, without_targets
-from fmu.config.tables import Built, FileName, TomlTable
+from fmu.config.tables import Built, FileName, ModelTable
 from fmu.fem.exports.recovery import NotSeparableError
 from fmu.fem.frame.stability import require_stable
 from fmu.fem.programs.opensees import MODES, MOST_DOFS, OpenSeesModel, from_opensees
@@ -24,7 +24,7 @@ from fmu.fem.programs.opensees import MODES, MOST_DOFS, OpenSeesModel, from_open
 WHERE = "model.file"
 
 
-class OpenSeesTable(TomlTable):
+class OpenSeesTable(ModelTable):
     """A model in OpenSees; ``free = true`` if nothing holds it, on purpose."""
 
     type: Literal["opensees"]
@@ -51,12 +51,11 @@ class OpenSeesTable(TomlTable):
         start = np.array([table.start for table in parameters], dtype=float)
         bounds = [[np.nan if end is None else end for end in (table.lower, table.upper)] for table in parameters]
         lower, upper = np.array(bounds, dtype=float).T
-        model: Any = None
         try:
             if self.per_theta:
                 store = folder / self.store
-                model = OpenSeesModel(build, start, modes=self.modes, step=self.step, store=store)
-                return Built(model, {}, model.assembled.n_dof)
+                anew = OpenSeesModel(build, start, modes=self.modes, step=self.step, store=store)
+                return Built(anew, {}, anew.assembled.n_dof)
             model = from_opensees(build, [table.name for table in parameters], start, lower, upper)
         except NotSeparableError as error:
             advice = "; with per_theta = true the model may depend on the parameters in any way"

@@ -19,7 +19,7 @@ from pydantic import Field, StringConstraints
 from fmu.arguments import ArgumentError
 from fmu.config.mistakes import FUNCTION, BrokenError
 from fmu.config.parameters import ParameterTable, without_targets
-from fmu.config.tables import Built, FileName, TomlTable
+from fmu.config.tables import Built, FileName, ModelTable
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.programs.sources import source_digest
 from fmu.formats.files import too_large, why_no_file
@@ -30,7 +30,7 @@ LARGEST_MODULE = 2**24
 """Bytes of a module's source, which Python reads as a whole."""
 
 
-class PythonTable(TomlTable):
+class PythonTable(ModelTable):
     """A function from theta to frequencies in Hz, or to frequencies, shapes and gradients.
 
     ``batched = true`` if it takes many theta at once; ``step`` is that of central differences, relative to the
@@ -72,22 +72,22 @@ class Imported:
         The key that names it, for messages.
     """
 
-    def __init__(self, function: Callable[..., Any], place: str, folder: Path, where: str = WHERE) -> None:
+    def __init__(self, function: Callable[..., object], place: str, folder: Path, where: str = WHERE) -> None:
         self.__wrapped__ = function
         self._place, self._folder, self._where = place, folder, where
 
-    def __call__(self, *arguments: Any) -> Any:
+    def __call__(self, *arguments: object) -> object:
         """Call the function."""
         return self.__wrapped__(*arguments)
 
     def __repr__(self) -> str:
         return f"Imported({self._place!r})"
 
-    def __reduce__(self) -> tuple[Callable[..., Any], tuple[str, Path, str]]:
+    def __reduce__(self) -> tuple[Callable[..., object], tuple[str, Path, str]]:
         return import_function, (self._place, self._folder, self._where)
 
 
-def import_function(place: str, folder: Path, where: str = WHERE) -> Callable[..., Any]:
+def import_function(place: str, folder: Path, where: str = WHERE) -> Callable[..., object]:
     """Return the function at ``module:function``, from a folder or from what is installed.
 
     Parameters
@@ -155,7 +155,7 @@ def _beside(name: str, folder: Path) -> Path | None:
 def _importing_from(folder: Path, name: str) -> Iterator[None]:
     """Put a folder first on the path; afterwards forget the modules imported from it. No bytecode is written."""
 
-    def of_folder(module: Any) -> bool:
+    def of_folder(module: object) -> bool:
         if not issubclass(type(module), ModuleType):  # anything may be put among the modules
             return False
         file = object.__getattribute__(module, "__dict__").get("__file__")

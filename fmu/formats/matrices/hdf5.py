@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     import h5py
     from numpy.typing import ArrayLike
 
+    type _Member = h5py.Group | h5py.Dataset | h5py.Datatype
+
 DEEPEST = 20
 """Groups within each other."""
 _COMPRESSED, _COORDINATE = {"data", "indices", "indptr"}, {"data", "row", "col"}
@@ -62,7 +64,7 @@ def read(path: Path, variable: str | None) -> Labelled:
         if "/" in found:
             found = {"/": file}
         member = found[choose_variable(list(found), variable)]
-        if isinstance(member, h5py.Group):
+        if _is_group(member):
             return Labelled(_sparse(member))
         matrix = _numbers(member)
         return Labelled(matrix.T if "MATLAB_class" in member.attrs else matrix)
@@ -75,27 +77,25 @@ def _write(path: Path, matrix: sp.csr_array, variable: str) -> None:
     with h5py.File(path, "w") as file:
         group = file.create_group(variable)
         group.attrs["format"] = "csr"
-        for name in ("data", "indices", "indptr", "shape"):
-            group[name] = np.asarray(getattr(matrix, name))
+        group["data"], group["shape"] = matrix.data, matrix.shape
+        group["indices"], group["indptr"] = matrix.indices, matrix.indptr
 
 
-def _members(file: h5py.File) -> Iterator[tuple[str, h5py.Group | h5py.Dataset]]:
+def _members(file: h5py.File) -> Iterator[tuple[str, _Member]]:
     """Yield each group and dataset of a file once, without parts of sparse matrices and links to other files."""
-    import h5py
-
     ahead, seen = [("/", file)], {file["/"]}
     for _ in range(MOST_NAMES):
         if not ahead:
             return
         name, member = ahead.pop()
         yield name, member
-        if not isinstance(member, h5py.Group) or _is_sparse(member):
+        if not _is_group(member) or _is_sparse(member):
             continue
         if name.count("/") > DEEPEST:
             raise RefusedError(f"must not have groups more than {DEEPEST} deep")
         for key in islice(sorted(member, reverse=True), MOST_NAMES):
             path = f"{name.strip('/')}/{key}".strip("/")
-            if path.startswith("#") or not isinstance(member.get(key, getlink=True), h5py.HardLink):
+            if path.startswith("#") or not _is_inside(member, key):
                 continue
             if member[key] not in seen:
                 seen.add(member[key])
@@ -104,12 +104,27 @@ def _members(file: h5py.File) -> Iterator[tuple[str, h5py.Group | h5py.Dataset]]
         raise RefusedError(f"must hold at most {MOST_NAMES} groups and datasets")
 
 
-def _is_matrix(member: h5py.Group | h5py.Dataset) -> bool:
+def _is_group(member: _Member) -> bool:
     import h5py
 
-    if isinstance(member, h5py.Group):
-        return _is_sparse(member)
-    return isinstance(member, h5py.Dataset) and _is_dense(member)
+    return isinstance(member, h5py.Group)
+
+
+def _is_inside(group: h5py.Group, name: str) -> bool:
+    """Say whether a member is in the file itself, and not behind a link to another place."""
+    import h5py
+
+    return isinstance(group.get(name, getlink=True), h5py.HardLink)
+
+
+def _is_dataset(member: _Member) -> bool:
+    import h5py
+
+    return isinstance(member, h5py.Dataset)
+
+
+def _is_matrix(member: _Member) -> bool:
+    return _is_sparse(member) if _is_group(member) else _is_dataset(member) and _is_dense(member)
 
 
 def _is_sparse(group: h5py.Group) -> bool:
@@ -123,9 +138,7 @@ def _is_dense(dataset: h5py.Dataset) -> bool:
 
 def _part(group: h5py.Group, name: str) -> AnyArray:
     """Return a part of a sparse matrix; links to other places are not followed."""
-    import h5py
-
-    if not isinstance(group.get(name, getlink=True), h5py.HardLink) or not isinstance(group[name], h5py.Dataset):
+    if not _is_inside(group, name) or not _is_dataset(group[name]):
         raise RefusedError(f"must have numbers in {group.name}/{name} (it is a group, or a link elsewhere)")
     return _numbers(group[name])
 

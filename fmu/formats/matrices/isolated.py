@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
 import importlib.util
 import os
+import pkgutil
 import subprocess
 import sys
 import tempfile
@@ -80,7 +80,6 @@ def read_isolated(reader: str, path: Path, library: str, extra: str) -> dict[str
 def main() -> None:
     """Call the reader named on the command line, and save its arrays."""
     name, path, out = sys.argv[1:]
-    module, _, function = name.partition(":")
     warnings.simplefilter("ignore")
     try:
         import resource
@@ -90,7 +89,7 @@ def main() -> None:
     except (ImportError, ValueError, OSError):  # not a system that has such limits
         pass
     try:
-        np.savez(out, **getattr(importlib.import_module(module), function)(Path(path)))
+        np.savez(out, **pkgutil.resolve_name(name)(Path(path)))
     except Exception as error:
         print(f"\n{error or type(error).__name__}".replace("\n", " "), file=sys.stderr)
         sys.exit(_TOLD)

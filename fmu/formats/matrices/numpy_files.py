@@ -69,7 +69,7 @@ def shape_in_header(file: IO[bytes]) -> tuple[int, ...]:
     major = np.lib.format.read_magic(file)[0]
     read_header = np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
     shape, _, dtype = read_header(file)
-    if any(isinstance(n, bool) or n < 0 for n in shape):
+    if not all(str(n).isdecimal() for n in shape):  # True is none
         raise ValueError(f"it has an array of the shape {shape}")
     if dtype.hasobject:
         raise ValueError("it has Python objects, which are not read")

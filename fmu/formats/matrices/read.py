@@ -133,10 +133,10 @@ def read_labelled(
         raise refused.record from refused
     except MemoryError:
         raise
-    except Exception as error:  # whatever a broken file makes the readers raise
-        is_told = isinstance(error, ValueError | OSError | EOFError | zipfile.BadZipFile | zlib.error)
-        text = str(error) if is_told else "it is not as such a file has to be"
-        raise ValueError(f"must hold a matrix ({path.name}: {text})") from error
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise ValueError(f"must hold a matrix ({path.name}: {error})") from error
+    except Exception as error:  # whatever else a broken file makes the readers raise
+        raise ValueError(f"must hold a matrix ({path.name}: it is not as such a file has to be)") from error
     matrix = _real_square(found.matrix)
     above, below = _off_diagonal(matrix)
     alone = (fill or found.fill) and not (above and below)

@@ -16,7 +16,7 @@ from fmu.formats.shown import names_shown
 from fmu.types import DIRECTIONS, FloatArray
 
 
-class Assembled(NamedTuple):
+class Assembled[Node](NamedTuple):
     """Matrices on the same rows.
 
     Attributes
@@ -31,12 +31,14 @@ class Assembled(NamedTuple):
     """
 
     matrices: list[sp.csr_array]
-    dofs: list[DofName]
+    dofs: Sequence[tuple[Node, str]]
     motions: Motions
     notes: list[str]
 
 
-def assemble(read: Sequence[Labelled], n_stiffness: int, where: Sequence[str], mesh: Mesh = NO_MESH) -> Assembled:
+def assemble(
+    read: Sequence[Labelled], n_stiffness: int, where: Sequence[str], mesh: Mesh = NO_MESH
+) -> Assembled[int]:
     """Return matrices on the same degrees of freedom, without those that are held or empty.
 
     Parameters

@@ -180,9 +180,12 @@ def _mesh_of(path: Path) -> Mesh:
         raise ValueError(one_line(f"{path.name}: {refused}")) from None
     except MemoryError:
         raise
-    except Exception as error:  # whatever a broken file makes the readers raise
-        text = str(error) if isinstance(error, ValueError | OSError) else "it is not as such a file has to be"
-        raise ValueError(one_line(f"must hold a mesh ({path.name}: {text})")) from error
+    except (ValueError, OSError) as error:
+        raise ValueError(one_line(f"must hold a mesh ({path.name}: {error})")) from error
+    except Exception as error:  # whatever else a broken file makes the readers raise
+        raise ValueError(
+            one_line(f"must hold a mesh ({path.name}: it is not as such a file has to be)")
+        ) from error
 
 
 def read_names(path: Path) -> tuple[DofName, ...]:
