@@ -1,6 +1,6 @@
 # Set-up and everyday commands. The environment is .venv; nothing outside the project is touched.
 .DEFAULT_GOAL := help
-.PHONY: help paper environments test test-kernels test-kernels-all test-fast test-programs lint notebooks notebooks-save docs bench bench-whole validate mutants clean-environment
+.PHONY: help paper environments test test-kernels test-fast test-programs lint notebooks notebooks-save docs bench bench-whole validate mutants clean-environment
 
 PYTHON_CANDIDATES := $(PYTHON) python3.12 python3.13 python3.14 python3 python
 READY := .venv/.ready
@@ -46,15 +46,6 @@ test-kernels: $(READY)  ## Run the numerical tests as other processors would com
 	  echo "Kernels of $$kernel"; \
 	  OPENBLAS_CORETYPE=$$kernel OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest --numprocesses=auto \
 	    --dist=loadscope --quiet $(NUMERICAL); \
-	done
-
-# A suite for each kernel: before a release, not before every commit.
-test-kernels-all: export PYTHONDONTWRITEBYTECODE =
-test-kernels-all: $(READY)  ## Run the whole test suite as each of the other processors would compute
-	@set -e; for kernel in $$(.venv/bin/python -m tests.kernels); do \
-	  echo "Kernels of $$kernel"; \
-	  OPENBLAS_CORETYPE=$$kernel OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest --numprocesses=auto \
-	    --no-loadscope-reorder --quiet $(RUN_PROGRAMS:%=--ignore=%); \
 	done
 
 # PARDISO has an environment of its own, on top of the other: `make test` is to pass without it.
@@ -157,6 +148,7 @@ validate: $(READY_BENCH) $(READY_FAST)  ## Calibrate samplers, verdicts, interva
 	.venv/bin/python -m tests.validation.damage_intervals results
 	.venv/bin/python -m tests.validation.garteur results
 	.venv/bin/python -m tests.validation.kills results
+	.venv/bin/python -m tests.validation.kernels results
 	.venv/bin/python -m pytest --quiet -m validate
 	.venv/bin/python -m tests.validation.random_models results
 	.venv/bin/python -m tests.validation.workers results

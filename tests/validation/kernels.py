@@ -1,0 +1,98 @@
+"""The whole test suite as other processors would compute: once with each kernel of OpenBLAS that can run here.
+
+    python -m tests.validation.kernels OUT_DIRECTORY
+
+The last bits of a product depend on the kernel. A test that passes with one of them only has a tolerance below the
+rounding of its arithmetic. The page is written after every kernel; the exit code is 1 if a test failed.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from fmu.tables import markdown_table
+from tests.kernels import kernels
+
+LEFT_OUT = ("tests/programs", "tests/report/test_there_and_back.py")
+"""These need other programs, and are run by `make test-programs`."""
+
+
+class Outcome(NamedTuple):
+    """What pytest said at the end of a run with one kernel."""
+
+    kernel: str
+    passed: int
+    skipped: int
+    failed: tuple[str, ...]
+    minutes: float
+
+
+def run_suite(kernel: str) -> Outcome:
+    """Run the suite with a kernel; its output passes through.
+
+    Raises
+    ------
+    RuntimeError
+        If pytest ended without a count of tests.
+    """
+    environment = os.environ | {"OPENBLAS_CORETYPE": kernel, "OPENBLAS_NUM_THREADS": "1"}
+    command = [sys.executable, "-m", "pytest", "--quiet", "--numprocesses=auto", "--no-loadscope-reorder"]
+    began, said = time.monotonic(), []
+    ignored = [f"--ignore={path}" for path in LEFT_OUT]
+    with subprocess.Popen([*command, *ignored], env=environment, stdout=subprocess.PIPE, text=True) as run:
+        for line in run.stdout or ():
+            print(line, end="", flush=True)
+            said.append(line)
+    return outcome(kernel, said, (time.monotonic() - began) / 60.0)
+
+
+def outcome(kernel: str, said: Sequence[str], minutes: float) -> Outcome:
+    """Return what the lines of pytest's output say."""
+    failed = tuple(re.split(r" - ", line.split(maxsplit=1)[1])[0].strip() for line in said if is_failure(line))
+    last = next((line for line in reversed(said) if re.search(r"\d+ (passed|failed|error)", line)), None)
+    if last is None:
+        raise RuntimeError(f"pytest: must say how many tests passed with {kernel} (got {''.join(said[-3:])!r})")
+    found = {word: int(number) for number, word in re.findall(r"(\d+) (passed|skipped)", last)}
+    return Outcome(kernel, found.get("passed", 0), found.get("skipped", 0), failed, minutes)
+
+
+def is_failure(line: str) -> bool:
+    """Say whether a line of pytest's summary names a test that failed."""
+    return line.startswith(("FAILED ", "ERROR "))
+
+
+def page(outcomes: Sequence[Outcome]) -> str:
+    """Return the page as Markdown."""
+    rows = [(one.kernel, one.passed, one.skipped, len(one.failed), f"{one.minutes:.1f}") for one in outcomes]
+    failures = [f"- {one.kernel}: `{test}`" for one in outcomes for test in one.failed]
+    verdict = "No test failed with any kernel." if not failures else "Failed:\n\n" + "\n".join(failures)
+    columns = ("kernel", "passed", "skipped", "failed", "minutes")
+    return (
+        "# The whole suite under each kernel\n\n"
+        f"`python -m tests.validation.kernels results`, on {time.strftime('%Y-%m-%d')} with Python "
+        f"{platform.python_version()}. The kernels of OpenBLAS are those that this processor can run "
+        "(`python -m tests.kernels`).\n\n"
+        f"{markdown_table(columns, rows)}\n\n{verdict}\n"
+    )
+
+
+def main(out: str) -> int:
+    """Run the suite with every kernel and write the page; return the exit code."""
+    outcomes = []
+    for kernel in kernels():
+        print(f"Kernel {kernel}", flush=True)
+        outcomes.append(run_suite(kernel))
+        (Path(out) / "kernels.md").write_text(page(outcomes), encoding="utf-8")
+    return int(any(one.failed for one in outcomes))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]))
