@@ -6,8 +6,8 @@ come from one fixed, valid kernel, and no warm-up draw is kept among them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -102,9 +102,9 @@ class DualAveraging:
     log_value: FloatArray
     target: float
     count: int = 0
-    error: Any = 0.0
-    centre: Any = None
-    average: Any = 0.0
+    error: FloatArray = field(default_factory=lambda: np.zeros(()))
+    centre: FloatArray | None = None
+    average: FloatArray = field(default_factory=lambda: np.zeros(()))
 
     gamma: ClassVar[float] = 0.05
     t0: ClassVar[float] = 10.0

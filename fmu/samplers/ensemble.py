@@ -4,15 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
-from fmu.arguments import check_arguments
+from fmu.arguments import OwnRule, check_arguments
 from fmu.samplers.kernel import Info, Sampler, State, Target
 from fmu.samplers.settings import one_of, positive_number, whole_number
 from fmu.types import FloatArray, LogDensity
 
+if TYPE_CHECKING:
+    from emcee import EnsembleSampler
+    from emcee import State as EnsembleState
+    from emcee.moves.move import Move
+
+Moves = str | Mapping[str, float] | Iterable[str | tuple[str, float]]
+"""One move, or several with their weights."""
 MOVES = ("stretch", "de", "snooker", "kde")
 _BEST = (("de", 1.0), ("kde", 1.0))
 _PER_COORDINATE = 4
@@ -64,7 +71,7 @@ class Ensemble(Sampler):
     """
 
     walkers: int = 32
-    moves: Any = None
+    moves: Annotated[Moves | None, OwnRule()] = None
 
     name: ClassVar[str] = "emcee"
     title: ClassVar[str] = "emcee ensemble"
@@ -86,7 +93,7 @@ class Ensemble(Sampler):
         import emcee
 
         enough = _PER_COORDINATE * density.ndim
-        given = (_BEST if self.walkers >= enough else _BEST[:1]) if self.moves is None else self.moves
+        given = (_BEST if self.walkers >= enough else _BEST[:1]) if self.moves is None else _mixture(self.moves)
         if self.walkers < enough and any(name == "kde" for name, _ in given):
             raise ValueError(
                 f"walkers: must be at least {enough}, four per coordinate, for the move kde (got {self.walkers})"
@@ -102,7 +109,7 @@ class EnsembleKernel:
     """Ensembles bound to a density. State.position is (chains, walkers, ndim), one ensemble per chain."""
 
     target: _Tally
-    sampler: Any
+    sampler: EnsembleSampler
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
         """Evaluate the start, one solve per walker; ValueError unless the walkers span the space."""
@@ -131,7 +138,7 @@ class EnsembleKernel:
         accepted, extra = np.any(position != state.position, axis=-1), {"n_nonfinite": n_nonfinite}
         return State(position, log_prob), Info(accepted, log_prob, n_solves, np.zeros_like(n_solves), extra)
 
-    def _advance(self, rng: np.random.Generator, position: FloatArray, log_prob: FloatArray) -> Any:
+    def _advance(self, rng: np.random.Generator, position: FloatArray, log_prob: FloatArray) -> EnsembleState:
         """Move one ensemble by one step of emcee and return emcee's state."""
         import emcee
 
@@ -159,7 +166,7 @@ class _Tally(Target):
         return found.log_prob
 
 
-def _mixture(moves: Any) -> tuple[tuple[str, float], ...]:
+def _mixture(moves: Moves) -> tuple[tuple[str, float], ...]:
     """Return the moves as (name, weight) pairs."""
     given = [moves] if isinstance(moves, str) else moves.items() if isinstance(moves, Mapping) else moves
     listed = given if isinstance(given, Iterable) else ()
@@ -169,7 +176,7 @@ def _mixture(moves: Any) -> tuple[tuple[str, float], ...]:
     return tuple((one_of("moves", name, MOVES), positive_number("moves", weight)) for name, weight in pairs)
 
 
-def _move(name: str) -> Any:
+def _move(name: str) -> Move:
     from emcee import moves
 
     from fmu.samplers.snooker import SnookerMove

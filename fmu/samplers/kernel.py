@@ -10,13 +10,16 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple, Protocol, Self
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self
 
 import numpy as np
 
 from fmu.box import find_inside
 from fmu.types import AnyArray, BoolArray, FloatArray, IntArray
 from fmu.types import LogDensity as LogDensity
+
+if TYPE_CHECKING:
+    from fmu.samplers.mixture.quadratic import Quadratic
 
 Index = IntArray | BoolArray | slice
 """Which chains."""
@@ -138,7 +141,7 @@ class Sampler(ABC):
         """Whether each evaluation includes the gradient: if there are any, unless a sampler says otherwise."""
         return bool(self.gradient)
 
-    def starting_from(self, components: Sequence[Any], weights: FloatArray) -> Self:
+    def starting_from(self, components: Sequence[Quadratic], weights: FloatArray) -> Self:
         """Return the settings that use the maxima of the density, as quadratics; most samplers do not use them."""
         return self
 
@@ -209,7 +212,7 @@ class Target:
     """
 
     def __init__(self, density: LogDensity) -> None:
-        self.density: Any = density
+        self.density = density
         self.ndim, self.lower, self.upper = density.ndim, density.lower, density.upper
         self.solves_per_gradient = int(getattr(density, "solves_per_gradient", 1))
 

@@ -34,7 +34,7 @@ def whole_number(name: str, value: int, minimum: int) -> int:
     return int(value)
 
 
-def one_of(name: str, value: Any, known: tuple[str, ...]) -> str:
+def one_of(name: str, value: object, known: tuple[str, ...]) -> str:
     """Return `value`; ValueError unless it is one of the `known` words."""
     if not isinstance(value, str) or value not in known:
         raise ValueError(f"{name}: must be one of {', '.join(known)} (got {value!r})")
@@ -111,14 +111,14 @@ def fits(name: str, value: ArrayLike, ndim: int) -> FloatArray:
     return array
 
 
-def describe(settings: Any) -> dict[str, Any]:
+def describe(settings: Any) -> dict[str, object]:
     """Return the fields of a settings dataclass as plain JSON-able data, the nested ones with their class name."""
     fields = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings) if field.init}
-    described: dict[str, Any] = json.loads(json.dumps(fields, default=_make_plain))
+    described: dict[str, object] = json.loads(json.dumps(fields, default=_make_plain))
     return described
 
 
-def _make_plain(value: Any) -> Any:
+def _make_plain(value: object) -> object:
     """Return what JSON has in place of a value that it cannot hold."""
     if dataclasses.is_dataclass(value):
         return {"type": type(value).__name__, **describe(value)}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from emcee.moves import RedBlueMove
 
@@ -35,7 +33,7 @@ class SnookerMove(RedBlueMove):
         self, s: FloatArray, c: list[FloatArray], random: np.random.RandomState
     ) -> tuple[FloatArray, FloatArray]:
         """Propose for the walkers `s`, shape (n, ndim), with three different walkers of the rest `c` each."""
-        rest: Any = np.concatenate(c, axis=0)
+        rest = np.concatenate(c, axis=0)
         n, ndim = s.shape
         z, z1, z2 = rest[np.argsort(random.rand(n, len(rest)), axis=1)[:, :3].T]
         before = np.linalg.norm(s - z, axis=1)

@@ -383,7 +383,7 @@ def tempering_group(result: RunResult) -> xr.Dataset:
 
     draws = result.posterior.stats[LOG_LIKELIHOOD]
     given = result.learnt.get("temperatures") or result.settings["temperatures"]
-    t = first_ladder(result.settings["rungs"]) if given is None else np.asarray(given)
+    t = first_ladder(draws.shape[2]) if given is None else np.asarray(given)
     rejection = rejections(draws, t).mean(axis=0)
     barrier, trips = float(rejection.sum()), int(result.posterior.stats["round_trips"].sum())
     chains, steps, rungs = draws.shape

@@ -10,11 +10,11 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
 from fmu.interruption import is_asked
+from fmu.posterior.failures import Failure
 from fmu.posterior.scaled import ScaledDensity
 from fmu.progress import Report
 from fmu.samplers.kernel import Info, Kernel, Sampler, State, Tree, Tuner
@@ -66,13 +66,13 @@ class GroupState:
     """
 
     first_chain: int
-    generator: Mapping[str, Any]
+    generator: Mapping[str, object]
     start: FloatArray | None
     done: Mapping[str, int]
     solves: int = 0
     state: State | None = None
     tuner: Tree | None = None
-    learnt: dict[str, Any] = field(default_factory=dict)
+    learnt: dict[str, object] = field(default_factory=dict)
 
     @classmethod
     def at(cls, start: FloatArray, rng: np.random.Generator, first_chain: int = 0) -> GroupState:
@@ -130,7 +130,7 @@ class ChunkResult:
 
     steps: Steps
     group: GroupState
-    failures: list[Any]
+    failures: list[Failure]
 
 
 def advance(context: RunContext, chunk: Chunk, report: Report | None = None) -> ChunkResult:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -56,7 +55,7 @@ class RunResult:
     warmup: Draws
     posterior: Draws
     sampler: str
-    settings: dict[str, Any]
+    settings: Mapping[str, object]
     seed: int
     walkers: int
     draws: int
@@ -66,7 +65,7 @@ class RunResult:
     wall_s: float
     warmup_wall_s: float
     groups: int = 1
-    learnt: dict[str, Any] = field(default_factory=dict)
+    learnt: Mapping[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fmu.engines.base import Engine, InProcess
 from fmu.interruption import shielded
 from fmu.numbers import apart
+from fmu.posterior.failures import Failure
 from fmu.progress import Report
 from fmu.samplers.kernel import Sampler
 from fmu.samplers.loop.group import (
@@ -44,7 +45,7 @@ class _RunningGroup:
         self.index, self.state = index, state
         self.chains = slice(state.first_chain, state.first_chain + chains)
         self.pending = dict(state.done)
-        self.failures: list[Any] = []
+        self.failures: list[Failure] = []
 
 
 class Run:
@@ -108,13 +109,13 @@ class Run:
         warmup: int,
         chains: int,
         seed: int,
-        init: Any,
+        init: str | ArrayLike,
         groups: int | None = None,
         progress: Report | None = None,
         engine: Engine | None = None,
         checkpointer: Checkpointer | None = None,
         stop: Callable[[], bool] | None = None,
-        too_many_failed: Callable[[int, int, list[Any]], str | None] | None = None,
+        too_many_failed: Callable[[int, int, list[Failure]], str | None] | None = None,
         live: Callable[..., Mapping[str, float]] | None = None,
     ) -> None:
         self.sampler, self.chains = sampler, whole_number("chains", chains, 1)
@@ -162,7 +163,7 @@ class Run:
         if self._watch is not None:
             self._watch.end(self._common(DRAWS))
 
-    def _begin_groups(self, init: Any) -> list[_RunningGroup]:
+    def _begin_groups(self, init: str | ArrayLike) -> list[_RunningGroup]:
         """Return the groups before their first step."""
         context, walkers = self._context, self.sampler.walkers
         seeds = np.random.SeedSequence(self.seed).spawn(self.groups)
@@ -298,7 +299,7 @@ def run(
     warmup: int,
     chains: int,
     seed: int,
-    init: Any,
+    init: str | ArrayLike,
     progress: Report | None = None,
 ) -> RunResult:
     """Sample a density: warm up, and draw `draws` steps. `Run` and `Run.extend` describe the arguments."""
@@ -339,7 +340,7 @@ def _check_same(context: RunContext, group: GroupState) -> None:
         )
 
 
-def _merge_learnt(learnt: list[dict[str, Any]]) -> dict[str, Any]:
+def _merge_learnt(learnt: list[dict[str, object]]) -> dict[str, object]:
     """Return the settings learnt; of several groups, each setting as a list over the groups."""
     if len(learnt) == 1:
         return learnt[0]

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 from fmu.engines.base import RunFailedError
+from fmu.posterior.failures import Failure
 from fmu.samplers.loop.group import GroupState
 from fmu.samplers.loop.record import RunResult, Steps
 
@@ -77,7 +78,7 @@ class PendingGroup(NamedTuple):
     phase: str
     first: int
     steps: Steps
-    failures: list[Any]
+    failures: list[Failure]
     total: int
 
 

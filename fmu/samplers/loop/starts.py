@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fmu.numbers import typed
 from fmu.posterior.scaled import ScaledDensity
@@ -15,7 +16,7 @@ BALL = 0.02
 
 
 def starting_points(
-    scaled: ScaledDensity, init: Any, generators: list[np.random.Generator], chains: int, walkers: int
+    scaled: ScaledDensity, init: str | ArrayLike, generators: list[np.random.Generator], chains: int, walkers: int
 ) -> list[FloatArray]:
     """Return the scaled starting positions of every group.
 

@@ -50,6 +50,10 @@ class CurvedMixture:
         return self.parts.weights
 
     @property
+    def gaussians(self) -> None:
+        """None: it is no mixture of Gaussians that further fits improve."""
+
+    @property
     def wide(self) -> float:
         """Share of the wider copies."""
         return _WIDE

@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Self
 import numpy as np
 from annotated_types import Interval
 
-from fmu.arguments import check_arguments
+from fmu.arguments import OwnRule, check_arguments
 from fmu.samplers.hmc import HamiltonianMonteCarlo
 from fmu.samplers.kernel import Sampler, Target
 from fmu.samplers.local import LocalSampler
@@ -20,7 +20,7 @@ from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.samplers.mixture.warmup.local_draws import first_warp
 from fmu.samplers.mixture.warmup.tuner import MixtureTuner
 from fmu.samplers.registry import local_samplers
-from fmu.samplers.settings import positive_scale, vector, whole_number
+from fmu.samplers.settings import Scale, positive_scale, vector, whole_number
 from fmu.samplers.slice import Slice
 from fmu.types import FloatArray, LogDensity
 
@@ -74,7 +74,7 @@ class MixtureSampler(Sampler):
     """
 
     components: tuple[Quadratic, ...] | CurvedMixture | None = None
-    weights: Any = None
+    weights: Annotated[Scale | None, OwnRule()] = None
     bent: Sequence[bool] | None = None
     wide: Annotated[float, Interval(gt=0.0, lt=1.0)] | None = None
     local: LocalSampler | None = None
@@ -118,9 +118,10 @@ class MixtureSampler(Sampler):
             raise ValueError("components: must be at least one, or None (got none)")
         weights = np.ones(len(components)) if self.weights is None else self.weights
         object.__setattr__(self, "components", components)
-        object.__setattr__(self, "weights", vector("weights", positive_scale("weights", weights, matrix=False)))
-        if len(self.weights) != len(components):
-            raise ValueError(f"weights: must be {len(components)}, one per component (got {len(self.weights)})")
+        given = vector("weights", positive_scale("weights", weights, matrix=False))
+        object.__setattr__(self, "weights", given)
+        if len(given) != len(components):
+            raise ValueError(f"weights: must be {len(components)}, one per component (got {len(given)})")
         if self.bent is not None:
             object.__setattr__(self, "bent", tuple(bool(one) for one in self.bent))
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from emcee.model import Model
 from emcee.moves import Move, StretchMove
 from emcee.state import State
 from numpy.typing import ArrayLike
@@ -78,7 +79,7 @@ class MixtureMove(Move):
         self._seen: list[tuple[FloatArray, FloatArray]] = []
         self._otherwise = StretchMove()
 
-    def propose(self, model: Any, state: Any) -> tuple[Any, BoolArray]:
+    def propose(self, model: Model, state: State) -> tuple[State, BoolArray]:
         """Move every walker once; return emcee's state, and which walkers were moved, shape (walkers,)."""
         n = len(state.coords)
         half = np.arange(n) % 2
@@ -120,7 +121,7 @@ class MixtureMove(Move):
         q = np.clip(proposal.draw(rng, len(s)), self.lower, self.upper)
         return q, proposal.log_density(s) - proposal.log_density(q)
 
-    def tune(self, state: Any, accepted: BoolArray) -> None:
+    def tune(self, state: State, accepted: BoolArray) -> None:
         """Learn from the step that was just made; emcee calls this where ``tune=True``."""
         self._seen.append((state.coords.copy(), state.log_prob.copy()))
         steps = len(self._seen)

@@ -95,6 +95,11 @@ class Mixture:
         weights, bent = tuple(self.weights.tolist()), tuple(self.warp.bent.tolist())
         return {"components": self.quadratics, "weights": weights, "bent": bent, "wide": self.wide}
 
+    @property
+    def gaussians(self) -> Mixture:
+        """The mixture itself, which further fits improve."""
+        return self
+
     def with_wide(self, wide: float) -> Mixture:
         """Return the mixture with another share of the wider copies."""
         return Mixture(self.quadratics, self._given, self.warp, wide)

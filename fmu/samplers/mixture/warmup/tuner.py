@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fmu.samplers.kernel import Info, State, Target, Tree, Tuner
+from fmu.samplers.kernel import Info, Sampler, State, Target, Tree, Tuner
 from fmu.samplers.mixture.curve import fit_infinite_margins
 from fmu.samplers.mixture.curved import CurvedMixture
 from fmu.samplers.mixture.importance import sum_densities
@@ -101,7 +101,7 @@ class MixtureTuner:
     @property
     def gaussians(self) -> Mixture | None:
         """The mixture in use if it is one of Gaussians, which further fits improve; else None."""
-        return self.mixture if isinstance(self.mixture, Mixture) else None
+        return None if self.mixture is None else self.mixture.gaussians
 
     @property
     def fit_at(self) -> list[int]:
@@ -141,7 +141,7 @@ class MixtureTuner:
         self._take_kernel()
         return spent
 
-    def finish_learning(self) -> Any:
+    def finish_learning(self) -> Sampler:
         """Return the settings learnt."""
         if self.mixture is None:
             self._fit_to_draws()
