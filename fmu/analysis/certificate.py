@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fmu.analysis.trace.densities import is_updating
 from fmu.analysis.trace.reading import parameter_draws
 from fmu.fem.certificates import Certificate, ReductionCertificate, SurrogateCertificate
-from fmu.fem.modes.modal import frequency_hz
+from fmu.fem.modes.modal import ModalSolution, frequency_hz
 from fmu.fem.reduced.confirming import LARGE
-from fmu.fem.reduced.reduced_structure import largest_tolerance_elsewhere, reduced_structures
+from fmu.fem.reduced.reduced_structure import ReducedStructure, largest_tolerance_elsewhere, reduced_structures
 from fmu.numbers import share, whole
 from fmu.posterior.reduction.region import PLAUSIBLE
 from fmu.posterior.reduction.tolerance import Tolerance
@@ -23,6 +24,7 @@ from fmu.types import FloatArray
 if TYPE_CHECKING:
     import xarray as xr
 
+    from fmu.posterior.problem import UpdatingProblem
 
 _AT_ONCE = 16  # draws
 _MOST_BY_FULL = 0.03
@@ -69,7 +71,7 @@ class CertificateWarning(UserWarning):
 
 
 def certify(
-    trace: xr.DataTree, problem: Any, full_solves: int = 0, effort: Effort | None = None
+    trace: xr.DataTree, problem: object, full_solves: int = 0, effort: Effort | None = None
 ) -> Certificate | None:
     """Bound the error of the reduced model at retained draws, and solve some of them with the full model.
 
@@ -101,9 +103,9 @@ def certify(
         problem was given another one, or above its bound, or if a pairing changed; or if the full model answered
         at more than 3 % of the draws.
     """
-    model: Any = getattr(problem, "model", None)
-    if model is None:
+    if not is_updating(problem):
         return None
+    model = problem.model
     if model.is_uncertain:
         return model.certificate
     parts = reduced_structures(model)
@@ -131,7 +133,7 @@ def certify(
     exact = np.concatenate(by_parts("certificate", lambda part: model.of_modes(part, _by_full), theta, _AT_ONCE))
     found = model.of_modes(theta, _by_reduced)
     exact_hz, reduced_hz = frequency_hz(exact[..., 0]), frequency_hz(found[..., 0])
-    tolerance = getattr(problem, "tolerance", None) or Tolerance()
+    tolerance = problem.tolerance or Tolerance()
     errors = np.abs(reduced_hz / exact_hz - 1.0)
     frequency_error = float(np.max(errors))
     log_prob_error = 0.0
@@ -166,7 +168,7 @@ def certify(
 
 
 def _terms_of_both(
-    problem: Any, theta: FloatArray, exact_hz: FloatArray, reduced_hz: FloatArray
+    problem: UpdatingProblem, theta: FloatArray, exact_hz: FloatArray, reduced_hz: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the terms of the log-likelihood at theta (n, ndim) by the full model and by the reduced one."""
     likelihood = problem.likelihood
@@ -179,13 +181,13 @@ def _terms_of_both(
     return np.concatenate(by_parts("certificate", by_full.terms, theta, _AT_ONCE)), likelihood.terms(theta)
 
 
-def certificate_failures(attrs: Mapping[Any, Any]) -> list[str]:
+def certificate_failures(attrs: Mapping[Hashable, str | float]) -> list[str]:
     """Return why draws of a surrogate do not count: its certificate is not kept. Exact draws need none."""
     found = SurrogateCertificate.from_trace(attrs)
     return [] if found is None or "second_stage_proposals" in attrs else found.reason_against()
 
 
-def exact_in_words(attrs: Mapping[Any, Any]) -> list[str]:
+def exact_in_words(attrs: Mapping[Hashable, str | float]) -> list[str]:
     """Return sentences on the second stage of delayed acceptance; none if the run has none."""
     if "second_stage_proposals" not in attrs:
         return []
@@ -203,14 +205,14 @@ def exact_in_words(attrs: Mapping[Any, Any]) -> list[str]:
     return said
 
 
-def _bound(structure: Any, points: FloatArray) -> FloatArray:
+def _bound(structure: ReducedStructure, points: FloatArray) -> FloatArray:
     """Return the bounds of the errors, (n, n_modes): none where the full model answers."""
     bound = structure.frequency_bound(points)
     bound[~structure.within(points)] = 0.0
     return np.asarray(bound)
 
 
-def _is_outside(structure: Any, points: FloatArray) -> FloatArray:
+def _is_outside(structure: ReducedStructure, points: FloatArray) -> FloatArray:
     """Return 1 where the full model answers because a point lies outside the trained box, (n, n_modes)."""
     outside = ~structure.within(points[:, : structure.n_parameters])
     return np.repeat(outside[:, None].astype(float), structure.n_modes, axis=1)
@@ -224,14 +226,14 @@ def _by_full_too_often(outside: float) -> str:
     )
 
 
-def _by_full(structure: Any, points: FloatArray) -> FloatArray:
+def _by_full(structure: ReducedStructure, points: FloatArray) -> FloatArray:
     return _stack_modes(structure.confirmed_modes(points))
 
 
-def _by_reduced(structure: Any, points: FloatArray) -> FloatArray:
+def _by_reduced(structure: ReducedStructure, points: FloatArray) -> FloatArray:
     return _stack_modes(structure.modes(points))
 
 
-def _stack_modes(modes: Any) -> FloatArray:
+def _stack_modes(modes: ModalSolution) -> FloatArray:
     """Return eigenvalue, block and rank of each mode, (n, n_modes, 3)."""
     return np.stack([modes.eigenvalues, modes.block, modes.rank], axis=2)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmu.analysis.maxima.results import Maxima
-from fmu.analysis.maxima.search import is_updating
+from fmu.analysis.trace.densities import is_updating
 from fmu.analysis.trace.modal_states import MAXIMUM, START
 from fmu.analysis.trace.reading import has, with_group
 from fmu.arguments import ArgumentError, check_arguments
@@ -215,12 +215,9 @@ def with_identifiability(
         return trace
     found = list(linearised.values())
     variables = {
-        name: (("state", *dims), np.array([getattr(one, name) for one in found]))
-        for name, dims in (
-            ("theta", ("parameter",)),
-            ("prior_sd", ("parameter",)),
-            ("sensitivity", ("mode", "parameter")),
-        )
+        "theta": (("state", "parameter"), np.array([one.theta for one in found])),
+        "prior_sd": (("state", "parameter"), np.array([one.prior_sd for one in found])),
+        "sensitivity": (("state", "mode", "parameter"), np.array([one.sensitivity for one in found])),
     }
     coordinates = {
         "state": list(linearised),

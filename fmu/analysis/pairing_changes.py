@@ -18,7 +18,7 @@ from fmu.fem.reduced.reduced_structure import reduced_structures
 from fmu.numbers import share, significant
 from fmu.progress.phases import by_parts
 from fmu.tables import data_frame
-from fmu.types import FloatArray, IntArray
+from fmu.types import AnyArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -226,16 +226,16 @@ def with_pairing(trace: xr.DataTree, problem: UpdatingProblem) -> xr.DataTree:
     picked = np.array([highest]) if constant else np.union1d(picked, highest)
     distinct, inverse = np.unique(theta[picked], axis=0, return_inverse=True)
     parts = by_parts("pairing", structure.modes, distinct)
-    block, rank = (np.concatenate([getattr(part, of) for part in parts]) for of in ("block", "rank"))
+    block, rank = (np.concatenate([part.block for part in parts]), np.concatenate([part.rank for part in parts]))
     dims = ("sample", "mode")
-    variables: dict[str, Any] = {
+    variables: dict[str, tuple[object, AnyArray]] = {
         name: (dims, labels[inverse].astype(np.int16)) for name, labels in (("block", block), ("rank", rank))
     }
     if not constant:
         gap = nearest_other(structure, distinct, block, rank)
         variables["gap"] = (dims, gap[inverse].astype(np.float32))
     chain, draw = np.divmod(picked, draws.shape[1])
-    coordinates: dict[str, Any] = {"mode": list(problem.data.labels)}
+    coordinates: dict[str, object] = {"mode": list(problem.data.labels)}
     coordinates |= {"chain": ("sample", chain.astype(np.int32)), "draw": ("sample", draw.astype(np.int32))}
     attributes = {
         "rule": structure.rule.name,

@@ -223,7 +223,7 @@ def _check(
     """Return the numbers that determine a run; ValueError if one or another argument is wrong by itself."""
     import numpy as np
 
-    from fmu.analysis.trace.conversion import names_of
+    from fmu.analysis.trace.densities import names_of
     from fmu.posterior.parameters import require_name
     from fmu.samplers.loop.run import n_groups
     from fmu.samplers.settings import whole_number

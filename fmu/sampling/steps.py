@@ -82,7 +82,7 @@ class Task(NamedTuple):
         The warm-up and the first draws are shortened to fit into the limits; a run that is resumed keeps its
         warm-up.
         """
-        from fmu.analysis.maxima.search import is_updating
+        from fmu.analysis.trace.densities import is_updating
         from fmu.analysis.trace.failure_ledger import failure_rate_exceeded
         from fmu.runs import Checkpoint
         from fmu.samplers.settings import usual_costs
@@ -110,8 +110,9 @@ class Beginning(NamedTuple):
 def begin(task: Task, settings: Sampler, init: Any, jumps: bool | None, maxima: Maxima | None) -> Beginning:
     """Search for the maxima, unless they are known, and choose where the chains start."""
     from fmu.analysis.maxima.results import NEGLIGIBLE
-    from fmu.analysis.maxima.search import find_map, is_searchable, is_updating
+    from fmu.analysis.maxima.search import find_map, is_searchable
     from fmu.analysis.maxima.starts import choose_starts, components, worth_starting_from
+    from fmu.analysis.trace.densities import is_updating
     from fmu.runs.maxima import kept_maxima
     from fmu.samplers.mixture.mixture import with_jumps
 
@@ -203,7 +204,7 @@ def convert(task: Task, beginning: Beginning, result: RunResult, limit: str) -> 
     """Return the trace of all draws, with what their verdict needs."""
     from fmu.analysis.convergence.diagnosis import with_maxima
     from fmu.analysis.estimate import gradient_cost
-    from fmu.analysis.maxima.search import is_updating
+    from fmu.analysis.trace.densities import is_updating
 
     problem = task.problem
     trace = _as_trace(task, beginning, result)
@@ -226,8 +227,8 @@ def examine(task: Task, beginning: Beginning, trace: xr.DataTree) -> xr.DataTree
     from fmu.analysis.certificate import certify
     from fmu.analysis.held_out.modes import with_left_out
     from fmu.analysis.identifiability import with_identifiability
-    from fmu.analysis.maxima.search import is_updating
     from fmu.analysis.pairing_changes import with_pairing
+    from fmu.analysis.trace.densities import is_updating
     from fmu.analysis.trace.modal_states import with_modes
 
     problem, maxima = task.problem, beginning.maxima
@@ -250,7 +251,7 @@ def _as_trace(task: Task, beginning: Beginning, result: RunResult, *, prediction
 
 def _store(task: Task, beginning: Beginning, saved: Checkpoint) -> Store:
     """Return the checkpoint of a run, open."""
-    from fmu.analysis.trace.conversion import names_of, units_of
+    from fmu.analysis.trace.densities import names_of, units_of
     from fmu.analysis.trace.provenance import describe_inputs
     from fmu.runs.identity import Identity
     from fmu.runs.store import Store

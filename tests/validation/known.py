@@ -13,8 +13,7 @@ from scipy.special import gammaln
 
 import fmu
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
-from fmu.analysis.maxima.search import is_updating
-from fmu.analysis.trace.conversion import names_of
+from fmu.analysis.trace.densities import is_updating, names_of
 from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.reduced.reduced_structure import train
 from fmu.types import FloatArray

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -110,7 +110,7 @@ def compare_runs(
     return Judged(summaries, verdicts, table)
 
 
-def _row(trace: xr.DataTree, table: pd.DataFrame, diagnosis: Diagnosis) -> dict[str, Any]:
+def _row(trace: xr.DataTree, table: pd.DataFrame, diagnosis: Diagnosis) -> dict[str, object]:
     """Return one row of the comparison."""
     import pandas as pd
 

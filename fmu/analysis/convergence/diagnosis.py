@@ -38,7 +38,7 @@ from fmu.analysis.maxima.results import NEGLIGIBLE, TYPICAL_POINT, Maxima
 from fmu.analysis.pairing_changes import jump_warnings
 from fmu.analysis.prediction import bound_warnings, search_warnings, shape_warnings
 from fmu.analysis.repeatability import repeatability_warnings
-from fmu.analysis.trace.conversion import names_of
+from fmu.analysis.trace.densities import names_of
 from fmu.analysis.trace.reading import array_of, check_trace, has, parameter_names, walkers_of, with_group
 from fmu.arguments import ArgumentError, check_arguments
 

@@ -7,25 +7,22 @@ All take draws of shape (chains, draws), finite and not all the same, at least f
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from fmu.types import FloatArray
+from fmu.types import AnyArray, FloatArray
 
 _OFFSET = 3.0 / 8.0
 """Of ranks (Blom 1958)."""
 
 
-def split_chains(x: NDArray[Any]) -> NDArray[Any]:
+def split_chains(x: AnyArray) -> AnyArray:
     """Return the first and the second halves of all chains, shape (2 · chains, draws // 2)."""
     half = x.shape[1] // 2
     return np.concatenate([x[:, :half], x[:, -half:]])
 
 
-def normal_scores(x: NDArray[Any]) -> FloatArray:
+def normal_scores(x: FloatArray) -> FloatArray:
     """Return Φ⁻¹ of the ranks among all draws, the mean rank for ties; of the shape of `x` (section 4.1)."""
     order = np.argsort(x, axis=None)
     ordered = x.ravel()[order]
@@ -61,7 +58,7 @@ def quantile_ess(x: FloatArray, probability: float) -> float:
     return chain_ess(split_chains(x <= np.quantile(x, probability)))
 
 
-def chain_ess(draws: NDArray[Any]) -> float:
+def chain_ess(draws: FloatArray) -> float:
     """Return the ESS of the mean of chains as they are (section 3.2): n over the autocorrelation time τ.
 
     τ = −1 + 2 Σ ρ_t over all chains, by Geyer's initial monotone sequence: of the sums ρ_2k + ρ_2k+1 those before

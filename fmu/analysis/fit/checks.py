@@ -28,7 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import chdtrc, chdtri, stdtrit
@@ -109,7 +109,7 @@ def _modes(trace: xr.DataTree, rows: pd.DataFrame, level: float) -> list[Check]:
     return [_mode(trace, str(mode), row, level / len(rows)) for mode, row in rows.iterrows()]
 
 
-def _mode(trace: xr.DataTree, mode: str, row: pd.Series[Any], level: float) -> Check:
+def _mode(trace: xr.DataTree, mode: str, row: pd.Series, level: float) -> Check:
     if not np.isfinite(row["p"]):
         return _check_residual(trace, mode, row, level)
     kind = PREDICTED if row["used"] else HELD_OUT
@@ -143,7 +143,7 @@ def _mode(trace: xr.DataTree, mode: str, row: pd.Series[Any], level: float) -> C
     )
 
 
-def _limits(row: pd.Series[Any], level: float) -> tuple[float, float]:
+def _limits(row: pd.Series, level: float) -> tuple[float, float]:
     """Return the limits, Hz, at which a measured frequency has the two-sided tail probability `level`.
 
     On either side the tail is that of the errors, as wide as the 90 % interval is there: exact if it has their
@@ -170,7 +170,7 @@ def _how(trace: xr.DataTree, mode: str) -> str:
     return "" if tests is None else f" ({measurement_in_words(tests[:, at])})"
 
 
-def _check_residual(trace: xr.DataTree, mode: str, row: pd.Series[Any], level: float) -> Check:
+def _check_residual(trace: xr.DataTree, mode: str, row: pd.Series, level: float) -> Check:
     """Return the check of a mode by its residuals after updating with it."""
     group = trace[GROUP].to_dataset()
     measured = f"{given(float(row['measured']))} Hz"

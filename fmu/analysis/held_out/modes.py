@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -14,7 +14,15 @@ from scipy.special import log_ndtr, logsumexp
 
 from fmu.analysis.convergence.effective import mcse_mean
 from fmu.analysis.convergence.pareto import pareto_k
-from fmu.analysis.held_out.refit import ACCEPTED, MOST_SOLVES, SOLVES, LeftOut, approximation, left_out
+from fmu.analysis.held_out.refit import (
+    ACCEPTED,
+    MOST_SOLVES,
+    SOLVES,
+    Approximation,
+    LeftOut,
+    approximation,
+    left_out,
+)
 from fmu.analysis.held_out.together import left_out_together
 from fmu.analysis.held_out.weights import SMOOTHED_K, Smoothed, smooth_weights
 from fmu.analysis.start.prior_prediction import DRAWS, prior_prediction
@@ -52,11 +60,9 @@ _A_REFIT, _REFITS = 0.5, 3.0
 """Longest refit of a mode whose weights are not reliable, and of all of them, over `_FREE_S`."""
 _TIMED = 64
 _SEED = 1
-_KNOWN: WeakKeyDictionary[Any, dict[Any, Any]] = WeakKeyDictionary()
 
 
-@dataclass(frozen=True)
-class HeldOut:
+class HeldOut(NamedTuple):
     """One mode and its prediction by the others; see `leave_one_out`."""
 
     measured: float = np.nan
@@ -72,9 +78,6 @@ class HeldOut:
     pareto_k: float = np.nan
     method: str = NEITHER
     used: bool = True
-
-
-_COLUMNS = tuple(field.name for field in fields(HeldOut))
 
 
 @check_arguments
@@ -128,7 +131,7 @@ def kept_table(trace: xr.DataTree) -> pd.DataFrame | None:
     if not has(trace, GROUP):
         return None
     kept = trace[GROUP]
-    return data_frame({name: kept[name].to_numpy() for name in _COLUMNS}, "mode", kept["mode"].to_numpy())
+    return data_frame({name: kept[name].to_numpy() for name in HeldOut._fields}, "mode", kept["mode"].to_numpy())
 
 
 def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | None = None) -> xr.DataTree:
@@ -178,9 +181,22 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
     rows = []
     for k, label in enumerate(problem.data.labels):
         row = found[k] if k in found else _predict_weighted(problem, k, draws, smoothed.get(label))
-        rows.append(replace(row, measured=float(measured[k]), prior_sd=float(prior_sd[k]), used=use[k]))
-    columns = {name: ("mode", np.array([getattr(row, name) for row in rows])) for name in _COLUMNS}
+        rows.append(row._replace(measured=float(measured[k]), prior_sd=float(prior_sd[k]), used=use[k]))
+    columns = {
+        name: ("mode", np.array(x)) for name, x in zip(HeldOut._fields, zip(*rows, strict=True), strict=True)
+    }
     return with_group(trace, GROUP, xr.Dataset(columns, coords={"mode": list(problem.data.labels)}))
+
+
+@dataclass
+class _Known:
+    """What is remembered of a problem: each mode left out with the most solves, and its own posterior."""
+
+    rows: dict[int, tuple[int, HeldOut]] = field(default_factory=dict)
+    approximation: Approximation | None = None
+
+
+_KNOWN: WeakKeyDictionary[UpdatingProblem, _Known] = WeakKeyDictionary()
 
 
 def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -> dict[int, HeldOut]:
@@ -191,7 +207,7 @@ def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -
     """
     found: dict[int, HeldOut] = {}
     if modes and most >= SOLVES:
-        known = _KNOWN.setdefault(problem, {})
+        known = _KNOWN.setdefault(problem, _Known()).rows
         with phase("leaving modes out", len(modes)) as under_way:
             with suppress(np.linalg.LinAlgError):  # a number less, instead of the run
                 known |= _left_out_together(problem, [k for k in modes if problem.data.use[k] and k not in known])
@@ -236,20 +252,20 @@ def _predict_weighted(problem: UpdatingProblem, k: int, draws: _Draws, smoothed:
     if not smoothed.is_good:
         return HeldOut(pareto_k=smoothed.pareto_k)
     row = _predict_mode(problem, k, draws._replace(log_weight=smoothed.log_weight))
-    return replace(row, elpd=smoothed.elpd, mcse_elpd=smoothed.mcse, pareto_k=smoothed.pareto_k, method=WEIGHTS)
+    return row._replace(elpd=smoothed.elpd, mcse_elpd=smoothed.mcse, pareto_k=smoothed.pareto_k, method=WEIGHTS)
 
 
 def _not_used(trace: xr.DataTree, problem: UpdatingProblem, k: int, draws: _Draws) -> HeldOut:
     """Return a mode that was not used, predicted by the posterior."""
     log_p = _log_likelihood(_with(problem, k), draws) - _log_likelihood(problem, draws)
-    row = replace(_predict_mode(problem, k, draws), method=NOT_USED)
+    row = _predict_mode(problem, k, draws)._replace(method=NOT_USED)
     shape = pareto_k(log_p)
     if not shape <= SMOOTHED_K:
-        return replace(row, pareto_k=shape)
+        return row._replace(pareto_k=shape)
     elpd = float(logsumexp(log_p)) - float(np.log(len(log_p)))
     density = np.exp(log_p - elpd).reshape(trace["posterior"].sizes["chain"], -1)
     mcse = mcse_mean(density, walkers_of(trace))
-    return replace(row, elpd=elpd, mcse_elpd=mcse, pareto_k=shape)
+    return row._replace(elpd=elpd, mcse_elpd=mcse, pareto_k=shape)
 
 
 def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[int, tuple[int, HeldOut]]:
@@ -263,12 +279,12 @@ def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[i
 
 def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
     """Return mode number k after updating without it, and with it if it was not used, or what is known of it."""
-    known = _KNOWN.setdefault(problem, {})
-    if k in known and (known[k][1].mcse_elpd <= ACCEPTED or known[k][0] >= most):
-        return known[k][1]
-    of_problem = known.get("approximation")
-    if of_problem is None:
-        of_problem = known["approximation"] = approximation(problem, problem.start[None], _generator(0))
+    known = _KNOWN.setdefault(problem, _Known())
+    if k in known.rows and (known.rows[k][1].mcse_elpd <= ACCEPTED or known.rows[k][0] >= most):
+        return known.rows[k][1]
+    if known.approximation is None:
+        known.approximation = approximation(problem, problem.start[None], _generator(0))
+    of_problem = known.approximation
     used = problem.data.use[k]
     other = _without(problem, k) if used else _with(problem, k)
     near = problem.offset + problem.scale * np.array([model.position for model in of_problem.quadratics])
@@ -276,8 +292,8 @@ def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
     without, whole = (other, problem) if used else (problem, other)
     of_both = [approximation(other, near, rng), of_problem]
     found = left_out(without, whole, of_both if used else of_both[::-1], rng, most)
-    known[k] = (most, _row(problem, k, found))
-    return known[k][1]
+    known.rows[k] = (most, _row(problem, k, found))
+    return known.rows[k][1]
 
 
 def _row(problem: UpdatingProblem, k: int, found: LeftOut) -> HeldOut:
@@ -285,14 +301,11 @@ def _row(problem: UpdatingProblem, k: int, found: LeftOut) -> HeldOut:
     used = problem.data.use[k]
     row = HeldOut(pareto_k=float(found.pareto_k.max()), used=used)
     if found.predicts:
-        row = replace(
-            _predict_mode(problem, k, _Draws(found.theta, found.hz, found.log_weights[0])),
-            pareto_k=row.pareto_k,
-            method=REFIT if used else NOT_USED,
-            used=used,
+        row = _predict_mode(problem, k, _Draws(found.theta, found.hz, found.log_weights[0]))._replace(
+            pareto_k=row.pareto_k, method=REFIT if used else NOT_USED, used=used
         )
         if found.is_known:
-            row = replace(row, elpd=found.elpd, mcse_elpd=found.error)
+            row = row._replace(elpd=found.elpd, mcse_elpd=found.error)
     return row
 
 
@@ -379,9 +392,9 @@ def _by_draws_alone(trace: xr.DataTree) -> pd.DataFrame:
     for k, label in enumerate(trace["observed_data"]["mode"].to_numpy()):
         row, found = HeldOut(float(measured[k])), smoothed.get(str(label))
         if found is not None:
-            row = replace(row, pareto_k=found.pareto_k)
+            row = row._replace(pareto_k=found.pareto_k)
             if found.is_good:
-                row = replace(row, elpd=found.elpd, mcse_elpd=found.mcse, method=WEIGHTS)
-        rows.append(replace(row, used=label in trace["log_likelihood"]["mode"].to_numpy()))
-    columns = {name: [getattr(row, name) for row in rows] for name in _COLUMNS}
+                row = row._replace(elpd=found.elpd, mcse_elpd=found.mcse, method=WEIGHTS)
+        rows.append(row._replace(used=label in trace["log_likelihood"]["mode"].to_numpy()))
+    columns = dict(zip(HeldOut._fields, zip(*rows, strict=True), strict=True))
     return data_frame(columns, "mode", trace["observed_data"]["mode"].to_numpy())

@@ -8,9 +8,10 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fmu.analysis.maxima.results import NEGLIGIBLE, Maxima
-from fmu.analysis.trace.conversion import names_of, units_of
+from fmu.analysis.trace.densities import has_prior, names_of, start_of, units_of
 from fmu.posterior.scaled import ScaledDensity
 from fmu.progress.phases import count_solves
 from fmu.samplers.trajectory import CentralDifference
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from fmu.posterior.maxima import Maximum
 
 
-def _numbers(method: str, got: Any, shape: tuple[int, ...]) -> FloatArray:
+def _numbers(method: str, got: object, shape: tuple[int, ...]) -> FloatArray:
     """Return the answer of a density as an array of floats; ValueError unless it is real and of this shape."""
     array = np.asarray(got)
     if array.shape != shape or array.dtype.kind not in "fiu":
@@ -75,21 +76,22 @@ class PlainDensity:
 
     def __init__(self, density: LogDensity) -> None:
         scaled = ScaledDensity(density)
-        self.density: Any = density
+        self.density = density
         self.ndim, self.offset, self.scale = density.ndim, scaled.offset, scaled.scale
         self.lower, self.upper = scaled.theta_lower, scaled.theta_upper
         self.names, self.units = names_of(density), units_of(density)
         self.data = SimpleNamespace(labels=(), frequencies_hz=np.empty(0))
         boxed = np.isfinite(self.lower) & np.isfinite(self.upper)
         middle = np.clip(self.offset + 0.5 * self.scale * boxed, self.lower, self.upper)
-        self.start: FloatArray = np.asarray(getattr(density, "start", middle), dtype=float)
+        start = start_of(density)
+        self.start = middle if start is None else start
         self._has_gradient = self._gives_gradients()
         self.solves_per_gradient = 1 if self._has_gradient else 2 * self.ndim + 1
-        has_prior = hasattr(density, "sample_prior")
+        self.has_prior = has_prior(density)
         self._depth = 0.0
-        self.is_bounded = has_prior or bool(boxed.all())
+        self.is_bounded = self.has_prior or bool(boxed.all())
         self.region = (
-            "from the prior" if has_prior else "within the bounds" if self.is_bounded else "around its start"
+            "from the prior" if self.has_prior else "within the bounds" if self.is_bounded else "around its start"
         )
 
     def starting_points(self, starts: int, seed: int) -> FloatArray:
@@ -97,7 +99,7 @@ class PlainDensity:
         from scipy.stats import qmc
 
         rng, more = np.random.default_rng(seed), starts - 1
-        if hasattr(self.density, "sample_prior"):
+        if has_prior(self.density):
             theta = np.asarray(self.density.sample_prior(rng, max(more, 1)), dtype=float)[:more]
         elif self.is_bounded:
             unit = qmc.Sobol(self.ndim, rng=rng).random_base2(int(np.ceil(np.log2(max(starts, 2)))))[:more]
@@ -111,7 +113,7 @@ class PlainDensity:
         """Return no frequencies, shape (..., 0)."""
         return np.empty((*np.shape(theta)[:-1], 0))
 
-    def log_prob(self, theta: Any) -> Any:
+    def log_prob(self, theta: ArrayLike) -> Any:
         """Return the log-density at theta (ndim,) or (n, ndim); −inf where it is not finite."""
         points = np.atleast_2d(theta)
         count_solves(len(points))
@@ -119,7 +121,7 @@ class PlainDensity:
             value = _numbers("log_prob", self.density.log_prob(points), (len(points),))
         return np.where(np.isfinite(value), value, -np.inf)[() if np.ndim(theta) > 1 else 0]
 
-    def log_prob_and_grad(self, theta: Any) -> tuple[Any, Any]:
+    def log_prob_and_grad(self, theta: ArrayLike) -> tuple[Any, Any]:
         """Return the log-density and its gradient, its own or by differences; low and flat where not finite."""
         points = np.atleast_2d(theta)
         if self._has_gradient:

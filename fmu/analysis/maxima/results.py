@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -202,8 +202,10 @@ class Maxima:
     @property
     def hash(self) -> str:
         """SHA-256 of positions, gradients, Hessians and shares of the starts at the maxima."""
-        what = {name: name for name in ("theta", "log_prob", "gradient", "hessian")} | {"share": "starting_share"}
-        return configuration_hash({key: [getattr(m, name) for m in self.maxima] for key, name in what.items()})
+        what = {
+            name: [vars(m)[name] for m in self.maxima] for name in ("theta", "log_prob", "gradient", "hessian")
+        }
+        return configuration_hash(what | {"share": [m.starting_share for m in self.maxima]})
 
     def table(self) -> pd.DataFrame:
         """Return one row per maximum, SI units.
@@ -213,7 +215,7 @@ class Maxima:
         A name already taken gets an underscore: a parameter called ``share`` is in column ``share_``.
         """
         best = self.maxima
-        columns: list[tuple[str, list[Any]]] = [
+        columns: list[tuple[str, Sequence[object]]] = [
             ("log_prob", [m.log_prob for m in best]),
             ("share", [m.share for m in best]),
             ("starts", [m.starts for m in best]),
@@ -319,23 +321,24 @@ class Maxima:
         """Return the maxima as a dataset, as stored in a trace."""
         import xarray as xr
 
-        stacked = {name: np.array([getattr(m, name) for m in self.maxima]) for name in _DIMENSIONS}
         return xr.Dataset(
-            {name: (("maximum", *dims), stacked[name]) for name, dims in _DIMENSIONS.items()}
-            | {name: ("parameter", getattr(self, name)) for name in ("lower", "upper", "start")}
-            | {name: ("mode", getattr(self, name)) for name in ("measured", "before")}
-            | {name: ((), getattr(self, name)) for name in _COUNTS},
+            {
+                name: (("maximum", *dims), np.array([vars(m)[name] for m in self.maxima]))
+                for name, dims in _DIMENSIONS.items()
+            }
+            | {name: ("parameter", vars(self)[name]) for name in ("lower", "upper", "start")}
+            | {name: ("mode", vars(self)[name]) for name in ("measured", "before")}
+            | {name: ((), vars(self)[name]) for name in _COUNTS},
             coords={
                 "maximum": np.arange(1, len(self) + 1),
                 "parameter": list(self.names),
                 "mode": list(self.labels),
                 "unit": ("parameter", list(self.units)),
             },
-            attrs=self._of_search() if self.search or self.doubts else {},
+            attrs={"search": self.search, "doubts": json.dumps(self.doubts), "level": self.level}
+            if self.search or self.doubts
+            else {},
         )
-
-    def _of_search(self) -> dict[str, Any]:
-        return {"search": self.search, "doubts": json.dumps(self.doubts), "level": self.level}
 
     @classmethod
     def from_dataset(cls, dataset: xr.Dataset) -> Maxima:

@@ -14,6 +14,7 @@ from fmu.analysis.maxima.kinds import active_bounds, basin, kind_of, slope
 from fmu.analysis.maxima.mode_weights import DRAWS, TEMPERATURES, ModeWeight, mode_weights
 from fmu.analysis.maxima.plain import PlainDensity
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
+from fmu.analysis.trace.densities import is_updating
 from fmu.arguments import Seed, check_arguments
 from fmu.differences import both_sides
 from fmu.fem.black_box import solves_of_a_surrogate
@@ -43,10 +44,10 @@ SCATTERED = 16
 _MOST_PLACES = 8
 """Places of a plain log-density whose curvature and mass are computed."""
 _WEIGHING, _OF_SEARCH, _FEWEST_DRAWS = 1, 0.5, 8
-_KNOWN: WeakKeyDictionary[Any, dict[tuple[int, int, float], Maxima]] = WeakKeyDictionary()
+_KNOWN: WeakKeyDictionary[LogDensity, dict[tuple[int, int, float], Maxima]] = WeakKeyDictionary()
 
 
-def default_starts(problem: UpdatingProblem | PlainDensity) -> int:
+def default_starts(problem: UpdatingProblem) -> int:
     """Return the default number of optimiser starts.
 
     Fewer if gradients are finite differences, or if a large model is not reduced, or to many unknowns, so that a
@@ -54,8 +55,6 @@ def default_starts(problem: UpdatingProblem | PlainDensity) -> int:
     """
     if problem.solves_per_gradient > 1:
         return STARTS_WITHOUT_DERIVATIVES
-    if isinstance(problem, PlainDensity):
-        return STARTS_OF_PLAIN
     return STARTS_IF_SLOW if _is_slow(problem) else STARTS
 
 
@@ -65,12 +64,7 @@ def _is_slow(problem: UpdatingProblem) -> bool:
     return structure is not None and (bool(structure.why_full) or max(problem.model.sizes, default=0) >= _MANY)
 
 
-def is_updating(problem: Any) -> bool:
-    """Say whether this is an updating problem, or an object with its attributes."""
-    return hasattr(problem, "parameters") and hasattr(problem, "likelihood")
-
-
-def is_searchable(problem: Any) -> bool:
+def is_searchable(problem: LogDensity) -> bool:
     """Say whether `find_map` may search the density: it has no population, whose maximum is far from its mass."""
     return not getattr(problem, "is_hierarchical", False)
 
@@ -119,12 +113,11 @@ def find_map(
         raise ValueError("problem: must have no population: its maximum is far from its mass; sample it instead")
     if not is_updating(problem):
         return _search_plain(PlainDensity(problem), starts, seed)
-    posed = cast("UpdatingProblem", problem)
-    most = _most_solves(posed) if starts is None else np.inf
-    starts = default_starts(posed) if starts is None else starts
+    most = _most_solves(problem) if starts is None else np.inf
+    starts = default_starts(problem) if starts is None else starts
     known = _KNOWN.setdefault(problem, {}) if isinstance(problem, Hashable) else {}
     if (starts, seed, most) not in known:
-        known[starts, seed, most] = _search(posed, starts, seed, most)
+        known[starts, seed, most] = _search(problem, starts, seed, most)
     return known[starts, seed, most]
 
 
@@ -134,7 +127,8 @@ def _search(problem: UpdatingProblem, starts: int, seed: int, most: float) -> Ma
 
     solved, differentiated = solves(), gradients()
     found = local_maxima(problem, starts, seed, most_solves=_OF_SEARCH * most)
-    best = _weigh(problem, found, seed, solved, differentiated, most)
+    draws = DRAWS // 4 if _is_slow(problem) else DRAWS
+    best = _weigh(problem, found, seed, solved, differentiated, most, draws)
     climbed = sum(m.starts for m in found)
     if climbed == starts or np.isinf(most):
         return best
@@ -159,7 +153,8 @@ def _search_plain(density: PlainDensity, starts: int | None, seed: int) -> Maxim
     from fmu.posterior.maxima import maxima_from
 
     most = MOST_EVALUATIONS if starts is None else np.inf
-    starts = default_starts(density) if starts is None else starts
+    if starts is None:
+        starts = STARTS_WITHOUT_DERIVATIVES if density.solves_per_gradient > 1 else STARTS_OF_PLAIN
     solved, differentiated = solves(), gradients()
     scaled = ScaledDensity(density)
     theta = density.starting_points(SCATTERED * starts, seed)
@@ -174,13 +169,19 @@ def _search_plain(density: PlainDensity, starts: int | None, seed: int) -> Maxim
             f"problem: the log-density must be finite somewhere; it is so at none of {starts} points "
             f"{density.region}"
         )
-    best = _weigh(density, found[:_MOST_PLACES], seed, solved, differentiated)
+    best = _weigh(density, found[:_MOST_PLACES], seed, solved, differentiated, draws=DRAWS // 4)
     said, doubts = density.search_in_words(found), density.doubts(best, found, is_spent)
     return replace(best, search=said, doubts=doubts, level=level)
 
 
 def _weigh(
-    problem: Any, found: Sequence[Maximum], seed: int, solved: int, differentiated: int, most: float = np.inf
+    problem: Any,
+    found: Sequence[Maximum],
+    seed: int,
+    solved: int,
+    differentiated: int,
+    most: float = np.inf,
+    draws: int = DRAWS,
 ) -> Maxima:
     """Return the maxima with curvature and mass; `solved` and `differentiated` were counted before the search.
 
@@ -195,7 +196,6 @@ def _weigh(
             under_way.advance()
     models, curvatures = zip(*curved, strict=True)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_WEIGHING,)))
-    draws = DRAWS // 4 if isinstance(problem, PlainDensity) or _is_slow(problem) else DRAWS
     if np.isfinite(most):
         left = int(most - solves() + solved) // (len(TEMPERATURES) * len(models))
         draws = max(_FEWEST_DRAWS, min(left, draws))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import gammaincinv
 
 from fmu.analysis.maxima.missed import NEARBY, OUT_OF_PROPORTION
@@ -12,6 +13,7 @@ from fmu.analysis.maxima.plain import PlainDensity
 from fmu.analysis.maxima.results import NEGLIGIBLE, TYPICAL_POINT
 from fmu.analysis.maxima.search import find_map, is_searchable
 from fmu.analysis.trace.conversion import START_STREAM, generator
+from fmu.analysis.trace.densities import has_prior
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.samplers.settings import whole_number
@@ -19,6 +21,7 @@ from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
+    from fmu.posterior.problem import UpdatingProblem
     from fmu.types import LogDensity
 
 
@@ -47,13 +50,13 @@ class Starts(NamedTuple):
         Their description for the configuration of a run.
     """
 
-    position: Any
+    position: str | FloatArray
     word: str
-    origin: Any
+    origin: object
 
 
 def choose_starts(
-    density: LogDensity, init: Any, maxima: Maxima | None, chains: int, walkers: int, seed: int
+    density: LogDensity, init: str | ArrayLike, maxima: Maxima | None, chains: int, walkers: int, seed: int
 ) -> Starts:
     """Return where the chains start.
 
@@ -77,7 +80,7 @@ def choose_starts(
         return Starts(theta, "maxima", origin)
     if is_searchable(density):
         plain = PlainDensity(density)
-        if hasattr(density, "sample_prior") and _is_finite_in_prior(plain, seed):
+        if plain.has_prior and _is_finite_in_prior(plain, seed):
             return Starts("prior", "prior", "prior")
         theta, origin = _scatter_starts(plain, chains * walkers, seed), {"maxima": "scattered"}
     else:
@@ -109,10 +112,10 @@ def worth_starting_from(density: LogDensity, maxima: Maxima) -> Maxima | None:
     That is so with several maxima, or without a prior, if the mass is around the maxima, unlike in a funnel.
     """
     several = sum(m.share > NEGLIGIBLE for m in maxima) > 1
-    return maxima if maxima.are_weighed and (several or not hasattr(density, "sample_prior")) else None
+    return maxima if maxima.are_weighed and (several or not has_prior(density)) else None
 
 
-def middle(problem: Any) -> Quadratic:
+def middle(problem: LogDensity) -> Quadratic:
     """Return the middle of a hierarchical posterior as a quadratic, in scaled units."""
     from fmu.posterior.joint.typical import typical_point
 
@@ -158,15 +161,14 @@ def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: 
     return theta if walkers == 1 else theta.reshape(chains, walkers, -1)
 
 
-def walkers(problem: Any, n: int, seed: int = 1) -> FloatArray:
+def walkers(problem: UpdatingProblem, n: int, seed: int = 1) -> FloatArray:
     """Return starts for the walkers of one ensemble: `fmu.UpdatingProblem.walkers`."""
     least = 2 * problem.ndim
     if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < least:
         raise ValueError(f"n: must be a whole number of at least {least}, twice the parameters (got {n!r})")
     maxima = find_map(problem) if is_searchable(problem) else None
     starts = choose_starts(problem, "maxima", maxima, 1, int(n), whole_number("seed", seed, 0))
-    found: FloatArray = starts.position[0]
-    return found
+    return np.asarray(starts.position)[0]
 
 
 def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadratic], FloatArray]:

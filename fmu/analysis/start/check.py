@@ -11,13 +11,13 @@ import numpy as np
 from annotated_types import Interval
 
 from fmu.analysis.identifiability import Identifiability, identifiability
-from fmu.analysis.maxima.search import is_updating
 from fmu.analysis.prediction import measurement_in_words
 from fmu.analysis.repeatability import repeatability
 from fmu.analysis.start.gradient_check import GradientCheck, check_gradient
 from fmu.analysis.start.initial_modes import InitialModes, initial_modes, modes_as_text
 from fmu.analysis.start.model_words import model_in_words, parameter_table, structure_drawing
 from fmu.analysis.start.prior_prediction import DRAWS, PriorPrediction, prior_prediction
+from fmu.analysis.trace.densities import is_updating
 from fmu.analysis.trace.modal_states import START, modal_states
 from fmu.analysis.uninformed import doubts as doubts_of_information
 from fmu.arguments import ArgumentError, Seed, check_arguments

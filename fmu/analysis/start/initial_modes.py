@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fmu.analysis.start.pairing_doubts import ComputedMode, close, note_unmeasured, unlike, warn_of_order
 from fmu.fem.black_box import BlackBoxModel
-from fmu.fem.modes.modal import frequency_hz, is_rigid, mac, single_thread
+from fmu.fem.modes.modal import ModalSolution, frequency_hz, is_rigid, mac, single_thread
 from fmu.fem.modes.separable import selection
 from fmu.fem.pairing.correlation import Correlation, close_groups
 from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
@@ -22,6 +22,7 @@ from fmu.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
+    from scipy.sparse import csr_array
 
     from fmu.posterior.data.modal_data import ModalData
     from fmu.posterior.problem import UpdatingProblem
@@ -218,7 +219,7 @@ def _compare_shapes(found: InitialModes, problem: UpdatingProblem) -> InitialMod
     return replace(found, doubts=doubts, notes=(*found.notes, *found.correlation.notes()), mpc=mpc)
 
 
-def _spectrum(model: PairedStructure, point: FloatArray) -> tuple[Any, list[int]]:
+def _spectrum(model: PairedStructure, point: FloatArray) -> tuple[ModalSolution, list[int]]:
     """Return the lowest modes, up to two beyond the last paired one, and the columns of the paired ones."""
     pairs = model.modes(point[None])
     wanted = list(zip(pairs.block[0].tolist(), pairs.rank[0].tolist(), strict=True))
@@ -237,7 +238,9 @@ def _spectrum(model: PairedStructure, point: FloatArray) -> tuple[Any, list[int]
         count = min(total, 2 * count)
 
 
-def _find_seen(model: PairedStructure, shapes: FloatArray, observation: Any, eigenvalues: FloatArray) -> BoolArray:
+def _find_seen(
+    model: PairedStructure, shapes: FloatArray, observation: csr_array | None, eigenvalues: FloatArray
+) -> BoolArray:
     """Find the modes that move a sensor, by the rule of `fmu.fem.pairing.rules.reference_modes`."""
     rows = selection(model.structure.translations, model.structure.n_dof)
     seen = np.abs((rows if observation is None else observation) @ shapes)

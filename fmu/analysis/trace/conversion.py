@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.analysis.trace.densities import has_prior, has_several_tests, is_updating, names_of, start_of, units_of
 from fmu.analysis.trace.distinct_draws import DistinctDraws
 from fmu.analysis.trace.misfit import misfit_group, quantities_group
 from fmu.analysis.trace.modal_states import drawn_structure
@@ -29,11 +30,12 @@ from fmu.samplers.mixture.kernel import CANDIDATE, LOG_WEIGHT
 from fmu.samplers.registry import SAMPLERS
 from fmu.samplers.tempering.kernel import LOG_LIKELIHOOD
 from fmu.samplers.tempering.tempering import first_ladder, rejections
-from fmu.types import FloatArray
+from fmu.types import AnyArray, FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr
 
+    from fmu.posterior.problem import UpdatingProblem
     from fmu.samplers.loop.record import Draws, RunResult
     from fmu.types import LogDensity
 
@@ -48,7 +50,7 @@ _OUTSIDE_THE_CHAINS = 2**32 - 1  # a task number that no run reaches: see genera
 def to_trace(
     result: RunResult,
     density: LogDensity,
-    start: Any = None,
+    start: object = None,
     *,
     predictions: bool = True,
     frequency: FloatArray | None = None,
@@ -98,14 +100,14 @@ def to_trace(
         "warmup_sample_stats": _stats(result.warmup, density),
         "constant_data": _constants(density, names),
     }
-    if hasattr(density, "sample_prior"):
+    if has_prior(density):
         prior = density.sample_prior(generator(result.seed, PRIOR_STREAM), PRIOR_DRAWS)
         groups["prior"] = _variables(prior[np.newaxis], names, units)
     if LOG_LIKELIHOOD in result.posterior.stats:
         groups["tempering"] = tempering_group(result)
-    if _has_several_tests(density):
+    if has_several_tests(density):
         groups |= _groups_of_tests(result, density, predictions)
-    if predictions and hasattr(density, "frequencies"):
+    if predictions and is_updating(density):
         groups |= _frequency_groups(result, density, frequency)
     trace = xr.DataTree.from_dict(groups)
     trace.attrs = attributes(result, density, start)
@@ -186,27 +188,17 @@ def load_traces(directory: str | os.PathLike[str]) -> dict[str, xr.DataTree]:
     return {path.stem: load_trace(path) for path in paths}
 
 
-def names_of(density: LogDensity) -> tuple[str, ...]:
-    """Return the parameters' names; ``x0``, ``x1``, ... if the density has none."""
-    return tuple(getattr(density, "names", (f"x{i}" for i in range(density.ndim))))
-
-
-def units_of(density: LogDensity) -> tuple[str, ...]:
-    """Return the parameters' units; empty where the density has none."""
-    return tuple(getattr(density, "units", ("",) * density.ndim))
-
-
 def generator(seed: int, stream: int) -> np.random.Generator:
     """Return a generator from the run's seed tree, independent of the chains' own (tasks 0, 1, ...)."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_OUTSIDE_THE_CHAINS, stream)))
 
 
-def _sample_coordinates(values: NDArray[Any]) -> dict[str, NDArray[np.int64]]:
+def _sample_coordinates(values: FloatArray) -> dict[str, NDArray[np.int64]]:
     """Return the coordinates of an array of shape (chains, draws, ...)."""
     return {"chain": np.arange(values.shape[0]), "draw": np.arange(values.shape[1])}
 
 
-def _variables(position: NDArray[np.float64], names: tuple[str, ...], units: tuple[str, ...]) -> xr.Dataset:
+def _variables(position: FloatArray, names: tuple[str, ...], units: tuple[str, ...]) -> xr.Dataset:
     """Return one variable a parameter from positions of shape (chains, draws, ndim)."""
     import xarray as xr
 
@@ -217,7 +209,7 @@ def _variables(position: NDArray[np.float64], names: tuple[str, ...], units: tup
     return xr.Dataset(variables, coords=_sample_coordinates(position))
 
 
-def _stats(draws: Draws, density: Any) -> xr.Dataset:
+def _stats(draws: Draws, density: LogDensity) -> xr.Dataset:
     """Return the sampler's statistics, one variable each, without the statistics of rungs.
 
     Weights P/q of a mixture are of a density in SI units.
@@ -233,27 +225,28 @@ def _stats(draws: Draws, density: Any) -> xr.Dataset:
     return xr.Dataset(variables, coords=_sample_coordinates(draws.position))
 
 
-def _constants(density: Any, names: tuple[str, ...]) -> xr.Dataset:
+def _constants(density: LogDensity, names: tuple[str, ...]) -> xr.Dataset:
     """Return the bounds, the start vector and the weights of the measured frequencies."""
     import xarray as xr
 
-    variables: dict[str, Any] = {
-        name: ("parameter", np.asarray(getattr(density, name), dtype=float))
-        for name in ("lower", "upper", "start")
-        if hasattr(density, name)
+    known = {"lower": density.lower, "upper": density.upper, "start": start_of(density)}
+    variables: dict[str, tuple[object, AnyArray]] = {
+        name: ("parameter", np.asarray(values, dtype=float))
+        for name, values in known.items()
+        if values is not None
     }
-    coordinates: dict[str, Any] = {"parameter": list(names)}
-    if _has_several_tests(density):
+    coordinates = {"parameter": list(names)}
+    if has_several_tests(density):
         of = ["" if role.of is None else density.layout.structural[role.of].name for role in density.roles]
         variables["role"] = "parameter", np.array([role.kind for role in density.roles])
         variables["role_of"] = "parameter", np.array(of)
         variables["role_where"] = "parameter", np.array([role.where for role in density.roles])
-    likelihood: Any = getattr(density, "likelihood", None)  # a user's density may have anything under that name
-    if getattr(likelihood, "beta", None) is not None:
-        variables["beta"] = ("mode", np.asarray(likelihood.beta, dtype=float))
+    if is_updating(density) and density.likelihood.beta is not None:
+        error = density.likelihood.error
+        variables["beta"] = ("mode", np.asarray(density.likelihood.beta, dtype=float))
         coordinates["mode"] = list(density.data.labels)
-        if likelihood.error is not None and likelihood.error.covariance_hz2 is not None:
-            variables["covariance_hz2"] = (("mode", "other_mode"), likelihood.error.covariance_hz2)
+        if error is not None and error.covariance_hz2 is not None:
+            variables["covariance_hz2"] = (("mode", "other_mode"), error.covariance_hz2)
             coordinates["other_mode"] = coordinates["mode"]
     return xr.Dataset(variables, coords=coordinates)
 
@@ -296,7 +289,9 @@ def _frequency_groups(
         if problem.data.tests is not None:
             single = problem.simulate_test(noise, hz, theta)
             predicted[ONE_MORE_TEST] = (dims, single.reshape(frequency.shape), hertz)
-    observed: dict[str, Any] = {"frequency": ("mode", np.asarray(problem.data.frequencies_hz, dtype=float), hertz)}
+    observed: dict[str, tuple[object, ...]] = {
+        "frequency": ("mode", np.asarray(problem.data.frequencies_hz, dtype=float), hertz)
+    }
     if problem.data.tests is not None:
         observed["tests"] = (("test", "mode"), np.asarray(problem.data.tests.frequencies_hz), hertz)
     if len(problem.tests) > 1:
@@ -316,12 +311,7 @@ def _frequency_groups(
     )
 
 
-def _has_several_tests(density: object) -> bool:
-    """Say whether a density, which may be a user's, is a problem of several tests."""
-    return len(getattr(density, "tests", ())) > 1
-
-
-def _groups_of_tests(result: RunResult, problem: Any, predictions: bool) -> dict[str, xr.Dataset]:
+def _groups_of_tests(result: RunResult, problem: UpdatingProblem, predictions: bool) -> dict[str, xr.Dataset]:
     """Return the groups of a trace on each test and on the next test."""
     import xarray as xr
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -57,7 +57,7 @@ def damage(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.Data
         raise ArgumentError("trace", "has no losses, as it has no parameter that varies between groups of tests")
     losses = trace[GROUP].to_dataset()
     names = [str(name) for name in losses.data_vars]
-    rows: list[Any] = []
+    rows: list[list[float]] = []
     index: list[tuple[str, str]] = []
     for state in losses["state"].to_numpy().tolist():
         draws = np.stack([losses[name].sel(state=state).to_numpy().ravel() for name in names])

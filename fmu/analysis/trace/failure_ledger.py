@@ -6,7 +6,7 @@ import csv
 import io
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from fmu.numbers import share
 from fmu.posterior.failures import Failure
@@ -108,7 +108,7 @@ def _columns(names: Sequence[str], units: Sequence[str]) -> list[str]:
     return ["task", "phase", "step", *parameters, "reason"]
 
 
-def _rows(ndim: int, parts: Iterable[FailedSolves]) -> Iterable[list[Any]]:
+def _rows(ndim: int, parts: Iterable[FailedSolves]) -> Iterable[list[object]]:
     for part in parts:
         place = [part.task, part.phase, part.step]
         for failure in part.failures:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from fmu.analysis.certificate import certify
 from fmu.analysis.convergence.diagnosis import with_maxima
 from fmu.analysis.identifiability import with_identifiability
-from fmu.analysis.maxima.search import is_updating
 from fmu.analysis.pairing_changes import with_pairing
-from fmu.analysis.trace.conversion import names_of, to_trace
+from fmu.analysis.trace.conversion import to_trace
+from fmu.analysis.trace.densities import is_updating, names_of
 from fmu.analysis.trace.emcee_runs import StoredEnsemble, check_alike
 from fmu.analysis.trace.modal_states import with_modes
 from fmu.analysis.trace.reading import IMPORTED, parameter_names, with_group

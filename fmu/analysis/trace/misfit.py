@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.types import FloatArray
+from fmu.types import AnyArray, FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr
 
+    from fmu.posterior.problem import UpdatingProblem
 
 GROUP = "misfit"
 """Group of a trace that stores them."""
@@ -21,7 +22,9 @@ TAILS = np.logspace(-6.0, 0.0, 121)
 """Probabilities beyond which quantiles of the prior of an inferred standard deviation are stored."""
 
 
-def misfit_group(problem: Any, squares: FloatArray, coordinates: Mapping[str, Any]) -> dict[str, xr.Dataset]:
+def misfit_group(
+    problem: UpdatingProblem, squares: FloatArray, coordinates: Mapping[str, object]
+) -> dict[str, xr.Dataset]:
     """Return the group ``misfit`` of a trace; empty for the modal residual.
 
     Parameters
@@ -48,7 +51,7 @@ def misfit_group(problem: Any, squares: FloatArray, coordinates: Mapping[str, An
     if not likelihood.terms_of:
         return {}
     judged = likelihood.chi_square
-    variables: dict[str, Any] = {
+    variables: dict[str, tuple[object, AnyArray]] = {
         "squares": (("chain", "draw", "quantity", "mode"), squares),
         "freedom": ("quantity", np.array([term.n_data for term in judged], dtype=int)),
     }
@@ -67,7 +70,9 @@ def misfit_group(problem: Any, squares: FloatArray, coordinates: Mapping[str, An
     return {GROUP: found}
 
 
-def quantities_group(problem: Any, position: FloatArray, coordinates: Mapping[str, Any]) -> dict[str, xr.Dataset]:
+def quantities_group(
+    problem: UpdatingProblem, position: FloatArray, coordinates: Mapping[str, object]
+) -> dict[str, xr.Dataset]:
     """Return the group ``quantities`` of a trace; none where all data are of modes.
 
     Parameters
@@ -89,12 +94,11 @@ def quantities_group(problem: Any, position: FloatArray, coordinates: Mapping[st
         return {}
     theta = problem.model_parameters(position.reshape(-1, position.shape[-1]))
     computed = np.concatenate([term.computed(theta)[0] for term in terms], axis=1)
-    of_datum = {key: np.concatenate([getattr(term, key) for term in terms]) for key in ("measured", "sd", "units")}
     variables = {
         "computed": (("chain", "draw", "datum"), computed.reshape(*position.shape[:2], -1)),
-        "measured": ("datum", of_datum["measured"]),
-        "sd": ("datum", of_datum["sd"]),
-        "unit": ("datum", of_datum["units"]),
+        "measured": ("datum", np.concatenate([term.measured for term in terms])),
+        "sd": ("datum", np.concatenate([term.sd for term in terms])),
+        "unit": ("datum", np.concatenate([term.units for term in terms])),
     }
     labels = [label for term in terms for label in term.labels]
     return {QUANTITIES: xr.Dataset(variables, coords={**coordinates, "datum": labels})}

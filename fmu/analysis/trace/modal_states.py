@@ -16,7 +16,7 @@ from fmu.fem.modes.modal import mac
 from fmu.fem.pairing.expansion import serep
 from fmu.fem.pairing.paired_structure import structure_of
 from fmu.progress.phases import advance_phase, phase
-from fmu.types import FloatArray
+from fmu.types import Dof, FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -157,7 +157,7 @@ def _displace_nodes(structure: SeparableModel, shapes: FloatArray) -> FloatArray
     return moved
 
 
-def _without_sign(sensor: tuple[Any, str]) -> tuple[Any, str]:
+def _without_sign(sensor: Dof) -> Dof:
     """Return the name of a degree of freedom that a sensor reads, whatever its polarity."""
     return sensor[0], sensor[1].removeprefix("-")
 
@@ -167,7 +167,7 @@ def _components(
 ) -> dict[str, Any]:
     """Return the shapes at single places beside the measured ones; the largest is 1 where no `size` is given."""
     sign = [-1.0 if direction.startswith("-") else 1.0 for _, direction in data.sensors]
-    measured: dict[tuple[Any, str], FloatArray] = {}
+    measured: dict[Dof, FloatArray] = {}
     if data.shapes is not None:
         rows = np.asarray(data.shapes) * np.array(sign)[:, None]
         measured = dict(zip(map(_without_sign, data.sensors), rows, strict=True))

@@ -7,11 +7,15 @@ every scale anew for each of a hundred variables: it takes a second for what tak
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any
+from collections.abc import Hashable, Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fmu.types import AnyArray
+
 if TYPE_CHECKING:
+    import h5py
     import xarray as xr
 
 _NO_VARIABLE = b"This is a netCDF dimension but not a netCDF variable."
@@ -59,7 +63,7 @@ def from_netcdf(path: str | os.PathLike[str]) -> xr.DataTree:
         raise ValueError(f"path: must be a netCDF-4 file (got {os.fspath(path)}: {error})") from error
 
 
-def _write(group: Any, dataset: xr.Dataset) -> None:
+def _write(group: h5py.Group, dataset: xr.Dataset) -> None:
     import h5py
 
     _set_attributes(group, dataset.attrs)
@@ -91,12 +95,14 @@ def _write(group: Any, dataset: xr.Dataset) -> None:
                 group[name].dims[axis].attach_scale(scales[dimension])
 
 
-def _set_attributes(item: Any, attributes: Any) -> None:
+def _set_attributes(
+    item: h5py.Group | h5py.Dataset, attributes: Mapping[Hashable, str | float | AnyArray]
+) -> None:
     for name, value in attributes.items():
         item.attrs[name] = value if isinstance(value, str) else np.atleast_1d(value)
 
 
-def _read(group: Any) -> xr.Dataset:
+def _read(group: h5py.Group) -> xr.Dataset:
     import xarray as xr
 
     variables, coordinates = {}, set[str]()
@@ -119,7 +125,7 @@ def _read(group: Any) -> xr.Dataset:
     return xr.Dataset(variables, coords=beside, attrs=_attributes(dict(group.attrs)))
 
 
-def _attributes(found: dict[str, Any]) -> dict[str, Any]:
+def _attributes(found: Mapping[str, object]) -> dict[str, object]:
     """Return the attributes that a user sees, without the format's own; arrays of one number become numbers."""
     return {
         name: value[0] if isinstance(value, np.ndarray) and value.size == 1 else value
@@ -128,7 +134,7 @@ def _attributes(found: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _is_group(item: Any) -> bool:
+def _is_group(item: object) -> bool:
     import h5py
 
     return isinstance(item, h5py.Group)

@@ -8,9 +8,11 @@ import json
 import platform
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+from fmu.analysis.trace.densities import is_updating
 
 if TYPE_CHECKING:
     from fmu.samplers.loop.record import RunResult
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 PACKAGES = ("numpy", "scipy", "emcee", "arviz", "fmu")
 
 
-def canonical_json(value: Any) -> str:
+def canonical_json(value: object) -> str:
     """Return `value` as canonical JSON: sorted keys, no spaces, shortest floats that round-trip.
 
     NumPy scalars and arrays are written as numbers and lists, tuples as lists.
@@ -32,7 +34,7 @@ def canonical_json(value: Any) -> str:
     return json.dumps(value, sort_keys=True, separators=(",", ":"), default=_plain)
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """Turn a NumPy array or scalar into lists and numbers."""
     if hasattr(value, "tolist"):
         return value.tolist()
@@ -40,8 +42,8 @@ def _plain(value: Any) -> Any:
 
 
 def describe_inputs(
-    density: LogDensity, sampler: str, settings: Mapping[str, Any], run: Mapping[str, Any]
-) -> dict[str, Any]:
+    density: LogDensity, sampler: str, settings: Mapping[str, object], run: Mapping[str, object]
+) -> dict[str, object]:
     """Return the inputs that determine the draws: problem, sampler with settings, and arguments of the run."""
     describe = getattr(density, "configuration", None)
     problem = (
@@ -52,7 +54,7 @@ def describe_inputs(
     return {"problem": problem, "sampler": {"name": sampler, "settings": settings}, "run": dict(run)}
 
 
-def configuration(result: RunResult, density: LogDensity, start: Any = None) -> dict[str, Any]:
+def configuration(result: RunResult, density: LogDensity, start: object = None) -> dict[str, object]:
     """Return everything that determines the draws of a run.
 
     `start` says where the chains started, if ``result.init`` does not.
@@ -69,7 +71,7 @@ def configuration(result: RunResult, density: LogDensity, start: Any = None) -> 
     return describe_inputs(density, result.sampler, result.settings, run)
 
 
-def configuration_hash(settings: Mapping[str, Any]) -> str:
+def configuration_hash(settings: object) -> str:
     """Return the SHA-256 (hexadecimal) of the canonical JSON of `settings`."""
     return hashlib.sha256(canonical_json(settings).encode()).hexdigest()
 
@@ -83,12 +85,11 @@ def _solver(density: LogDensity) -> str:
     """Name the library that factorises the matrices of the full model; empty for a density without matrices."""
     from fmu.fem.pairing.paired_structure import structure_of
 
-    model = getattr(density, "model", None)
-    structure = None if model is None else structure_of(model.parts[0])
+    structure = structure_of(density.model.parts[0]) if is_updating(density) else None
     return "" if structure is None else structure.solver
 
 
-def attributes(result: RunResult, density: LogDensity, start: Any = None) -> dict[str, Any]:
+def attributes(result: RunResult, density: LogDensity, start: object = None) -> dict[str, str | int | float]:
     """Return the attributes of the root of a trace, all numbers or text, as netCDF requires.
 
     ``n_solves`` and ``n_gradients`` count the retained draws, ``warmup_n_solves`` and ``warmup_n_gradients`` the

@@ -5,12 +5,11 @@ A trace of an older version, of another sampler or of a plain log-density lacks 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fmu.types import BoolArray, FloatArray
+from fmu.types import AnyArray, BoolArray, FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -22,11 +21,12 @@ IMPORTED = "imported"
 """Attribute of a trace that another library drew: which."""
 
 
-def check_trace(trace: Any, origin: str = "trace") -> None:
+def check_trace(trace: object, origin: str = "trace") -> None:
     """Raise ValueError unless `trace` has the groups that the analysis needs; `origin` names it in the message."""
     needed = ("posterior", "sample_stats")
-    missing = [group for group in needed if group not in getattr(trace, "children", {})]
-    missing += [name for name in ("sampler", "walkers", "wall_s") if name not in getattr(trace, "attrs", {})]
+    children, attrs = (getattr(trace, name, {}) for name in ("children", "attrs"))
+    missing = [group for group in needed if group not in children]
+    missing += [name for name in ("sampler", "walkers", "wall_s") if name not in attrs]
     if missing:
         raise ValueError(f"{origin}: must be a trace written by fmu (it has no {', '.join(missing)})")
 
@@ -41,7 +41,7 @@ def is_pseudo(trace: xr.DataTree) -> bool:
     return has(trace, "log_likelihood", "residual")
 
 
-def array_of(trace: xr.DataTree, group: str, variable: str) -> NDArray[Any]:
+def array_of(trace: xr.DataTree, group: str, variable: str) -> AnyArray:
     """Return a variable of a group with one value, or one array, for each draw, shape (chains, draws, ...)."""
     return trace[group][variable].transpose("chain", "draw", ...).to_numpy()
 
@@ -115,7 +115,7 @@ def constant(trace: xr.DataTree, which: str, name: str) -> float:
     )
 
 
-def in_solves(trace: xr.DataTree, n_solves: Any, n_gradients: Any) -> Any:
+def in_solves[Count: (float, FloatArray)](trace: xr.DataTree, n_solves: Count, n_gradients: Count) -> Count:
     """Return a cost in solves, the log-probabilities that would have taken the time.
 
     An exact gradient, counted among the solves as one, is worth ``trace.attrs["gradient_cost"]`` of them. That was
