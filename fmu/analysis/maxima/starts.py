@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -115,7 +115,7 @@ def worth_starting_from(density: LogDensity, maxima: Maxima) -> Maxima | None:
     return maxima if maxima.are_weighed and (several or not has_prior(density)) else None
 
 
-def middle(problem: LogDensity) -> Quadratic:
+def middle(problem: Any) -> Quadratic:
     """Return the middle of a hierarchical posterior as a quadratic, in scaled units."""
     from fmu.posterior.joint.typical import typical_point
 
