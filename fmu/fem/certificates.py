@@ -40,8 +40,7 @@ class Certificate(ABC):
         for field in fields(cls):
             key = cls._key(field.name)
             if key in attrs:
-                value = attrs[key]
-                found[field.name] = value.item() if isinstance(value, np.generic) else value
+                found[field.name] = np.asarray(attrs[key]).item()
             elif field.default is MISSING:
                 return None
         return cls(**found)

@@ -169,7 +169,7 @@ class ElementGroup:
 
     def value(self, name: str) -> float:
         """Return the initial value of a property of `fmu.fem.frame.updates.PROPERTIES`."""
-        return float(getattr(self.material if name in ("E", "rho") else self.section, name))
+        return float((vars(self.material) | vars(self.section))[name])
 
 
 @check_arguments

@@ -101,8 +101,8 @@ def ownership(
             raise ArgumentError(plural, "names must be distinct", names)
     owner: dict[Quantity, Owner] = {}
     for j, (parameter, targets) in enumerate(updates.items()):
-        factor = isinstance(targets, Factor)
-        for target in targets.targets if isinstance(targets, Factor) else targets:
+        listed, factor = (targets.targets, True) if isinstance(targets, Factor) else (targets, False)
+        for target in listed:
             for quantity in _quantities(parameter, target, things, factor):
                 if quantity in owner:
                     raise ArgumentError(parameter, f"{_in_words(quantity, things)} is updated already")

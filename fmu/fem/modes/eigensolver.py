@@ -29,7 +29,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
 
-from fmu.fem.modes.solver import DenseFactor, Factor, Matrix, factorise
+from fmu.fem.modes.solver import Factor, Matrix, factorise
 from fmu.types import BoolArray, FloatArray
 
 # Up to this size LAPACK on the dense matrices beats a sparse factorisation and its Lanczos iterations.
@@ -203,7 +203,7 @@ def _mass_normalised(M: Matrix, N: FloatArray) -> FloatArray:
 
 def _highest(factor: Factor, M: Matrix, count: int) -> FloatArray:
     """Return the vectors of the highest μ of M x = μ A x for the factors of A, shape (n, count), highest first."""
-    if not isinstance(factor, DenseFactor):
+    if factor.L is None:
         return _highest_sparse(factor.solve, M, count)
     # the standard problem of L⁻¹ M L⁻ᵀ, with A = L Lᵀ
     C, failed = sl.lapack.dsygst(M, factor.L, itype=1, lower=1)

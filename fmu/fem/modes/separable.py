@@ -62,8 +62,8 @@ class Geometry:
     mesh: Mesh | ExportedModel | None = None
 
     def __post_init__(self) -> None:
-        for name, width in (("nodes", 3), ("elements", 2)):
-            rows = np.asarray(getattr(self, name))
+        for name, given, width in (("nodes", self.nodes, 3), ("elements", self.elements, 2)):
+            rows = np.asarray(given)
             if rows.size and (rows.ndim != 2 or rows.shape[1] != width or not np.isfinite(rows).all()):
                 raise ArgumentError(name, f"must be finite, of shape (n, {width})", f"shape {rows.shape}")
         if self.ids is not None and np.shape(self.ids) != (len(np.asarray(self.nodes)),):

@@ -46,9 +46,12 @@ class Factor(Protocol):
     ----------
     negative : int
         How many eigenvalues of A are not positive.
+    L : ndarray, shape (n, n), or None
+        The lower factor of a dense definite matrix, A = L Lᵀ.
     """
 
     negative: int
+    L: FloatArray | None
 
     @property
     def n_entries(self) -> int:
@@ -160,6 +163,7 @@ class _BandedFactor:
     """Cholesky factors of a definite matrix within its band; LinAlgError if it is not definite."""
 
     negative = 0
+    L: FloatArray | None = None
 
     def __init__(self, matrix: sp.csr_array, band: _Band) -> None:
         self._order, n = band.order, matrix.shape[0]
@@ -177,6 +181,8 @@ class _BandedFactor:
 
 
 class _SuperLU:
+    L: FloatArray | None = None
+
     def __init__(self, matrix: sp.csr_array) -> None:
         options = {"SymmetricMode": True}
         try:
@@ -194,6 +200,8 @@ class _SuperLU:
 
 class _Pardiso:
     """Cholesky factors, or the factors L D Lᵀ of an indefinite matrix, with a diagonal D."""
+
+    L: FloatArray | None = None
 
     def __init__(self, matrix: sp.csr_array, is_definite: bool = True) -> None:
         self._upper, self.negative = _upper_triangle(matrix), 0

@@ -39,8 +39,7 @@ class Term:
     powers: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.matrix, sp.csr_array) and self.matrix.dtype == np.float64):
-            object.__setattr__(self, "matrix", _as_csr(self.matrix))
+        object.__setattr__(self, "matrix", _as_csr(self.matrix))
         object.__setattr__(self, "powers", tuple(self.powers))
 
     @property

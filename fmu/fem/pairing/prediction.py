@@ -86,18 +86,17 @@ class Candidates:
 def with_rows[Batch: "DataclassInstance"](batch: Batch, rows: BoolArray, other: Batch) -> Batch:
     """Return a dataclass of arrays (n, …) with some rows taken from `other`; None remains None."""
     replaced = {}
-    for field in fields(batch):
-        mine = getattr(batch, field.name)
+    for name, mine in vars(batch).items():
         if mine is not None:
             mine = mine.copy()
-            mine[rows] = getattr(other, field.name)
-        replaced[field.name] = mine
+            mine[rows] = vars(other)[name]
+        replaced[name] = mine
     return type(batch)(**replaced)
 
 
 def join_batches[Batch: "DataclassInstance"](parts: Sequence[Batch]) -> Batch:
     """Return batches, dataclasses of arrays (n, …), joined along the first axis; None remains None."""
-    columns = {field.name: [getattr(part, field.name) for part in parts] for field in fields(parts[0])}
+    columns = {name: [vars(part)[name] for part in parts] for name in vars(parts[0])}
     return type(parts[0])(**{n: None if c[0] is None else np.concatenate(c) for n, c in columns.items()})
 
 
@@ -199,7 +198,7 @@ class CandidateView:
         # the candidates are on the second axis of frequencies and their slopes, on the third of all others
         axes = {"frequencies": 1, "frequency_slopes": 1}
         return Candidates(
-            **{name: np.concatenate([getattr(p, name) for p in parts], axis=axes.get(name, 2)) for name in names}
+            **{name: np.concatenate([vars(p)[name] for p in parts], axis=axes.get(name, 2)) for name in names}
         )
 
     def _of_block(self, view: _View, theta: FloatArray, gradient: bool) -> Candidates:

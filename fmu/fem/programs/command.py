@@ -189,20 +189,10 @@ class CommandModel(BlackBoxModel):
         return SolveStore(self._stored_in / f"{self.deck.stem}-{digest(key.encode())[:12]}")
 
     def _describe_run(self) -> ProgramRun:
-        given = (
-            "program",
-            "command",
-            "names",
-            "template",
-            "deck",
-            "folder",
-            "inputs",
-            "found",
-            "reader",
-            "result",
+        given = (self.program, self.command, self.names, self.template, self.deck, self.folder, self.inputs)
+        return ProgramRun(
+            *given, self.found, self.reader, self.result, self.timeout, self.keep, self.sensors, self._store()
         )
-        options = {name: getattr(self, name) for name in (*given, "timeout", "keep", "sensors")}
-        return ProgramRun(**options, store=self._store())
 
     def _begin_solves(self) -> Solves:
         run: ProgramRun = self.function  # type: ignore[assignment]

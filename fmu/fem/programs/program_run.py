@@ -63,8 +63,10 @@ class ProgramRun:
         if not why:
             try:
                 frequencies, shapes = self._read(folder)
-            except (ValueError, OSError, RecursionError, MemoryError) as error:
-                why = str(error) if isinstance(error, ValueError) else in_words(error)
+            except ValueError as error:
+                why = str(error)
+            except (OSError, RecursionError, MemoryError) as error:
+                why = in_words(error)
         if why:
             said = last_lines(folder / OUTPUT)
             reason = f"{self.command[0]}: {why}" + (f"; it printed at the end: {said}" if said else "")

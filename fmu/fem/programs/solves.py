@@ -59,7 +59,7 @@ class Solves:
     loading_s : float
         A first call that takes less may have loaded modules for most of it: the next one is timed.
     lasting : type
-        Errors that a repeated call is not expected to mend: only these are stored.
+        Errors beside AnswerError that a repeated call is not expected to mend: only these are stored.
     is_outdated : callable, optional
         ``is_outdated(solve)`` says whether a stored solve is to be made again.
     most_bytes : int
@@ -271,9 +271,12 @@ class Solves:
                 )
             except KeyboardInterrupt:
                 raise
+            except AnswerError as error:
+                reason = one_line(str(error))
+            except self.lasting as error:
+                reason = in_words(error)
             except BaseException as error:  # GeneratorExit and others of the user's own among them
-                is_lasting = isinstance(error, self.lasting)
-                reason = one_line(str(error)) if isinstance(error, AnswerError) else in_words(error)
+                reason, is_lasting = in_words(error), False
             seconds = (time.perf_counter() - began) / len(theta)
             if not reason:
                 break

@@ -95,9 +95,9 @@ class SolveStore:
 
     def keep(self, solve: Solve) -> None:
         """Store a solve; OSError if it cannot be written."""
-        arrays = {name: getattr(solve, name) for name in _ARRAYS}
-        lists = {name: None if array is None else array.tolist() for name, array in arrays.items()}
-        payload = json.dumps({**solve._asdict(), **lists}).encode()
+        values = solve._asdict()
+        lists = {name: None if values[name] is None else values[name].tolist() for name in _ARRAYS}
+        payload = json.dumps(values | lists).encode()
         path = self._paths(solve.theta)[bool(solve.reason)]
         path.parent.mkdir(parents=True, exist_ok=True)
         write_durably(path, add_checksum(TITLE, payload))
