@@ -100,54 +100,116 @@ class Recovery:
         return said
 
 
-@dataclass(frozen=True)
-class _Fit:
-    """The least squares of one set of terms; parameters relative to their values in the first export."""
+@dataclass(frozen=True, eq=False)
+class _Points:
+    """Where the exports are, and how well entries are known there.
 
+    Attributes
+    ----------
+    relative : ndarray, shape (n_exports, n_parameters)
+        Parameters relative to their values in the first export.
+    used : ndarray of bool, shape (n_exports,)
+        Which exports are not kept for checking.
+    noise : float
+        Rounding error of an entry.
+    """
+
+    relative: FloatArray
+    used: BoolArray
+    noise: float
+
+    def fit(self, powers: tuple[Powers, ...]) -> _Fit | None:
+        """Return the least squares of one set of terms; None if the exports used cannot tell the terms apart."""
+        X = monomials(self.relative, powers)
+        if len(powers) > self.used.sum() or np.linalg.cond(X[self.used]) > _WORST_CONDITION:
+            return None
+        return _Fit(self, powers, np.linalg.pinv(X[self.used]), X)
+
+    def find_fewest(
+        self, known: Sequence[Powers], group: Sequence[int], entry: FloatArray
+    ) -> tuple[_Fit | None, tuple[Powers, ...] | None]:
+        """Return the fit of the terms known and the fewest more of a group that reproduces all exports.
+
+        And the terms of the first fit that reproduces those used. Both are found from some of the entries
+        (n_exports, n). Entries that these terms miss, such as that of a single spring in a solid, are then looked
+        at too. None if there are no such terms.
+        """
+        some = np.arange(entry.shape[1])[:: max(entry.shape[1] // MOST_SAMPLED, 1)]
+        while True:
+            fit, first = self._find_fewest_of(known, group, entry[:, some])
+            if fit is None or len(some) == entry.shape[1] or fit.reproduces(entry):
+                return fit, first
+            missed = np.setdiff1d(np.argsort(fit.compute_errors(entry).max(axis=0))[-_MOST_MISSED:], some)
+            if not len(missed):
+                return fit, first
+            some = np.concatenate([some, missed])
+
+    def _find_fewest_of(
+        self, known: Sequence[Powers], group: Sequence[int], entry: FloatArray
+    ) -> tuple[_Fit | None, tuple[Powers, ...] | None]:
+        first = None
+        for powers in self.sets_of_powers(known, group):
+            fit = self.fit(powers)
+            if fit is None or not fit.reproduces(entry, self.used):
+                continue
+            first = first or powers
+            if fit.reproduces(entry):
+                return fit, first
+        return None, first
+
+    def sets_of_powers(self, known: Sequence[Powers], group: Sequence[int]) -> Iterator[tuple[Powers, ...]]:
+        """Yield the terms known with more of a group of parameters: the fewest first, of these the simplest."""
+        choices = []
+        for size in range(min(len(group), _FACTORS) + 1):
+            for those in combinations(group, size):
+                for some in product(POWERS, repeat=size):
+                    powers = np.zeros(self.relative.shape[1], dtype=int)
+                    powers[list(those)] = some
+                    choices.append(tuple(powers.tolist()))
+        choices = sorted((one for one in choices if one not in known), key=_complexity)
+        sizes = range(int(self.used.sum()) - len(known) + 1)
+        sets = ((*known, *more) for size in sizes for more in _simplest(choices, size))
+        yield from islice((one for one in sets if one), _MOST_TRIED)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """The least squares of one set of terms, `_Points.fit`."""
+
+    points: _Points
     powers: tuple[Powers, ...]
     inverse: FloatArray  # (n_terms, n_used)
     of_exports: FloatArray  # (n_exports, n_terms)
-
-    @classmethod
-    def of(cls, powers: Sequence[Powers], relative: FloatArray, used: BoolArray) -> _Fit | None:
-        """Return the fit; None if the exports used cannot tell the terms apart."""
-        X = monomials(relative, powers)
-        if len(powers) > used.sum() or np.linalg.cond(X[used]) > _WORST_CONDITION:
-            return None
-        return cls(tuple(powers), np.linalg.pinv(X[used]), X)
 
     def amplification(self, X: FloatArray) -> FloatArray:
         """Return how much larger errors are at points with monomials X (n, n_terms) than in the exports, (n,)."""
         return np.asarray(np.abs(X @ self.inverse).sum(axis=1))
 
-    def solve(self, entry: FloatArray, used: BoolArray, noise: float) -> FloatArray:
+    def solve(self, entry: FloatArray) -> FloatArray:
         """Return the coefficients (n_terms, n) of entries (n_exports, n), without what rounding alone explains.
 
         A small coefficient is dropped unless the exports used are missed without it.
         """
+        used, noise = self.points.used, self.points.noise
         found = self.inverse @ entry[used]
         least = SAFETY * noise * np.abs(self.inverse).sum(axis=1)
         kept = np.where(np.abs(found) > least[:, None], found, 0.0)
-        allowed = 2.0 * self.compute_errors(entry, used)[used] + SAFETY * (noise * np.abs(entry[used]) + ROUNDING)
+        allowed = 2.0 * self.compute_errors(entry)[used] + SAFETY * (noise * np.abs(entry[used]) + ROUNDING)
         return np.where(np.any(self.missed_by(kept, entry)[used] > allowed, axis=0), found, kept)
 
-    def error(self, entry: FloatArray, used: BoolArray) -> FloatArray:
-        """Return the largest error in each export, shape (n_exports,)."""
-        return np.asarray(self.compute_errors(entry, used).max(axis=1, initial=0.0))
-
-    def compute_errors(self, entry: FloatArray, used: BoolArray) -> FloatArray:
+    def compute_errors(self, entry: FloatArray) -> FloatArray:
         """Return the error of each entry in each export, shape (n_exports, n)."""
-        return self.missed_by(self.inverse @ entry[used], entry)
+        return self.missed_by(self.inverse @ entry[self.points.used], entry)
 
     def missed_by(self, coefficients: FloatArray, entry: FloatArray) -> FloatArray:
         """Return the error of each entry in each export, (n_exports, n), by coefficients (n_terms, n)."""
         return np.asarray(np.abs(entry - self.of_exports @ coefficients))
 
-    def reproduces(self, entry: FloatArray, used: BoolArray, which: BoolArray, noise: float) -> bool:
-        """Say whether the exports in `which` are reproduced, as far as rounding lets one say."""
-        allowed = np.where(used, _FITTED, REPRODUCED)
-        allowed = np.maximum(allowed, SAFETY * noise * (1.0 + self.amplification(self.of_exports)))
-        return bool(np.all((self.error(entry, used) <= allowed)[which]))
+    def reproduces(self, entry: FloatArray, which: BoolArray | slice = slice(None)) -> bool:
+        """Say whether the exports in `which`, by default all, are reproduced, as far as rounding lets one say."""
+        allowed = np.where(self.points.used, _FITTED, REPRODUCED)
+        allowed = np.maximum(allowed, SAFETY * self.points.noise * (1.0 + self.amplification(self.of_exports)))
+        return bool(np.all((self.compute_errors(entry).max(axis=1, initial=0.0) <= allowed)[which]))
 
 
 def monomials(relative: FloatArray, powers: Sequence[Powers]) -> FloatArray:
@@ -172,44 +234,39 @@ def recover(
     changes of two elements cancel in the exports, such an entry may depend on all that changes the diagonal of its
     row and of its column, where nothing cancels.
     """
-    relative, everything = values / values[0], np.ones(len(used), dtype=bool)
-    corners = _corners(bounds / values[0])
+    points = _Points(values / values[0], used, entries.noise)
+    corners = np.array(list(islice(product(*(bounds / values[0]).T.tolist()), _MOST_CORNERS)))
     found: dict[Powers, FloatArray] = {}
     decided, error, rounding = False, np.zeros(len(used)), 0.0
     diagonal = np.flatnonzero(entries.row == entries.column)
     of_row = np.zeros((len(names), len(entries.dofs)), dtype=bool)
     of_row[:, entries.row[diagonal]] = changed[:, diagonal]
-
-    def on_diagonal(own: IntArray) -> BoolArray:
-        """Return a mask of the parameters that change the diagonal of both the row and the column of entries."""
-        return np.asarray(of_row[:, entries.row[own]] & of_row[:, entries.column[own]])
-
     by_parameters, of_entry = np.unique(changed, axis=1, return_inverse=True)
     for k in np.argsort(by_parameters.sum(axis=0), kind="stable"):
         own = np.flatnonzero(of_entry == k)
+        entry = entries.entry[:, own]
         groups = [np.flatnonzero(by_parameters[:, k]).tolist()]
-        around = np.flatnonzero(on_diagonal(own).any(axis=1)).tolist()
+        on_diagonal = of_row[:, entries.row[own]] & of_row[:, entries.column[own]]  # of both row and column
+        around = np.flatnonzero(on_diagonal.any(axis=1)).tolist()
         groups += [around] if len(around) > len(groups[0]) else []
         for group in groups:
             known = [powers for powers in found if any(powers) and set(np.flatnonzero(powers)) <= set(group)]
-            chosen, first = _fewest_of_all(known, group, relative, used, entries.entry[:, own], entries.noise)
-            if chosen is not None:
+            fit, first = points.find_fewest(known, group, entry)
+            if fit is not None:
                 break
-        fit = None if chosen is None else _Fit.of(chosen, relative, used)
         if fit is None:
-            raise _refusal(what, names, known, group, relative, used, exports, entries, own)
-        if not fit.reproduces(entries.entry[:, own], used, everything, entries.noise):
+            raise _refusal(what, names, known, group, points, exports, entries, own)
+        if not fit.reproduces(entry):
             raise ArgumentError(
                 "exports",
-                f"the {what} must be the sum of what its parameters change "
-                f"({_worst(fit, used, exports, entries, own)})",
+                f"the {what} must be the sum of what its parameters change ({_worst(fit, exports, entries, own)})",
             )
-        decided |= chosen != first
+        decided |= fit.powers != first
         rounding = max(rounding, float(entries.noise * fit.amplification(monomials(corners, fit.powers)).max()))
-        solution = fit.solve(entries.entry[:, own], used, entries.noise)
-        error = np.maximum(error, fit.missed_by(solution, entries.entry[:, own]).max(axis=1, initial=0.0))
-        for powers, entry in zip(fit.powers, solution, strict=True):
-            found.setdefault(powers, np.zeros(len(entries.scale)))[own] = entry
+        solution = fit.solve(entry)
+        error = np.maximum(error, fit.missed_by(solution, entry).max(axis=1, initial=0.0))
+        for powers, coefficient in zip(fit.powers, solution, strict=True):
+            found.setdefault(powers, np.zeros(len(entries.scale)))[own] = coefficient
     terms = [
         Term(entries.matrix(entry / float(np.prod(values[0] ** np.array(powers, dtype=float)))), powers)
         for powers, entry in found.items()
@@ -217,74 +274,6 @@ def recover(
     ]
     checked = None if used.all() else float(error[~used].max())
     return Recovery(tuple(terms), float(error[used].max()), checked, entries.digits, rounding, decided)
-
-
-def _corners(bounds: FloatArray) -> FloatArray:
-    """Return corners of a box of bounds (2, n_parameters), shape (n, n_parameters)."""
-    return np.array(list(islice(product(*bounds.T.tolist()), _MOST_CORNERS)))
-
-
-def _fewest_of_all(
-    known: Sequence[Powers],
-    group: Sequence[int],
-    relative: FloatArray,
-    used: BoolArray,
-    entry: FloatArray,
-    noise: float,
-) -> tuple[tuple[Powers, ...] | None, tuple[Powers, ...] | None]:
-    """Return the terms of `_fewest`, found from some of the entries (n_exports, n).
-
-    The entries that these terms miss, such as that of a single spring in a solid, are then looked at too.
-    """
-    some = np.arange(entry.shape[1])[:: max(entry.shape[1] // MOST_SAMPLED, 1)]
-    while True:
-        chosen, first = _fewest(known, group, relative, used, entry[:, some], noise)
-        fit = None if chosen is None else _Fit.of(chosen, relative, used)
-        if fit is None or len(some) == entry.shape[1]:
-            return chosen, first
-        if fit.reproduces(entry, used, np.ones(len(used), dtype=bool), noise):
-            return chosen, first
-        missed = np.setdiff1d(np.argsort(fit.compute_errors(entry, used).max(axis=0))[-_MOST_MISSED:], some)
-        if not len(missed):
-            return chosen, first
-        some = np.concatenate([some, missed])
-
-
-def _fewest(
-    known: Sequence[Powers],
-    group: Sequence[int],
-    relative: FloatArray,
-    used: BoolArray,
-    entry: FloatArray,
-    noise: float,
-) -> tuple[tuple[Powers, ...] | None, tuple[Powers, ...] | None]:
-    """Return the terms known and the fewest more that reproduce all exports, and those used; None if none do."""
-    first = None
-    everything = np.ones(len(used), dtype=bool)
-    for powers in _sets_of_powers(known, group, relative.shape[1], int(used.sum())):
-        fit = _Fit.of(powers, relative, used)
-        if fit is None or not fit.reproduces(entry, used, used, noise):
-            continue
-        first = first or powers
-        if fit.reproduces(entry, used, everything, noise):
-            return powers, first
-    return None, first
-
-
-def _sets_of_powers(
-    known: Sequence[Powers], group: Sequence[int], n_parameters: int, most: int
-) -> Iterator[tuple[Powers, ...]]:
-    """Yield the terms known with more of a group of parameters: the fewest first, and of these the simplest."""
-    choices = []
-    for size in range(min(len(group), _FACTORS) + 1):
-        for those in combinations(group, size):
-            for some in product(POWERS, repeat=size):
-                powers = np.zeros(n_parameters, dtype=int)
-                powers[list(those)] = some
-                choices.append(tuple(powers.tolist()))
-    choices = sorted((one for one in choices if one not in known), key=_complexity)
-    sets = ((*known, *some) for size in range(most - len(known) + 1) for some in _simplest(choices, size))
-    yield from islice((one for one in sets if one), _MOST_TRIED)
 
 
 def _simplest(choices: Sequence[Powers], size: int) -> Iterable[tuple[Powers, ...]]:
@@ -303,8 +292,7 @@ def _refusal(
     names: Sequence[str],
     known: Sequence[Powers],
     group: Sequence[int],
-    relative: FloatArray,
-    used: BoolArray,
+    points: _Points,
     exports: Sequence[Export],
     entries: Entries,
     own: IntArray,
@@ -315,9 +303,9 @@ def _refusal(
     """
     best, least = None, np.inf
     sample = entries.entry[:, own[:: max(len(own) // MOST_SAMPLED, 1)]]
-    for powers in islice(_sets_of_powers(known, group, relative.shape[1], int(used.sum())), _MOST_COMPARED):
-        fit = _Fit.of(powers, relative, used)
-        error = np.inf if fit is None else float(np.median(fit.compute_errors(sample, used).max(axis=0)))
+    for powers in islice(points.sets_of_powers(known, group), _MOST_COMPARED):
+        fit = points.fit(powers)
+        error = np.inf if fit is None else float(np.median(fit.compute_errors(sample).max(axis=0)))
         if error < 0.1 * least:
             best, least = fit, error
     those = names_in_words([names[j] for j in group]) or "nothing"
@@ -331,13 +319,13 @@ def _refusal(
     return NotSeparableError(
         "exports",
         f"what {those} changes of the {what} must be a sum of products of powers from {min(POWERS)} to "
-        f"{max(POWERS)} ({_worst(best, used, exports, entries, own)})",
+        f"{max(POWERS)} ({_worst(best, exports, entries, own)})",
     )
 
 
-def _worst(fit: _Fit, used: BoolArray, exports: Sequence[Export], entries: Entries, own: IntArray) -> str:
+def _worst(fit: _Fit, exports: Sequence[Export], entries: Entries, own: IntArray) -> str:
     """Return the entries that are reproduced worst, in the export where they are."""
-    error = fit.compute_errors(entries.entry[:, own], used)
+    error = fit.compute_errors(entries.entry[:, own])
     at = int(np.argmax(error.max(axis=1)))
     worst = np.argsort(error[at])[::-1][:TOLD]
     told = "; ".join(f"{entries.place(int(own[k]))} by {significant(float(error[at, k]))}" for k in worst)
