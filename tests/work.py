@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from unittest.mock import patch
 
 from fmu.fem.modes import eigensolver, full_block, solver
-from fmu.fem.reduced import anchors, confirming, learning
+from fmu.fem.reduced import anchors, residuals
 
 
 @dataclass
@@ -46,8 +46,7 @@ def counted():
     with (
         patch.object(eigensolver, "factorise", factorised),
         patch.object(anchors, "factorise", factorised),
-        patch.object(confirming, "factorise", factorised),
-        patch.object(learning, "factorise", factorised),
+        patch.object(residuals, "factorise", factorised),
         patch.object(full_block, "eigen", eigen),
     ):
         yield work

@@ -37,18 +37,11 @@ def choose_draws(likelihood: ModalLikelihood, model: SurrogateModel, draws: Floa
     of_frequency, of_shape = likelihood.sensitivity_to_model(draws)
     x = model.coordinates.to_x(draws[:, : model.n_parameters])
     of_learnt = model.weights_of_learnt(draws[:, : model.n_parameters], of_frequency)
-    covariances, scatters, weights, first = [], [], [], 0
-    for process in model.of_frequencies:
-        covariance, scatter = process.covariance(x)
-        columns = slice(first, first := first + len(process.unit))
-        covariances.append(covariance)
-        scatters.append(scatter)
-        weights.append(of_learnt[:, columns] @ process.unit**2)
-    for i, process in enumerate(model.of_shapes):
-        covariance, scatter = process.covariance(x)
-        covariances.append(covariance)
-        scatters.append(scatter)
-        weights.append(of_shape[:, :, i] @ process.unit**2)
+    ends = np.cumsum([len(process.unit) for process in model.of_frequencies])[:-1]
+    by_process = np.split(of_learnt, ends, axis=1) + [of_shape[:, :, i] for i in range(len(model.of_shapes))]
+    processes = (*model.of_frequencies, *model.of_shapes)
+    covariances, scatters = map(list, zip(*(process.covariance(x) for process in processes), strict=True))
+    weights = [weight @ process.unit**2 for weight, process in zip(by_process, processes, strict=True)]
     found: list[int] = []
     for _ in range(n):
         gain = np.zeros(len(draws))

@@ -298,23 +298,26 @@ def lowest(S: Matrix) -> tuple[FloatArray, FloatArray]:
     """
     n = S.shape[0]
     if n <= DENSE_LIMIT:
-        S, count = _dense(S), min(_AT_ONCE, n)
-        lam, vectors = sl.eigh(S, subset_by_index=[0, count - 1], check_finite=False)
-        while lam[-1] < ZERO and count < n:
-            count = min(2 * count, n)
-            lam, vectors = sl.eigh(S, subset_by_index=[0, count - 1], check_finite=False)
-        return lam, vectors
+        S = _dense(S)
+        return _all_below_zero(lambda count: sl.eigh(S, subset_by_index=[0, count - 1], check_finite=False), n)
     unit, shift = sp.csr_array(sp.eye_array(n)), NEGATIVE
     # the pivots tell whether an eigenvalue lies below the shift (Sylvester); Lanczos might miss one far below zero
     while (factor := factorise(S + shift * unit)).negative:
         shift *= 10.0
     if shift > NEGATIVE:
         return _nearest(S, factor, -shift, 1)
-    count = _AT_ONCE
-    lam, vectors = _nearest(S, factor, -shift, count)
-    while lam[-1] < ZERO and count < n - 1:
-        count = min(2 * count, n - 1)
-        lam, vectors = _nearest(S, factor, -shift, count)
+    return _all_below_zero(lambda count: _nearest(S, factor, -shift, count), n - 1)
+
+
+def _all_below_zero(
+    solve: Callable[[int], tuple[FloatArray, FloatArray]], most: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return the lowest eigenvalues and vectors, of which `solve` gives so many, until the last is not zero."""
+    count = min(_AT_ONCE, most)
+    lam, vectors = solve(count)
+    while lam[-1] < ZERO and count < most:
+        count = min(2 * count, most)
+        lam, vectors = solve(count)
     return lam, vectors
 
 

@@ -75,7 +75,7 @@ class PairedStructure(ModalModel):
         n_modes: int,
         sensors: sp.csr_array,
         at_sensors: bool,
-        pairing: RankPairing | None = None,
+        pairing: IndexPairing | ShapePairing | RankPairing | None = None,
     ) -> None:
         self.structure: SeparableModel = structure
         self.n_parameters, self.n_modes = structure.n_parameters, n_modes
@@ -145,9 +145,9 @@ class PairedStructure(ModalModel):
         seen = model.observation(sensors)
         rule: IndexPairing | ShapePairing
         if pairing == "index":
-            with single_thread():
-                n_rigid = 0
-                if elastic_from_hz is not None:
+            n_rigid = 0
+            if elastic_from_hz is not None:
+                with single_thread():
                     n_rigid = count_rigid(full, reference, n_modes, elastic_from_hz)
             numbers = tuple(number + n_rigid for number in numbers)
             rule = IndexPairing(numbers, n_rigid)
@@ -170,16 +170,8 @@ class PairedStructure(ModalModel):
 
     def solved_by(self, blocks: BlockModel, pairing: IndexPairing | ShapePairing | RankPairing) -> PairedStructure:
         """Return the same structure and measured modes, solved by other blocks."""
-        fixed = None if pairing is self.rule else pairing
-        return PairedStructure(
-            self.structure,
-            blocks,
-            self.rule,
-            self.n_modes,
-            self._sensors,
-            self._at_sensors,
-            fixed,  # type: ignore[arg-type]
-        )
+        own = (self.rule, self.n_modes, self._sensors, self._at_sensors)
+        return PairedStructure(self.structure, blocks, *own, pairing)
 
     def kept_full(self, size: int) -> PairedStructure:
         """Return the same model, which says that a reduced one of `size` vectors would be of no use."""

@@ -261,31 +261,34 @@ class _ShapeSolve:
         self.observed = pairing.observe(model)
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
-        values, shapes = {}, {}
-        for b in self.observed:
-            values[b], shapes[b] = self.model.blocks[b].modes(theta, self.pairing.n_candidates(self.model, b))
-        block, rank, column = self.pairing.assign_modes(self.observed, shapes)
-        merged = np.concatenate(list(values.values()), axis=1)
+        solved, merged, (block, rank, column) = self._solve(theta, gradient=False)
         # where a block failed, modes of other blocks must not take its references
         merged[np.any(np.isnan(merged), axis=1)] = np.nan
         lam = np.take_along_axis(merged, column, axis=1)
         if not gradient:
             return ModalSolution(lam, None, block, rank)
         slopes = np.concatenate(
-            [self.model.blocks[b].eigenvalue_gradient(theta, values[b], shapes[b]) for b in self.observed], axis=1
+            [self.model.blocks[b].eigenvalue_gradient(theta, *modes) for b, modes in solved.items()], axis=1
         )
         return ModalSolution(lam, np.take_along_axis(slopes, column[..., None], axis=1), block, rank)
 
     def locate(self, theta: FloatArray, gradient: bool) -> tuple[IntArray, IntArray, Solved]:
-        solved, values, shapes = {}, [], {}
+        solved, merged, (owner, rank, _) = self._solve(theta, gradient)
+        failed = np.isnan(merged).any(axis=1, keepdims=True)
+        return np.where(failed, -1, owner), np.where(failed, -1, rank), solved
+
+    def _solve(
+        self, theta: FloatArray, gradient: bool
+    ) -> tuple[Solved, FloatArray, tuple[IntArray, IntArray, IntArray]]:
+        """Return the modes of each block, the eigenvalues of all candidates, and what `assign_modes` returns."""
+        solved: Solved = {}
+        values, shapes = [], {}
         for b in self.observed:
             block, count = self.model.blocks[b], self.pairing.n_candidates(self.model, b)
             lam, phi = solved[b] = block.modes(theta, block.n_required(count, gradient))
             values.append(lam[:, :count])
             shapes[b] = phi[:, :, :count]
-        owner, rank, _ = self.pairing.assign_modes(self.observed, shapes)
-        failed = np.isnan(np.concatenate(values, axis=1)).any(axis=1, keepdims=True)
-        return np.where(failed, -1, owner), np.where(failed, -1, rank), solved
+        return solved, np.concatenate(values, axis=1), self.pairing.assign_modes(self.observed, shapes)
 
 
 def reference_modes(

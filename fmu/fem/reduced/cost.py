@@ -7,6 +7,7 @@ two on other machines too.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass
 
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
@@ -72,8 +73,5 @@ class Cost:
 
     def most_vectors(self) -> int:
         """Return the size of the largest basis whose solves take a third of a full one."""
-        low, high = 1, self.n_dof
-        while high - low > 1:
-            middle = (low + high) // 2
-            low, high = (middle, high) if _PAYS * self.of_reduced(middle) <= self.full else (low, middle)
-        return low
+        sizes = range(2, self.n_dof)
+        return 1 + bisect_right(sizes, self.full, key=lambda size: _PAYS * self.of_reduced(size))

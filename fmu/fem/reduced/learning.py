@@ -17,11 +17,10 @@ import scipy.sparse as sp
 from fmu.fem.modes.block import Mapped, Observation
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import RIGID, BlockModel
-from fmu.fem.modes.solver import factorise
 from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing
 from fmu.fem.reduced.anchors import Anchors
 from fmu.fem.reduced.basis import compress_rows
-from fmu.fem.reduced.residuals import at_once, bound_errors
+from fmu.fem.reduced.residuals import at_once, bound_errors, inertia_agrees
 from fmu.fem.reduced.space import Space
 from fmu.types import BoolArray, FloatArray, IntArray
 
@@ -38,6 +37,8 @@ _CLOSE = 1.05
 # Decompositions, each weighted by what the one before left, and the least factor of a weight, to the fourth power.
 # More of them save a few vectors, and cost digits of the gradient: all points then err as much as the worst.
 _WEIGHED, _LEAST = 2, 1e-4
+# Directions with a smaller share of the energy of the strongest are rounding.
+_ROUNDING = 1e-13
 
 
 class Learner:
@@ -159,16 +160,9 @@ class Learner:
         lam = self.space.modes(theta, min(self.count, self.space.size))[0]
         for values, (K, M) in zip(lam, self.block._matrices(theta), strict=True):
             # between two modes that are far apart, no lower than what is needed
-            between = values[needed - 1 :]
-            if len(between) < 2 or not np.isfinite(values).all():
-                continue
-            k = needed + int(np.argmax(between[1:] / np.maximum(between[:-1], RIGID * values[-1])))
-            sigma = 0.5 * (values[k - 1] + values[k])
-            try:
-                if factorise(K - sigma * M, is_definite=False).negative != k:
-                    return False
-            except np.linalg.LinAlgError:
-                continue
+            is_known = len(values) > needed and np.isfinite(values).all()
+            if is_known and inertia_agrees(K, M, values, needed - 1) is False:
+                return False
         return True
 
     def cut(self, needed: int, tolerance: float, smallest: int, largest: int) -> tuple[Space, FloatArray]:
@@ -277,6 +271,39 @@ def balance_directions(
         weight *= np.maximum(rest / rest.max(), _LEAST) ** 0.25
     assert best is not None  # narrowed for the type checker: there is a first decomposition
     return best
+
+
+def snapshot_basis(
+    block: FullBlock, anchors: Anchors, theta: FloatArray, count: int, size: int, tolerance: float
+) -> FloatArray:
+    """Return the `size` directions (n_dof, size) that hold most of the lowest modes at theta (n, n_parameters).
+
+    Where a box is too wide for a basis that serves all of it. Proper orthogonal decomposition in the inner product
+    of Ā = K + s M at an anchor, in which the energy of an error is the relative error of an eigenvalue
+    (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for Partial Differential Equations*, chapter 6). The
+    basis is accurate near these points; elsewhere nothing is known of it.
+
+    Parameters
+    ----------
+    block : FullBlock
+    anchors : Anchors
+    theta : ndarray, shape (n, n_parameters)
+        Points where a solve fails are left out.
+    count : int
+        Modes at each point.
+    size : int
+    tolerance : float
+        Relative error of an eigenvalue below which a mode does not gain from more directions.
+    """
+    lam, phi = block.modes(theta, count)
+    known = np.isfinite(lam).all(axis=1)
+    sigma = np.maximum(lam[known] + anchors.shift, np.finfo(float).tiny)
+    modes = (phi[known] / np.sqrt(sigma)[:, None]).transpose(1, 0, 2).reshape(block.size, -1)
+    energy, U = np.linalg.eigh(modes.T @ (anchors.first @ modes))
+    kept = energy > _ROUNDING * energy[-1]
+    root, U = np.sqrt(energy[kept]), U[:, kept]
+    Q, _ = balance_directions(root[:, None] * U.T, tolerance, size, size)
+    return np.asarray((modes @ (U / root)) @ Q)
 
 
 def _fewest(is_enough: Callable[[int], bool], low: int, high: int, guess: int) -> int:

@@ -29,6 +29,7 @@ import numpy as np
 
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import RIGID, BlockModel, ModalSolution
+from fmu.fem.modes.solver import Matrix, factorise
 from fmu.fem.reduced.anchors import Anchors, Far
 from fmu.fem.reduced.basis import Parts
 from fmu.fem.reduced.space import Space
@@ -215,6 +216,21 @@ class FrequencyBound:
         step = at_once(full, count)
         parts = [theta[first : first + step] for first in range(0, len(theta), step)]
         return np.concatenate([bound_errors(space, anchors, part, count).error for part in parts])
+
+
+def inertia_agrees(K: Matrix, M: Matrix, lam: FloatArray, first: int, last: int | None = None) -> bool | None:
+    """Say whether K − σ M has as many negative eigenvalues as there are λ (m,) below σ; None if it is singular.
+
+    By Sylvester's law no mode is then missing among them. σ lies in the widest gap after the λ with the numbers
+    `first`, from 0, to `last`.
+    """
+    gap = lam[1:] / np.maximum(lam[:-1], RIGID * lam[-1])
+    below = first + int(np.argmax(gap[first:last])) + 1
+    sigma = 0.5 * (lam[below - 1] + lam[below])
+    try:
+        return factorise(K - sigma * M, is_definite=False).negative == below
+    except np.linalg.LinAlgError:
+        return None
 
 
 def at_once(block: FullBlock, count: int) -> int:

@@ -23,7 +23,7 @@ from fmu.fem.reduced.anchors import Anchors, Far
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.confirming import confirmed_model
 from fmu.fem.reduced.cost import Cost
-from fmu.fem.reduced.learning import SHARE, Learner, apart, count_needed
+from fmu.fem.reduced.learning import SHARE, Learner, apart, count_needed, snapshot_basis
 from fmu.fem.reduced.points import (
     Trained,
     affordable,
@@ -33,7 +33,6 @@ from fmu.fem.reduced.points import (
     points_near_zero,
 )
 from fmu.fem.reduced.residuals import FrequencyBound
-from fmu.fem.reduced.snapshots import snapshot_basis
 from fmu.fem.reduced.space import Space
 from fmu.progress.phases import count_solves, phase
 from fmu.types import BoolArray, FloatArray
