@@ -15,15 +15,7 @@ import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import cache, wraps
 from types import FunctionType
-from typing import (
-    TYPE_CHECKING,
-    Annotated,
-    Any,
-    Self,
-    Union,
-    get_args,
-    get_origin,
-)
+from typing import TYPE_CHECKING, Annotated, Any, Self, Union, get_args, get_origin
 
 from annotated_types import Ge, Interval
 

@@ -149,27 +149,23 @@ class _Kind(NamedTuple):
     holds: Callable[[Any, Rule], bool] = lambda value, rule: True
 
 
+def _is_path(value: str | os.PathLike[str], rule: Rule) -> bool:
+    text = os.fspath(value)
+    return "\0" not in text and text != ""
+
+
 PATHS = (os.PathLike, Path)
-_CLASSES = (
-    {
-        int: _Kind((numbers.Integral,), (bool,), _is_in_range),
-        float: _Kind((numbers.Real,), (bool,), _is_in_range),
-        str: _Kind((str,), holds=lambda value, rule: "\0" not in value),
-        Literal: _Kind((str, int), holds=lambda value, rule: value in get_args(rule.form)),
-        Collection: _Kind((Collection,), (str, bytes)),
-        Iterable: _Kind((Iterable,), (str, bytes)),
-    }
-    | dict.fromkeys(
-        PATHS,
-        _Kind(
-            (str, os.PathLike), holds=lambda value, rule: "\0" not in os.fspath(value) and os.fspath(value) != ""
-        ),
-    )
-    | dict.fromkeys(
-        (Sequence, tuple, list),
-        _Kind((_Indexed,), (str, bytes, Mapping), lambda value, rule: getattr(value, "ndim", 1) != 0),
-    )
-)
+_CLASSES = {
+    int: _Kind((numbers.Integral,), (bool,), _is_in_range),
+    float: _Kind((numbers.Real,), (bool,), _is_in_range),
+    str: _Kind((str,), holds=lambda value, rule: "\0" not in value),
+    Literal: _Kind((str, int), holds=lambda value, rule: value in get_args(rule.form)),
+    Collection: _Kind((Collection,), (str, bytes)),
+    Iterable: _Kind((Iterable,), (str, bytes)),
+    Sequence: _Kind((_Indexed,), (str, bytes, Mapping), lambda value, rule: getattr(value, "ndim", 1) != 0),
+}
+_CLASSES |= dict.fromkeys(PATHS, _Kind((str, os.PathLike), holds=_is_path))
+_CLASSES |= dict.fromkeys((tuple, list), _CLASSES[Sequence])
 _KINDS = {
     float: "a finite number",
     int: "a whole number",

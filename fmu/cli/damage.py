@@ -51,14 +51,18 @@ def echo_losses(trace: xr.DataTree, diagnosis: Diagnosis, beyond: Sequence[float
         click.echo(wrap_text(f"Do not rely on P: {' and '.join(diagnosis.doubts)}.", width=_WIDTH))
 
 
-@click.command()
-@click.argument("directory", type=click.Path(path_type=Path, exists=True, file_okay=False))
-@click.option("--beyond", type=click.FloatRange(0.0, 1.0, max_open=True), multiple=True, default=BEYOND,
-              show_default=True, help="Loss whose probability of being exceeded is wanted.")  # fmt: skip
-@click.option(
+DIRECTORY = click.argument("directory", type=click.Path(path_type=Path, exists=True, file_okay=False))
+SAMPLER = click.option(
     "--sampler",
     help="Sampler whose draws are used.  [default: of those that converged, the one with most effective draws]",
 )
+
+
+@click.command()
+@DIRECTORY
+@click.option("--beyond", type=click.FloatRange(0.0, 1.0, max_open=True), multiple=True, default=BEYOND,
+              show_default=True, help="Loss whose probability of being exceeded is wanted.")  # fmt: skip
+@SAMPLER
 def damage(directory: Path, beyond: tuple[float, ...], sampler: str | None) -> None:
     """Print the losses of the run in DIRECTORY between states of the structure, and draw them (damage.png).
 

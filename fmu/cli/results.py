@@ -10,11 +10,10 @@ from fmu.cli import damage
 from fmu.progress import progress_bars
 
 _UPDATED = "updated.toml"
-_DIRECTORY = click.argument("directory", type=click.Path(path_type=Path, exists=True, file_okay=False))
 
 
 @click.command()
-@_DIRECTORY
+@damage.DIRECTORY
 def report(directory: Path) -> None:
     """Write an HTML report on the run in DIRECTORY: report/index.html, and of several samplers a page each."""
     from fmu.report.pages import write_report
@@ -23,11 +22,8 @@ def report(directory: Path) -> None:
 
 
 @click.command()
-@_DIRECTORY
-@click.option(
-    "--sampler",
-    help="Sampler whose draws are used.  [default: of those that converged, the one with most effective draws]",
-)
+@damage.DIRECTORY
+@damage.SAMPLER
 @click.option("--at", type=click.Choice(("mean", "map")), default="mean", show_default=True,
               help="Values to export: the posterior mean, or the highest maximum found.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), help="Output directory.  [default: DIRECTORY/export]")

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Never
 
 import click
 
+from fmu.cli.damage import DIRECTORY
 from fmu.progress.words import as_json
 from fmu.tables import text_table, wrap_text
 
@@ -26,7 +27,7 @@ _CLEAR = "\033[H\033[2J"
 
 
 @click.command()
-@click.argument("directory", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@DIRECTORY
 @click.option("--follow", is_flag=True, help="Repeat until the run ends.")
 @click.option("--every", type=click.FloatRange(min=0, min_open=True), default=5.0, show_default=True,
               metavar="SECONDS", help="Interval with --follow and --web.")  # fmt: skip

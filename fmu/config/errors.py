@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from pydantic import Tag
 
 from fmu.arguments import ArgumentError
-from fmu.config.tables import Declared, Name, Number, Numbers, OneOf, Positive, by_kind, tuple_as_list
+from fmu.config.tables import Declared, Name, Number, Numbers, OneOf, Positive, by_kind, kind_of, tuple_as_list
 from fmu.formats.modes.measured_modes import Place
 from fmu.formats.shown import names_shown, quote
 from fmu.posterior.data.modal_data import ModalData
@@ -91,9 +91,9 @@ def _noises(table: Declared) -> dict[str, str]:
     """Return the names of noises that a table has, by their keys."""
     hints = get_type_hints(table.makes[0])
     return {
-        key: value
+        key: str(value)
         for key, value in table.given_arguments().items()
-        if isinstance(value, str) and Parameter in get_args(hints[key])
+        if kind_of(value) == "<text>" and Parameter in get_args(hints[key])
     }
 
 

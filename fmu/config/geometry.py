@@ -11,10 +11,10 @@ from pydantic import Field, model_validator
 
 from fmu.arguments import ArgumentError
 from fmu.config.mistakes import BrokenError
-from fmu.config.tables import Built, FileName, Name, TomlTable, Vector
+from fmu.config.tables import Built, FileName, Name, TomlTable, Vector, reading
 from fmu.fem.pairing.matching import Matching, match_points
 from fmu.formats.modes.csv import read_points
-from fmu.formats.modes.measured_modes import ModesError, Place
+from fmu.formats.modes.measured_modes import Place
 from fmu.formats.modes.uff import read_uff_points
 
 WHERE = "measurement.geometry"
@@ -53,20 +53,13 @@ class GeometryTable(TomlTable):
             return match_points(self._read(folder), model, self.unit, known)
         except ValueError as error:
             key, _, rule = str(error).partition(": ")
-            at = (
-                f"{WHERE}.{key}"
-                if key in ("nodes", "points")
-                else f"{WHERE}.{'points' if self.points else 'file'}"
-            )
-            raise BrokenError([ArgumentError(at, rule if key in ("nodes", "points") else str(error))]) from None
+            if key not in ("nodes", "points"):
+                key, rule = "points" if self.points else "file", str(error)
+            raise BrokenError([ArgumentError(f"{WHERE}.{key}", rule)]) from None
 
     def _read(self, folder: Path) -> Mapping[str, ArrayLike]:
         if self.points is not None:
             return self.points
         path = folder / str(self.file)
-        try:
+        with reading(f"{WHERE}.file"):
             return read_uff_points(path) if path.suffix.lower() in _UNIVERSAL else read_points(path)
-        except ModesError as error:
-            raise BrokenError([ArgumentError(f"{WHERE}.file", mistake) for mistake in error.mistakes]) from None
-        except (OSError, ImportError) as error:
-            raise BrokenError([ArgumentError.of(error).replace_key("path", "").under(f"{WHERE}.file")]) from None

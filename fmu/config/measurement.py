@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Self
@@ -27,6 +26,7 @@ from fmu.config.tables import (
     arguments,
     declare_table,
     one_length,
+    reading,
     required_arguments,
     with_keys,
 )
@@ -34,7 +34,7 @@ from fmu.fem.pairing.matching import Matching
 from fmu.formats.matrices.read import read_matrix
 from fmu.formats.modes import READERS
 from fmu.formats.modes.csv import read_frequencies, read_shapes, read_tests
-from fmu.formats.modes.measured_modes import MOST_MODES, MeasuredModes, ModesError, ModesFormat, Place, Sensors
+from fmu.formats.modes.measured_modes import MOST_MODES, MeasuredModes, ModesFormat, Place, Sensors
 from fmu.formats.shown import quote
 from fmu.posterior.data.covariance import checked_covariance
 from fmu.posterior.data.modal_data import ModalData
@@ -303,7 +303,7 @@ class MeasurementTable(TomlTable):
         if self.shapes_file is not None:
             n_modes = len(modes.frequencies_hz)
             labels = modes.labels or tuple(self.labels) or tuple(str(i + 1) for i in range(n_modes))
-            with _at("measurement.shapes_file"):
+            with reading("measurement.shapes_file"):
                 read = read_shapes(folder / self.shapes_file, labels)
             modes = replace(modes, sensors=read.sensors, shapes=read.shapes)
         return given._replace(modes=modes)
@@ -314,7 +314,7 @@ class MeasurementTable(TomlTable):
             return _Given(MeasuredModes(np.array(self.frequencies), ()))
         if self.tests is not None:
             return _mean("tests", self.tests, self.scatter)
-        with _at(f"measurement.{self._source}"):
+        with reading(f"measurement.{self._source}"):
             if self._source in READERS:
                 table: Declared = getattr(self, self._source)
                 files = {
@@ -333,17 +333,6 @@ class _Given(NamedTuple):
     modes: MeasuredModes
     tests: RepeatedTests | None = None
     covariance_hz2: ArrayLike | None = None
-
-
-@contextmanager
-def _at(where: str) -> Iterator[None]:
-    """Turn errors of a file into mistakes at the key that names it."""
-    try:
-        yield
-    except ModesError as error:
-        raise BrokenError([ArgumentError(where, mistake) for mistake in error.mistakes]) from None
-    except (OSError, ImportError) as error:
-        raise BrokenError([ArgumentError.of(error).replace_key("path", "").under(where)]) from None
 
 
 def _mean(key: str, values: ArrayLike, scatter: str, labels: tuple[str, ...] = ()) -> _Given:

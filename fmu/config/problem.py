@@ -278,9 +278,10 @@ def _for_toml(part: dict[str, Any]) -> dict[str, Any]:
     """
     found: dict[str, Any] = {}
     for key, value in part.items():
-        if (key, value) == ("default", None) or (key == "title" and isinstance(value, str)):
+        is_text = isinstance(value, str)  # and no field of that name
+        if (key, value) == ("default", None) or (key == "title" and is_text):
             continue
-        if key == "description" and isinstance(value, str):
+        if key == "description" and is_text:
             found[key] = " ".join(value.replace("``", "`").split())
         elif key == "anyOf" and {"type": "null"} in value:
             rest = [item for item in value if item != {"type": "null"}]

@@ -11,7 +11,8 @@ from __future__ import annotations
 import inspect
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import cache
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, Union, get_args, get_origin, get_type_hints
 
@@ -30,9 +31,10 @@ from pydantic import (
 from pydantic_core import CoreSchema, core_schema
 
 from fmu.arguments import ArgumentError
+from fmu.config.mistakes import BrokenError
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
-from fmu.formats.modes.measured_modes import Place
+from fmu.formats.modes.measured_modes import ModesError, Place
 from fmu.formats.shown import quote
 from fmu.numbers import names_in_words
 from fmu.posterior.parameters import require_name
@@ -106,6 +108,17 @@ def one_length(what: str) -> AfterValidator:
         return rows
 
     return AfterValidator(check)
+
+
+@contextmanager
+def reading(where: str) -> Iterator[None]:
+    """Turn errors of a file into mistakes at the key that names it."""
+    try:
+        yield
+    except ModesError as error:
+        raise BrokenError([ArgumentError(where, mistake) for mistake in error.mistakes]) from None
+    except (OSError, ImportError) as error:
+        raise BrokenError([ArgumentError.of(error).replace_key("path", "").under(where)]) from None
 
 
 class TomlTable(BaseModel):

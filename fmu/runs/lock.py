@@ -100,11 +100,10 @@ def leave(directory: Path) -> None:
 
 def present(directory: Path) -> ProcessInfo | None:
     """Return the process that runs in a directory or was killed there; None if there is no (readable) note."""
-    try:
+    with suppress(OSError, ValueError, KeyError, TypeError):
         held = json.loads((directory / FILE).read_text(encoding="utf-8"))
         return ProcessInfo(str(held["host"]), int(held["pid"]), float(held["began"]), str(held["birth"]))
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
+    return None
 
 
 class PhaseNote:
@@ -137,11 +136,10 @@ class PhaseNote:
 
 def noted_phase(directory: Path) -> tuple[str, int, int] | None:
     """Return the phase under way, its steps done and in all; None if there is no (readable) note."""
-    try:
+    with suppress(OSError, ValueError, KeyError, TypeError):
         held = json.loads((directory / PHASE).read_text(encoding="utf-8"))
         return str(held["phase"]), int(held["done"]), int(held["total"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
+    return None
 
 
 def _birth(pid: int) -> str:

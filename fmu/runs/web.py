@@ -13,7 +13,6 @@ import os
 import secrets
 import signal
 import socket
-import sys
 import threading
 import time
 from contextlib import suppress
@@ -164,10 +163,10 @@ class WatchServer(ThreadingHTTPServer):
         finally:
             self._open.release()
 
-    def handle_error(self, request: Request, client_address: tuple[str, int]) -> None:
-        """Say nothing of a reader that has gone; anything else is a fault, which is said."""
-        if not isinstance(sys.exception(), ConnectionError | TimeoutError):
-            super().handle_error(request, client_address)
+    def finish_request(self, request: Request, client_address: tuple[str, int]) -> None:
+        """Answer a request; nothing is said of a reader that has gone."""
+        with suppress(ConnectionError, TimeoutError):
+            super().finish_request(request, client_address)
 
 
 def why_not_to_stop(reading: RunReading) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 import scipy.io
 import scipy.sparse as sp
 
-from fmu.formats.matrices.read import write_matrix
+from tests.matrix_files import write_matrix
 from tests.validation.hostile_binary import K, hdf5_cases, matlab_cases, numpy_cases
 from tests.validation.hostile_text import Writer, boeing_cases, text_cases
 

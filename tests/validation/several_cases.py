@@ -15,8 +15,8 @@ import numpy as np
 from scipy.linalg import eigh
 
 from fmu.fem.modes.modal import fix_sign
-from fmu.formats.matrices.read import write_matrix
 from fmu.types import FloatArray
+from tests.matrix_files import write_matrix
 
 REPEATED, DAMAGE = "shear-4dof-repeated", "shear-12dof-damage"
 SEED = 1906

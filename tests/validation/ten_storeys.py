@@ -16,10 +16,10 @@ import numpy as np
 import fmu
 from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.reduced.reduced_structure import ReducedStructure, train
-from fmu.formats.matrices.read import write_matrix
 from fmu.posterior.parameters import box
 from fmu.types import FloatArray
 from tests import shear_building
+from tests.matrix_files import write_matrix
 
 STOREYS, STIFFNESS, MASS = 10, 176.729e6, 100e3  # N/m, kg: the lowest frequency is 1 Hz
 SPREAD = 0.15

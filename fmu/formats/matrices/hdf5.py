@@ -70,17 +70,6 @@ def read(path: Path, variable: str | None) -> Labelled:
         return Labelled(matrix.T if "MATLAB_class" in member.attrs else matrix)
 
 
-def _write(path: Path, matrix: sp.csr_array, variable: str) -> None:
-    """Write a csr_array as a group of its arrays."""
-    import h5py
-
-    with h5py.File(path, "w") as file:
-        group = file.create_group(variable)
-        group.attrs["format"] = "csr"
-        group["data"], group["shape"] = matrix.data, matrix.shape
-        group["indices"], group["indptr"] = matrix.indices, matrix.indptr
-
-
 def _members(file: h5py.File) -> Iterator[tuple[str, _Member]]:
     """Yield each group and dataset of a file once, without parts of sparse matrices and links to other files."""
     ahead, seen = [("/", file)], {file["/"]}
@@ -185,4 +174,4 @@ def _sizes(given: ArrayLike, n: int) -> tuple[int, ...]:
     return tuple(int(size) for size in sizes)
 
 
-FORMAT = MatrixFormat((".h5", ".hdf5"), read, _write, has_names=True)
+FORMAT = MatrixFormat((".h5", ".hdf5"), read, has_names=True)

@@ -69,15 +69,12 @@ class MatrixFormat:
     read : callable
         ``read(path, variable)`` returns a `Labelled` array or sparse array. A broken file may raise anything; the
         text of a `RefusedError` is shown unchanged.
-    write : callable, optional
-        ``write(path, matrix, variable)`` of a csr_array, to the last bit.
     has_names : bool
         Whether a file may hold several matrices, each with a name.
     """
 
     suffixes: tuple[str, ...]
     read: Callable[[Path, str | None], Labelled]
-    write: Callable[[Path, sp.csr_array, str], None] | None = None
     has_names: bool = False
 
 

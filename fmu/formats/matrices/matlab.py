@@ -225,10 +225,4 @@ def _read(path: Path, variable: str | None) -> Labelled:
         return parse(file, path.stat().st_size, variable)
 
 
-def _write(path: Path, matrix: sp.csr_array, variable: str) -> None:
-    from scipy.io import savemat
-
-    savemat(path, {variable: matrix.tocsc()})
-
-
-FORMAT = MatrixFormat((".mat",), _read, _write, has_names=True)
+FORMAT = MatrixFormat((".mat",), _read, has_names=True)

@@ -45,13 +45,6 @@ def _read(path: Path, variable: str | None) -> Labelled:
         return Labelled(parse(file, None if is_compressed else path.stat().st_size))  # type: ignore[arg-type]
 
 
-def _write(path: Path, matrix: sp.csr_array, variable: str) -> None:
-    from scipy.io import mmwrite
-
-    with gzip.open(path, "wb") if path.suffix.lower() == ".gz" else open(path, "wb") as file:
-        mmwrite(file, matrix.tocoo(), precision=17)
-
-
 def parse(file: BinaryIO, n_bytes: int | None = None) -> Matrix:
     """Return the real matrix of a file, with both of its triangles.
 
@@ -170,4 +163,4 @@ def _full(values: FloatArray, rows: int, columns: int, sign: float) -> FloatArra
     return matrix
 
 
-FORMAT = MatrixFormat((".mtx", ".mtx.gz"), _read, _write)
+FORMAT = MatrixFormat((".mtx", ".mtx.gz"), _read)

@@ -113,8 +113,6 @@ def _csv(path: Path, variable: str | None) -> Labelled:
     return Labelled(np.concatenate(found) if found else np.zeros((0, 0)))
 
 
-NPZ = MatrixFormat((".npz",), _npz, lambda path, matrix, _: sp.save_npz(path, matrix), has_names=True)
-NPY = MatrixFormat((".npy",), _npy, lambda path, matrix, _: np.save(path, matrix.toarray()))
-CSV = MatrixFormat(
-    (".csv",), _csv, lambda path, matrix, _: np.savetxt(path, matrix.toarray(), delimiter=",", fmt="%.17g")
-)
+NPZ = MatrixFormat((".npz",), _npz, has_names=True)
+NPY = MatrixFormat((".npy",), _npy)
+CSV = MatrixFormat((".csv",), _csv)

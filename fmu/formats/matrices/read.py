@@ -159,29 +159,6 @@ def symmetric_matrix(matrix: Matrix, triangle: Triangle = False) -> sp.csr_array
     return _symmetric(_real_square(matrix), triangle)
 
 
-def write_matrix(path: Path, matrix: Matrix, variable: str = "matrix") -> None:
-    """Write a matrix, so that `read_matrix` gives it back to the last bit.
-
-    Parameters
-    ----------
-    path : Path
-        Its suffix says how; all but Harwell–Boeing can be written.
-    matrix : array_like or sparse, shape (n_dof, n_dof)
-    variable : str
-        Its name, in the files that have names.
-
-    Raises
-    ------
-    ValueError
-        If files of that suffix are not written.
-    """
-    form = _FORMAT_OF.get(_suffix(path))
-    if form is None or form.write is None:
-        known = [suffix for suffix, form in _FORMAT_OF.items() if form.write is not None]
-        raise ArgumentError("path", f"must end in {', '.join(known)}", repr(path.name))
-    form.write(path, sp.csr_array(matrix), variable)
-
-
 def _suffix(path: Path) -> str:
     name = path.name.lower()
     return ".mtx.gz" if name.endswith(".mtx.gz") else Path(name).suffix

@@ -16,6 +16,7 @@ from fmu.formats.modes.measured_modes import (
     ModesFormat,
     Sensors,
     checked_file,
+    is_node,
     modes_chosen,
 )
 from fmu.formats.shown import quote
@@ -41,7 +42,7 @@ def read_calculix(file: Path, sensors: Sensors, modes: Sequence[ModeNumber] | No
         If it has no eigenvalues, no such modes or sensors.
     """
     path = checked_file(file)
-    wrong = [place for place, d in sensors if not isinstance(place, int) or d.removeprefix("-") not in DIRECTIONS]
+    wrong = [place for place, d in sensors if not is_node(place) or d.removeprefix("-") not in DIRECTIONS]
     if wrong:
         raise ModesError(path.name, [f"sensors: must be nodes, and x, y or z (got {quote(wrong[0])})"])
     try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -31,6 +31,11 @@ Sensors = Sequence[Dof]
 """Place and direction of each sensor; a direction may have a minus before it."""
 ModeNumber = Annotated[int, Ge(1)]
 Collinearity = Annotated[float, Interval(ge=0.0, le=1.0)]
+
+
+def is_node(place: Hashable) -> bool:
+    """Say whether a place is the number of a node."""
+    return isinstance(place, int | np.integer)
 
 
 class ModesError(ValueError):

@@ -15,6 +15,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -33,6 +34,7 @@ from fmu.formats.modes.measured_modes import (
     Place,
     Sensors,
     checked_file,
+    is_node,
     real_shapes,
 )
 from fmu.formats.modes.vtu import CellType
@@ -121,9 +123,8 @@ def read_uff(
         raise ModesError(file.name, [str(error)]) from None
     is_complex = any(np.iscomplexobj(by_number[number]["r1"]) for number in chosen)
     labels, sensors = tuple(map(str, chosen)), tuple(seen)
-    if not is_complex:
-        return MeasuredModes(frequencies, labels, None, sensors, table.real)
-    return MeasuredModes(frequencies, labels, None, sensors, shapes, mpc=mpc)
+    found = MeasuredModes(frequencies, labels, None, sensors, shapes, mpc=mpc)
+    return found if is_complex else replace(found, shapes=table.real, mpc=None)
 
 
 def write_uff(
@@ -164,7 +165,7 @@ def write_uff(
     number_of: dict[Hashable, int] = {place: int(node) for node, place in (nodes or {}).items()}
     node_numbers: list[int] = []
     for place, _ in sensors:
-        if place not in number_of and not isinstance(place, int | np.integer):
+        if place not in number_of and not is_node(place):
             raise ArgumentError("nodes", f"must say which node number {place!r} is")
         node_numbers.append(number_of[place] if place in number_of else int(str(place)))
     directions = [direction.removeprefix("-") for _, direction in sensors]

@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import fmu
-from fmu.formats.matrices.read import write_matrix
 from tests.fem.modes.massless_bridge import LOWER, START, UPPER, bridge, condensed
+from tests.matrix_files import write_matrix
 
 TRUE = np.array([1.95e11, 2.1e11, 1.1])
 

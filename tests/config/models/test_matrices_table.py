@@ -14,8 +14,8 @@ from scipy.io import hb_write, savemat
 
 import fmu
 from fmu.config import ConfigurationError, load
-from fmu.formats.matrices.read import write_matrix
 from tests import cantilever
+from tests.matrix_files import write_matrix
 
 
 def with_suffix(suffix):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import fmu
-from fmu.formats.matrices.read import write_matrix
 from fmu.formats.models.ansys import node_axes
 from fmu.formats.models.inp import kind_of
+from tests.matrix_files import write_matrix
 
 ABAQUS = """\
 *HEADING
