@@ -34,6 +34,7 @@ from fmu.arguments import ArgumentError
 from fmu.config.mistakes import BrokenError
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.pairing.modal_model import ModalModel
 from fmu.formats.modes.measured_modes import ModesError, Place
 from fmu.formats.shown import quote
 from fmu.numbers import names_in_words
@@ -66,7 +67,7 @@ Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 class Built(NamedTuple):
     """A model, and the node of the model that each place named in the file is."""
 
-    model: SeparableModel | BlackBoxModel
+    model: SeparableModel | BlackBoxModel | ModalModel
     places: Mapping[str, Place]
     most_modes: float = math.inf
 

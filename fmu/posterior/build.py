@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from fmu.arguments import ArgumentError, shown
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.pairing.modal_model import ModalModel, as_modal_model
+from fmu.fem.pairing.modal_model import ModalModel, Model, as_modal_model
 from fmu.fem.pairing.paired_black_box import PairedBlackBox
 from fmu.fem.pairing.paired_structure import SOFT, PairedStructure
 from fmu.fem.pairing.rules import SOFTNESS
@@ -36,7 +36,7 @@ def check_names(parameters: Sequence[Parameter]) -> None:
 
 
 def paired_model(
-    model: SeparableModel | BlackBoxModel | ModalModel,
+    model: Model,
     data: ModalData,
     parameters: Sequence[Parameter],
     pairing: str,
@@ -102,7 +102,7 @@ def paired_model(
             softness=softness,
         )
     else:
-        paired = as_modal_model(model)
+        paired = as_modal_model(model, 0 if shapes is None else len(shapes))
     if paired.n_modes != data.n_modes:
         raise ArgumentError("data", f"the model pairs {paired.n_modes} modes", data.n_modes)
     return paired

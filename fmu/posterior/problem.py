@@ -14,9 +14,7 @@ from numpy.typing import ArrayLike
 
 from fmu.arguments import OwnRule, check_arguments
 from fmu.engines.base import Engine
-from fmu.fem.black_box import BlackBoxModel
-from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.pairing.modal_model import ModalModel
+from fmu.fem.pairing.modal_model import Model
 from fmu.fem.pairing.rules import SOFTNESS
 from fmu.posterior.build import check_names, likelihood_of, paired_model
 from fmu.posterior.data.modal_data import ModalData
@@ -111,7 +109,7 @@ class UpdatingProblem(Posterior):
     @check_arguments
     def __init__(
         self,
-        model: Annotated[SeparableModel | BlackBoxModel | ModalModel, OwnRule()],
+        model: Annotated[Model, OwnRule()],
         data: ModalData,
         parameters: Sequence[Parameter],
         *,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -15,7 +16,7 @@ from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.programs.solves import Failure
 from fmu.formats.shown import in_words
-from fmu.types import FloatArray, IntArray
+from fmu.types import Dof, FloatArray, IntArray
 
 
 class FrequencyMap(Protocol):
@@ -23,6 +24,8 @@ class FrequencyMap(Protocol):
 
     ``observed``, ``gives_shapes``, ``configuration``, ``solves_per_gradient`` and ``reasons`` are used as
     `ModalModel` describes them, where it has them.
+
+    With `observed`, which returns a `fmu.fem.pairing.prediction.ModalPrediction`, shapes can have errors too.
 
     Attributes
     ----------
@@ -106,6 +109,10 @@ class ModalModel:
         """The first points at which a user's function failed, and why."""
         return ()
 
+    def sees(self, sensor: Dof) -> bool:
+        """Say whether there may be a sensor (place, direction): anywhere, unless the model knows better."""
+        return True
+
     @contextmanager
     def spread_over(self, engine: Engine | None) -> Iterator[None]:
         """Within a with block, call users' functions in the workers of an engine, if there are any."""
@@ -182,8 +189,8 @@ class ModalModel:
 class GivenModel(ModalModel):
     """A user's own `FrequencyMap` as a `ModalModel`; anything that it does not define takes its default."""
 
-    def __init__(self, given: Any) -> None:
-        self.given = given
+    def __init__(self, given: Any, n_sensors: int) -> None:
+        self.given, self.n_sensors = given, n_sensors
         self.n_parameters, self.n_modes = given.n_parameters, given.n_modes
         self.name = type(given).__name__
         self.gives_shapes = hasattr(given, "observed") and getattr(given, "gives_shapes", True)
@@ -210,9 +217,9 @@ class GivenModel(ModalModel):
             raise ValueError(f"model: {self.name}.{method} must return two arrays (got {type(given).__name__})")
         return self._real(method, given[0], shape), self._real(method, given[1], (*shape, self.n_parameters))
 
-    def _call(self, method: str, theta: FloatArray) -> Any:
+    def _call(self, method: str, theta: FloatArray, *others: object) -> Any:
         try:
-            return getattr(self.given, method)(theta)
+            return getattr(self.given, method)(theta, *others)
         except Exception as error:
             raise ValueError(
                 f"model: {self.name}.{method} must return NaN where a solve fails, and not raise "
@@ -229,8 +236,21 @@ class GivenModel(ModalModel):
         return array.astype(float, copy=False)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the user's prediction at the sensors."""
-        return self.given.observed(theta, gradient)
+        """Return the user's prediction at the sensors; ValueError as `frequencies` raises."""
+        given = self._call("observed", theta, gradient)
+        if not isinstance(given, ModalPrediction):
+            raise ValueError(
+                f"model: {self.name}.observed must return a ModalPrediction (got {type(given).__name__})"
+            )
+        of_frequencies, of_shapes = (len(theta), self.n_modes), (len(theta), self.n_sensors, self.n_modes)
+        parts: dict[str, tuple[int, ...]] = {"frequencies": of_frequencies, "shapes": of_shapes}
+        if gradient:
+            parts["frequency_slopes"] = (*of_frequencies, self.n_parameters)
+            parts["shape_slopes"] = (*of_shapes, self.n_parameters)
+        return replace(
+            given,
+            **{name: self._real(f"observed(…).{name}", vars(given)[name], shape) for name, shape in parts.items()},
+        )
 
     def configuration(self) -> Any:
         """Return the user's description, else the name of the class."""
@@ -238,6 +258,13 @@ class GivenModel(ModalModel):
         return describe() if callable(describe) else f"{type(self.given).__module__}.{self.name}"
 
 
-def as_modal_model(given: FrequencyMap) -> ModalModel:
-    """Return a model that is already paired as a `ModalModel`; a user's own model is wrapped."""
-    return given if isinstance(given, ModalModel) else GivenModel(given)
+def as_modal_model(given: ModalModel | FrequencyMap, n_sensors: int = 0) -> ModalModel:
+    """Return a model that is already paired as a `ModalModel`.
+
+    A user's own model is wrapped: its shapes have to be those at `n_sensors`, where shapes were measured.
+    """
+    return given if isinstance(given, ModalModel) else GivenModel(given, n_sensors)
+
+
+Model = SeparableModel | BlackBoxModel | ModalModel | FrequencyMap
+"""What a problem takes; the modes of matrices and of functions are yet to be paired with those measured."""

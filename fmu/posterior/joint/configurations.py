@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.changes import changed_model
 from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.pairing.modal_model import Model
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.repeated import mean_shapes
 from fmu.posterior.joint.layout import Layout
@@ -66,7 +66,7 @@ def _covariance(data: ModalData) -> FloatArray:
 
 
 def find_configurations(
-    model: SeparableModel | BlackBoxModel, tests: Sequence[Test], layout: Layout, options: Mapping[str, Any]
+    model: Model, tests: Sequence[Test], layout: Layout, options: Mapping[str, Any]
 ) -> tuple[list[Configuration], Any]:
     """Return the configurations of tests that share matrices, each with its trained model; and their tolerance."""
     keys = [test.configuration for test in tests]

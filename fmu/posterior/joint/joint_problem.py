@@ -9,8 +9,7 @@ import numpy as np
 
 from fmu.arguments import OwnRule, check_arguments
 from fmu.engines.base import Engine
-from fmu.fem.black_box import BlackBoxModel
-from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.pairing.modal_model import Model
 from fmu.posterior.build import check_names
 from fmu.posterior.errors.base import ErrorModel
 from fmu.posterior.errors.mac import MACErrors
@@ -31,7 +30,7 @@ from fmu.types import FloatArray, Positive
 
 @check_arguments
 def JointProblem(  # it is the constructor of a problem
-    model: Annotated[SeparableModel | BlackBoxModel, OwnRule()],
+    model: Annotated[Model, OwnRule()],
     tests: Sequence[Test],
     parameters: Sequence[Parameter],
     *,
@@ -54,8 +53,9 @@ def JointProblem(  # it is the constructor of a problem
 
     Parameters
     ----------
-    model : SeparableModel or BlackBoxModel
-        The structure as it is without the changes of any test.
+    model : SeparableModel, BlackBoxModel or ModalModel
+        The structure as it is without the changes of any test. A `ModalModel`, or a map of the user's own, gives
+        all modes that the tests have between them, in the order in which the tests name them.
     tests : sequence of Test
     parameters : sequence of Parameter
         Parameters of the model, in the order of theta for a single test.
