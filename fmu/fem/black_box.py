@@ -23,9 +23,10 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from copy import copy
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
 from annotated_types import Interval
@@ -184,6 +185,18 @@ class BlackBoxModel:
     def sha256(self) -> str:
         """Hash of the user's source, see `source_digest`; a copy in another process has the same hash."""
         return source_digest(self.function)
+
+    def _copy_with(self, sensors: tuple[Dof, ...]) -> Self:
+        """Return a copy with shapes at these sensors, of which no solve is made."""
+        changed = copy(self)
+        changed.sensors = sensors
+        changed.function = changed._describe_run()
+        changed.solved = changed._begin_solves()
+        return changed
+
+    def _describe_run(self) -> Callable[[FloatArray], object]:
+        """Return the function with shapes at the model's sensors."""
+        return self.function
 
     def _begin_solves(self) -> Solves:
         """Return the solves of the function, none of which is made."""

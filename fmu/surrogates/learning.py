@@ -157,10 +157,6 @@ class _Learner:
         self.previous: FloatArray | None = None
 
     @property
-    def model(self) -> SurrogateModel:
-        return self.surrogate
-
-    @property
     def likelihood(self) -> Any:
         return self.problem.likelihood
 
@@ -172,24 +168,25 @@ class _Learner:
         """Solve the start and points that fill the box, and fit the first surrogate."""
         from scipy.stats import qmc
 
-        self.design: Design | None = None
+        design: Design | None = None
         theta = self.given.start[None, : self.n]
         while True:
             power = int(np.ceil(np.log2(self.n_first)))
             x = 2.0 * qmc.Sobol(self.n, rng=self.rng).random_base2(power)[: self.n_first - len(theta)] - 1.0
             theta = np.concatenate([theta, self.coordinates.to_theta(x)])
             found = self._solve(theta, under_way)
-            self.design = found if self.design is None else self.design.join(found)
-            if np.sum(~self.design.failed) > self.n + 1:
+            design = found if design is None else design.join(found)
+            if np.sum(~design.failed) > self.n + 1:
                 break
             if self.left < self.n_first or self.solves > 10 * self.n_first:
                 reasons = self.truth.reasons
                 first = f", first with: {reasons[0].reason}" if reasons else ""
                 raise ValueError(
                     "model: must be solved at more points within the bounds "
-                    f"({int(np.sum(self.design.failed))} of {self.solves} failed{first})"
+                    f"({int(np.sum(design.failed))} of {self.solves} failed{first})"
                 )
             theta = np.empty((0, self.n))
+        self.design = design
         self._fit(None)
 
     def posterior(self) -> tuple[FloatArray, float, float]:
@@ -240,13 +237,11 @@ class _Learner:
 
     def learn(self, answers: Design) -> None:
         """Add solves to the design, and fit anew."""
-        assert self.design is not None  # narrowed for the type checker: `begin` comes first
         self.design = self.design.join(answers)
         self._fit(self.model)
 
     def certificate(self, limits: ErrorLimits, tolerance: float) -> SurrogateCertificate:
         """Return how far the surrogate may be off."""
-        assert self.design is not None  # narrowed for the type checker: `begin` comes first
         failed = self.design.failed
         estimated = 0.5 * float(np.max(self.model.pairs.of_eigenvalues(self.model.scatter)))
         where = failed_region(self.design.theta, failed, self.problem.names) if failed.any() else ""
@@ -269,7 +264,7 @@ class _Learner:
     def _doubts(self) -> str:
         """Return in words which modes could not be followed where the posterior is; empty if all could."""
         shapes = self.given.data.shapes
-        if not (self.truth.by_shape and self.truth.gives_shapes) or shapes is None or self.design is None:
+        if not (self.truth.by_shape and self.truth.gives_shapes) or shapes is None:
             return ""
         theta = np.concatenate([self.design.theta[self.n_first :], self.checks])
         seen = orient_shapes(
@@ -291,11 +286,10 @@ class _Learner:
         return found
 
     def _fit(self, before: SurrogateModel | None) -> None:
-        assert self.design is not None  # narrowed for the type checker
         model = SurrogateModel(self.truth, self.design, self.coordinates, self.reference, before)
         if self.previous is not None:
             model.limit_variance(self.previous)
-        self.surrogate, self.problem = model, self.given.with_model(Approximation(self.truth, model))
+        self.model, self.problem = model, self.given.with_model(Approximation(self.truth, model))
 
 
 def certificate_of(problem: UpdatingProblem) -> SurrogateCertificate:

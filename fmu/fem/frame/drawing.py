@@ -75,9 +75,7 @@ def sketch(model: SeparableModel, sensors: Sequence[Dof] = ()) -> Sketch:
     symbols += [("spring", nodes[a], nowhere if b is None else nodes[b]) for a, b in geometry.springs]
     symbols += [("support", nodes[node], nowhere) for node in _find_supports(model)]
     symbols += [("mass", nodes[node], nowhere) for node in geometry.masses]
-    symbols += [
-        ("sensor", place.get(n, nowhere), nowhere if d[-2:] in _ROTATIONS else _pointing(d)) for n, d in sensors
-    ]
+    symbols += [("sensor", place.get(n, nowhere), _pointing(d)) for n, d in sensors]
     kinds = tuple(kind for kind, *_ in symbols)
     places, ends = (np.array([symbol[k] for symbol in symbols]).reshape(-1, 3) for k in (1, 2))
     owners = np.full(len(symbols), -1)
@@ -97,10 +95,9 @@ def is_drawable(model: SeparableModel, most: int) -> bool:
 def _sketch_picture(picture: LinePicture, sensors: Sequence[Dof]) -> Sketch:
     """Return the sketch of a picture of lines: the lines, and the sensors at points of their names."""
     place = dict(zip(picture.names, np.asarray(picture.points, dtype=float), strict=True))
-    nowhere = np.full(3, np.nan)
     seen = [(n, d) for n, d in sensors if n in place]
     places = np.array([place[n] for n, _ in seen]).reshape(-1, 3)
-    ends = np.array([nowhere if d[-2:] in _ROTATIONS else _pointing(d) for _, d in seen]).reshape(-1, 3)
+    ends = np.array([_pointing(d) for _, d in seen]).reshape(-1, 3)
     kinds = ("sensor",) * len(seen)
     nodes = np.array(list(place.values()))
     return Sketch(nodes, np.asarray(picture.lines), picture.changed, kinds, places, ends, np.full(len(seen), -1))
@@ -228,7 +225,9 @@ def changed_elements(model: SeparableModel) -> BoolArray:
 
 
 def _pointing(direction: str) -> FloatArray:
-    """Return the unit vector of ``"z"`` or ``"-z"``, shape (3,)."""
+    """Return the unit vector of ``"z"`` or ``"-z"``, shape (3,); NaN of a rotation."""
+    if direction[-2:] in _ROTATIONS:
+        return np.full(3, np.nan)
     unit = np.zeros(3)
     unit[_AXES.index(direction[-1])] = -1.0 if direction.startswith("-") else 1.0
     return unit

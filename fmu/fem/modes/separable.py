@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 
 from fmu.arguments import ArgumentError, Place, check_arguments
 from fmu.fem.modes.line_picture import LinePicture
-from fmu.fem.modes.terms import Term, coefficients, named_term, weighted_sum
+from fmu.fem.modes.terms import Term, named_term, sum_at
 from fmu.formats.models.edges import edges
 from fmu.formats.models.exported import ExportedModel, Mesh
 from fmu.numbers import typed
@@ -242,15 +242,11 @@ class SeparableModel:
 
     def K(self, theta: ArrayLike) -> sp.csr_array:
         """Return the sparse stiffness matrix at `theta`, shape (n_parameters,), SI units."""
-        return weighted_sum(
-            self.K_terms, coefficients(self.K_terms, np.atleast_2d(np.asarray(theta, dtype=float)))[0]
-        )
+        return sum_at(self.K_terms, np.atleast_2d(np.asarray(theta, dtype=float))[0])
 
     def M(self, theta: ArrayLike) -> sp.csr_array:
         """Return the sparse mass matrix at `theta`, shape (n_parameters,), SI units."""
-        return weighted_sum(
-            self.M_terms, coefficients(self.M_terms, np.atleast_2d(np.asarray(theta, dtype=float)))[0]
-        )
+        return sum_at(self.M_terms, np.atleast_2d(np.asarray(theta, dtype=float))[0])
 
     @cached_property
     def blocks(self) -> tuple[IntArray, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 from fmu.fem.modes.modal import single_thread
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.solver import factorise
-from fmu.fem.modes.terms import CoefficientMap, coefficients, weighted_sum
+from fmu.fem.modes.terms import CoefficientMap, sum_at
 from fmu.numbers import significant
 from fmu.types import Dof, FloatArray
 
@@ -179,7 +179,7 @@ def _coordinates(model: SeparableModel) -> FloatArray:
 
 def _solve_loads(model: SeparableModel, theta: FloatArray, loads: FloatArray) -> FloatArray:
     """Return K(θ)⁻¹ of loads (n_dof, 2), with each row and column scaled to a unit diagonal."""
-    K = weighted_sum(model.K_terms, coefficients(model.K_terms, theta[None])[0])
+    K = sum_at(model.K_terms, theta)
     scale = 1.0 / np.sqrt(np.where(K.diagonal() > 0.0, K.diagonal(), 1.0))
     scaled = K.multiply(scale[:, None]).multiply(scale).tocsr()
     try:

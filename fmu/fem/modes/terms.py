@@ -108,6 +108,11 @@ def weighted_sum(terms: Sequence[Term], weights: FloatArray) -> sp.csr_array:
     return total
 
 
+def sum_at(terms: Sequence[Term], theta: FloatArray) -> sp.csr_array:
+    """Return the sparse sum of `terms` at theta (n_parameters,); its entries are not finite on overflow."""
+    return weighted_sum(terms, coefficients(terms, theta[None])[0])
+
+
 class WeightedSum:
     """The sum Σ_k w_k K_k of the matrices of `terms` for many weights; its sparsity pattern is found once.
 

@@ -10,7 +10,6 @@ import importlib.util
 import os
 import shutil
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import asdict
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from fmu.arguments import ArgumentError, check_arguments
 from fmu.durable_files import digest
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.programs.answers import AnswerError
-from fmu.fem.programs.found_frequencies import WORD, FoundFrequencies
+from fmu.fem.programs.found_frequencies import FoundFrequencies, wrong_words
 from fmu.fem.programs.program_run import OUTPUT, ProgramRun, place_beside
 from fmu.fem.programs.solves import Solves
 from fmu.fem.programs.store import SolveStore
@@ -32,7 +31,6 @@ from fmu.types import Dof
 
 STEP = 1e-3
 """Of central differences: decks and results often have seven figures."""
-_BRACES = "may have {job} and {deck} in braces"
 
 
 class CommandError(ValueError):
@@ -96,7 +94,6 @@ class CommandModel(BlackBoxModel):
     """
 
     place = "model.command"
-    loading_s = 0.0
 
     def __init__(
         self,
@@ -159,8 +156,7 @@ class CommandModel(BlackBoxModel):
             **({} if result is None else {"result": result}),
         }
         self._stored_in = self.folder / store
-        self.function = self._describe_run()
-        super().__init__(self.function, len(self.names), step=step, name=f"{self.command[0]} {self.deck}")
+        super().__init__(self._describe_run(), len(self.names), step=step, name=f"{self.command[0]} {self.deck}")
 
     def sees(self, sensor: Dof) -> bool:
         """Return whether the reader can give the shape at a sensor."""
@@ -174,11 +170,7 @@ class CommandModel(BlackBoxModel):
         """Return the model with shapes at these sensors, if its reader gives shapes."""
         if self.reader is None or tuple(sensors) == self.sensors:
             return self
-        changed = copy(self)
-        changed.sensors = tuple(sensors)
-        changed.function = changed._describe_run()
-        changed.solved = changed._begin_solves()
-        return changed
+        return self._copy_with(tuple(sensors))
 
     def configuration(self) -> dict[str, object]:
         """Return the data that identify the model: hashes of its files, the command and the reader."""
@@ -215,18 +207,14 @@ class CommandModel(BlackBoxModel):
                 ArgumentError("command", "must be a list of a program and its arguments", list(self.command))
             )
         for i, part in enumerate(self.command):
-            for word in WORD.findall(part):
-                if word not in ("job", "deck"):
-                    wrong.append(ArgumentError(f"command.{i}", _BRACES, f"{{{word}}}"))
+            wrong += wrong_words(f"command.{i}", part)
         if (self.found is None) == (self.reader is None):
             wrong.append(ArgumentError("frequencies", "must be given, or a reader instead"))
         if self.reader is not None and self.reader not in READERS:
             wrong.append(ArgumentError("reader", f"must be one of {', '.join(READERS)}", quote(self.reader)))
         if self.result is not None and self.reader is None:
             wrong.append(ArgumentError("result", "must not be given without a reader"))
-        for word in WORD.findall(self.result or ""):
-            if word not in ("job", "deck"):
-                wrong.append(ArgumentError("result", _BRACES, f"{{{word}}}"))
+        wrong += wrong_words("result", self.result or "")
         if not 0.0 < self.timeout <= 1e7:
             wrong.append(ArgumentError("timeout", "must be positive, in seconds", self.timeout))
         if not 0 <= self.retries <= 100:

@@ -71,6 +71,17 @@ def follower_motions(
     return motions, [f"No sensors can be at followers whose motion is not known: {which}."] if unknown else []
 
 
+def begin_analysis(ops: ModuleType, constraints: str, integrator: str, *parameters: float) -> None:
+    """Set up an analysis of a linear model with dense matrices, in place of the one that OpenSees has."""
+    ops.wipeAnalysis()
+    ops.constraints(constraints)
+    ops.numberer("Plain")
+    ops.system("FullGeneral")
+    ops.algorithm("Linear")
+    ops.integrator(integrator, *parameters)
+    ops.analysis("Transient")
+
+
 def _weights(u: FloatArray, own: FloatArray) -> FloatArray | None:
     """Return w (m,) of own (n,) = u (n, m) w, zero where it adds nothing; None if there is no such w."""
     size = np.linalg.norm(u, axis=0)
@@ -88,13 +99,7 @@ def _displacements(
 ) -> dict[DofName, FloatArray]:
     """Return the displacements (n_loads,) of all degrees of freedom, fixed ones too, under random loads."""
     rng = np.random.default_rng(0)
-    ops.wipeAnalysis()
-    ops.constraints("Transformation")
-    ops.numberer("Plain")
-    ops.system("FullGeneral")
-    ops.algorithm("Linear")
-    ops.integrator("Newmark", 0.5, 0.25)
-    ops.analysis("Transient")
+    begin_analysis(ops, "Transformation", "Newmark", 0.5, 0.25)
     ops.timeSeries("Constant", _TAG)
     rows = []
     for _ in range(n_loads):

@@ -18,8 +18,13 @@ from fmu.numbers import significant
 from fmu.types import FloatArray
 
 LARGEST_RESULT = 2**29
-WORD = re.compile(r"\{(\w+)\}")
-"""A placeholder of the user's, as ``{job}``."""
+_WORD = re.compile(r"\{(\w+)\}")
+
+
+def wrong_words(key: str, text: str) -> list[ArgumentError]:
+    """Return the mistakes in the placeholders of a text, which is the argument `key`."""
+    rule = "may have {job} and {deck} in braces"
+    return [ArgumentError(key, rule, f"{{{w}}}") for w in _WORD.findall(text) if w not in ("job", "deck")]
 
 
 @check_arguments
@@ -53,9 +58,8 @@ class FoundFrequencies:
             ) from None
         if groups != 1:
             raise ArgumentError("pattern", "must have one group, as (…), for the frequency", f"{groups} groups")
-        for word in WORD.findall(self.file):
-            if word not in ("job", "deck"):
-                raise ArgumentError("file", "may have {job} and {deck} in braces", f"{{{word}}}")
+        for mistake in wrong_words("file", self.file):
+            raise mistake
 
     def read(self, path: Path, seconds: float = 60.0) -> FloatArray:
         """Return the frequencies in a file; ValueError if there are none, or none are found within `seconds`."""

@@ -14,7 +14,6 @@ import inspect
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -35,7 +34,7 @@ from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.modes.modal import frequency_hz, single_thread
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import Term
-from fmu.fem.programs.followers import follower_motions
+from fmu.fem.programs.followers import begin_analysis, follower_motions
 from fmu.fem.programs.sources import source_digest
 from fmu.formats.models.exported import DofName, ExportedModel, mesh_of
 from fmu.formats.shown import in_words, quote
@@ -228,8 +227,7 @@ class OpenSeesModel(BlackBoxModel):
         self.build, self.modes = build, modes
         self.assembled = _fixed_model(export_matrices(build, start))
         name = getattr(inspect.unwrap(build), "__qualname__", "build")
-        called = ModesInOpenSees(build, modes)
-        super().__init__(called, len(start), step=step, store=store, name=f"{name} in OpenSees")
+        super().__init__(self._describe_run(), len(start), step=step, store=store, name=f"{name} in OpenSees")
 
     def sees(self, sensor: Dof) -> bool:
         """Say whether a sensor sees a degree of freedom, or the follower of one."""
@@ -237,11 +235,10 @@ class OpenSeesModel(BlackBoxModel):
 
     def at_sensors(self, sensors: Sequence[Dof]) -> OpenSeesModel:
         """Return the model with shapes at these sensors."""
-        changed = copy(self)
-        changed.sensors = tuple(sensors)
-        changed.function = ModesInOpenSees(self.build, self.modes, changed.sensors)
-        changed.solved = changed._begin_solves()
-        return changed
+        return self._copy_with(tuple(sensors))
+
+    def _describe_run(self) -> ModesInOpenSees:
+        return ModesInOpenSees(self.build, self.modes, self.sensors)
 
     def configuration(self) -> dict[str, object]:
         """Return the data that identify the model: its number of modes, and a hash of the source of `build`."""
@@ -335,13 +332,7 @@ def _assemble_matrix(ops: ModuleType, follows: bool) -> dict[int, list[int]]:
 
     Where nodes follow others, which needs the handler Transformation, those of the others come behind their own.
     """
-    ops.wipeAnalysis()
-    ops.constraints("Transformation" if follows else "Plain")
-    ops.numberer("Plain")
-    ops.system("FullGeneral")
-    ops.algorithm("Linear")
-    ops.integrator("GimmeMCK", 0.0, 0.0, 1.0)
-    ops.analysis("Transient")
+    begin_analysis(ops, "Transformation" if follows else "Plain", "GimmeMCK", 0.0, 0.0, 1.0)
     ops.analyze(1, 0.0)
     if not 0 < ops.systemSize() <= MOST_DOFS:
         raise ArgumentError("build", f"must leave 1 to {MOST_DOFS} degrees of freedom free", ops.systemSize())

@@ -7,21 +7,22 @@ nothing is cached.
 
 from __future__ import annotations
 
-import hashlib
 import io
 import json
 import os
-import tempfile
 import zipfile
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import platformdirs
 
+from fmu.durable_files import add_checksum, digest, payload_of, write_durably
 from fmu.types import FloatArray
 
 # Raised whenever what is stored, or how it is trained, changes.
-_VERSION = 10
+_VERSION = 11
+_TITLE = "fmu basis 1"
 
 
 def load_basis(key: object) -> dict[str, FloatArray] | None:
@@ -30,10 +31,7 @@ def load_basis(key: object) -> dict[str, FloatArray] | None:
     if path is None:
         return None
     try:
-        content = path.read_bytes()
-        digest, payload = content[:32], content[32:]
-        if hashlib.sha256(payload).digest() != digest:
-            return None
+        payload = payload_of(_TITLE, path.read_bytes())
         with np.load(io.BytesIO(payload), allow_pickle=False) as arrays:
             return {name: arrays[name] for name in arrays.files}
     except (OSError, ValueError, zipfile.BadZipFile, KeyError):
@@ -47,14 +45,9 @@ def store_basis(key: object, state: dict[str, FloatArray]) -> None:
         return
     buffer = io.BytesIO()
     np.savez(buffer, **state)  # type: ignore[arg-type]
-    payload = buffer.getvalue()
-    try:
+    with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-            file.write(hashlib.sha256(payload).digest() + payload)
-        os.replace(file.name, path)
-    except OSError:
-        return
+        write_durably(path, add_checksum(_TITLE, buffer.getvalue()))
 
 
 def _path(key: object) -> Path | None:
@@ -63,4 +56,4 @@ def _path(key: object) -> Path | None:
         return None
     directory = Path(root) if root else Path(platformdirs.user_cache_dir("fmu"))
     text = json.dumps([_VERSION, key], sort_keys=True)
-    return directory / f"basis-{hashlib.sha256(text.encode()).hexdigest()}.npz"
+    return directory / f"basis-{digest(text.encode())}.npz"

@@ -9,7 +9,7 @@ import numpy as np
 
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.terms import coefficients, weighted_sum
+from fmu.fem.modes.terms import sum_at
 from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing
 from fmu.fem.reduced.anchors import Anchors, SingularAnchorError
 from fmu.fem.reduced.basis import Parts
@@ -100,7 +100,7 @@ def mass_orthonormal(block: FullBlock, V: FloatArray, centre: FloatArray) -> Flo
     Where degrees of freedom have no mass, in M + K/λ with the mean λ = tr Vᵀ K V / tr Vᵀ M V, as M does not see
     how they follow. SingularAnchorError if M is negative for a motion of the space.
     """
-    K, M = (weighted_sum(terms, coefficients(terms, centre[None])[0]) for terms in (block.K_terms, block.M_terms))
+    K, M = (sum_at(terms, centre) for terms in (block.K_terms, block.M_terms))
     if block.n_modes < block.size:
         M = M + K * (np.sum(V * (M @ V)) / np.sum(V * (K @ V)))
     for _ in range(2):  # Cholesky–QR, twice against rounding

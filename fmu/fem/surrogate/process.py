@@ -56,6 +56,8 @@ class Process:
         out (Rasmussen & Williams, eq. 5.12).
     left_out_error : float
         Root mean square of these errors, in units of y.
+    unit : ndarray, shape (q,)
+        Standard deviations by which the quantities were scaled.
     scatter : ndarray, shape (q,)
         Standard deviations s of the solver's answers, in units of y; `relative_scatter` of the scaled y.
     most : float
@@ -66,8 +68,8 @@ class Process:
     def __init__(self, x: FloatArray, y: FloatArray, before: Process | None = None, search: bool = True) -> None:
         self.x = np.ascontiguousarray(x)
         self._mean, spread = y.mean(axis=0), y.std(axis=0)
-        self._unit = np.where(spread > 0.0, spread, 1.0)
-        z = (y - self._mean) / self._unit
+        self.unit = np.where(spread > 0.0, spread, 1.0)
+        z = (y - self._mean) / self.unit
         fitted = _fit(self.x, z, None if before is None else before.kernel, search)
         self.kernel: Kernel = fitted.kernel_
         self.log_likelihood = float(fitted.log_marginal_likelihood_value_)
@@ -85,9 +87,9 @@ class Process:
         variance = 1.0 / np.sum(self._root**2, axis=0)
         errors = self._alpha * variance[:, None]
         self.caution = max(1.0, float(np.mean(errors**2 / variance[:, None])))
-        self.left_out_error = float(np.sqrt(np.mean((errors * self._unit) ** 2)))
+        self.left_out_error = float(np.sqrt(np.mean((errors * self.unit) ** 2)))
         self.relative_scatter = float(np.sqrt(self._s2))
-        self.scatter = self._unit * self.relative_scatter
+        self.scatter = self.unit * self.relative_scatter
         self.most = float(np.median(errors**2)) / self.caution
 
     def values(self, x: FloatArray) -> FloatArray:
@@ -123,7 +125,7 @@ class Process:
             by_variance[:, j] = 2.0 * (self._trend * x[:, j] - np.sum(w * dk, axis=1))
         left = self._remaining_variance(x, u)
         by_variance[(left <= 0.0) | (left >= self.most)] = 0.0
-        slopes *= self._unit[:, None]
+        slopes *= self.unit[:, None]
         return (
             self._expect(k),
             self._variance(np.minimum(left, self.most)),
@@ -138,11 +140,6 @@ class Process:
         u = k @ self._root.T
         return self.caution * (prior - u @ u.T), self.caution * self._s2
 
-    @property
-    def unit(self) -> FloatArray:
-        """Standard deviations by which the quantities were scaled, shape (q,)."""
-        return self._unit
-
     def _covariances(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the covariances with the N points, (n, N), and the smooth part of them."""
         smooth = self._smooth * np.exp(-0.5 * _squares(x, self.x, self._by_length))
@@ -152,7 +149,7 @@ class Process:
         return self._trend * trend + smooth, smooth
 
     def _expect(self, k: FloatArray) -> FloatArray:
-        return self._mean + self._unit * np.sum(k[:, None, :] * self._alpha.T, axis=2)
+        return self._mean + self.unit * np.sum(k[:, None, :] * self._alpha.T, axis=2)
 
     def _remaining_variance(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the variance that is left, k(x, x) − uᵀu with u = L⁻¹k, scaled, (n,)."""
@@ -164,8 +161,8 @@ class Process:
     def _variance(self, scaled: FloatArray) -> FloatArray:
         """Return variances in units of y², (n, q, …), of scaled ones; rounding makes none of them negative."""
         if scaled.ndim == 1:
-            return self.caution * self._unit**2 * np.maximum(scaled, 0.0)[:, None]
-        return self.caution * (self._unit**2)[:, None] * scaled
+            return self.caution * self.unit**2 * np.maximum(scaled, 0.0)[:, None]
+        return self.caution * (self.unit**2)[:, None] * scaled
 
 
 def _product(k: FloatArray, matrix: FloatArray) -> FloatArray:
