@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Annotated, Any, Literal, Protocol, get_args, runtime_checkable
 
 import numpy as np
@@ -24,6 +24,8 @@ Direction = Literal["x", "y", "z", "rx", "ry", "rz"]
 DIRECTIONS: tuple[str, ...] = get_args(Direction)
 Dof = tuple[Hashable, str]
 """A degree of freedom or a sensor: place (a node, or a name beside the nodes) and direction."""
+type Plain = bool | int | float | str | Sequence[Plain] | Mapping[str, Plain] | None
+"""Data of plain Python types, as in a JSON file."""
 
 
 @runtime_checkable

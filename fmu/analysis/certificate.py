@@ -172,13 +172,11 @@ def _terms_of_both(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the terms of the log-likelihood at theta (n, ndim) by the full model and by the reduced one."""
     likelihood = problem.likelihood
-    if likelihood.error is not None:  # no need to solve again
-        of_exact, of_reduced = (
-            likelihood.of_used(likelihood.error.log_prob_terms(hz)) for hz in (exact_hz, reduced_hz)
-        )
-        return of_exact, of_reduced
+    of_reduced = likelihood.terms_of_frequencies(reduced_hz, theta)
+    if likelihood.by_frequencies:
+        return likelihood.terms_of_frequencies(exact_hz, theta), of_reduced
     by_full = problem.with_model(problem.model.truth).likelihood
-    return np.concatenate(by_parts("certificate", by_full.terms, theta, _AT_ONCE)), likelihood.terms(theta)
+    return np.concatenate(by_parts("certificate", by_full.terms, theta, _AT_ONCE)), of_reduced
 
 
 def certificate_failures(attrs: Mapping[Hashable, str | float]) -> list[str]:

@@ -20,7 +20,7 @@ from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.joint import JointPrior
 from fmu.posterior.reduction.tolerance import Tolerance
-from fmu.types import BoolArray, FloatArray
+from fmu.types import BoolArray, FloatArray, Plain
 
 
 class Posterior:
@@ -99,12 +99,16 @@ class Posterior:
         terms = self._terms(points)
         return terms[0] if single else terms
 
-    def terms_and_misfit(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def terms_and_misfit(
+        self, theta: FloatArray, frequencies: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Return the log-likelihood and the squared residuals of each used mode, from the same solves.
 
         Parameters
         ----------
         theta : ndarray, shape (n, ndim)
+        frequencies : ndarray, shape (n, n_modes), Hz, optional
+            Of the model there, if they are known: it is not solved again if they are enough.
 
         Returns
         -------
@@ -112,8 +116,15 @@ class Posterior:
         squares : ndarray, shape (n, n_kinds, n_used)
             Σ r² over the residuals r of a mode, by the error models of ``likelihood.chi_square``.
         """
-        terms, squares = self.likelihood.terms_and_misfit(self.layout.of_model(theta))
+        terms, squares = self.likelihood.terms_and_misfit(self.layout.of_model(theta), frequencies)
         return self._record_failures(terms, theta), squares
+
+    def terms_of_frequencies(self, theta: FloatArray, frequencies: FloatArray) -> FloatArray:
+        """Return the log-likelihood of each datum at theta (n, ndim), where the model has the `frequencies`, Hz.
+
+        It is solved again only if these, (n, n_modes), are not enough.
+        """
+        return self.likelihood.terms_of_frequencies(frequencies, self.layout.of_model(theta))
 
     def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
@@ -197,7 +208,7 @@ class Posterior:
         """
         return self._failed.take()
 
-    def configuration(self) -> dict[str, Any]:
+    def configuration(self) -> dict[str, Plain]:
         """Return the data that define the posterior, in plain Python types."""
         other = {} if self.tolerance in (None, Tolerance()) else {"reduction": self.tolerance.frequency}
         of_tests = {} if self.layout.is_identity else self.layout.configuration()

@@ -323,10 +323,7 @@ def _with(problem: UpdatingProblem, k: int) -> UpdatingProblem:
 
 def _log_likelihood(problem: UpdatingProblem, draws: _Draws) -> FloatArray:
     """Return the log-likelihood at the draws, without solving again where the frequencies are enough."""
-    likelihood: Any = problem.likelihood
-    if likelihood.needs_shapes or problem.model.is_soft:
-        return np.asarray(problem.log_likelihood(draws.theta))
-    return np.asarray(likelihood.terms_of_frequencies(draws.hz, problem.layout.of_model(draws.theta)).sum(axis=1))
+    return np.asarray(problem.terms_of_frequencies(draws.theta, draws.hz).sum(axis=1))
 
 
 def _predict_mode(problem: UpdatingProblem, k: int, draws: _Draws) -> HeldOut:

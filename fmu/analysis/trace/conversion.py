@@ -265,25 +265,21 @@ def _frequency_groups(
     hertz = {"units": "Hz"}
     predicted = {"model_frequency": (dims, frequency, hertz)}
     likelihood = problem.likelihood
-    if likelihood.error is not None:
-        error = likelihood.error
-        terms = {"frequency": (dims, likelihood.of_used(error.log_prob_terms(frequency)))}
-        squares = likelihood.misfit_of_frequencies(frequency.reshape(-1, frequency.shape[-1]))
-        squares = squares.reshape(*frequency.shape[:2], *squares.shape[1:])
-        if error.covariance_hz2 is not None:
-            terms[GIVEN_OTHERS] = (dims, likelihood.of_used(error.log_prob_given_others(frequency)))
+    theta, hz = (x.reshape(-1, x.shape[-1]) for x in (result.posterior.position, frequency))
+    if likelihood.by_frequencies:
+        both = _stack_terms(*problem.terms_and_misfit(theta, hz))
+        both = both.reshape(*frequency.shape[:2], *both.shape[1:])
     else:
         both = distinct.evaluate(lambda theta: _stack_terms(*problem.terms_and_misfit(theta)))
-        together, squares = both[:, :, 0], both[:, :, 1:]
-        terms = {likelihood.terms_name: (dims, together)}
-        correlated = likelihood.correlated
-        if correlated is not None:
-            others = correlated.log_prob_given_others(frequency) - correlated.log_prob_terms(frequency)
-            terms[GIVEN_OTHERS] = (dims, together + likelihood.of_used(others))
+    together, squares = both[:, :, 0], both[:, :, 1:]
+    terms = {likelihood.terms_name: (dims, together)}
+    correlated = likelihood.correlated
+    if correlated is not None:
+        others = correlated.log_prob_given_others(frequency) - correlated.log_prob_terms(frequency)
+        terms[GIVEN_OTHERS] = (dims, together + likelihood.of_used(others))
     # a pseudo-likelihood, or errors of shapes alone, give no measurement noise of frequencies
     if likelihood.simulates:
         noise = generator(result.seed, NOISE_STREAM)
-        theta, hz = (x.reshape(-1, x.shape[-1]) for x in (result.posterior.position, frequency))
         replicate = problem.simulate_data(noise, hz, theta)
         predicted = {"frequency": (dims, replicate.reshape(frequency.shape), hertz), **predicted}
         if problem.data.tests is not None:

@@ -20,7 +20,7 @@ from fmu.formats.modes.pyoma import pyoma_modes
 from fmu.formats.modes.uff import read_uff, write_uff
 from fmu.posterior.data.covariance import checked_covariance
 from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
-from fmu.types import FloatArray, IntArray
+from fmu.types import FloatArray, IntArray, Plain
 
 
 @check_arguments
@@ -334,7 +334,7 @@ class ModalData:
         """Which modes are used in updating, numbered from 0; None for all of them."""
         return None if all(self.use) else np.flatnonzero(self.use)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return the data in plain Python types."""
         optional = ("shapes", "sd_hz", "covariance_hz2", "shapes_sd")
         given = {name: getattr(self, name) for name in optional if getattr(self, name) is not None}

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fmu.arguments import ArgumentError
 from fmu.numbers import fixed
-from fmu.types import FloatArray
+from fmu.types import FloatArray, Plain
 
 SCATTERS = ("each", "pooled", "joint")
 LEAST_MAC = 0.5
@@ -177,7 +177,7 @@ class RepeatedTests:
         root = np.linalg.cholesky(centred.T @ centred / nu)
         return np.asarray((z @ root.T) / np.sqrt(rng.chisquare(nu, (size, 1)) / nu))
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return the tests in plain Python types, None for a mode that a test missed."""
         rows = [[None if np.isnan(f) else float(f) for f in row] for row in np.asarray(self.frequencies_hz)]
         return {"frequencies_hz": rows, "scatter": self.scatter}

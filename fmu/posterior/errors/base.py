@@ -15,7 +15,7 @@ from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.repeated import RepeatedTests
 from fmu.posterior.errors.noise import NoiseIndex, Spread
 from fmu.posterior.parameters import Parameter
-from fmu.types import FloatArray, IntArray
+from fmu.types import FloatArray, IntArray, Plain
 
 LOG_2PI = float(np.log(2.0 * np.pi))
 
@@ -202,7 +202,7 @@ class ErrorTerm:
         """Return Fisher's information of the `used` modes on the inferred deviations, (n, n_noise, n_noise)."""
         return self.spread.information(noise, used)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return the name of the error model under ``error``, and its settings."""
         raise NotImplementedError
 
@@ -274,8 +274,25 @@ class Likelihood:
         """Return the log-likelihood of each used mode, shape (n, n_used), at theta (n, ndim)."""
         raise NotImplementedError
 
-    def terms_and_misfit(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the terms, and the squared residuals by the models of `chi_square`, (n, n_kinds, n_used)."""
+    @property
+    def by_frequencies(self) -> bool:
+        """Whether the frequencies of the model are enough for the terms."""
+        return False
+
+    def terms_of_frequencies(self, frequencies: FloatArray, theta: FloatArray) -> FloatArray:
+        """Return the terms where the model has the frequencies (n, n_modes), Hz, at theta.
+
+        It is solved again only if they are not enough.
+        """
+        return self.terms(theta)
+
+    def terms_and_misfit(
+        self, theta: FloatArray, frequencies: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the terms, and the squared residuals by the models of `chi_square`, (n, n_kinds, n_used).
+
+        Where the frequencies of the model, (n, n_modes) in Hz, are given and are enough, it is not solved again.
+        """
         terms = self.terms(theta)
         return terms, np.empty((len(terms), 0, terms.shape[1]))
 
@@ -328,7 +345,7 @@ class Likelihood:
         """Say why the terms are not finite at a theta, shape (ndim,); None where they are."""
         raise NotImplementedError
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return names and settings in plain Python types."""
         raise NotImplementedError
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,7 @@ from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals, checked_beta, mode_weights
 from fmu.posterior.errors.noise import NoiseIndex, Spread, require_sizes, spread
 from fmu.posterior.parameters import Parameter
-from fmu.types import FloatArray, IntArray
+from fmu.types import FloatArray, IntArray, Plain
 
 Kind = Literal["absolute", "relative", "eigenvalue"]
 
@@ -225,7 +225,7 @@ class FrequencyTerm(ErrorTerm):
         """Return a name for each residual, see `ErrorTerm`."""
         return [f"{mode}, frequency" for mode in modes]
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return name and settings."""
         return {"error": f"{self.kind} frequency", "spread": self.spread.as_dict()}
 
@@ -364,7 +364,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         """Return a name for each residual, see `ErrorTerm`."""
         return [f"{mode}, frequency" for mode in modes]
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return name and settings."""
         return {"error": "frequency", "covariance_hz2": self.covariance_hz2.tolist()}
 

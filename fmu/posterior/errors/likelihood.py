@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from copy import copy
-from dataclasses import replace
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -14,16 +13,14 @@ from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.numbers import names_in_words
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.errors.base import Chain, ErrorModel, Evaluated, Likelihood
+from fmu.posterior.errors.base import Chain, ErrorModel, ErrorTerm, Evaluated, Likelihood
 from fmu.posterior.errors.frequency import BetaFrequencyErrors, CorrelatedFrequencyTerm, FrequencyTerm
+from fmu.posterior.errors.noise import numbering
 from fmu.posterior.errors.quantities import QuantityTerm
-from fmu.posterior.errors.surrogate_variance import (
-    evaluated_with_variance,
-    residuals_with_variance,
-    sensitivity_to_model,
-)
+from fmu.posterior.errors.slopes import chain_prediction, gradient_of_terms, residuals_of_term
+from fmu.posterior.errors.surrogate_variance import evaluated_with_variance, sensitivity_to_model
 from fmu.posterior.parameters import Parameter
-from fmu.types import FloatArray, IntArray
+from fmu.types import FloatArray, IntArray, Plain
 
 
 class ModalLikelihood(Likelihood):
@@ -58,15 +55,7 @@ class ModalLikelihood(Likelihood):
             raise ValueError("error: at least one error model is needed (got none)")
         self.model, self.n_structural = model, model.n_parameters
         noise: list[Parameter] = []
-
-        def index(parameter: Parameter) -> int:
-            if parameter not in noise:
-                if parameter.name in (p.name for p in noise):
-                    raise ValueError(f"error: different parameters must not share a name (got {parameter.name!r})")
-                noise.append(parameter)
-            return noise.index(parameter)
-
-        self.terms_of = tuple(error.bind(data, index).among(data.used) for error in errors)
+        self.terms_of = tuple(error.bind(data, numbering(noise)).among(data.used) for error in errors)
         self.chi_square = tuple(term for term in self.terms_of if term.is_chi_square)
         self.quantities = tuple(quantities)
         self.used = data.used
@@ -81,6 +70,7 @@ class ModalLikelihood(Likelihood):
         self._is_of_beta = isinstance(errors[0], BetaFrequencyErrors)
         self.beta = None if self.error is None else self.error.beta
         self.terms_name = "modes" if self.error is None else "frequency"
+        self._fast = self._choose_fast_path()
 
     def using(self, used: IntArray | None) -> Self:
         """Return the likelihood of other modes of the same data."""
@@ -90,16 +80,22 @@ class ModalLikelihood(Likelihood):
             other.chi_square = tuple(term for term in other.terms_of if term.is_chi_square)
         if self.error is not None:
             other.error = other.terms_of[0]
+        other._fast = other._choose_fast_path()
         return other
 
     def with_model(self, model: ModalModel) -> Self:
         """Return the likelihood with another model of the same parameters and modes, as a surrogate."""
         other = copy(self)
         other.model = model
+        other._fast = other._choose_fast_path()
         return other
 
+    def _choose_fast_path(self) -> FrequencyTerm | CorrelatedFrequencyTerm | None:
+        """Return the one error model if it is of the frequencies alone, which saves µs at a single theta."""
+        return None if self.model.is_uncertain else self.error
+
     @property
-    def frequency_term(self) -> Any:
+    def frequency_term(self) -> ErrorTerm | None:
         """The errors of the frequencies, the first if there are several; None if there are none."""
         return next((term for term in self.terms_of if term.of_frequencies), None)
 
@@ -110,19 +106,27 @@ class ModalLikelihood(Likelihood):
 
     def terms(self, theta: FloatArray) -> FloatArray:
         """Return the log-likelihood of each used mode and each quantity, (n, n_terms), at theta (n, ndim)."""
-        if self.error is not None and not self.model.is_uncertain:  # a few µs less at a single theta
-            terms = self.of_used(self.error.log_prob_terms(self.model.frequencies(theta)))
-            return np.asarray(terms if not self.quantities else self._with_quantities(terms, theta))
-        return self.terms_of_observed(self.observed(theta), theta)
+        if self._fast is None:
+            return self.terms_of_observed(self.observed(theta), theta)
+        terms = self.of_used(self._fast.log_prob_terms(self.model.frequencies(theta)))
+        return np.asarray(terms if not self.quantities else self._with_quantities(terms, theta))
 
     def terms_of_observed(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
         """Return the terms, see `terms`, for a prediction of the modes made already."""
         parts = self._parts(seen, theta, gradient=False)[1]
         return self._with_quantities(self.of_used(np.asarray(sum(part.terms for part in parts))), theta)
 
-    def terms_and_misfit(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+    @property
+    def by_frequencies(self) -> bool:
+        """Whether the frequencies of the model are enough for the terms."""
+        return not (self.needs_shapes or self.model.is_uncertain)
+
+    def terms_and_misfit(
+        self, theta: FloatArray, frequencies: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Return the `terms` of the modes, and from the same solves the `misfit`, see `Likelihood`."""
-        seen = self.observed(theta)
+        is_enough = self.by_frequencies and frequencies is not None
+        seen = _without_shapes(np.asarray(frequencies)) if is_enough else self.observed(theta)
         squares = self.misfit(seen, theta)
         return self.terms_of_observed(seen, theta)[:, : squares.shape[-1]], squares
 
@@ -135,23 +139,21 @@ class ModalLikelihood(Likelihood):
             found = np.concatenate([found, squares[:, None]], axis=1)
         return self.of_used(found)
 
-    def misfit_of_frequencies(self, frequencies: FloatArray) -> FloatArray:
-        """Return the `misfit` for computed frequencies (n, n_modes), Hz, where these alone have errors, known."""
-        return self.misfit(_without_shapes(frequencies), np.empty((len(frequencies), self.n_structural)))
-
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the terms and their gradients, shape (n, n_used, ndim)."""
         seen = self.observed(theta, True)
-        if self.error is None or self.model.is_uncertain:
+        if self._fast is None:
             return self._terms_and_gradient(seen, theta)
-        view = self.error.project(seen)
+        view = self._fast.project(seen)
         with np.errstate(invalid="ignore", over="ignore"):
-            part = self.error.evaluate(view, theta[:, self.n_structural :], gradient=True)
-            slopes = part.by_frequency[..., None] * view.frequency_slopes
+            part = self._fast.evaluate(view, theta[:, self.n_structural :], gradient=True)
+            slopes = np.asarray(part.by_frequency)[..., None] * np.asarray(view.frequency_slopes)
         return self._with_quantities_and_slopes(self.of_used(part.terms), self.of_used(slopes, 1), theta)
 
     def terms_of_frequencies(self, frequencies: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return the terms for computed frequencies (n, n_modes), Hz, where no errors are of shapes."""
+        """Return the terms where the model has these frequencies, see `Likelihood`."""
+        if not self.by_frequencies:
+            return self.terms(theta)
         return self.terms_of_observed(_without_shapes(frequencies), theta)
 
     def sensitivity_to_model(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -174,7 +176,7 @@ class ModalLikelihood(Likelihood):
         Shapes (n, n_residuals) and (n, n_residuals, n_structural): what Gauss–Newton steps and the linearised
         information of the data are made of. Inferred standard deviations are held fixed.
         """
-        return self._all_residuals_and_slopes(self._chained(self.observed(theta, True), chain), theta, chain)
+        return self._all_residuals_and_slopes(self._observed_slopes(theta, chain), theta, chain)
 
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
         """Return a name for each row of `sensitivity`."""
@@ -235,7 +237,7 @@ class ModalLikelihood(Likelihood):
 
         JᵀJ of the residuals for the model's parameters, Fisher's information for the standard deviations.
         """
-        seen = self._chained(self.observed(theta, True), chain)
+        seen = self._observed_slopes(theta, chain)
         r, J = self._all_residuals_and_slopes(seen, theta, chain)
         is_plain = not (self.noise or self.model.is_uncertain)
         if is_plain and all(term.is_least_squares for term in self.terms_of):
@@ -262,12 +264,12 @@ class ModalLikelihood(Likelihood):
                     return f"the log-likelihood is not finite: {names_in_words(term.labels)} has no value"
         return None
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return names and settings in plain Python types."""
         found = self._of_modes_as_dict()
         return found | ({"quantities": [term.as_dict() for term in self.quantities]} if self.quantities else {})
 
-    def _of_modes_as_dict(self) -> dict[str, Any]:
+    def _of_modes_as_dict(self) -> dict[str, Plain]:
         if self.error is not None and self._is_of_beta:
             if self.error.covariance_hz2 is not None:
                 return self.error.as_dict()
@@ -277,9 +279,10 @@ class ModalLikelihood(Likelihood):
     def _terms_by_error(self, theta: FloatArray) -> list[tuple[str, FloatArray]]:
         """Return the name of each error model and its share of `terms`, (n, n_used)."""
         parts = self._parts(self.observed(theta, False), theta, gradient=False)[1]
-        described = self.as_dict()
-        named = described.get("errors", [described])
-        return [(str(one["error"]), self.of_used(part.terms)) for one, part in zip(named, parts, strict=True)]
+        described = self._of_modes_as_dict()
+        dicts = [described] if "error" in described else [term.as_dict() for term in self.terms_of]
+        names = [str(one["error"]) for one in dicts]
+        return [(name, self.of_used(part.terms)) for name, part in zip(names, parts, strict=True)]
 
     def _given_noise(self, frequencies: FloatArray, noise: FloatArray | None) -> FloatArray:
         if noise is None and self.noise:
@@ -310,21 +313,19 @@ class ModalLikelihood(Likelihood):
             ]
         return views, parts
 
-    def _chained(self, seen: ModalPrediction, chain: Chain | None) -> ModalPrediction:
-        """Return a prediction with derivatives by all parameters of theta, if there is a `chain` to them."""
-        if chain is None or seen.frequency_slopes is None:
-            return seen
-        test, by_shape = self.model.test_of_modes, seen.shape_slopes
-        if by_shape is not None:
-            by_shape = np.stack([chain(by_shape[:, s], test) for s in range(by_shape.shape[1])], axis=1)
-        return replace(seen, frequency_slopes=chain(seen.frequency_slopes, test), shape_slopes=by_shape)
+    def _observed_slopes(self, theta: FloatArray, chain: Chain | None) -> ModalPrediction:
+        """Return the prediction with derivatives, by the parameters of all tests if there is a `chain` to them."""
+        seen = self.observed(theta, True)
+        return seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
 
     def _terms_and_gradient(
         self, seen: ModalPrediction, theta: FloatArray, chain: Chain | None = None
     ) -> tuple[FloatArray, FloatArray]:
         views, parts = self._parts(seen, theta, gradient=True)
         with np.errstate(invalid="ignore", over="ignore"):
-            slopes = np.asarray(sum(map(self._chain_slopes, parts, views)))
+            pairs = zip(parts, views, strict=True)
+            each = [gradient_of_terms(*pair, self.n_structural, len(self.noise)) for pair in pairs]
+            slopes = np.asarray(sum(each))
         finite = np.isfinite(slopes)
         if np.count_nonzero(finite) < finite.size:
             slopes[~finite] = np.nan
@@ -373,47 +374,15 @@ class ModalLikelihood(Likelihood):
             r, J = term.residuals_and_slopes(theta[:, : self.n_structural])
             yield r, J if chain is None else chain(J, np.full(r.shape[1], term.test))
 
-    def _chain_slopes(self, part: Evaluated, seen: ModalPrediction) -> FloatArray:
-        """Return the gradient of an error model's terms by all parameters, shape (n, n_modes, ndim).
-
-        Those of the structure are the ones that the model's slopes are by.
-        """
-        n = self.n_structural if seen.frequency_slopes is None else seen.frequency_slopes.shape[-1]
-        gradient = np.zeros((*part.terms.shape, n + len(self.noise)))
-        leading = gradient[..., :n]
-        if part.by_frequency is not None and seen.frequency_slopes is not None:
-            leading += part.by_frequency[..., None] * seen.frequency_slopes
-        if part.by_shape is not None and seen.shape_slopes is not None:
-            # a sum in one order, whatever the batch
-            leading += np.einsum("nsm,nsmk->nmk", part.by_shape, seen.shape_slopes)
-        if part.by_frequency_variance is not None and seen.frequency_variance_slopes is not None:
-            leading += part.by_frequency_variance[..., None] * seen.frequency_variance_slopes
-        if part.by_shape_variance is not None and seen.shape_variance_slopes is not None:
-            leading += np.einsum("nsm,nsmk->nmk", part.by_shape_variance, seen.shape_variance_slopes)
-        for k, slope in (part.by_noise or {}).items():
-            gradient[..., n + k] += slope
-        return gradient
-
     def _residuals_and_slopes(self, seen: ModalPrediction, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
         values, slopes = [], []
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for term in self.terms_of:
                 if term.needs_shapes and seen.shape_slopes is None:
                     continue
-                view = term.project(seen)
-                r = term.residuals(view, noise)
-                if view.frequency_variance is not None:
-                    r = residuals_with_variance(r, view)
-                n, _, q = r.values.shape
-                J: Any = 0.0
-                if r.by_frequency is not None and view.frequency_slopes is not None:
-                    J = J + r.by_frequency[..., None] * view.frequency_slopes[:, :, None]
-                if r.by_shape is not None and view.shape_slopes is not None:
-                    J = J + np.einsum("nmqs,nsmk->nmqk", r.by_shape, view.shape_slopes)
-                kept = self.of_used(r.values, 1)
-                m = kept.shape[1]
-                values.append(kept.reshape(n, m * q))
-                slopes.append(self.of_used(J, 1).reshape(n, m * q, -1))
+                r, J = (self.of_used(part, 1) for part in residuals_of_term(term, seen, noise))
+                values.append(r.reshape(len(r), -1))
+                slopes.append(J.reshape(*values[-1].shape, -1))
         return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
 
     def _information(self, J: FloatArray, theta: FloatArray) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,7 @@ from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals, mode_weights, unit_shapes
 from fmu.posterior.errors.noise import NoiseIndex, Spread, require_sizes, spread
 from fmu.posterior.parameters import Parameter
-from fmu.types import FloatArray
+from fmu.types import FloatArray, Plain
 
 _RIDGE = 1e-14
 """Added to the Gram matrix of shapes, relative to its trace: two shapes equal at the sensors span only a line."""
@@ -117,7 +117,7 @@ class MACTerm(ErrorTerm):
         """Return a name for each residual, see `ErrorTerm`."""
         return [f"{mode}, MAC" for mode in modes]
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return name and settings."""
         together = {"together": [list(group) for group in self.groups]} if self.groups else {}
         return {"error": "MAC", "spread": self.spread.as_dict(), **together}

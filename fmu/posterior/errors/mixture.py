@@ -13,7 +13,7 @@ from fmu.fem.pairing.prediction import Candidates, ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import Chain, ErrorModel, Evaluated, Likelihood
 from fmu.posterior.errors.likelihood import ModalLikelihood
-from fmu.types import FloatArray, IntArray
+from fmu.types import FloatArray, IntArray, Plain
 
 
 class _Pairs(NamedTuple):
@@ -92,10 +92,11 @@ class MixtureLikelihood(ModalLikelihood):
             )
         self.softness = model.softness
         # only the model gives the terms, and not the frequencies of the modes paired one to one
-        self.error = self.beta = None
+        self.error = self.beta = self._fast = None
         self.chi_square = ()  # no one candidate's residuals are the errors of a measured mode
         self.terms_name = "modes"
 
+    by_frequencies = Likelihood.by_frequencies
     terms_and_misfit = Likelihood.terms_and_misfit
 
     def terms(self, theta: FloatArray) -> FloatArray:
@@ -131,7 +132,7 @@ class MixtureLikelihood(ModalLikelihood):
         J = self._residuals_and_slopes(answering, theta[:, self.n_structural :])[1]
         return terms.sum(axis=1), gradient.sum(axis=1), self._information(J, theta)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return names and settings."""
         return {**super().as_dict(), "softness": self.softness}
 

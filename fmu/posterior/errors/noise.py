@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from annotated_types import Gt
@@ -13,10 +13,23 @@ from numpy.typing import ArrayLike
 from fmu.arguments import ArgumentError, Numbers, require
 from fmu.numbers import typed
 from fmu.posterior.parameters import Parameter
-from fmu.types import FloatArray, IntArray
+from fmu.types import FloatArray, IntArray, Plain
 
 NoiseIndex = Callable[[Parameter], int]
 """Returns the number of an inferred standard deviation among those of the problem."""
+
+
+def numbering(noise: list[Parameter]) -> NoiseIndex:
+    """Return a function that numbers parameters in the order in which they are met, and keeps them in `noise`."""
+
+    def index(parameter: Parameter) -> int:
+        if parameter not in noise:
+            if parameter.name in (p.name for p in noise):
+                raise ValueError(f"error: different parameters must not share a name (got {parameter.name!r})")
+            noise.append(parameter)
+        return noise.index(parameter)
+
+    return index
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +73,7 @@ class Spread:
                 found[:, k, m] = 0.5 * np.sum(one * other, axis=1)
         return found
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return the numbers in plain Python types."""
         return {
             "fixed": self.fixed.tolist(),

@@ -20,7 +20,7 @@ from fmu.posterior.errors.base import LOG_2PI, ErrorTerm
 from fmu.posterior.errors.noise import NoiseIndex
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.joint import JointPrior
-from fmu.types import FloatArray, Positive
+from fmu.types import FloatArray, Plain, Positive
 
 _AXES = ("x", "y", "z")
 
@@ -55,7 +55,7 @@ class QuantityTerm(NamedTuple):
         values, slopes = self.computed(theta, True)
         return (values - self.measured) / self.sd, slopes / self.sd[:, None]
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return labels, units, values and deviations, in plain Python types."""
         return {
             "error": "quantity",

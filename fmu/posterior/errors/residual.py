@@ -14,7 +14,7 @@ from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import CoefficientMap, Term, WeightedSum
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import Likelihood, checked_beta
-from fmu.types import FloatArray
+from fmu.types import FloatArray, Plain
 
 
 class ModalResidual(Likelihood):
@@ -94,7 +94,7 @@ class ModalResidual(Likelihood):
             return "the structure can still move when the sensors are held"
         return "the log-likelihood is not finite: the modal residual overflows"
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return name and settings."""
         return {"error": "modal-residual", "beta": self.beta.tolist(), "reference": self._reference.tolist()}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +15,7 @@ from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals, mode_weights, unit_shapes
 from fmu.posterior.errors.noise import NoiseIndex, Spread, require_sizes, spread
 from fmu.posterior.parameters import Parameter
-from fmu.types import FloatArray, IntArray
+from fmu.types import FloatArray, IntArray, Plain
 
 
 @check_arguments
@@ -129,6 +129,6 @@ class ShapeTerm(ErrorTerm):
         """Return Fisher's information, see `ErrorTerm`."""
         return (1.0 - 1.0 / len(self.unit)) * self.spread.information(noise, used)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return name and settings."""
         return {"error": "shape", "spread": self.spread.as_dict()}

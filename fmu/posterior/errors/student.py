@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge
@@ -19,7 +19,7 @@ from fmu.posterior.errors.frequency import FrequencyErrors, FrequencyTerm
 from fmu.posterior.errors.frequency import Kind as Kind
 from fmu.posterior.errors.noise import NoiseIndex
 from fmu.posterior.parameters import Parameter
-from fmu.types import FloatArray, IntArray
+from fmu.types import FloatArray, IntArray, Plain
 
 LEAST_FREEDOM = 1.0
 
@@ -141,7 +141,7 @@ class StudentTerm(FrequencyTerm):
             return np.asarray(frequencies / np.sqrt(1.0 + np.maximum(error, -0.99)))
         return np.asarray(frequencies + error)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return name and settings."""
         inferred = isinstance(self._freedom, int)
         freedom = {"freedom_inferred": self._freedom} if inferred else {"freedom": self._freedom}

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from fmu.arguments import check_arguments
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal, Prior
+from fmu.types import Plain
 
 _LOWEST, _HIGHEST = -0.5, 0.95
 _SD = 0.3
@@ -40,6 +40,6 @@ class Damage:
         start = float(np.clip(0.0, max(_LOWEST, prior.support[0]), min(_HIGHEST, prior.support[1])))
         return Parameter(f"{of.name} loss [{state}]", start, _LOWEST, _HIGHEST, prior)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return the settings in plain Python types."""
         return {"prior": None if self.prior is None else self.prior.as_dict()}

@@ -15,7 +15,7 @@ from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.population import Population
 from fmu.posterior.joint.values import Drawn, Future, InTests, Taken
 from fmu.posterior.parameters import Parameter, box
-from fmu.types import FloatArray, IntArray
+from fmu.types import FloatArray, IntArray, Plain
 
 SHARED = "shared"
 
@@ -115,7 +115,7 @@ class Layout:
         groups = dict.fromkeys(test.group for test in self.tests if test.group != self.reference)
         return tuple(groups) if self.by_state else ()
 
-    def configuration(self) -> dict[str, Any]:
+    def configuration(self) -> dict[str, Plain]:
         """Return the data that define it, in plain Python types."""
         return {
             "tests": [test.as_dict() for test in self.tests],

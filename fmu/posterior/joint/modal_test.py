@@ -9,6 +9,7 @@ from typing import Any
 from fmu.arguments import check_arguments
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import require_name
+from fmu.types import Plain
 
 
 class TestsError(ValueError):
@@ -77,9 +78,11 @@ class Test:
         changes = (tuple(sorted(part.items(), key=str)) for part in (self.masses, self.springs, self.known))
         return (*changes, tuple(self.data.sensors))
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return the known differences of the test, in plain Python types."""
-        springs = [[str(place), direction, float(k)] for (place, direction), k in self.springs.items()]
+        springs: list[list[Plain]] = [
+            [str(place), direction, float(k)] for (place, direction), k in self.springs.items()
+        ]
         return {
             "name": self.name,
             "group": self.group,

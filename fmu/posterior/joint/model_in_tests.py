@@ -13,7 +13,7 @@ from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.programs.solves import Failure
-from fmu.types import FloatArray, IntArray
+from fmu.types import FloatArray, IntArray, Plain
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +219,7 @@ class ModelInTests(ModalModel):
             return ModalPrediction(frequencies, shapes)
         return ModalPrediction(frequencies, shapes, by_frequency, by_shape)
 
-    def configuration(self) -> dict[str, Any]:
+    def configuration(self) -> dict[str, Plain]:
         """Return the data that identify the model, in plain Python types."""
         return {
             "configurations": [

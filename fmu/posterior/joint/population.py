@@ -13,7 +13,7 @@ the same with any weights.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from scipy.special import log_ndtr, ndtri_exp
@@ -22,7 +22,7 @@ from fmu.arguments import check_arguments
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Prior
 from fmu.posterior.priors.one_sided import HalfNormal
-from fmu.types import FloatArray
+from fmu.types import FloatArray, Plain
 
 Normals = tuple[FloatArray, FloatArray]
 Slopes = tuple[FloatArray, FloatArray, FloatArray]
@@ -145,7 +145,7 @@ class Population:
             ends = np.log([max(lower, 0.0), upper])
         return truncated_normal_scores(np.log(value), np.log(centre), sd, *ends)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return the settings in plain Python types."""
         return {
             "distribution": self.distribution,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, Self
 
@@ -42,7 +42,7 @@ class InTests:
         """Return the values in every test, shape (n, n_tests), and their derivatives."""
         raise NotImplementedError
 
-    def identity(self, test: int) -> Any:
+    def identity(self, test: int) -> Hashable:
         """Return an object that is equal in two tests if the value always is."""
         raise NotImplementedError
 
@@ -97,7 +97,7 @@ class Taken(InTests):
         """Return the values in every test, shape (n, n_tests), and their derivatives."""
         return theta[:, self.columns], [Slope(self.columns, np.ones((len(theta), len(self.columns))))]
 
-    def identity(self, test: int) -> Any:
+    def identity(self, test: int) -> Hashable:
         """Return an object that is equal in two tests if the value always is."""
         return int(self.columns[test])
 
@@ -166,7 +166,7 @@ class Drawn(InTests):
         """Return the values in every test, shape (n, n_tests), and their derivatives."""
         return self.last.remember("evaluated", theta, self._compute)[0]
 
-    def identity(self, test: int) -> Any:
+    def identity(self, test: int) -> Hashable:
         """Return an object that is equal in two tests if the value always is."""
         return int(self.columns[test])
 
@@ -300,7 +300,7 @@ class Lost(InTests):
         by_loss = np.where(self.is_lost, -base, 0.0)
         return base * (1.0 - loss), [Slope(columns, 1.0 - loss), Slope(self.losses, by_loss)]
 
-    def identity(self, test: int) -> Any:
+    def identity(self, test: int) -> Hashable:
         """Return an object that is equal in two tests if the value always is."""
         return int(self.losses[test])
 
@@ -352,7 +352,7 @@ class Trend(InTests):
             found.append(Slope(columns, value * self.covariates[k] * others))
         return value * product, found
 
-    def identity(self, test: int) -> Any:
+    def identity(self, test: int) -> Hashable:
         """Return an object that is equal in two tests if the value always is."""
         return self.of.identity(test), *self.covariates[:, test].tolist()
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy.special import log_ndtr, ndtr, ndtri_exp
 
 from fmu.arguments import check_arguments
-from fmu.types import FloatArray, Positive
+from fmu.types import FloatArray, Plain, Positive
 
 _CENTRAL = ndtr(np.array([-1.0, 0.0, 1.0]))
 _ENDS = ndtr(np.array([-4.0, 4.0]))
@@ -72,7 +72,7 @@ class Prior(ABC):
         """Return the quantiles `p` of the distribution truncated to the bounds."""
 
     @abstractmethod
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return name and settings."""
 
     def draw(self, rng: np.random.Generator, n: int, lower: float, upper: float) -> FloatArray:
@@ -174,7 +174,7 @@ class Normal(Prior):
         densest = min(max(self.mean, lower), upper)
         return max(lower, densest - 4.0 * self.sd), min(upper, densest + 4.0 * self.sd)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return name and settings."""
         return {"distribution": "normal", "mean": self.mean, "sd": self.sd}
 
@@ -213,6 +213,6 @@ class Uniform(Prior):
         """Return the bounds."""
         return lower, upper
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return the name."""
         return {"distribution": "uniform"}

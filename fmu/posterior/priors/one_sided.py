@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.numbers import typed
 from fmu.posterior.priors.base import GaussianForm, Normal, Prior
-from fmu.types import FloatArray, Positive
+from fmu.types import FloatArray, Plain, Positive
 
 
 @check_arguments
@@ -64,7 +63,7 @@ class HalfNormal(Prior):
         """Return the quantiles `p` of the distribution truncated to the bounds."""
         return self.gaussian.quantile(p, max(lower, self.at), upper)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return name and settings."""
         return {"distribution": "half-normal", "sd": self.sd, "at": self.at}
 
@@ -151,7 +150,7 @@ class LogNormal(Prior):
         with np.errstate(over="ignore"):
             return np.clip(np.exp(self.gaussian.quantile(p, _log(lower), _log(upper))), lower, upper)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return name and settings."""
         return {"distribution": "log-normal", "median": self.median, "sigma": self.sigma}
 

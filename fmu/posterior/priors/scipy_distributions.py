@@ -12,12 +12,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import betainc, betaincinv, betaln, xlogy
 
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.numbers import significant, typed
 from fmu.posterior.priors.base import Prior
-from fmu.types import FloatArray, Positive
+from fmu.types import FloatArray, Plain, Positive
 
 _STEP, _EDGE = 1e-3, 1e-6
 
@@ -26,11 +27,11 @@ class InvertedPrior(Prior):
     """A prior given by its distribution function F, by 1 − F, and by the inverses of both."""
 
     @abstractmethod
-    def cdf(self, x: Any) -> Any:
+    def cdf(self, x: ArrayLike) -> FloatArray:
         """Return F."""
 
     @abstractmethod
-    def sf(self, x: Any) -> Any:
+    def sf(self, x: ArrayLike) -> FloatArray:
         """Return 1 − F."""
 
     @abstractmethod
@@ -57,7 +58,7 @@ class InvertedPrior(Prior):
     def _mass(self, lower: float, upper: float) -> float:
         below, above = self.cdf(lower), self.sf(upper)
         mass = self.sf(lower) - above if below > above else self.cdf(upper) - below
-        return float(max(mass, 0.0))
+        return max(float(mass), 0.0)
 
 
 @check_arguments
@@ -130,11 +131,11 @@ class ScaledBeta(InvertedPrior):
             gradient = (left - right) / (self.high - self.low)
         return np.where((t >= 0.0) & (s >= 0.0) & np.isfinite(gradient), gradient, np.nan)
 
-    def cdf(self, x: Any) -> Any:
+    def cdf(self, x: ArrayLike) -> FloatArray:
         """Return F, the regularised incomplete beta function."""
         return betainc(self.a, self.b, np.clip(self._parts(x)[0], 0.0, 1.0))
 
-    def sf(self, x: Any) -> Any:
+    def sf(self, x: ArrayLike) -> FloatArray:
         """Return 1 − F."""
         return betainc(self.b, self.a, np.clip(self._parts(x)[1], 0.0, 1.0))
 
@@ -146,7 +147,7 @@ class ScaledBeta(InvertedPrior):
         """Return the inverse of 1 − F."""
         return np.asarray(self.high - (self.high - self.low) * betaincinv(self.b, self.a, p))
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return name and settings."""
         return {"distribution": "beta", "a": self.a, "b": self.b, "low": self.low, "high": self.high}
 
@@ -224,11 +225,11 @@ class ScipyPrior(InvertedPrior):
             slope = (f[0] - 8.0 * f[1] + 8.0 * f[2] - f[3]) / (12.0 * h)
             return np.where(np.isfinite(slope) & np.isfinite(self.log_pdf(x)), slope, np.nan)
 
-    def cdf(self, x: Any) -> Any:
+    def cdf(self, x: ArrayLike) -> FloatArray:
         """Return F."""
         return self.distribution.cdf(x)
 
-    def sf(self, x: Any) -> Any:
+    def sf(self, x: ArrayLike) -> FloatArray:
         """Return 1 − F."""
         return self.distribution.sf(x)
 
@@ -240,7 +241,7 @@ class ScipyPrior(InvertedPrior):
         """Return the inverse of 1 − F."""
         return np.asarray(self.distribution.isf(p))
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return the name, the arguments, and quantiles, which distinguish distributions of the same name."""
         arguments = {f"argument {i + 1}": _plain(value) for i, value in enumerate(self.distribution.args)}
         arguments |= {key: _plain(value) for key, value in sorted(self.distribution.kwds.items())}

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import expit, log_ndtr, logit, ndtr, ndtri
 
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.priors.scipy_distributions import InvertedPrior
-from fmu.types import FloatArray, Positive
+from fmu.types import FloatArray, Plain, Positive
 
 _HALVINGS = 60
 
@@ -69,12 +69,12 @@ class SpikeAndSlab(InvertedPrior):
             ratio = 0.5 * z * z * (1.0 - (self.spike / self.sd) ** 2)
         return np.asarray(expit(ratio + np.log(self.spike / self.sd) + logit(self.share)))
 
-    def cdf(self, x: Any) -> Any:
+    def cdf(self, x: ArrayLike) -> FloatArray:
         """Return F."""
         z = np.asarray(x) - self.mean
         return self.share * ndtr(z / self.sd) + (1.0 - self.share) * ndtr(z / self.spike)
 
-    def sf(self, x: Any) -> Any:
+    def sf(self, x: ArrayLike) -> FloatArray:
         """Return 1 − F."""
         return self.cdf(2.0 * self.mean - np.asarray(x))
 
@@ -93,7 +93,7 @@ class SpikeAndSlab(InvertedPrior):
         """Return the inverse of 1 − F."""
         return 2.0 * self.mean - self.ppf(p)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Plain]:
         """Return name and settings."""
         own = {"share": self.share, "sd": self.sd, "spike": self.spike, "mean": self.mean}
         return {"distribution": "spike-and-slab", **own}

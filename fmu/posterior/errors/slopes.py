@@ -1,0 +1,59 @@
+"""The chain rule of error models: from derivatives by frequencies and shapes to derivatives by parameters."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.posterior.errors.base import Chain, ErrorTerm, Evaluated
+from fmu.posterior.errors.surrogate_variance import residuals_with_variance
+from fmu.types import FloatArray, IntArray
+
+
+def chain_prediction(seen: ModalPrediction, chain: Chain, test: IntArray) -> ModalPrediction:
+    """Return a prediction, whose modes are of the tests `test` (n_modes,), with derivatives by all parameters."""
+    by_shape = seen.shape_slopes
+    if by_shape is not None:
+        by_shape = np.stack([chain(by_shape[:, s], test) for s in range(by_shape.shape[1])], axis=1)
+    return replace(seen, frequency_slopes=chain(np.asarray(seen.frequency_slopes), test), shape_slopes=by_shape)
+
+
+def gradient_of_terms(part: Evaluated, seen: ModalPrediction, n_structural: int, n_noise: int) -> FloatArray:
+    """Return the gradient of an error model's terms by all parameters, shape (n, n_modes, n_structural + n_noise).
+
+    Where the prediction has slopes, n_structural is the number of parameters that these are by.
+    """
+    n = n_structural if seen.frequency_slopes is None else seen.frequency_slopes.shape[-1]
+    gradient = np.zeros((*part.terms.shape, n + n_noise))
+    leading = gradient[..., :n]
+    if part.by_frequency is not None and seen.frequency_slopes is not None:
+        leading += part.by_frequency[..., None] * seen.frequency_slopes
+    if part.by_shape is not None and seen.shape_slopes is not None:
+        # a sum in one order, whatever the batch
+        leading += np.einsum("nsm,nsmk->nmk", part.by_shape, seen.shape_slopes)
+    if part.by_frequency_variance is not None and seen.frequency_variance_slopes is not None:
+        leading += part.by_frequency_variance[..., None] * seen.frequency_variance_slopes
+    if part.by_shape_variance is not None and seen.shape_variance_slopes is not None:
+        leading += np.einsum("nsm,nsmk->nmk", part.by_shape_variance, seen.shape_variance_slopes)
+    for k, slope in (part.by_noise or {}).items():
+        gradient[..., n + k] += slope
+    return gradient
+
+
+def residuals_of_term(term: ErrorTerm, seen: ModalPrediction, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the residuals of an error model, (n, n_modes, q), and their derivatives by the model's parameters.
+
+    The latter are (n, n_modes, q, n_structural), with the inferred deviations `noise`, (n, n_noise), held fixed.
+    """
+    view = term.project(seen)
+    r = term.residuals(view, noise)
+    if view.frequency_variance is not None:
+        r = residuals_with_variance(r, view)
+    parts = []
+    if r.by_frequency is not None and view.frequency_slopes is not None:
+        parts.append(r.by_frequency[..., None] * view.frequency_slopes[:, :, None])
+    if r.by_shape is not None and view.shape_slopes is not None:
+        parts.append(np.einsum("nmqs,nsmk->nmqk", r.by_shape, view.shape_slopes))
+    return r.values, np.asarray(sum(parts))
