@@ -63,8 +63,9 @@ class StudentErrors(FrequencyErrors):
         gaussian = super().bind(data, index)
         if not isinstance(gaussian, FrequencyTerm):
             raise ArgumentError("freedom", "Student's errors are independent, and the data have a covariance")
-        freedom = index(self.freedom) if isinstance(self.freedom, Parameter) else float(self.freedom)
-        return StudentTerm(gaussian, freedom)
+        if isinstance(self.freedom, Parameter):
+            return StudentTerm(gaussian, np.nan, index(self.freedom))
+        return StudentTerm(gaussian, float(self.freedom))
 
 
 class StudentTerm(FrequencyTerm):
@@ -74,16 +75,18 @@ class StudentTerm(FrequencyTerm):
     ----------
     gaussian : FrequencyTerm
         The same errors with a Gaussian distribution.
-    freedom : float or int
-        ν; as a whole number of type int, which of the inferred quantities it is.
+    freedom : float
+        ν, if it is known.
+    number : int, optional
+        Which of the inferred quantities ν is.
     """
 
     is_least_squares = False
 
-    def __init__(self, gaussian: FrequencyTerm, freedom: float) -> None:
-        self._freedom = freedom
+    def __init__(self, gaussian: FrequencyTerm, freedom: float, number: int | None = None) -> None:
+        self._freedom, self._number = freedom, number
         super().__init__(gaussian.kind, gaussian.measured, gaussian.spread)
-        self.is_chi_square = not isinstance(freedom, int)  # type: ignore[misc]
+        self.is_chi_square = number is None  # type: ignore[misc]
 
     @property
     def is_known(self) -> bool:
@@ -107,9 +110,9 @@ class StudentTerm(FrequencyTerm):
         weight = (nu + 1.0) / (nu + square)
         by_V = 0.5 * (weight * square - 1.0) / V
         by_noise = {k: by_V * dV for k, dV in self.spread.slopes(noise).items()}
-        if isinstance(self._freedom, int):
+        if self._number is not None:
             by_nu = digamma(0.5 * (nu + 1.0)) - digamma(0.5 * nu) - 1.0 / nu - shrunk + weight * square / nu
-            by_noise[self._freedom] = 0.5 * by_nu
+            by_noise[self._number] = 0.5 * by_nu
         return Evaluated(terms, -weight * error / V * slope, None, by_noise)
 
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
@@ -126,16 +129,16 @@ class StudentTerm(FrequencyTerm):
         """
         nu = self._nu(noise)[:, 0]
         found = self.spread.information(noise, used) * (nu / (nu + 3.0))[:, None, None]
-        if isinstance(self._freedom, int):
+        if self._number is not None:
             each = polygamma(1, 0.5 * nu) - polygamma(1, 0.5 * (nu + 1.0))
             each = 0.25 * each - (nu + 5.0) / (2.0 * nu * (nu + 1.0) * (nu + 3.0))
             n = len(self.measured) if used is None else len(used)
-            found[:, self._freedom, self._freedom] += n * np.maximum(each, 0.0)
+            found[:, self._number, self._number] += n * np.maximum(each, 0.0)
         return found
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
         """Return measured frequencies (n, n_modes) for computed ones, Hz."""
-        nu = self._nu(noise) if isinstance(self._freedom, int) else self._freedom
+        nu = self._freedom if self._number is None else self._nu(noise)
         error = np.sqrt(self.spread.variance(noise)) * rng.standard_t(nu, frequencies.shape)
         if self.kind == "eigenvalue":
             return np.asarray(frequencies / np.sqrt(1.0 + np.maximum(error, -0.99)))
@@ -143,12 +146,12 @@ class StudentTerm(FrequencyTerm):
 
     def as_dict(self) -> dict[str, Plain]:
         """Return name and settings."""
-        inferred = isinstance(self._freedom, int)
-        freedom = {"freedom_inferred": self._freedom} if inferred else {"freedom": self._freedom}
-        return super().as_dict() | freedom
+        if self._number is None:
+            return {**super().as_dict(), "freedom": self._freedom}
+        return {**super().as_dict(), "freedom_inferred": self._number}
 
     def _nu(self, noise: FloatArray) -> FloatArray:
         """Return ν, shape (n, 1)."""
-        if isinstance(self._freedom, int):
-            return noise[:, self._freedom, None]
-        return np.full((len(noise), 1), self._freedom)
+        if self._number is None:
+            return np.full((len(noise), 1), self._freedom)
+        return noise[:, self._number, None]

@@ -159,7 +159,7 @@ class Layout:
     @property
     def drawn(self) -> list[Drawn]:
         """The parameters that scatter over the tests."""
-        return [one.base for one in self.values_of if isinstance(one.base, Drawn)]
+        return [drawn for one in self.values_of for drawn in one.populations]
 
     @property
     def scales(self) -> list[int]:

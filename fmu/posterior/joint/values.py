@@ -38,6 +38,11 @@ class InTests:
         """The parameter without trends: itself, unless it has some."""
         return self
 
+    @property
+    def populations(self) -> tuple[Drawn, ...]:
+        """The population that the values scatter about, if there is one."""
+        return ()
+
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
         """Return the values in every test, shape (n, n_tests), and their derivatives."""
         raise NotImplementedError
@@ -161,6 +166,11 @@ class Drawn(InTests):
     centring: FloatArray
     reference: tuple[float, float]
     last: LastTheta = field(default_factory=LastTheta, init=False, repr=False)
+
+    @property
+    def populations(self) -> tuple[Drawn, ...]:
+        """The population itself."""
+        return (self,)
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
         """Return the values in every test, shape (n, n_tests), and their derivatives."""
@@ -339,6 +349,11 @@ class Trend(InTests):
     def base(self) -> InTests:
         """The parameter where every covariate is at its mean over the tests."""
         return self.of
+
+    @property
+    def populations(self) -> tuple[Drawn, ...]:
+        """The population of the parameter without its trends."""
+        return self.of.populations
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
         """Return the values in every test, shape (n, n_tests), and their derivatives."""
