@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -12,7 +11,7 @@ import numpy as np
 from fmu.analysis.identifiability import Identifiability, combination, kept_identifiability
 from fmu.analysis.prediction import at_bounds
 from fmu.analysis.trace.modal_states import MAXIMUM, START
-from fmu.analysis.trace.reading import has, parameter_draws, parameter_names
+from fmu.analysis.trace.reading import has, parameter_draws, parameter_names, problem_of
 from fmu.analysis.uninformed import (
     LINEARISED_LEFT,
     Uninformed,
@@ -312,9 +311,7 @@ def standardise_draws(trace: xr.DataTree) -> tuple[FloatArray, FloatArray, tuple
     names = parameter_names(trace)
     x = parameter_draws(trace).reshape(-1, len(names))
     prior = np.stack([trace["prior"][name].to_numpy().ravel() for name in names], axis=1)
-    problem = json.loads(str(trace.attrs.get("configuration", "{}"))).get("problem") or {}
-    described = problem.get("parameters", ()) if isinstance(problem, dict) else ()
-    kinds = {p["name"]: p["prior"].get("distribution") for p in described}
+    kinds = {p["name"]: p["prior"].get("distribution") for p in problem_of(trace).get("parameters", ())}
     logs = np.array([kinds.get(name) == "log-normal" for name in names])
     x[:, logs], prior[:, logs] = np.log(x[:, logs]), np.log(prior[:, logs])
     mean, sd = prior.mean(axis=0), prior.std(axis=0, ddof=1)

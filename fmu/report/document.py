@@ -18,19 +18,39 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
+class _Part:
+    """What every part of a page says of its layout."""
+
+    is_words: ClassVar[bool] = False
+    fills_desk: ClassVar[bool] = False
+    """Whether it leaves no half of a desk white beside a narrow figure."""
+
+    @property
+    def fits_beside(self) -> bool:
+        """Whether it has room beside a narrow figure on a desk."""
+        return self.is_words
+
+    @property
+    def is_narrow_figure(self) -> bool:
+        """Whether it is a single figure that others have room beside."""
+        return False
+
+
 @dataclass(frozen=True)
-class Text:
+class Text(_Part):
     """A paragraph."""
 
     kind: ClassVar[str] = "text"
+    is_words: ClassVar[bool] = True
     words: str
 
 
 @dataclass(frozen=True)
-class Items:
+class Items(_Part):
     """A list of sentences."""
 
     kind: ClassVar[str] = "items"
+    is_words: ClassVar[bool] = True
     items: tuple[str, ...]
 
 
@@ -53,7 +73,7 @@ _HIGH = 1200
 
 
 @dataclass(frozen=True)
-class PageTable:
+class PageTable(_Part):
     """A table.
 
     Attributes
@@ -69,6 +89,7 @@ class PageTable:
     """
 
     kind: ClassVar[str] = "table"
+    fills_desk: ClassVar[bool] = True
     caption: str
     header: tuple[str, ...]
     rows: tuple[tuple[str | Link, ...], ...]
@@ -91,15 +112,15 @@ class PageTable:
         return _first_sentence(self.caption)
 
     @property
-    def least_width(self) -> float:
-        """Its width beside a figure, about, CSS pixels: room for the words of its header and its longest cells."""
+    def fits_beside(self) -> bool:
+        """Whether the words of its header and its longest cells have room beside a narrow figure, about."""
         columns = zip(self.header, *self.rows, strict=True)
         letters = sum(max(_longest(head.split()), _longest(map(_words, cells))) for head, *cells in columns)
-        return _LETTER * letters + _PADDING * len(self.header)
+        return _LETTER * letters + _PADDING * len(self.header) <= _BESIDE
 
 
 @dataclass(frozen=True)
-class Picture:
+class Picture(_Part):
     """A drawing.
 
     Attributes
@@ -140,15 +161,21 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Pictures:
+class Pictures(_Part):
     """Drawings side by side if the page is wide enough."""
 
     kind: ClassVar[str] = "pictures"
     pictures: tuple[Picture, ...]
 
+    @property
+    def is_narrow_figure(self) -> bool:
+        """Whether it is a single figure that others have room beside."""
+        first = self.pictures[0]
+        return len(self.pictures) == 1 and first.width <= _NARROW and not first.is_high
+
 
 @dataclass(frozen=True, eq=False)
-class View:
+class View(_Part):
     """A drawing that readers turn, by the script ``structure.js``; hidden where scripts are off, and in print.
 
     Attributes
@@ -172,7 +199,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Details:
+class Details(_Part):
     """Parts that are hidden until they are opened."""
 
     kind: ClassVar[str] = "details"
@@ -192,19 +219,21 @@ class PageSection:
     parts: tuple[Part, ...]
 
     @property
+    def shown(self) -> tuple[PageSection, ...]:
+        """The section itself."""
+        return (self,)
+
+    @property
+    def omissions(self) -> tuple[str, ...]:
+        """Nothing is omitted."""
+        return ()
+
+    @property
     def has_figure_beside(self) -> bool:
         """Whether its only narrow figure, the last part, has room beside the other parts on a desk."""
         *others, last = self.parts
-        if not isinstance(last, Pictures) or len(last.pictures) > 1 or not others:
-            return False
-        if last.pictures[0].width > _NARROW or last.pictures[0].is_high:
-            return False
-        if not any(isinstance(part, PageTable) for part in others):  # a few words would leave half a desk white
-            return False
-        return all(
-            part.least_width <= _BESIDE if isinstance(part, PageTable) else isinstance(part, Text | Items)
-            for part in others
-        )
+        is_filled = any(part.fills_desk for part in others)
+        return last.is_narrow_figure and is_filled and all(part.fits_beside for part in others)
 
 
 @dataclass(frozen=True)
@@ -220,6 +249,16 @@ class Omitted:
 
     title: str
     reason: str
+
+    @property
+    def shown(self) -> tuple[PageSection, ...]:
+        """No section."""
+        return ()
+
+    @property
+    def omissions(self) -> tuple[str, ...]:
+        """What is omitted and why, in a sentence."""
+        return (f"{self.title}: {self.reason}.",)
 
 
 NOTES = "Notes on the model and the data"

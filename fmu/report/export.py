@@ -16,7 +16,15 @@ from fmu.analysis.convergence.diagnosis import Diagnosis, choose_run, maxima_of
 from fmu.analysis.information import Information, information
 from fmu.analysis.trace.conversion import load_trace
 from fmu.analysis.trace.provenance import canonical_json
-from fmu.analysis.trace.reading import array_of, constant, has, parameter_draws, parameter_names, parameter_units
+from fmu.analysis.trace.reading import (
+    array_of,
+    constant,
+    has,
+    parameter_draws,
+    parameter_names,
+    parameter_units,
+    problem_of,
+)
 from fmu.arguments import check_arguments
 from fmu.config.kept import read_saved
 from fmu.fem.modes.separable import SeparableModel
@@ -210,7 +218,7 @@ def _check_same(problem: UpdatingProblem, trace: xr.DataTree) -> None:
     The matrices may differ by rounding, as on another machine: then the frequencies at some draws must agree with
     those in the trace.
     """
-    sampled = json.loads(str(trace.attrs["configuration"]))["problem"]
+    sampled = problem_of(trace)
     now = json.loads(canonical_json(problem.configuration()))
     differs = [key for key in now if key != "model" and sampled.get(key) != now[key]]
     if differs:

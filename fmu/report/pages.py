@@ -89,12 +89,9 @@ def _dates(runs: Iterable[ReportedRun]) -> str:
 def _without_omissions(found: Iterable[PageSection | Omitted]) -> tuple[PageSection, ...]:
     """Return the sections, and a last one that lists the missing ones with their reasons."""
     found = tuple(found)
-    sections = [part for part in found if isinstance(part, PageSection)]
-    omitted = [part for part in found if isinstance(part, Omitted)]
-    if omitted:
-        said = Items(tuple(f"{part.title}: {part.reason}." for part in omitted))
-        sections.append(PageSection("omitted", "Not on this page", (said,)))
-    return tuple(sections)
+    sections = tuple(section for part in found for section in part.shown)
+    omitted = tuple(sentence for part in found for sentence in part.omissions)
+    return (*sections, PageSection("omitted", "Not on this page", (Items(omitted),))) if omitted else sections
 
 
 def index_page(runs: Mapping[str, ReportedRun], files: Mapping[str, str]) -> Page:

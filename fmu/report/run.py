@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from fmu.analysis.convergence.comparison import compare_runs
 from fmu.analysis.convergence.diagnosis import Diagnosis, maxima_of
 from fmu.analysis.prediction import predict_frequencies
-from fmu.analysis.trace.reading import check_trace, has, parameter_names, walkers_of, without_scores
+from fmu.analysis.trace.reading import check_trace, has, parameter_names, problem_of, walkers_of, without_scores
 from fmu.numbers import Unit
 from fmu.posterior.parameters import prior_in_words
 from fmu.report.document import breaking_at_commas
@@ -77,8 +76,7 @@ class ReportedRun:
     @property
     def problem(self) -> dict[str, Any]:
         """`UpdatingProblem.configuration` of the problem; of another density what is known of it."""
-        found = json.loads(str(self.trace.attrs["configuration"])).get("problem")
-        return found if isinstance(found, dict) else {}
+        return problem_of(self.trace)
 
     @property
     def priors(self) -> dict[str, str]:

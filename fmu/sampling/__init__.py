@@ -237,9 +237,10 @@ def _check(
             f"sampler: {settings.name} needs a density with log_prob_and_grad; without it take 'mixture', or "
             "fmu.HamiltonianMonteCarlo(gradient='central-difference')"
         )
-    if isinstance(init, str) and init not in INITS:
-        raise ValueError(f"init: must be one of {', '.join(INITS)} or an array (got {init!r})")
-    if not isinstance(init, str):
+    if isinstance(init, str):
+        if init not in INITS:
+            raise ValueError(f"init: must be one of {', '.join(INITS)} or an array (got {init!r})")
+    else:
         shape = (chains, problem.ndim) if settings.walkers == 1 else (chains, settings.walkers, problem.ndim)
         if np.shape(init) != shape or not np.isfinite(init).all():
             raise ValueError(f"init: must be finite, of shape {shape} (got {shown(init)})")

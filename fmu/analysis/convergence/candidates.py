@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -55,9 +55,8 @@ def candidates_of(trace: xr.DataTree) -> Candidates | None:
     drawn = int(np.sum(~np.isnan(array_of(trace, "sample_stats", CANDIDATE))))
     if not drawn:
         return None
-    weights = (json.loads(trace.attrs["learnt"]) or json.loads(trace.attrs["settings"]))["weights"]
-    of_groups = weights if isinstance(weights[0], list) else [weights]
-    shares = np.concatenate([np.array(one) / np.sum(one) for one in of_groups])
+    weights = [mixture["weights"] for mixture in _mixtures_of(trace)]
+    shares = np.concatenate([np.array(one) / np.sum(one) for one in weights])
     share = float(np.min(shares[shares >= _IN_DOUBT * NEGLIGIBLE]))
     return Candidates(drawn, math.ceil(TIMES / max(share, NEGLIGIBLE)), share)
 
@@ -66,9 +65,16 @@ def has_curved_mixture(trace: xr.DataTree) -> bool:
     """Say whether the candidates of a run came from a curved mixture, of one group of chains at least."""
     if not has(trace, "sample_stats", CANDIDATE):
         return False
-    components = (json.loads(trace.attrs["learnt"]) or json.loads(trace.attrs["settings"])).get("components")
-    of_groups = components if isinstance(components, list) else [components]
-    return any(isinstance(one, dict) and one.get("type") == "CurvedMixture" for one in of_groups)
+    components = [mixture.get("components") for mixture in _mixtures_of(trace)]
+    return any(isinstance(one, dict) and one.get("type") == "CurvedMixture" for one in components)
+
+
+def _mixtures_of(trace: xr.DataTree) -> list[dict[str, Any]]:
+    """Return the settings of the mixture of each group of chains, with which the draws were made."""
+    learnt = json.loads(trace.attrs["learnt"])
+    if not learnt or int(trace.attrs["groups"]) == 1:
+        return [learnt or json.loads(trace.attrs["settings"])]
+    return [dict(zip(learnt, each, strict=True)) for each in zip(*learnt.values(), strict=True)]
 
 
 def growth_for_candidates(trace: xr.DataTree) -> float:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.analysis.trace.reading import has, roles_of
+from fmu.analysis.trace.reading import has, problem_of, roles_of
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.numbers import names_in_words, share, whole
 from fmu.tables import data_frame
@@ -103,8 +102,7 @@ def before_and_after(trace: xr.DataTree) -> pd.DataFrame:
 
 def tests_in(trace: xr.DataTree, state: str) -> list[str]:
     """Return the names of the tests of a state."""
-    tests = json.loads(str(trace.attrs["configuration"]))["problem"]["tests"]
-    return [str(test["name"]) for test in tests if test["group"] == state]
+    return [str(test["name"]) for test in problem_of(trace)["tests"] if test["group"] == state]
 
 
 def before_in_words(trace: xr.DataTree) -> str:

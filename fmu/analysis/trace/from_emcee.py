@@ -323,7 +323,7 @@ def _check_log_prob(
             f"{typed(stored[at[worst]])} is stored (got {typed(computed[worst])} of the problem); "
             "leave the problem out and give names if the run had another prior"
         )
-    if not hasattr(problem, "frequencies"):
+    if not is_updating(problem):
         return None
     hz = np.asarray(problem.frequencies(theta[at]))
     for name, values in blobs.items():

@@ -5,7 +5,8 @@ A trace of an older version, of another sampler or of a plain log-density lacks 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import json
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -44,6 +45,12 @@ def is_pseudo(trace: xr.DataTree) -> bool:
 def array_of(trace: xr.DataTree, group: str, variable: str) -> AnyArray:
     """Return a variable of a group with one value, or one array, for each draw, shape (chains, draws, ...)."""
     return trace[group][variable].transpose("chain", "draw", ...).to_numpy()
+
+
+def problem_of(trace: xr.DataTree) -> dict[str, Any]:
+    """Return `UpdatingProblem.configuration` of the problem; of another density what is known of it."""
+    found = json.loads(str(trace.attrs.get("configuration", "{}"))).get("problem")
+    return found if isinstance(found, dict) else {}
 
 
 def with_group(trace: xr.DataTree, group: str, dataset: xr.Dataset) -> xr.DataTree:

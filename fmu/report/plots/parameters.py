@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -11,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fmu.analysis.convergence.diagnostics import summary
 from fmu.analysis.information import not_informed
-from fmu.analysis.trace.reading import constant, parameter_names
+from fmu.analysis.trace.reading import constant, parameter_names, problem_of
 from fmu.report.plots.style import (
     BLACK,
     FONT,
@@ -111,9 +110,7 @@ def plot_parameter_updates(
 
 def inferred_deviations(trace: xr.DataTree) -> frozenset[str]:
     """Return the names of the parameters that are standard deviations of errors."""
-    problem = json.loads(trace.attrs["configuration"]).get("problem") or {}
-    likelihood = problem.get("likelihood") or {} if isinstance(problem, dict) else {}
-    return frozenset(likelihood.get("noise", ()))
+    return frozenset((problem_of(trace).get("likelihood") or {}).get("noise", ()))
 
 
 def _frame(axis: Axes, trace: xr.DataTree, members: list[str]) -> None:

@@ -148,6 +148,7 @@ def with_mixture(make_trace):
         position = np.random.default_rng(28).standard_normal((4, draws, 2))
         trace = make_trace(position, candidate_log_weight=np.where(np.arange(draws) % 2, 0.0, np.nan))
         trace.attrs["learnt"] = json.dumps({"weights": weights[0] if len(weights) == 1 else weights})
+        trace.attrs["groups"] = len(weights)
         return trace
 
     return make
