@@ -58,7 +58,7 @@ def test_a_missing_file_is_an_error_of_the_system_and_of_an_argument():
 
 def test_mistakes_of_a_file_are_copied_with_their_records():
     mistakes = [ArgumentError("model.mesh", "must be a file"), ArgumentError("parameters.0.upper", "is missing")]
-    for error in (ConfigurationError("portal.toml", mistakes), BrokenError(mistakes)):
+    for error in (ConfigurationError("portal.toml", mistakes), BrokenError(*mistakes)):
         copy = pickle.loads(pickle.dumps(error))
         assert [one.key for one in copy.mistakes] == ["model.mesh", "parameters.0.upper"]
         assert str(copy) == str(error)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from pydantic import Tag
 
 from fmu.arguments import ArgumentError
+from fmu.config.mistakes import Mistakes
 from fmu.config.tables import Declared, Name, Number, Numbers, OneOf, Positive, by_kind, kind_of, tuple_as_list
 from fmu.formats.modes.measured_modes import Place
 from fmu.formats.shown import names_shown, quote
@@ -133,7 +134,7 @@ def vanishing(
         counts |= {name: counts[name] + model.n_errors(data) for name in set(inferred.values())}
         if model.data_give_sd(data) if model.sd is None else "sd" not in inferred:
             bounded |= set(inferred.values())
-    found = []
+    found = Mistakes()
     for i, (name, parameter) in enumerate(noise.items()):
         n, nearly_none = counts[name], parameter.start * np.array([1e-6, 1e-9])
         density = parameter.prior.log_pdf(nearly_none) - n * np.log(nearly_none)
@@ -142,5 +143,5 @@ def vanishing(
                 f"must be positive (or use a log-normal prior): {n_parameters} parameters can fit these {n} "
                 f"errors exactly, and the probability density is unbounded as the deviation tends to zero"
             )
-            found.append(ArgumentError(f"noise.{i}.lower", rule, quote(parameter.lower)))
+            found.add(f"noise.{i}.lower", rule, quote(parameter.lower))
     return found

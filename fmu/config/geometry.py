@@ -47,7 +47,7 @@ class GeometryTable(TomlTable):
         model = built.separable
         if model is None or model.geometry is None:
             rule = "must be given with a model whose nodes have coordinates: of a frame, or exported with its mesh"
-            raise BrokenError([ArgumentError(WHERE, rule)])
+            raise BrokenError(ArgumentError(WHERE, rule))
         known = {point: built.places.get(str(place), place) for point, place in self.nodes.items()}
         try:
             return match_points(self._read(folder), model, self.unit, known)
@@ -55,7 +55,7 @@ class GeometryTable(TomlTable):
             key, _, rule = str(error).partition(": ")
             if key not in ("nodes", "points"):
                 key, rule = "points" if self.points else "file", str(error)
-            raise BrokenError([ArgumentError(f"{WHERE}.{key}", rule)]) from None
+            raise BrokenError(ArgumentError(f"{WHERE}.{key}", rule)) from None
 
     def _read(self, folder: Path) -> Mapping[str, ArrayLike]:
         if self.points is not None:

@@ -13,7 +13,7 @@ from pydantic import Field, StringConstraints, field_validator, model_validator
 
 from fmu.arguments import ArgumentError
 from fmu.config.geometry import GeometryTable
-from fmu.config.mistakes import BrokenError
+from fmu.config.mistakes import BrokenError, Mistakes
 from fmu.config.tables import (
     Built,
     Declared,
@@ -206,14 +206,14 @@ class MeasurementTable(TomlTable):
         n, most = len(modes.frequencies_hz), built.most_modes
         if n > most:
             rule = f"must have at most {most} modes, one per degree of freedom of the model"
-            raise BrokenError([ArgumentError("measurement", rule, n)])
+            raise BrokenError(ArgumentError("measurement", rule, n))
         sd_hz: ArrayLike | None = modes.sd_hz
         covariance: ArrayLike | None = given.covariance_hz2
         if self._given(_TRUST):
             sd_hz, covariance = self.sd, self._covariance(folder)
         elif needs_trust and sd_hz is None and covariance is None:
             rule = f"{_ONE_TRUST}, as the file has no standard deviations"
-            raise BrokenError([ArgumentError("measurement", rule)])
+            raise BrokenError(ArgumentError("measurement", rule))
         try:
             return ModalData(
                 modes.frequencies_hz,
@@ -234,7 +234,7 @@ class MeasurementTable(TomlTable):
             wrong = ArgumentError.of(error)
             for key in ("frequencies", "sd", "covariance"):  # keys of the file have no units in their names
                 wrong = wrong.replace_key(f"{key}_hz", key).replace_key(f"{key}_hz2", key)
-            raise BrokenError([wrong.under("measurement")]) from None
+            raise BrokenError(wrong.under("measurement")) from None
 
     def _covariance(self, folder: Path) -> ArrayLike | None:
         """Return the covariance of the frequencies, read if it is in a file; BrokenError if it cannot be."""
@@ -246,7 +246,7 @@ class MeasurementTable(TomlTable):
                 raise ValueError(f"must have at most {MOST_MODES} rows (got {matrix.shape[0]})")
         except ValueError as error:
             raise BrokenError(
-                [ArgumentError.of(error).replace_key("variable", "").under("measurement.covariance")]
+                ArgumentError.of(error).replace_key("variable", "").under("measurement.covariance")
             ) from None
         return np.asarray(matrix.toarray())
 
@@ -256,11 +256,11 @@ class MeasurementTable(TomlTable):
             return modes
         if self.test_shapes is not None and modes.shapes_sd is not None:
             rule = "must have axes parallel to the model's, as the scatter of test_shapes is along them"
-            raise BrokenError([ArgumentError("measurement.geometry", rule)])
+            raise BrokenError(ArgumentError("measurement.geometry", rule))
         try:
             sensors, shapes = points.turned(modes.sensors, modes.shapes)
         except ValueError as error:
-            raise BrokenError([ArgumentError(f"measurement.{self._where}", str(error))]) from None
+            raise BrokenError(ArgumentError(f"measurement.{self._where}", str(error))) from None
         return replace(modes, sensors=sensors, shapes=shapes, shapes_sd=None)
 
     @property
@@ -271,21 +271,21 @@ class MeasurementTable(TomlTable):
     def _sensors(self, given: Sensors, built: Built, points: Matching | None) -> tuple[Dof, ...]:
         """Return the sensors of the model at the places and directions that the file gives."""
         sensors: list[Dof] = []
-        found: list[ArgumentError] = []
+        found = Mistakes()
         for i, (place, direction) in enumerate(given):
             where = f"sensors.{i}" if self.sensors else self._where
             sensor: Dof = (built.places.get(str(place), place), str(direction))
             try:
                 sensor = sensor if points is None else points.sensor(place, str(direction))
             except ValueError as error:
-                found.append(ArgumentError(f"measurement.{where}", str(error)))
+                found.add(f"measurement.{where}", str(error))
                 continue
             sensors.append(sensor)
             if not built.model.sees(sensor):
                 rule = "must be a point and a direction that are free to move"
-                found.append(ArgumentError(f"measurement.{where}", rule, quote([place, direction])))
+                found.add(f"measurement.{where}", rule, quote([place, direction]))
         if found:
-            raise BrokenError(found)
+            raise BrokenError(*found)
         return tuple(sensors)
 
     def _read(self, folder: Path) -> _Given:
@@ -340,7 +340,7 @@ def _mean(key: str, values: ArrayLike, scatter: str, labels: tuple[str, ...] = (
     try:
         tests = RepeatedTests(values, scatter)
     except ValueError as error:
-        raise BrokenError([ArgumentError.of(error).replace_key("frequencies", f"measurement.{key}")]) from None
+        raise BrokenError(ArgumentError.of(error).replace_key("frequencies", f"measurement.{key}")) from None
     mean = tests.mean()
     return _Given(MeasuredModes(mean.frequencies_hz, labels, mean.sd_hz), tests, mean.covariance_hz2)
 
@@ -362,9 +362,9 @@ def _repeated_shapes(
     if not wrong and len(lengths) > 1:
         wrong = [ArgumentError(where, "must have rows of one length, one value per sensor", quote(lengths))]
     if wrong:
-        raise BrokenError(wrong)
+        raise BrokenError(*wrong)
     values = np.swapaxes(np.array(shapes, dtype=float), 1, 2)
     try:
         return mean_shapes(values), shapes_sd(values)
     except ValueError as error:
-        raise BrokenError([ArgumentError.of(error).replace_key("shapes", where)]) from None
+        raise BrokenError(ArgumentError.of(error).replace_key("shapes", where)) from None

@@ -30,12 +30,20 @@ _PATTERNS = {
 class BrokenError(Exception):
     """Mistakes found while a part of the problem was built."""
 
-    def __init__(self, mistakes: Sequence[ArgumentError]) -> None:
-        self.mistakes = tuple(mistakes)
-        super().__init__(self.mistakes)
+    def __init__(self, *mistakes: ArgumentError) -> None:
+        self.mistakes = mistakes
+        super().__init__(*mistakes)
 
     def __str__(self) -> str:
         return "; ".join(map(str, self.mistakes))
+
+
+class Mistakes(list[ArgumentError]):
+    """Mistakes that are reported together."""
+
+    def add(self, key: str, rule: str, value: object = "") -> None:
+        """Add a mistake at a key of the file."""
+        self.append(ArgumentError(key, rule, value))
 
 
 class ConfigurationError(ValueError):

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from fmu.arguments import ArgumentError
+from fmu.config.mistakes import Mistakes
 from fmu.config.tables import Declared, Name, NotNegative, OneOf, ParameterName, Positive, TomlTable
 from fmu.fem.frame.updates import PROPERTIES
 from fmu.formats.shown import quote
@@ -142,12 +143,10 @@ def build_parameters(
         Names of other parameters.
     """
     parameters: dict[str, Parameter] = {}
-    found, names = [], list(taken)
+    found, names = Mistakes(), list(taken)
     for i, table in enumerate(tables):
         if table.name in names:
-            found.append(
-                ArgumentError(f"{key}.{i}.name", "must not be the name of another parameter", quote(table.name))
-            )
+            found.add(f"{key}.{i}.name", "must not be the name of another parameter", quote(table.name))
         names.append(table.name)
         try:
             parameters[table.name] = table.build()

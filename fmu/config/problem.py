@@ -14,7 +14,7 @@ from pydantic import Field, Tag
 from fmu.arguments import ArgumentError
 from fmu.config.errors import ErrorTable, beside_tests, build_error_models, is_of_modes, vanishing, with_places
 from fmu.config.measurement import MeasurementTable
-from fmu.config.mistakes import BrokenError, ConfigurationError
+from fmu.config.mistakes import BrokenError, ConfigurationError, Mistakes
 from fmu.config.models.command import CommandTable
 from fmu.config.models.exports import ExportsTable
 from fmu.config.models.frame import FrameTable
@@ -59,7 +59,7 @@ class ExportTable(TomlTable):
 
     def mistakes(self, folder: Path, names: Sequence[str]) -> list[ArgumentError]:
         """Return a mistake for each template that cannot be filled."""
-        found, given = [], dict.fromkeys([*names, *(f"{name} sd" for name in names)], 1.0)
+        found, given = Mistakes(), dict.fromkeys([*names, *(f"{name} sd" for name in names)], 1.0)
         made = list(EXPORTED)
         for i, template in enumerate(self.templates):
             try:
@@ -69,7 +69,7 @@ class ExportTable(TomlTable):
                 made.append(name)
                 fill_deck(read_deck(folder / template), given)
             except ValueError as error:
-                found.append(ArgumentError(f"export.templates.{i}", str(error)))
+                found.add(f"export.templates.{i}", str(error))
         return found
 
 
@@ -161,7 +161,7 @@ class ProblemFile(TomlTable):
             errors = with_places(errors, structure.places)
             wrong = beside_tests(tables, errors, data) or vanishing(noise, errors, data, len(parameters))
             if wrong:
-                raise BrokenError(wrong)
+                raise BrokenError(*wrong)
             trust = self.measured.beta if beta is None else beta
             return UpdatingProblem.reduced(
                 structure.model,
@@ -225,7 +225,7 @@ class ProblemFile(TomlTable):
         errors = with_places(errors, structure.places)
         tests, found = build_tests(self.tests or [], folder, structure, not any(map(is_of_modes, errors)))
         if found:
-            raise BrokenError(found)
+            raise BrokenError(*found)
         varies, slopes = variations(self.parameters)
         try:
             return JointProblem(
@@ -243,7 +243,7 @@ class ProblemFile(TomlTable):
                 name=f"{self.name}, by {pairing or self.pairing}",
             )
         except TestsError as error:
-            raise BrokenError(in_the_file(error, self.parameters)) from None
+            raise BrokenError(*in_the_file(error, self.parameters)) from None
 
     def _data(self, folder: Path, built: Built, beta: ArrayLike | None, errors: Sequence[ErrorModel]) -> ModalData:
         """Return the measured data, without their own uncertainty where `beta` replaces it."""
@@ -252,7 +252,7 @@ class ProblemFile(TomlTable):
             return replace(data, sd_hz=None, covariance_hz2=None)
         if self.error == "modal-residual" and self.measured.beta is None:
             raise BrokenError(
-                [ArgumentError("measurement.beta", "must be given for the modal residual, as a number")]
+                ArgumentError("measurement.beta", "must be given for the modal residual, as a number")
             )
         return data
 

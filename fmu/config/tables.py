@@ -117,9 +117,9 @@ def reading(where: str) -> Iterator[None]:
     try:
         yield
     except ModesError as error:
-        raise BrokenError([ArgumentError(where, mistake) for mistake in error.mistakes]) from None
+        raise BrokenError(*(ArgumentError(where, mistake) for mistake in error.mistakes)) from None
     except (OSError, ImportError) as error:
-        raise BrokenError([ArgumentError.of(error).replace_key("path", "").under(where)]) from None
+        raise BrokenError(ArgumentError.of(error).replace_key("path", "").under(where)) from None
 
 
 class TomlTable(BaseModel):

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from fmu.arguments import ArgumentError
 from fmu.config.measurement import MeasurementTable
-from fmu.config.mistakes import BrokenError
+from fmu.config.mistakes import BrokenError, Mistakes
 from fmu.config.parameters import ParameterTable
 from fmu.config.tables import Built, Name, ParameterName, TomlTable
 from fmu.posterior.joint.damage import Damage
@@ -64,7 +64,7 @@ class TestTable(MeasurementTable):
         try:
             data = self.build(folder, built, needs_trust)
         except BrokenError as error:
-            raise BrokenError([mistake.replace_key("measurement", where) for mistake in error.mistakes]) from None
+            raise BrokenError(*(mistake.replace_key("measurement", where) for mistake in error.mistakes)) from None
         if self.beta is not None:
             data = type(data)(**{**vars(data), "sd_hz": np.sqrt(0.5 / np.asarray(self.beta))})
         place = {str(name): node for name, node in built.places.items()}
@@ -79,7 +79,7 @@ class TestTable(MeasurementTable):
                 dict(self.known),
             )
         except ValueError as error:
-            raise BrokenError([ArgumentError.of(error).under(where)]) from None
+            raise BrokenError(ArgumentError.of(error).under(where)) from None
 
 
 def build_tests(
@@ -121,10 +121,10 @@ def variations(tables: Sequence[ParameterTable]) -> tuple[Varies, dict[str, dict
 def in_the_file(error: TestsError, tables: Sequence[ParameterTable]) -> list[ArgumentError]:
     """Return the mistakes of tests that do not fit together, where they are in the file."""
     number = {table.name: i for i, table in enumerate(tables)}
-    found = []
+    found = Mistakes()
     for said in error.mistakes:
         where, _, rule = said.partition(": ")
         key, _, name = where.partition(".")
         at = f"parameters.{number[name]}.{key}" if key in ("varies", "slopes") and name in number else where
-        found.append(ArgumentError(at, rule))
+        found.add(at, rule)
     return found

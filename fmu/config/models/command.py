@@ -66,4 +66,4 @@ class CommandTable(ModelTable):
         try:
             return Built(CommandModel([p.name for p in parameters], folder=folder, **given), {})
         except CommandError as error:
-            raise BrokenError([mistake.under("model") for mistake in error.mistakes]) from error
+            raise BrokenError(*(mistake.under("model") for mistake in error.mistakes)) from error

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from fmu.arguments import ArgumentError
-from fmu.config.mistakes import BrokenError
+from fmu.config.mistakes import BrokenError, Mistakes
 from fmu.config.parameters import ParameterTable, without_targets
 from fmu.config.tables import Built, FileName, ModelTable, Name, TomlTable
 from fmu.fem.exports.from_exports import from_exports
@@ -51,16 +51,13 @@ class ExportsTable(ModelTable):
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
         """Return the mistakes between tables: values of unknown parameters, and parameters without a value."""
         names = [parameter.name for parameter in parameters]
-        found = [
-            ArgumentError(f"model.exports.{i}.values", f"must be of {names_shown(names)}", quote(name))
-            for i, one in enumerate(self.exports)
-            for name in one.values
-            if name not in names
-        ]
+        found = Mistakes()
+        for i, one in enumerate(self.exports):
+            for name in [name for name in one.values if name not in names]:
+                found.add(f"model.exports.{i}.values", f"must be of {names_shown(names)}", quote(name))
         for i, name in enumerate(names):
             if name not in self.exports[0].values:
-                rule = "must have a value in the first of model.exports"
-                found.append(ArgumentError(f"parameters.{i}.name", rule, quote(name)))
+                found.add(f"parameters.{i}.name", "must have a value in the first of model.exports", quote(name))
         return found + without_targets(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
@@ -69,7 +66,7 @@ class ExportsTable(ModelTable):
         try:
             mesh = None if self.mesh is None else read_mesh(folder / self.mesh)
         except ValueError as error:
-            raise BrokenError([ArgumentError.of(error).replace_key("path", "model.mesh")]) from error
+            raise BrokenError(ArgumentError.of(error).replace_key("path", "model.mesh")) from error
         exports, found = list[Export](), list[ArgumentError]()
         for i, one in enumerate(self.exports):
             values = {p.name: one.values.get(p.name, nominal[p.name]) for p in parameters}
@@ -83,14 +80,14 @@ class ExportsTable(ModelTable):
                 wrong = wrong.replace_key("path", f"{here}.stiffness").replace_key("mass", f"{here}.mass")
                 found.append(wrong.under("model"))
         if found:
-            raise BrokenError(found)
+            raise BrokenError(*found)
         ends = ((p.name, p.lower, p.upper) for p in parameters)
         try:
             model = from_exports(exports, {n: (a, b) for n, a, b in ends if a is not None and b is not None})
         except ValueError as error:
-            raise BrokenError([ArgumentError.of(error).under("model")]) from error
+            raise BrokenError(ArgumentError.of(error).under("model")) from error
         try:
             require_stable(model, [table.start for table in parameters], self.free)
         except ValueError as error:
-            raise BrokenError([ArgumentError("model", f"{error}, at the start")]) from error
+            raise BrokenError(ArgumentError("model", f"{error}, at the start")) from error
         return Built(model, {}, model.n_dof)

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from fmu.arguments import ArgumentError, Place
-from fmu.config.mistakes import BrokenError
+from fmu.config.mistakes import BrokenError, Mistakes
 from fmu.config.parameters import KEYS, ParameterTable, Target
 from fmu.config.tables import Built, ModelTable, Name, Of, TomlTable, Vector, inside
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, Material, PointMass, Section
@@ -99,7 +99,7 @@ class FrameTable(ModelTable):
         except ValueError as error:
             wrong, places = ArgumentError.of(error), {t.name: f"parameters.{i}" for i, t in enumerate(parameters)}
             at = places.get(wrong.key)
-            raise BrokenError([wrong.at(at) if at else ArgumentError("model", str(error))]) from error
+            raise BrokenError(wrong.at(at) if at else ArgumentError("model", str(error))) from error
         return Built(model, mesh.node_of, model.n_dof)
 
     @property
@@ -111,31 +111,30 @@ class FrameTable(ModelTable):
         found = self._of_targets(parameters)
         for i, table in enumerate(parameters):
             if not table.is_positive():
-                rule = "must be positive, as the property is"
-                found.append(ArgumentError(f"parameters.{i}.lower", rule, quote(table.lower)))
+                found.add(f"parameters.{i}.lower", "must be positive, as the property is", quote(table.lower))
         return found
 
-    def _of_targets(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
+    def _of_targets(self, parameters: Sequence[ParameterTable]) -> Mistakes:
         """Return the mistakes in targets: unknown names or directions, and values updated by two parameters."""
         known: dict[str, Collection[str]] = {
             "groups": self.groups,
             "masses": [_known_as(mass) for mass in self.masses],
             "springs": list(self.springs),
         }
-        found: list[ArgumentError] = []
+        found = Mistakes()
         owner: dict[tuple[str, str, str], str] = {}
         for i, table in enumerate(parameters):
             if table.property is None:
-                found.append(ArgumentError(f"parameters.{i}.property", f"is missing: one of {', '.join(KEYS)}"))
+                found.add(f"parameters.{i}.property", f"is missing: one of {', '.join(KEYS)}")
             key = KEYS.get(table.property or "E", "groups")
             where = f"parameters.{i}.{key}"
             found += _out_of_place(f"parameters.{i}", table, key)
             names = table.names_at(key, self.groups)
             if not names:
-                found.append(ArgumentError(where, f"must name a {_SINGULAR[key]}"))
+                found.add(where, f"must name a {_SINGULAR[key]}")
             for name in names if table.property else ():
                 if name not in known[key]:
-                    found.append(ArgumentError(where, f"must be among {names_shown(known[key])}", quote(name)))
+                    found.add(where, f"must be among {names_shown(known[key])}", quote(name))
                     continue
                 directions: Sequence[str] = table.directions
                 if key == "springs":
@@ -151,12 +150,12 @@ class FrameTable(ModelTable):
                     if quantity in owner:
                         along = f" along {direction}" if direction else ""
                         rule = f"{table.property} of {name}{along} is already updated by {owner[quantity]}"
-                        found.append(ArgumentError(where, rule))
+                        found.add(where, rule)
                     owner[quantity] = table.name
         return found
 
     def _between_tables(self) -> list[ArgumentError]:
-        found = []
+        found = Mistakes()
         for i, member in enumerate(self.members):
             for key, name, known in (
                 ("from", member.start, self.points),
@@ -167,23 +166,21 @@ class FrameTable(ModelTable):
                 if name not in known:
                     found.append(_unknown(f"model.members.{i}.{key}", name, known))
             if member.start == member.end:
-                found.append(
-                    ArgumentError(f"model.members.{i}.to", "must not be the same point as from", quote(member.end))
-                )
+                found.add(f"model.members.{i}.to", "must not be the same point as from", quote(member.end))
             elif self.points.get(member.start, 0) == self.points.get(member.end, 1):
                 rule = "must not be at the place of from: the member would have no length"
-                found.append(ArgumentError(f"model.members.{i}.to", rule, repr(member.end)))
+                found.add(f"model.members.{i}.to", rule, repr(member.end))
         if sum(member.elements for member in self.members) > MOST_ELEMENTS:
-            found.append(ArgumentError("model.members", f"must have at most {MOST_ELEMENTS} elements in total"))
+            found.add("model.members", f"must have at most {MOST_ELEMENTS} elements in total")
         names = [mass.name for mass in self.masses if mass.name]
         if len(set(names)) < len(names):
-            found.append(ArgumentError("model.masses", "must have distinct names", quote(names)))
+            found.add("model.masses", "must have distinct names", quote(names))
         if not (self.free or self.supports or any(spring.nodes[1] is None for spring in self.springs.values())):
             rule = (
                 "must restrain the structure (a spring to the ground does too); set free = true if it is "
                 "free on purpose"
             )
-            found.append(ArgumentError("model.supports", rule))
+            found.add("model.supports", rule)
         return found
 
     def _of_points(self) -> list[ArgumentError]:

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from fmu.arguments import ArgumentError
+from fmu.config.mistakes import Mistakes
 from fmu.config.parameters import ParameterTable
 from fmu.config.tables import Name, TomlTable
 from fmu.fem.modes.line_picture import LinePicture
@@ -27,7 +28,7 @@ def mistakes_of_lines(
 ) -> list[ArgumentError]:
     """Return the mistakes between lines, their points and parameters."""
     names = [parameter.name for parameter in parameters]
-    found = []
+    found = Mistakes()
     for i, line in enumerate(lines):
         at = f"model.lines.{i}"
         for key, given, known in (("points", line.points, list(points)), ("parameters", line.parameters, names)):
@@ -37,11 +38,9 @@ def mistakes_of_lines(
                 if name not in known
             ]
     if (points or lines) and has_mesh:
-        found.append(
-            ArgumentError("model.lines" if lines else "model.points", "must be left out: mesh gives the pictures")
-        )
+        found.add("model.lines" if lines else "model.points", "must be left out: mesh gives the pictures")
     elif points and not lines:
-        found.append(ArgumentError("model.points", "must be joined by [[model.lines]]"))
+        found.add("model.points", "must be joined by [[model.lines]]")
     return found
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from fmu.arguments import ArgumentError, Place
-from fmu.config.mistakes import BrokenError
+from fmu.config.mistakes import BrokenError, Mistakes
 from fmu.config.models.lines import LineTable, mistakes_of_lines, picture_of
 from fmu.config.parameters import ParameterTable, without_targets
 from fmu.config.tables import Built, FileName, ModelTable, Name, SensorTable, TomlTable, Vector, one_length
@@ -88,7 +88,7 @@ class MatricesTable(ModelTable):
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
         """Return the mistakes between tables: powers of unknown parameters, and parameters in no term."""
         names = [parameter.name for parameter in parameters]
-        found, used = [], set()
+        found, used = Mistakes(), set[str]()
         for where, term in self._terms():
             used |= set(term.powers)
             found += [
@@ -98,9 +98,7 @@ class MatricesTable(ModelTable):
             ]
         for i, table in enumerate(parameters):
             if table.name not in used:
-                found.append(
-                    ArgumentError(f"parameters.{i}.name", "must be in the powers of a term", quote(table.name))
-                )
+                found.add(f"parameters.{i}.name", "must be in the powers of a term", quote(table.name))
         found += mistakes_of_lines(self.points, self.lines, parameters, self.mesh is not None)
         return found + self._of_powers(parameters) + without_targets(parameters) + self._of_dofs()
 
@@ -122,7 +120,7 @@ class MatricesTable(ModelTable):
             except ValueError as error:
                 found.append(ArgumentError.of(error).replace_key("path", "model.mesh"))
         if found:
-            raise BrokenError(found)
+            raise BrokenError(*found)
         joined = self._on_the_same_dofs(read, mesh)
         terms = [
             Term(matrix * table.factor, tuple(table.powers.get(p.name, 0.0) for p in parameters))
@@ -133,7 +131,7 @@ class MatricesTable(ModelTable):
             try:
                 ties, notes = read_ties(folder / self.tied_modes, mesh, joined.dofs)
             except ValueError as error:
-                raise BrokenError([ArgumentError("model.tied_modes", str(error))]) from error
+                raise BrokenError(ArgumentError("model.tied_modes", str(error))) from error
             joined = joined._replace(motions={**joined.motions, **ties}, notes=[*joined.notes, *notes])
         try:
             model = SeparableModel(
@@ -144,10 +142,10 @@ class MatricesTable(ModelTable):
             require_stable(model, [table.start for table in parameters], self.free)
         except MechanismError as error:
             advice = "" if self.free else "; set free = true if it is free on purpose"
-            raise BrokenError([ArgumentError("model", f"{error}, at the start{advice}")]) from error
+            raise BrokenError(ArgumentError("model", f"{error}, at the start{advice}")) from error
         except ValueError as error:
             wrong = ArgumentError.of(error).replace_key("K_terms", "stiffness").replace_key("M_terms", "mass")
-            raise BrokenError([ArgumentError("model", f"{wrong}, at the start")]) from error
+            raise BrokenError(ArgumentError("model", f"{wrong}, at the start")) from error
         return Built(model, {}, model.n_dof)
 
     def _terms(self) -> list[tuple[str, TermTable]]:
@@ -157,27 +155,23 @@ class MatricesTable(ModelTable):
 
     def _of_powers(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
         """Return a mistake for each parameter whose power is undefined somewhere between its bounds."""
-        found = []
+        found = Mistakes()
         for where, term in self._terms():
             for i, table in enumerate(parameters):
                 power = term.powers.get(table.name, 1.0)
                 if (power < 0.0 or not power.is_integer()) and not table.is_positive():
                     rule = f"must be positive, as {where}.powers has it to the power {typed(power)}"
-                    found.append(ArgumentError(f"parameters.{i}.lower", rule, quote(table.lower)))
+                    found.add(f"parameters.{i}.lower", rule, quote(table.lower))
         return found
 
     def _of_dofs(self) -> list[ArgumentError]:
-        found, seen = [], set()
+        found, seen = Mistakes(), set()
         for i, (node, direction) in enumerate(self.dofs or []):
             if direction not in DIRECTIONS:
                 rule = f"must be a node and one of {', '.join(DIRECTIONS)}"
-                found.append(ArgumentError(f"model.dofs.{i}", rule, quote([node, direction])))
+                found.add(f"model.dofs.{i}", rule, quote([node, direction]))
             if (node, direction) in seen:
-                found.append(
-                    ArgumentError(
-                        f"model.dofs.{i}", "must not be the name of another row", quote([node, direction])
-                    )
-                )
+                found.add(f"model.dofs.{i}", "must not be the name of another row", quote([node, direction]))
             seen.add((node, direction))
         return found
 
@@ -194,7 +188,7 @@ class MatricesTable(ModelTable):
         if self.mesh is not None and self.dofs is not None:
             numbered = [(node, direction) for node, direction in named if isinstance(node, int)]
             if len(numbered) < len(named):
-                raise BrokenError([ArgumentError("model.dofs", "must be nodes of the mesh, by their numbers")])
+                raise BrokenError(ArgumentError("model.dofs", "must be nodes of the mesh, by their numbers"))
             read = [one._replace(dofs=tuple(numbered)) for one in read]
         if self.mesh is not None or read[0].dofs is not None:
             try:
@@ -203,16 +197,14 @@ class MatricesTable(ModelTable):
                     files = [Path(table.file) for _, table in self._terms() if table.file is not None]
                     require_nodes(found.dofs, found.motions, mesh, files)
             except ValueError as error:
-                raise BrokenError([ArgumentError.of(error).replace_key("mesh", "model.mesh")]) from error
+                raise BrokenError(ArgumentError.of(error).replace_key("mesh", "model.mesh")) from error
             return found
         matrices = [one.matrix for one in read]
         dofs = named or [(i, "x") for i in range(rows[0])]
         largest = np.max([np.abs(matrix.diagonal()) for matrix in matrices[: len(self.stiffness)]], axis=0)
         free = np.flatnonzero(largest < HELD)
         if len(free) == 0:
-            raise BrokenError(
-                [ArgumentError("model.stiffness", f"must have a diagonal entry below {typed(HELD)}")]
-            )
+            raise BrokenError(ArgumentError("model.stiffness", f"must have a diagonal entry below {typed(HELD)}"))
         return Assembled(
             [matrix[free][:, free] for matrix in matrices], [dofs[i] for i in free], {}, notes_of(read)
         )
@@ -224,19 +216,18 @@ class MatricesTable(ModelTable):
 
     def _check(self, read: Sequence[Labelled], are_named: bool, by_mesh: bool = False) -> None:
         """Refuse matrices that are not on the same degrees of freedom; all files name their rows, or none does."""
-        n, found = read[0].matrix.shape[0], []
+        n, found = read[0].matrix.shape[0], Mistakes()
         for (where, table), one in zip(self._terms(), read, strict=True):
             rows = one.matrix.shape[0]
             if are_named and one.dofs is None and not by_mesh:
                 rule = "must name its degrees of freedom, as the other files do"
-                found.append(ArgumentError(f"{where}.{table.source}", rule))
+                found.add(f"{where}.{table.source}", rule)
             elif not are_named and rows != n:
                 rule = f"must have {n} rows, as model.stiffness.0 has"
-                found.append(ArgumentError(f"{where}.{table.source}", rule, rows))
+                found.add(f"{where}.{table.source}", rule, rows)
         if self.dofs is not None and are_named:
-            found.append(ArgumentError("model.dofs", "must not be given: the files name the degrees of freedom"))
+            found.add("model.dofs", "must not be given: the files name the degrees of freedom")
         elif self.dofs is not None and len(self.dofs) != n:
-            rule = f"must name {n} degrees of freedom, one per row"
-            found.append(ArgumentError("model.dofs", rule, len(self.dofs)))
+            found.add("model.dofs", f"must name {n} degrees of freedom, one per row", len(self.dofs))
         if found:
-            raise BrokenError(found)
+            raise BrokenError(*found)

@@ -59,12 +59,12 @@ class OpenSeesTable(ModelTable):
             model = from_opensees(build, [table.name for table in parameters], start, lower, upper)
         except NotSeparableError as error:
             advice = "; with per_theta = true the model may depend on the parameters in any way"
-            raise BrokenError([ArgumentError(WHERE, f"{error}{advice}")]) from error
+            raise BrokenError(ArgumentError(WHERE, f"{error}{advice}")) from error
         except ValueError as error:
             wrong = ArgumentError.of(error).replace_key("build", "")
-            raise BrokenError([ArgumentError(WHERE, str(wrong))]) from error
+            raise BrokenError(ArgumentError(WHERE, str(wrong))) from error
         try:
             require_stable(model, start, self.free)
         except ValueError as error:
-            raise BrokenError([ArgumentError(WHERE, f"{error}, at the start")]) from error
+            raise BrokenError(ArgumentError(WHERE, f"{error}, at the start")) from error
         return Built(model, {}, model.n_dof)

@@ -112,7 +112,7 @@ def import_function(place: str, folder: Path, where: str = WHERE) -> Callable[..
     name, _, attribute = place.partition(":")
     beside = _beside(name, folder.resolve())
     if beside is not None and too_large(beside, LARGEST_MODULE):
-        raise BrokenError([ArgumentError(where, f"{beside.name} {too_large(beside, LARGEST_MODULE)}")])
+        raise BrokenError(ArgumentError(where, f"{beside.name} {too_large(beside, LARGEST_MODULE)}"))
     try:
         with _importing_from(folder.resolve(), name) if beside is not None else nullcontext():
             module = importlib.import_module(name)
@@ -123,7 +123,7 @@ def import_function(place: str, folder: Path, where: str = WHERE) -> Callable[..
         missing = str(error.name)
         if beside is None and (name == missing or name.startswith(f"{missing}.")):
             raise BrokenError(
-                [ArgumentError(where, "must be in a module beside the file or installed", quote(name))]
+                ArgumentError(where, "must be in a module beside the file or installed", quote(name))
             ) from error
         raise _not_importable(name, error, where) from error
     except KeyboardInterrupt:
@@ -131,17 +131,17 @@ def import_function(place: str, folder: Path, where: str = WHERE) -> Callable[..
     except BaseException as error:  # GeneratorExit and others of the user's own among them
         raise _not_importable(name, error, where) from error
     if function is None:
-        raise BrokenError([ArgumentError(where, f"must be in the module {name}", quote(attribute))])
+        raise BrokenError(ArgumentError(where, f"must be in the module {name}", quote(attribute)))
     if not callable(function):
         raise BrokenError(
-            [ArgumentError(where, "must be a function", f"{place}, of type {type(function).__name__}")]
+            ArgumentError(where, "must be a function", f"{place}, of type {type(function).__name__}")
         )
     return function if beside is None else Imported(function, place, folder.resolve(), where)
 
 
 def _not_importable(name: str, error: BaseException, where: str) -> BrokenError:
     rule = f"must be in a module that can be imported ({name}: {in_words(error)})"
-    return BrokenError([ArgumentError(where, rule)])
+    return BrokenError(ArgumentError(where, rule))
 
 
 def _beside(name: str, folder: Path) -> Path | None:
