@@ -183,7 +183,7 @@ def _rules(door: FunctionType) -> tuple[inspect.Signature, dict[str, Rule]]:
     return signature, rules
 
 
-def _mistake(name: str, value: Any, rule: Rule) -> ArgumentError | None:
+def _mistake(name: str, value: object, rule: Rule) -> ArgumentError | None:
     """Return how a value breaks a rule; None if it does not."""
     if rule.pick(OwnRule):
         return None

@@ -146,7 +146,7 @@ class _Kind(NamedTuple):
 
     classes: tuple[type, ...]
     others: tuple[type, ...] = ()
-    holds: Callable[[Any, Rule], bool] = lambda value, rule: True
+    holds: Callable[..., bool] = lambda value, rule: True
 
 
 def _is_path(value: str | os.PathLike[str], rule: Rule) -> bool:

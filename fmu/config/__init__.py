@@ -11,7 +11,7 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from annotated_types import Gt
 
@@ -98,7 +98,7 @@ def read(path: Path) -> ProblemFile:
         raise ConfigurationError(path.name, of_validation(error)) from error
 
 
-def _parse_toml(path: Path) -> dict[str, Any]:
+def _parse_toml(path: Path) -> dict[str, object]:
     """Return the content of a TOML file; ValueError if it is broken.
 
     Dotted keys are checked first: the parser's memory grows with the square of their length.

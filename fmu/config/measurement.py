@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -53,7 +53,7 @@ _TRUST = ("sd", "beta", "covariance")
 _ONE_TRUST = "must have either sd or beta or covariance"
 
 
-_IN_A_FILE: dict[Any, Any] = {
+_IN_A_FILE: dict[object, object] = {
     Path: FileName,
     Path | None: FileName | None,
     Mapping[int, Place] | None: dict[NodeNumber, Place] | None,
@@ -65,7 +65,7 @@ _FILES = ("file", "deck")
 """Arguments of readers that name files."""
 
 
-def _of_reader(key: str, form: ModesFormat) -> Any:
+def _of_reader(key: str, form: ModesFormat) -> tuple[object, object]:
     table = declare_table(key, form.read, in_a_file=lambda annotation: _IN_A_FILE.get(annotation, annotation))
     return table | None, Field(None, description=table.__doc__)
 

@@ -257,7 +257,7 @@ class ProblemFile(TomlTable):
         return data
 
 
-def schema() -> dict[str, Any]:
+def schema() -> dict[str, object]:
     """Return the JSON schema of a configuration file.
 
     Returns

@@ -291,7 +291,9 @@ def inside(key: str, make: Maker) -> Maker:
     return take_argument
 
 
-def with_keys[Table: TomlTable](fields: Mapping[str, Any]) -> Callable[[type[Table]], type[Table]]:
+def with_keys[Table: TomlTable](
+    fields: Mapping[str, Any],
+) -> Callable[[type[Table]], type[Table]]:
     """Return a decorator that gives a table further keys: their types and fields, as `create_model` has them."""
     return lambda table: create_model(table.__name__, __base__=table, __doc__=table.__doc__, **fields)
 

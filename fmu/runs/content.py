@@ -188,9 +188,9 @@ def read_segment(directory: Path, segment: Segment) -> bytes:
     return content
 
 
-def _apart(tree: Mapping[str, Any], path: str = "") -> tuple[dict[str, Any], dict[str, AnyArray]]:
+def _apart(tree: Mapping[str, object], path: str = "") -> tuple[dict[str, object], dict[str, AnyArray]]:
     """Return a tree without its arrays, and the arrays by their paths in it, such as ``state/position``."""
-    plain: dict[str, Any] = {}
+    plain: dict[str, object] = {}
     arrays: dict[str, AnyArray] = {}
     for name, value in tree.items():
         if isinstance(value, Mapping):

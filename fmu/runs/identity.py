@@ -27,7 +27,7 @@ class Identity:
     versions: Mapping[str, str]
 
     @classmethod
-    def of(cls, configuration: Mapping[str, Any]) -> Identity:
+    def of(cls, configuration: Mapping[str, object]) -> Identity:
         """Return the identity of a run with the installed versions."""
         now = versions()
         return cls(json.loads(canonical_json(configuration)), {name: now[name] for name in _DECISIVE})

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, StringConstraints
 
@@ -116,7 +116,7 @@ def import_function(place: str, folder: Path, where: str = WHERE) -> Callable[..
     try:
         with _importing_from(folder.resolve(), name) if beside is not None else nullcontext():
             module = importlib.import_module(name)
-        function: Any = module
+        function: object = module
         for part in attribute.split("."):
             function = getattr(function, part, None)
     except ModuleNotFoundError as error:
