@@ -49,10 +49,10 @@ from .posterior.errors.quantities import MassErrors as MassErrors
 from .posterior.errors.quantities import StaticErrors as StaticErrors
 from .posterior.errors.shape import ShapeErrors as ShapeErrors
 from .posterior.errors.student import StudentErrors as StudentErrors
-from .posterior.joint.damage import Damage as Damage
 from .posterior.joint.joint_problem import JointProblem as JointProblem
 from .posterior.joint.modal_test import Test as Test
-from .posterior.joint.population import Population as Population
+from .posterior.joint.varies.damage import Damage as Damage
+from .posterior.joint.varies.population import Population as Population
 from .posterior.parameters import Parameter as Parameter
 from .posterior.priors.base import Normal as Normal
 from .posterior.priors.base import Uniform as Uniform

@@ -14,9 +14,10 @@ from fmu.config.measurement import MeasurementTable
 from fmu.config.mistakes import BrokenError, Mistakes
 from fmu.config.parameters import ParameterTable
 from fmu.config.tables import Built, Name, ParameterName, TomlTable
-from fmu.posterior.joint.damage import Damage
 from fmu.posterior.joint.modal_test import Test, TestsError
-from fmu.posterior.joint.population import Population
+from fmu.posterior.joint.varies import Variation
+from fmu.posterior.joint.varies.damage import Damage
+from fmu.posterior.joint.varies.population import Population
 from fmu.posterior.priors.base import Prior
 from fmu.types import Direction
 
@@ -96,7 +97,7 @@ def build_tests(
     return tests, found
 
 
-Varies = dict[str, str | Population | Damage]
+Varies = dict[str, str | Variation]
 
 
 def variations(tables: Sequence[ParameterTable]) -> tuple[Varies, dict[str, dict[str, Prior]]]:

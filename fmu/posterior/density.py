@@ -15,8 +15,9 @@ from fmu.fem.pairing.modal_model import ModalModel
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import Chain, Likelihood
 from fmu.posterior.failures import Failure, FailureRecord
-from fmu.posterior.joint.layout import Layout, Role
+from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.modal_test import Test
+from fmu.posterior.joint.varies.base import Role
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.joint import JointPrior
 from fmu.posterior.reduction.tolerance import Tolerance

@@ -679,15 +679,15 @@ IN_THE_CHECKPOINTS = (
         ("tests/test_interruption.py",),
     ),
 )
-POPULATIONS = ("tests/posterior/joint/test_population.py",)
+POPULATIONS = ("tests/posterior/joint/varies/test_population.py",)
 CORRELATION = ("tests/posterior/joint/test_correlation.py",)
-LOSSES = ("tests/posterior/joint/test_damage.py",)
+LOSSES = ("tests/posterior/joint/varies/test_damage.py",)
 SEVERAL_TESTS = ("tests/posterior/joint/test_several_tests.py",)
 
 IN_SEVERAL_TESTS = (
     Fault(
         "population: what the bounds cut off is not normalised",
-        "fmu/posterior/joint/population.py",
+        "fmu/posterior/joint/varies/truncated_normal.py",
         "return value - log_mass, (by_x,",
         "return value, (by_x,",
         POPULATIONS,
@@ -701,7 +701,7 @@ IN_SEVERAL_TESTS = (
     ),
     Fault(
         "population: the next test has the values of the first",
-        "fmu/posterior/joint/values.py",
+        "fmu/posterior/joint/varies/population.py",
         "self.population.values(future.scores[self.centre], *ends",
         "self.population.values(0.0 * future.scores[self.centre], *ends",
         POPULATIONS,
@@ -736,7 +736,7 @@ IN_SEVERAL_TESTS = (
     ),
     Fault(
         "several tests: covariates not about their mean",
-        "fmu/posterior/joint/build_layout.py",
+        "fmu/posterior/joint/varies/trend.py",
         "away.append(x - x.mean())",
         "away.append(x)",
         SEVERAL_TESTS,

@@ -78,7 +78,7 @@ def told_names(trace: xr.DataTree) -> tuple[str, ...]:
 def roles_of(trace: xr.DataTree) -> dict[str, tuple[str, str, str]]:
     """Return by name what each parameter of several tests is for; empty for a single test.
 
-    Kind, parameter of the structure, and test, group or covariate, see `fmu.posterior.joint.layout.Role`.
+    Kind, parameter of the structure, and test, group or covariate, see `fmu.posterior.joint.varies.base.Role`.
     """
     if not has(trace, "constant_data", "role"):
         return {}

@@ -14,14 +14,15 @@ from fmu.posterior.build import check_names
 from fmu.posterior.errors.base import ErrorModel
 from fmu.posterior.errors.mac import MACErrors
 from fmu.posterior.errors.shape import ShapeErrors
-from fmu.posterior.joint.build_layout import BY_GROUP, BY_TEST, VARIES, build_layout, find_populations
+from fmu.posterior.joint.build_layout import build_layout
 from fmu.posterior.joint.configurations import find_configurations, stack_tests
-from fmu.posterior.joint.damage import Damage
 from fmu.posterior.joint.modal_test import Test, TestsError
 from fmu.posterior.joint.model_in_tests import ModelInTests
-from fmu.posterior.joint.population import Population
 from fmu.posterior.joint.quantities import Errors
 from fmu.posterior.joint.typical import centre_scores
+from fmu.posterior.joint.varies import Variation, way_of
+from fmu.posterior.joint.varies.base import Varies
+from fmu.posterior.joint.varies.taken import SHARED
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Prior
 from fmu.posterior.problem import UpdatingProblem
@@ -34,7 +35,7 @@ def JointProblem(  # it is the constructor of a problem
     tests: Sequence[Test],
     parameters: Sequence[Parameter],
     *,
-    varies: Mapping[str, str | Population | Damage] | None = None,
+    varies: Mapping[str, str | Variation] | None = None,
     slopes: Mapping[str, Mapping[str, Prior]] | None = None,
     reference: str | None = None,
     correlation: float | None = None,
@@ -91,11 +92,14 @@ def JointProblem(  # it is the constructor of a problem
         As `UpdatingProblem` does.
     """
     tests = tuple(tests)
-    varies, slopes = dict(varies or {}), {key: dict(value) for key, value in (slopes or {}).items()}
+    slopes = {key: dict(value) for key, value in (slopes or {}).items()}
     check_names(parameters)
     reference = (tests[0].group if tests else "") if reference is None else reference
     errors = Errors.of(error)
-    found = find_mistakes(tests, parameters, varies, slopes, reference, correlation)
+    ways = {p.name: way_of(SHARED) for p in parameters} | {
+        name: way_of(how) for name, how in (varies or {}).items()
+    }
+    found = find_mistakes(tests, parameters, ways, slopes, reference, correlation)
     found += errors.find_mistakes(model, [test.name for test in tests])
     if any(isinstance(one, (ShapeErrors, MACErrors)) for one in np.ravel(np.array(error, dtype=object))):
         found += mistakes_of_shapes(tests)
@@ -104,7 +108,7 @@ def JointProblem(  # it is the constructor of a problem
     if pairing == "soft" or (isinstance(error, str) and error == "modal-residual"):
         what = "soft pairing" if pairing == "soft" else "the modal residual"
         raise ValueError(f"tests: {what} is for a single test (got {len(tests)})")
-    layout = build_layout(parameters, tests, varies, slopes, reference, correlation)
+    layout = build_layout(parameters, tests, ways, slopes, reference, correlation)
     data = stack_tests(tests)
     common = {"beta": beta, "error": errors.of_modes}
     options = {"pairing": pairing, "reduction": reduction, "engine": engine, **common}
@@ -165,7 +169,7 @@ def simulate_next_test(
 def find_mistakes(
     tests: Sequence[Test],
     parameters: Sequence[Parameter],
-    varies: Mapping[str, str | Population | Damage],
+    varies: Mapping[str, Varies],
     slopes: Mapping[str, Mapping[str, Prior]],
     reference: str,
     correlation: float | None = None,
@@ -186,22 +190,10 @@ def find_mistakes(
             labels = ", ".join(test.data.labels)
             found.append(f"tests.{t}.labels: must have a mode in common with another test (got {labels})")
     for name, how in varies.items():
-        if name not in names:
+        if name in names:
+            found += how.find_mistakes(name, tests)
+        else:
             found.append(f"varies: must name parameters among {', '.join(names)} (got {name!r})")
-            continue
-        here = [test for test in tests if name not in test.known]
-        if isinstance(how, str) and how not in VARIES:
-            found.append(
-                f"varies.{name}: must be one of {', '.join(VARIES)}, a Population or Damage (got {how!r})"
-            )
-        elif (how == BY_TEST or isinstance(how, Population)) and len(here) < 2:
-            found.append(f"varies.{name}: varies by test, and needs two tests or more (got {len(here)})")
-        elif how == BY_GROUP or isinstance(how, Damage):
-            for t, test in enumerate(tests):
-                if not test.group:
-                    found.append(f"tests.{t}.group: must be given, as {name} varies by group (got none)")
-            if len({test.group for test in here}) < 2:
-                found.append(f"varies.{name}: varies by group, and needs two groups or more (got 1)")
     for name in names:
         if tests and all(name in test.known for test in tests):
             found.append(f"tests: {name} must be unknown in one of them; otherwise it is no parameter")
@@ -209,7 +201,7 @@ def find_mistakes(
     if tests and reference not in groups:
         found.append(f"reference: must be the group of a test (got {reference!r})")
     if correlation is not None:
-        n = len(find_populations(parameters, varies))
+        n = sum(varies[name].scatters for name in names)
         if n < 2:
             found.append(f"correlation: needs two parameters or more with a population (got {n})")
         if not 0.0 < correlation < np.inf:

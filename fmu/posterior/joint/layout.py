@@ -5,39 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.joint.correlation import Correlation
 from fmu.posterior.joint.modal_test import Test
-from fmu.posterior.joint.population import Population
-from fmu.posterior.joint.values import Drawn, Future, InTests, Taken
+from fmu.posterior.joint.varies.base import Future, InTests, Role, Varies
+from fmu.posterior.joint.varies.population import Drawn
+from fmu.posterior.joint.varies.taken import SHARED, Taken
 from fmu.posterior.parameters import Parameter, box
 from fmu.types import FloatArray, IntArray, Plain
-
-SHARED = "shared"
-
-
-class Role(NamedTuple):
-    """What a parameter of theta is for.
-
-    Attributes
-    ----------
-    kind : {"shared", "test", "group", "mean", "sd", "score", "loss", "slope", "correlation", "noise"}
-        The value in all tests, in one, or in a group of them; mean or standard deviation of a population, or a
-        test's score in it; a share that a group has lost; a slope by a covariate; an inferred standard deviation
-        of the errors.
-    of : int or None
-        The parameter of the structure, by its number in ``layout.structural``; None for correlations.
-    where : str
-        The test, group or covariate that it is of; else empty.
-    """
-
-    kind: str
-    of: int | None
-    where: str = ""
 
 
 @dataclass(frozen=True)
@@ -56,10 +35,8 @@ class Layout:
     tests : tuple of Test
     values_of : tuple of InTests
         One per parameter of the structure.
-    populations : mapping of str to Population
-        By the name of the parameter.
-    by_test : tuple of str
-        Parameters that have a value of their own in each test, without a population.
+    populations : mapping of str to Varies
+        How parameters that scatter over the tests do so, by their names.
     by_state : tuple of str
         Parameters that have a value of their own in each group of tests.
     correlation : Correlation, optional
@@ -74,8 +51,7 @@ class Layout:
     parameters: tuple[Parameter, ...]
     tests: tuple[Test, ...]
     values_of: tuple[InTests, ...]
-    populations: Mapping[str, Population] = field(default_factory=dict)
-    by_test: tuple[str, ...] = ()
+    populations: Mapping[str, Varies] = field(default_factory=dict)
     by_state: tuple[str, ...] = ()
     correlation: Correlation | None = None
     roles: tuple[Role, ...] = ()
@@ -159,7 +135,7 @@ class Layout:
     @property
     def drawn(self) -> list[Drawn]:
         """The parameters that scatter over the tests."""
-        return [drawn for one in self.values_of for drawn in one.populations]
+        return [one.base for one in self.values_of if isinstance(one.base, Drawn)]
 
     @property
     def scales(self) -> list[int]:

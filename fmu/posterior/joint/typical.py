@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fmu.posterior.joint.layout import Layout
-from fmu.posterior.joint.values import Drawn
+from fmu.posterior.joint.varies.population import Drawn
 from fmu.posterior.maxima import GaussNewton, ascend
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.scaled import ScaledDensity

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 import fmu
 from fmu.analysis.convergence.diagnosis import POPULATION
 from fmu.posterior.joint.joint_problem import simulate_next_test
-from fmu.posterior.joint.population import (
+from fmu.posterior.joint.varies.truncated_normal import (
     truncated_normal_log_pdf,
     truncated_normal_scores,
     truncated_normal_values,

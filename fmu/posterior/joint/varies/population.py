@@ -1,120 +1,180 @@
-"""A parameter of the structure in every test: taken from theta, drawn from a population, lost, or with a trend."""
+"""A parameter that scatters from test to test: its distribution over the tests, and scores that make it simple.
+
+The value in test t is θ_t = F⁻¹(Φ(z_t)), with a score z_t and the distribution function F of a normal distribution
+inside the bounds of the parameter. If F is that of the population, N(μ, σ²), the scores are standard normal and
+independent of μ and σ before the measurement: the non-centred form of a hierarchical model, easy to sample where a
+test tells little about its own value. If F is fixed, the scores are the values themselves in other units: the
+centred form, easy to sample where a test tells its value well. Each test is between them with a weight w: F has
+the mean w μ₀ + (1 − w) μ and the standard deviation σ₀^w σ^(1−w) (Papaspiliopoulos, Roberts & Sköld 2007,
+*Statistical Science* 22, 59–73; Gorinova, Moore & Hoffman 2020, *ICML*, PMLR 119). The posterior of the values is
+the same with any weights.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from fmu.posterior.joint.population import Normals, Population, Slopes
+from fmu.arguments import check_arguments
+from fmu.posterior.joint.modal_test import Test
+from fmu.posterior.joint.varies.base import Future, InTests, Slope, Theta, Varies, require_two_tests
+from fmu.posterior.joint.varies.truncated_normal import (
+    Slopes,
+    truncated_normal_log_pdf,
+    truncated_normal_scores,
+    truncated_normal_values,
+)
 from fmu.posterior.parameters import Parameter
-from fmu.types import BoolArray, FloatArray, IntArray
+from fmu.posterior.priors.base import Normal, Prior
+from fmu.posterior.priors.one_sided import HalfNormal
+from fmu.types import BoolArray, FloatArray, IntArray, Plain
 
+Normals = tuple[FloatArray, FloatArray]
+
+_SCATTER = 0.2
+"""Standard deviation of the half-normal prior of a population's, relative to the start value."""
 _FAR = 4.0
 """Standard deviations of a population about its mean within which a reduced model is trained."""
 
 
-class Slope(NamedTuple):
-    """The derivative of a value in every test by one parameter of each.
-
-    Attributes
-    ----------
-    columns : ndarray of int, shape (n_tests,)
-        The parameter, by its number in theta.
-    values : ndarray, shape (n, n_tests)
-    """
-
-    columns: IntArray
-    values: FloatArray
-
-
-class InTests:
-    """A parameter of the structure in every test, as a function of theta."""
-
-    @property
-    def base(self) -> InTests:
-        """The parameter without trends: itself, unless it has some."""
-        return self
-
-    @property
-    def populations(self) -> tuple[Drawn, ...]:
-        """The population that the values scatter about, if there is one."""
-        return ()
-
-    def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the values in every test, shape (n, n_tests), and their derivatives."""
-        raise NotImplementedError
-
-    def identity(self, test: int) -> Hashable:
-        """Return an object that is equal in two tests if the value always is."""
-        raise NotImplementedError
-
-    def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return limits of the values in every test, for limits of theta (n_parameters,)."""
-        raise NotImplementedError
-
-    def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the values (n,) in one more test that resembles test `like`."""
-        return self(theta)[0][:, like]
-
-    def refer_to(self, references: Mapping[int, tuple[FloatArray, tuple[float, float]]]) -> InTests:
-        """Return the parameter with scores that refer to others; itself if it has no scores.
-
-        `references` has centring and reference, see `Drawn`, by the number of the centre.
-        """
-        return self
-
-
-class Future(NamedTuple):
-    """The conditions of one more test.
-
-    Attributes
-    ----------
-    rng : Generator
-    scores : mapping of int to ndarray, shape (n,)
-        Standard normal scores of each population, by the number of its centre in theta.
-    covariates : mapping of str to float
-        Where they are not at their means over the tests.
-    """
-
-    rng: np.random.Generator
-    scores: Mapping[int, FloatArray]
-    covariates: Mapping[str, float]
-
-
+@check_arguments
 @dataclass(frozen=True)
-class Taken(InTests):
-    """A parameter of the structure that is one of theta in each test.
+class Population(Varies):
+    """The values of a parameter in different tests are draws from one distribution, which is inferred.
 
     Attributes
     ----------
-    columns : ndarray of int, shape (n_tests,)
-    own : Parameter or None
-        Where each test has a value of its own: the parameter, whose prior a further test draws from.
+    distribution : {"normal", "log-normal"}
+        Of the values over the tests, truncated to the bounds of the parameter. Of the normal one, mean and
+        standard deviation (in the parameter's unit) are inferred; of the log-normal one the median, and the
+        standard deviation of the logarithm. Mean or median has the parameter's own prior and bounds.
+    sd : Prior, optional
+        Prior of that standard deviation. By default half-normal: its own standard deviation is a fifth of the
+        parameter's start value, or 0.2 for a logarithm.
+
+    Raises
+    ------
+    ValueError
+        If the distribution is unknown.
     """
 
-    columns: IntArray
-    own: Parameter | None = None
+    distribution: Literal["normal", "log-normal"] = "normal"
+    sd: Prior | None = None
+    scatters: ClassVar[bool] = True
 
-    def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the values in every test, shape (n, n_tests), and their derivatives."""
-        return theta[:, self.columns], [Slope(self.columns, np.ones((len(theta), len(self.columns))))]
+    def __post_init__(self) -> None:
+        if self.distribution not in ("normal", "log-normal"):
+            raise ValueError(f"distribution: must be normal or log-normal (got {self.distribution!r})")
 
-    def identity(self, test: int) -> Hashable:
-        """Return an object that is equal in two tests if the value always is."""
-        return int(self.columns[test])
+    @property
+    def of_logarithm(self) -> bool:
+        """Whether the logarithm is normal."""
+        return self.distribution == "log-normal"
 
-    def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return limits of the values in every test, for limits of theta (n_parameters,)."""
-        return lower[self.columns], upper[self.columns]
+    def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
+        """Return a mistake if there are fewer than two tests."""
+        return require_two_tests(name, tests)
 
-    def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the values (n,) in one more test."""
-        if self.own is None:
-            return super().next_test(theta, like, future)
-        return self.own.prior.draw(future.rng, len(theta), self.own.lower, self.own.upper)
+    def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> Drawn:
+        """Add centre and width of the population, and a score for each test."""
+        mean, sd = self.parameters(p)
+        centre, width = theta.add(mean, "mean", of), theta.add(sd, "sd", of)
+        n, columns = len(theta.tests), np.zeros(len(theta.tests), dtype=np.int64)
+        for t in here:
+            name = theta.tests[t].name
+            columns[t] = theta.add_score(Parameter(f"{p.name} score [{name}]", 0.0, prior=Normal(1.0)), of, name)
+        scored, start = np.isin(range(n), here), (mean.start, sd.start)
+        return Drawn(self, centre, width, columns, scored, p.lower, p.upper, np.zeros(n), start)
+
+    def parameters(self, of: Parameter) -> tuple[Parameter, Parameter]:
+        """Return the inferred parameters of the distribution: its centre and its width.
+
+        Raises
+        ------
+        ValueError
+            If the parameter may be negative and the distribution is log-normal, or the default width has no size
+            because the parameter starts at zero.
+        """
+        if self.of_logarithm and of.lowest <= 0.0:
+            raise ValueError(f"{of.name}.lower: must be positive for a log-normal population (got {of.lower})")
+        size = _SCATTER * (1.0 if self.of_logarithm else abs(of.start))
+        if self.sd is None and size == 0.0:
+            raise ValueError(f"{of.name}: a population about zero needs a prior of its sd (got none)")
+        prior = HalfNormal(size) if self.sd is None else self.sd
+        median = float(prior.quantile(np.array([0.5]), *prior.support)[0])
+        centre, width = ("median", "log sd") if self.of_logarithm else ("mean", "sd")
+        mean = Parameter(f"{of.name} {centre}", of.start, of.lower, of.upper, of.prior, of.unit)
+        unit = "" if self.of_logarithm else of.unit
+        return mean, Parameter(f"{of.name} {width}", median, max(0.0, prior.support[0]), np.inf, prior, unit)
+
+    def values(
+        self, z: FloatArray, centre: FloatArray, sd: FloatArray, lower: float, upper: float
+    ) -> tuple[FloatArray, Slopes]:
+        """Return the values whose scores are z, and their derivatives by score, centre and sd; all of one shape.
+
+        Parameters
+        ----------
+        z, centre, sd : ndarray, broadcastable
+        lower, upper : float
+            Bounds of the values.
+        """
+        if not self.of_logarithm:
+            return truncated_normal_values(z, centre, sd, lower, upper)
+        with np.errstate(divide="ignore"):
+            ends = np.log([max(lower, 0.0), upper])
+        x, (by_z, by_m, by_s) = truncated_normal_values(z, np.log(centre), sd, *ends)
+        value = np.exp(x)
+        return value, (value * by_z, value * by_m / centre, value * by_s)
+
+    def log_ratio(
+        self, value: FloatArray, one: Normals, other: Normals, lower: float, upper: float
+    ) -> tuple[FloatArray, Slopes, Slopes]:
+        """Return the logarithm of the density of values in one population over that in another.
+
+        Parameters
+        ----------
+        value : ndarray
+        one, other : tuple of (ndarray, ndarray)
+            Centre and sd of each.
+        lower, upper : float
+            Bounds of the values.
+
+        Returns
+        -------
+        ratio : ndarray
+        by_one, by_other : tuple of three ndarray
+            Derivatives of the two log-densities by value, centre and sd; those of the second to be subtracted.
+        """
+        if not self.of_logarithm:
+            (p, by_p), (q, by_q) = (truncated_normal_log_pdf(value, *of, lower, upper) for of in (one, other))
+            return p - q, by_p, by_q
+        with np.errstate(divide="ignore"):
+            ends = np.log([max(lower, 0.0), upper])
+        found = []
+        for centre, sd in (one, other):
+            p, (by_x, by_m, by_s) = truncated_normal_log_pdf(np.log(value), np.log(centre), sd, *ends)
+            found.append((p, (by_x / value, by_m / centre, by_s)))
+        return found[0][0] - found[1][0], found[0][1], found[1][1]
+
+    def scores(
+        self, value: FloatArray, centre: FloatArray, sd: FloatArray, lower: float, upper: float
+    ) -> FloatArray:
+        """Return the scores of values: the inverse of `values`."""
+        if not self.of_logarithm:
+            return truncated_normal_scores(value, centre, sd, lower, upper)
+        with np.errstate(divide="ignore"):
+            ends = np.log([max(lower, 0.0), upper])
+        return truncated_normal_scores(np.log(value), np.log(centre), sd, *ends)
+
+    def as_dict(self) -> dict[str, Plain]:
+        """Return the settings in plain Python types."""
+        return {
+            "distribution": self.distribution,
+            "sd": None if self.sd is None else self.sd.as_dict(),
+        }
 
 
 class LastTheta:
@@ -149,7 +209,7 @@ class Drawn(InTests):
     lower, upper : float
         Bounds of the values.
     centring : ndarray, shape (n_tests,)
-        w of `fmu.posterior.joint.population`: 0 for standard normal scores, 1 for the values in other units.
+        w of this module: 0 for standard normal scores, 1 for the values in other units.
     reference : tuple of float
         Centre and width, μ₀ and σ₀.
     last : LastTheta
@@ -166,11 +226,6 @@ class Drawn(InTests):
     centring: FloatArray
     reference: tuple[float, float]
     last: LastTheta = field(default_factory=LastTheta, init=False, repr=False)
-
-    @property
-    def populations(self) -> tuple[Drawn, ...]:
-        """The population itself."""
-        return (self,)
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
         """Return the values in every test, shape (n, n_tests), and their derivatives."""
@@ -278,115 +333,11 @@ class Drawn(InTests):
         ends = theta[:, self.centre], theta[:, self.width]
         return self.population.values(future.scores[self.centre], *ends, self.lower, self.upper)[0]
 
+    def after(self, n: int) -> Self:
+        """Return the parameter with its scores behind `n` parameters of theta."""
+        return replace(self, columns=self.columns + n)
+
     def refer_to(self, references: Mapping[int, tuple[FloatArray, tuple[float, float]]]) -> Self:
         """Return the parameter with scores that refer to others."""
         centring, reference = references[self.centre]
         return replace(self, centring=centring, reference=reference)
-
-
-@dataclass(frozen=True)
-class Lost(InTests):
-    """A parameter of the structure that later states have lost a share of: θ = θ₀ (1 − d).
-
-    Attributes
-    ----------
-    column : int
-        Number in theta of θ₀, the value in the reference.
-    losses : ndarray of int, shape (n_tests,)
-        Numbers in theta of d in every test.
-    is_lost : ndarray of bool, shape (n_tests,)
-        False in the reference.
-    """
-
-    column: int
-    losses: IntArray
-    is_lost: BoolArray
-
-    def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the values in every test, shape (n, n_tests), and their derivatives."""
-        loss = np.where(self.is_lost, theta[:, self.losses], 0.0)
-        columns = np.full_like(self.losses, self.column)
-        base = theta[:, columns]
-        by_loss = np.where(self.is_lost, -base, 0.0)
-        return base * (1.0 - loss), [Slope(columns, 1.0 - loss), Slope(self.losses, by_loss)]
-
-    def identity(self, test: int) -> Hashable:
-        """Return an object that is equal in two tests if the value always is."""
-        return int(self.losses[test])
-
-    def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return limits of the values in every test, for limits of theta (n_parameters,)."""
-        ends = np.array([lower[self.column], upper[self.column]])
-        kept = np.where(self.is_lost, 1.0 - np.stack([lower[self.losses], upper[self.losses]]), 1.0)
-        corners = ends[:, None, None] * kept
-        return corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-
-
-@dataclass(frozen=True)
-class Trend(InTests):
-    """A parameter of the structure that depends on covariates too: θ = θ₀ Π (1 + b (x − x₀)).
-
-    Attributes
-    ----------
-    of : Taken, Drawn or Lost
-        θ₀, the value where every covariate is at its mean over the tests.
-    columns : tuple of int
-        Number in theta of the relative slope b of each covariate.
-    covariates : ndarray, shape (n_covariates, n_tests)
-        x − x₀.
-    names : tuple of str
-    means : tuple of float
-        x₀ of each.
-    """
-
-    of: InTests
-    columns: tuple[int, ...]
-    covariates: FloatArray
-    names: tuple[str, ...]
-    means: tuple[float, ...]
-
-    @property
-    def base(self) -> InTests:
-        """The parameter where every covariate is at its mean over the tests."""
-        return self.of
-
-    @property
-    def populations(self) -> tuple[Drawn, ...]:
-        """The population of the parameter without its trends."""
-        return self.of.populations
-
-    def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the values in every test, shape (n, n_tests), and their derivatives."""
-        value, slopes = self.of(theta)
-        factors = 1.0 + theta[:, self.columns, None] * self.covariates
-        product = np.prod(factors, axis=1)
-        found = [Slope(slope.columns, slope.values * product) for slope in slopes]
-        for k, column in enumerate(self.columns):
-            others = np.prod(np.delete(factors, k, axis=1), axis=1)
-            columns = np.full(self.covariates.shape[1], column)
-            found.append(Slope(columns, value * self.covariates[k] * others))
-        return value * product, found
-
-    def identity(self, test: int) -> Hashable:
-        """Return an object that is equal in two tests if the value always is."""
-        return self.of.identity(test), *self.covariates[:, test].tolist()
-
-    def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return limits of the values in every test, for limits of theta (n_parameters,)."""
-        low, high = self.of.box(lower, upper)
-        for k, x in zip(self.columns, self.covariates, strict=True):
-            factors = 1.0 + np.stack([lower[k] * x, upper[k] * x])
-            corners = np.stack([end * factor for end in (low, high) for factor in factors])
-            low, high = corners.min(axis=0), corners.max(axis=0)
-        return low, high
-
-    def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the values (n,) in one more test."""
-        value = self.of.next_test(theta, like, future)
-        for name, mean, column in zip(self.names, self.means, self.columns, strict=True):
-            value = value * (1.0 + theta[:, column] * (future.covariates.get(name, mean) - mean))
-        return value
-
-    def refer_to(self, references: Mapping[int, tuple[FloatArray, tuple[float, float]]]) -> Self:
-        """Return the parameter with scores that refer to others."""
-        return replace(self, of=self.of.refer_to(references))

@@ -1,0 +1,101 @@
+"""Losses of stiffness between a reference state and later ones."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from fmu.arguments import check_arguments
+from fmu.posterior.joint.modal_test import Test
+from fmu.posterior.joint.varies.base import InTests, Slope, Theta, Varies, require_groups
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors.base import Normal, Prior
+from fmu.types import BoolArray, FloatArray, IntArray, Plain
+
+_LOWEST, _HIGHEST = -0.5, 0.95
+_SD = 0.3
+
+
+@check_arguments
+@dataclass(frozen=True)
+class Damage(Varies):
+    """A parameter that each later group of tests has lost a share d of: θ = θ_reference (1 − d).
+
+    The first test's group is the reference, unless the problem says otherwise. A negative loss is a gain: noise
+    gives it where there is no damage, so that losses are not biased upwards.
+
+    Attributes
+    ----------
+    prior : Prior, optional
+        Of each loss, between −0.5 and 0.95; normal about 0 with a standard deviation of 0.3 by default. Where few
+        parameters are expected to be damaged, `fmu.SpikeAndSlab(share)` with the probability that one is: it pulls
+        small losses to nothing and leaves large ones alone. (A horseshoe prior does the same with scales that are
+        inferred. Precise tests tie them to the losses so closely that HMC did not converge.)
+    """
+
+    prior: Prior | None = None
+    by_group: ClassVar[bool] = True
+
+    def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
+        """Return the mistakes in the groups."""
+        return require_groups(name, tests)
+
+    def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> Lost:
+        """Add the value in the reference, and a loss for each later group."""
+        column = theta.add(p, "group", of, theta.reference)
+        groups = [test.group for test in theta.tests]
+        states = dict.fromkeys(group for group in groups if group != theta.reference)
+        numbers = {state: theta.add(self.loss(p, state), "loss", of, state) for state in states}
+        losses = np.array([numbers.get(group, column) for group in groups])
+        return Lost(column, losses, np.array([group != theta.reference for group in groups]))
+
+    def loss(self, of: Parameter, state: str) -> Parameter:
+        """Return the loss of a parameter in a state."""
+        prior = Normal(_SD) if self.prior is None else self.prior
+        start = float(np.clip(0.0, max(_LOWEST, prior.support[0]), min(_HIGHEST, prior.support[1])))
+        return Parameter(f"{of.name} loss [{state}]", start, _LOWEST, _HIGHEST, prior)
+
+    def as_dict(self) -> dict[str, Plain]:
+        """Return the settings in plain Python types."""
+        return {"prior": None if self.prior is None else self.prior.as_dict()}
+
+
+@dataclass(frozen=True)
+class Lost(InTests):
+    """A parameter of the structure that later states have lost a share of: θ = θ₀ (1 − d).
+
+    Attributes
+    ----------
+    column : int
+        Number in theta of θ₀, the value in the reference.
+    losses : ndarray of int, shape (n_tests,)
+        Numbers in theta of d in every test.
+    is_lost : ndarray of bool, shape (n_tests,)
+        False in the reference.
+    """
+
+    column: int
+    losses: IntArray
+    is_lost: BoolArray
+
+    def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
+        """Return the values in every test, shape (n, n_tests), and their derivatives."""
+        loss = np.where(self.is_lost, theta[:, self.losses], 0.0)
+        columns = np.full_like(self.losses, self.column)
+        base = theta[:, columns]
+        by_loss = np.where(self.is_lost, -base, 0.0)
+        return base * (1.0 - loss), [Slope(columns, 1.0 - loss), Slope(self.losses, by_loss)]
+
+    def identity(self, test: int) -> Hashable:
+        """Return an object that is equal in two tests if the value always is."""
+        return int(self.losses[test])
+
+    def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return limits of the values in every test, for limits of theta (n_parameters,)."""
+        ends = np.array([lower[self.column], upper[self.column]])
+        kept = np.where(self.is_lost, 1.0 - np.stack([lower[self.losses], upper[self.losses]]), 1.0)
+        corners = ends[:, None, None] * kept
+        return corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
