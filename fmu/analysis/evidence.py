@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -286,34 +286,29 @@ def found_evidences(
     """
     if any(is_pseudo(trace) for trace in traces.values()):
         return []
-    found = [_of_tempering(name, trace, verdicts[name]) for name, trace in traces.items() if has(trace, GROUP)]
+    found = [
+        _of_run(name, trace, verdicts[name], METHODS[0]) for name, trace in traces.items() if has(trace, GROUP)
+    ]
     for name, trace in traces.items():
         if has_candidates(trace):
-            found += [_of_candidates(name, trace, verdicts[name], method) for method in OF_MIXTURE]
+            found += [_of_run(name, trace, verdicts[name], method) for method in OF_MIXTURE]
     if maxima is not None:
         reached = max(float(array_of(trace, "sample_stats", "lp").max()) for trace in traces.values())
         found.append(_of_maxima(maxima, reached))
     return _compare_evidences(found)
 
 
-def _of_tempering(name: str, trace: xr.DataTree, verdict: Diagnosis) -> FoundEvidence:
-    found = evidence(trace)
-    doubts = list(found.warnings)
-    if not verdict.converged:
-        doubts.append("the run has not converged")
-    method = f"parallel tempering over {len(found.table)} rungs" + ("" if name == "tempering" else f" of {name}")
-    return FoundEvidence(found.log_evidence, found.error, method, tuple(doubts))
-
-
-def _of_candidates(name: str, trace: xr.DataTree, verdict: Diagnosis, method: str) -> FoundEvidence:
+def _of_run(name: str, trace: xr.DataTree, verdict: Diagnosis, method: str) -> FoundEvidence:
     found = evidence(trace, method)
-    words = {"importance": "importance sampling", "bridge": "bridge sampling"}
-    doubts = list(found.warnings)
-    if method == "bridge" and not verdict.converged:
-        doubts.append("the run has not converged")
-    return FoundEvidence(
-        found.log_evidence, found.error, f"{words[method]} with the proposal of {name}", tuple(doubts)
-    )
+    words = {
+        "stepping-stone": f"parallel tempering over {len(found.table)} rungs"
+        + ("" if name == "tempering" else f" of {name}"),
+        "importance": f"importance sampling with the proposal of {name}",
+        "bridge": f"bridge sampling with the proposal of {name}",
+    }
+    unfinished = method != "importance" and not verdict.converged
+    doubts = (*found.warnings, *["the run has not converged"] * unfinished)
+    return FoundEvidence(found.log_evidence, found.error, words[method], doubts)
 
 
 def _of_maxima(maxima: Maxima, reached: float) -> FoundEvidence:
@@ -347,5 +342,5 @@ def _compare_evidences(found: list[FoundEvidence]) -> list[FoundEvidence]:
             if other is not one
             and not abs(one.log_evidence - other.log_evidence) <= _APART * np.hypot(one.error, other.error)
         ]
-        compared.append(FoundEvidence(one.log_evidence, one.error, one.method, (*one.doubts, *doubts)))
+        compared.append(replace(one, doubts=(*one.doubts, *doubts)))
     return compared

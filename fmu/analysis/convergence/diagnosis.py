@@ -33,6 +33,7 @@ from fmu.analysis.fit.deviations import deviation_warnings
 from fmu.analysis.fit.model_fit import ModelFit, model_fit
 from fmu.analysis.held_out.modes import left_out_warnings
 from fmu.analysis.information import information_warnings
+from fmu.analysis.maxima import search
 from fmu.analysis.maxima.missed import Comparison, check_parameters, compare_shares, missed_places
 from fmu.analysis.maxima.results import NEGLIGIBLE, TYPICAL_POINT, Maxima
 from fmu.analysis.pairing_changes import jump_warnings
@@ -199,12 +200,13 @@ def diagnose(
     for name, other in named.items():
         check_trace(other, f"others.{name}")
     check_parameters(trace, named)
-    known = [maxima_of(other) for other in (trace, *named.values())]
-    if problem is not None:
-        from fmu.analysis.maxima.search import find_map
+    searched = [] if problem is None else [search.find_map(problem)]
+    return judge(trace, _kept_maxima(trace, named) + searched, named)
 
-        known.append(find_map(problem))
-    return judge(trace, [maxima for maxima in known if maxima is not None], named)
+
+def _kept_maxima(trace: xr.DataTree, others: Mapping[str, xr.DataTree]) -> list[Maxima]:
+    """Return the maxima that a trace and others keep."""
+    return [maxima for maxima in map(maxima_of, (trace, *others.values())) if maxima is not None]
 
 
 def judge(
@@ -298,16 +300,11 @@ def diagnose_all(
     summaries : mapping of str to pandas.DataFrame, optional
         ``summary(trace)`` of each, if already computed.
     """
-    searched = []
-    if problem is not None:
-        from fmu.analysis.maxima.search import find_map
-
-        searched.append(find_map(problem))
+    searched = [] if problem is None else [search.find_map(problem)]
     found = {}
     for name, trace in traces.items():
         others = {key: other for key, other in traces.items() if key != name and _same_posterior(trace, other)}
-        kept = [maxima_of(other) for other in (trace, *others.values())]
-        known = searched + [maxima for maxima in kept if maxima is not None]
+        known = searched + _kept_maxima(trace, others)
         found[name] = judge(trace, known, others, None if summaries is None else summaries[name])
     return found
 

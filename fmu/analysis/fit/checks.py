@@ -27,6 +27,7 @@ however they depend on each other.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -178,20 +179,23 @@ def _check_residual(trace: xr.DataTree, mode: str, row: pd.Series, level: float)
         return Check(PREDICTED, f"mode {mode}", measured, "", np.nan, False, "", "")
     freedom = int(group["freedom"].sum())
     squares = group["squares"].sel(mode=mode).sum("quantity").to_numpy().ravel()
-    p, mean = float(chdtrc(freedom, squares).mean()), float(squares.mean())
-    said = f"Σ r² = {significant(mean)} after updating, {freedom} expected"
-    larger = _larger(squares, freedom, level / 2)
-    return Check(
-        PREDICTED,
-        f"mode {mode}",
-        f"{measured}, {said}",
-        f"p {significant(level / 2, 2)}",
-        p,
-        bool(p < level / 2),
-        f"residuals {significant(larger, 2)} times as large",
-        f"mode {mode}: the updated model does not reach what was measured, {measured}: {said} ({probability(p)})",
-        NOT_PREDICTED,
-    )
+    against = f"mode {mode}: the updated model does not reach what was measured, {measured}: "
+    check, _ = _judge_squares(PREDICTED, f"mode {mode}", squares, freedom, level / 2, against, " after updating")
+    return replace(check, found=f"{measured}, {check.found}", why_not=NOT_PREDICTED)
+
+
+def _judge_squares(
+    kind: str, of: str, squares: FloatArray, freedom: int, limit: float, against: str, parts: str = ""
+) -> tuple[Check, float]:
+    """Return a check of Σ r² at the draws, and the factor of all residuals with which it would fail.
+
+    `against` begins its sentence, and `parts` says more of the sum.
+    """
+    p, larger = float(chdtrc(freedom, squares).mean()), _larger(squares, freedom, limit)
+    found = f"Σ r² = {significant(float(squares.mean()))}{parts}, {freedom} expected"
+    shows = f"residuals {significant(larger, 2)} times as large"
+    sentence = f"{against}{found} ({probability(p)})"
+    return Check(kind, of, found, f"p {significant(limit, 2)}", p, bool(p < limit), shows, sentence), larger
 
 
 def _residuals(trace: xr.DataTree, level: float) -> list[Check]:
@@ -200,27 +204,14 @@ def _residuals(trace: xr.DataTree, level: float) -> list[Check]:
     squares, n_modes = group["squares"], group.sizes["mode"]
     freedom = group["freedom"].to_numpy() * n_modes
     total, n = squares.sum(("quantity", "mode")).to_numpy().ravel(), int(freedom.sum())
-    p, mean = float(chdtrc(n, total).mean()), float(total.mean())
     parts = [
         f"{quantity} {significant(float(squares.sel(quantity=quantity).sum('mode').mean()))} of {k}"
         for quantity, k in zip(group["quantity"].to_numpy().tolist(), freedom.tolist(), strict=True)
     ]
     of = f" ({', '.join(parts)})" if len(parts) > 1 else ""
-    said = f"Σ r² = {significant(mean)}{of}, {n} expected"
-    larger = _larger(total, n, level / 2)
-    return [
-        Check(
-            RESIDUALS,
-            "all used data",
-            said,
-            f"p {significant(level / 2, 2)}",
-            p,
-            bool(p < level / 2),
-            f"residuals {significant(larger, 2)} times as large",
-            f"all used data together: with the residuals r in standard deviations, {said} ({probability(p)})",
-            _follows(trace, larger),
-        )
-    ]
+    against = "all used data together: with the residuals r in standard deviations, "
+    check, larger = _judge_squares(RESIDUALS, "all used data", total, n, level / 2, against, of)
+    return [replace(check, why_not=_follows(trace, larger))]
 
 
 def _tests(trace: xr.DataTree, level: float) -> list[Check]:
@@ -233,23 +224,12 @@ def _tests(trace: xr.DataTree, level: float) -> list[Check]:
     for name in names:
         here = squares.isel(mode=of_test == name)
         total, n = here.sum("mode").to_numpy().ravel(), each * here.sizes["mode"]
-        p, mean = float(chdtrc(n, total).mean()), float(total.mean())
-        said = f"Σ r² = {significant(mean)}, {n} expected"
-        larger = _larger(total, n, limit)
-        found.append(
-            Check(
-                TEST,
-                f"test {name}",
-                said,
-                f"p {significant(limit, 2)}",
-                p,
-                bool(p < limit),
-                f"residuals {significant(larger, 2)} times as large",
-                f"test {name}: what it measured is not what the tests together say of the structure: with the "
-                f"residuals r in standard deviations, {said} ({probability(p)})",
-                _follows(trace, larger),
-            )
+        against = (
+            f"test {name}: what it measured is not what the tests together say of the structure: with the "
+            "residuals r in standard deviations, "
         )
+        check, larger = _judge_squares(TEST, f"test {name}", total, n, limit, against)
+        found.append(replace(check, why_not=_follows(trace, larger)))
     return found
 
 

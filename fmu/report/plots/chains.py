@@ -19,26 +19,7 @@ from fmu.analysis.convergence.effective import (
 )
 from fmu.analysis.trace.reading import array_of, constant, has, parameter_draws, parameter_names, walkers_of
 from fmu.numbers import given
-from fmu.report.plots.style import (
-    BLACK,
-    FONT,
-    GREY,
-    NARROW,
-    PALE,
-    PALETTE,
-    AxesArray,
-    broken,
-    chain_colours,
-    colour,
-    finish,
-    height_of_row,
-    legend_below,
-    legend_of_chains,
-    literal,
-    new_figure,
-    stack_axes,
-    unit_of,
-)
+from fmu.report.plots import style
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -52,7 +33,7 @@ _MAX_POINTS = 1500
 
 def plot_traces(
     traces: Mapping[str, xr.DataTree], published: ArrayLike | None = None, figure: Figure | None = None
-) -> AxesArray:
+) -> style.AxesArray:
     """Draw the paths of the chains, one row per parameter and one column per trace, warm-up shaded.
 
     For an ensemble, one walker is shown. The axes fit the retained draws; the warm-up may leave them. Dashed lines
@@ -71,8 +52,8 @@ def plot_traces(
     ndarray of Axes, shape (parameters, traces)
     """
     names = parameter_names(next(iter(traces.values())))
-    row = 1.15 * height_of_row(len(names))
-    figure = figure or new_figure(5.2 * len(traces) + 0.4, row * len(names) + 0.8)
+    row = 1.15 * style.height_of_row(len(names))
+    figure = figure or style.new_figure(5.2 * len(traces) + 0.4, row * len(names) + 0.8)
     room = (figure.get_figheight() - 0.8) / len(names)
     axes = figure.subplots(len(names), len(traces), sharex="col", squeeze=False)
     for j, (title, trace) in enumerate(traces.items()):
@@ -81,33 +62,35 @@ def plot_traces(
             _plot_path(axes[i, j], trace, name, room)
         if trace["warmup_posterior"].sizes["draw"]:
             _say_above(axes[0, j], 0.5 * trace["warmup_posterior"].sizes["draw"] / walkers, "warm-up")
-        axes[0, j].set_title(literal(title), fontsize=FONT + 1)
-        axes[-1, j].set_xlabel("step" if walkers == 1 else "step (one walker of each ensemble)", fontsize=FONT)
+        axes[0, j].set_title(style.literal(title), fontsize=style.FONT + 1)
+        axes[-1, j].set_xlabel(
+            "step" if walkers == 1 else "step (one walker of each ensemble)", fontsize=style.FONT
+        )
     if published is not None:
         for axis, name, value in zip(axes[:, 0], names, np.asarray(published, dtype=float), strict=True):
-            _compare(axis, value / unit_of(next(iter(traces.values())), name).factor)
+            _compare(axis, value / style.unit_of(next(iter(traces.values())), name).factor)
         _say_above(axes[0, 0], axes[0, 0].get_xlim()[1], "dotted: published", "right")
-    legend_of_chains(figure, next(iter(traces.values())))
+    style.legend_of_chains(figure, next(iter(traces.values())))
     figure.align_ylabels(axes)
     return axes
 
 
 def _say_above(axes: Axes, x: float, words: str, side: Literal["center", "right"] = "center") -> None:
     """Write a small label above the axes."""
-    axes.text(x, 1.0, words, transform=axes.get_xaxis_transform(), ha=side, va="bottom", fontsize=FONT - 2,
-              color=GREY)  # fmt: skip
+    axes.text(x, 1.0, words, transform=axes.get_xaxis_transform(), ha=side, va="bottom", fontsize=style.FONT - 2,
+              color=style.GREY)  # fmt: skip
 
 
 def _compare(axes: Axes, value: float) -> None:
     """Draw a reference value and extend the axes to include it."""
     low, high = axes.get_ylim()
-    axes.axhline(value, color=BLACK, linestyle=":", linewidth=1.3)
+    axes.axhline(value, color=style.BLACK, linestyle=":", linewidth=1.3)
     axes.set_ylim(min(low, value - 0.05 * (high - low)), max(high, value + 0.05 * (high - low)))
 
 
 def _plot_path(axes: Axes, trace: xr.DataTree, name: str, room: float) -> None:
     """Draw the paths of all chains in one parameter; the label has a room in inches."""
-    unit = unit_of(trace, name)
+    unit = style.unit_of(trace, name)
     walkers = int(trace.attrs["walkers"])
     warm, kept = (
         array_of(trace, group, name)[:, ::walkers] / unit.factor for group in ("warmup_posterior", "posterior")
@@ -115,10 +98,10 @@ def _plot_path(axes: Axes, trace: xr.DataTree, name: str, room: float) -> None:
     paths = np.concatenate([warm, kept], axis=1)
     every = max(1, paths.shape[1] // _MAX_POINTS)
     steps = np.arange(1, paths.shape[1] + 1)[::every]
-    for path, shade in reversed(list(zip(paths, chain_colours(trace), strict=True))):
+    for path, shade in reversed(list(zip(paths, style.chain_colours(trace), strict=True))):
         axes.plot(steps, path[::every], color=shade, linewidth=0.7, rasterized=True, antialiased=False)
     if warm.shape[1]:
-        axes.axvspan(0, warm.shape[1], color=PALE, zorder=0, linewidth=0)
+        axes.axvspan(0, warm.shape[1], color=style.PALE, zorder=0, linewidth=0)
     low, high = kept.min(), kept.max()
     margin = 0.08 * (high - low) or 0.01 * abs(high)
     axes.set_ylim(low - margin, high + margin)
@@ -126,15 +109,15 @@ def _plot_path(axes: Axes, trace: xr.DataTree, name: str, room: float) -> None:
     for bound in ("lower", "upper"):
         value = constant(trace, bound, name) / unit.factor
         if low - margin < value < high + margin:
-            axes.axhline(value, color=BLACK, linestyle="--", linewidth=0.8)
-    finish(axes, y=broken(unit.label(name), room))
+            axes.axhline(value, color=style.BLACK, linestyle="--", linewidth=0.8)
+    style.finish(axes, y=style.broken(unit.label(name), room))
 
 
 _RANKED = (20, 500)
 _LAGS = 100
 
 
-def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> AxesArray:
+def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesArray:
     """Draw ArviZ's rank plots, one row per parameter: chains of one distribution stay near zero.
 
     Drawn is the difference between the distribution of a chain's ranks among all draws and the uniform one. The
@@ -161,17 +144,17 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> AxesArray:
     posterior = trace["posterior"].to_dataset()
     if posterior.sizes["chain"] < 2:
         raise ValueError("trace: must have at least two chains to rank (got 1)")
-    axes = stack_axes(len(parameter_names(trace)), figure)
+    axes = style.stack_axes(len(parameter_names(trace)), figure)
     ranked = _independent(trace) / posterior.sizes["chain"]
     most = int(np.clip(ranked, *_RANKED)) if np.isfinite(ranked) else _RANKED[1]
     thinned = posterior.isel(draw=slice(None, None, apart(posterior.sizes["draw"], most, walkers)))
-    draw_ranks(thinned, axes, chain_colours(trace))
-    axes[-1].set_xlabel("rank among the draws of all chains / their number", fontsize=FONT)
-    legend_of_chains(axes[0].figure, trace)
+    draw_ranks(thinned, axes, style.chain_colours(trace))
+    axes[-1].set_xlabel("rank among the draws of all chains / their number", fontsize=style.FONT)
+    style.legend_of_chains(axes[0].figure, trace)
     return axes
 
 
-def draw_ranks(thinned: xr.Dataset, axes: AxesArray, colours: list[str]) -> None:
+def draw_ranks(thinned: xr.Dataset, axes: style.AxesArray, colours: list[str]) -> None:
     """Draw ArviZ's rank plots of independent draws (chain, draw), one parameter on each of the axes."""
     import xarray as xr
     from arviz_plots import plot_rank
@@ -196,9 +179,9 @@ def draw_ranks(thinned: xr.Dataset, axes: AxesArray, colours: list[str]) -> None
     for name, axis in zip(names, axes, strict=True):
         for path in (*axis.lines, *axis.collections):
             path.set_rasterized(True)
-        axis.axhline(0.0, color=GREY, linewidth=0.8, zorder=0)
-        finish(axis, y=broken(name, height_of_row(len(names))))
-    axes[0].figure.supylabel("Δ ECDF of the ranks", fontsize=FONT)
+        axis.axhline(0.0, color=style.GREY, linewidth=0.8, zorder=0)
+        style.finish(axis, y=style.broken(name, style.height_of_row(len(names))))
+    axes[0].figure.supylabel("Δ ECDF of the ranks", fontsize=style.FONT)
     axes[0].figure.align_ylabels(axes)
 
 
@@ -207,7 +190,7 @@ def _independent(trace: xr.DataTree) -> float:
     return float(np.min([ess_bulk(x, walkers_of(trace)) for x in np.moveaxis(parameter_draws(trace), -1, 0)]))
 
 
-def plot_autocorrelation(trace: xr.DataTree, figure: Figure | None = None) -> AxesArray:
+def plot_autocorrelation(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesArray:
     """Draw the autocorrelation of each chain, one row per parameter, out to a hundred steps.
 
     For an ensemble, the average over its walkers about their common mean, as in its effective sample size.
@@ -223,16 +206,16 @@ def plot_autocorrelation(trace: xr.DataTree, figure: Figure | None = None) -> Ax
     """
     names, walkers = parameter_names(trace), walkers_of(trace)
     draws = parameter_draws(trace)
-    axes = stack_axes(len(names), figure, sharey=True)
+    axes = style.stack_axes(len(names), figure, sharey=True)
     for i, (name, axis) in enumerate(zip(names, axes, strict=True)):
-        for values, shade in zip(autocorrelation(draws[..., i], walkers), chain_colours(trace), strict=True):
+        for values, shade in zip(autocorrelation(draws[..., i], walkers), style.chain_colours(trace), strict=True):
             axis.plot(values[: _LAGS + 1], color=shade, linewidth=1.2)
-        axis.axhline(0.0, color=GREY, linewidth=0.8, zorder=0)
-        finish(axis, y=broken(name, height_of_row(len(names))))
-    axes[0].figure.supylabel("autocorrelation", fontsize=FONT)
-    axes[-1].set_xlabel("lag / steps", fontsize=FONT)
+        axis.axhline(0.0, color=style.GREY, linewidth=0.8, zorder=0)
+        style.finish(axis, y=style.broken(name, style.height_of_row(len(names))))
+    axes[0].figure.supylabel("autocorrelation", fontsize=style.FONT)
+    axes[-1].set_xlabel("lag / steps", fontsize=style.FONT)
     axes[-1].set_xlim(0, min(_LAGS, draws.shape[1] // walkers - 1) or 1)
-    legend_of_chains(axes[0].figure, trace)
+    style.legend_of_chains(axes[0].figure, trace)
     return axes
 
 
@@ -260,18 +243,23 @@ def plot_energy(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     if not has(trace, "sample_stats", "energy"):
         raise ValueError(f"trace: must have energies (the sampler {trace.attrs['sampler']} has none)")
     energy = array_of(trace, "sample_stats", "energy")
-    figure = figure or new_figure(NARROW, 3.0)
+    figure = figure or style.new_figure(style.NARROW, 3.0)
     axes = figure.subplots()
     about, changes = (energy - energy.mean()).ravel(), np.diff(energy, axis=1).ravel()
     ends = np.quantile(np.concatenate([about, changes]), [0.0005, 0.9995])
     bins = np.linspace(ends[0], ends[1], 50).tolist()
     axes.hist(
-        about, bins, density=True, color=colour(str(trace.attrs["sampler"])), alpha=0.45, label="energy − mean"
+        about,
+        bins,
+        density=True,
+        color=style.colour(str(trace.attrs["sampler"])),
+        alpha=0.45,
+        label="energy − mean",
     )
-    axes.hist(changes, bins, density=True, histtype="step", color=BLACK, linewidth=1.3,
+    axes.hist(changes, bins, density=True, histtype="step", color=style.BLACK, linewidth=1.3,
               label="change from draw to draw")  # fmt: skip
-    finish(axes, "energy (−log-probability + kinetic), nats", "density / nat⁻¹")
-    legend_below(axes)
+    style.finish(axes, "energy (−log-probability + kinetic), nats", "density / nat⁻¹")
+    style.legend_below(axes)
     return axes
 
 
@@ -283,7 +271,7 @@ _FLOOR = 1e-3
 
 def plot_running_means(
     trace: xr.DataTree, table: pd.DataFrame | None = None, figure: Figure | None = None
-) -> AxesArray:
+) -> style.AxesArray:
     """Draw the mean of each chain's first draws, one row per parameter.
 
     The band is the mean of all draws with twice its standard error.
@@ -301,20 +289,20 @@ def plot_running_means(
     """
     names = parameter_names(trace)
     table = summary(trace) if table is None else table
-    axes = stack_axes(len(names), figure)
+    axes = style.stack_axes(len(names), figure)
     steps = trace["posterior"].sizes["draw"] // walkers_of(trace)
     at, means = running_means(trace, lengths(steps, 60))
     for i, (name, axis) in enumerate(zip(names, axes, strict=True)):
-        unit = unit_of(trace, name)
+        unit = style.unit_of(trace, name)
         mean, error = (float(table[column][name]) / unit.factor for column in ("mean", "mcse_mean"))
         if np.isfinite(error):
-            axis.axhspan(mean - 2 * error, mean + 2 * error, color=PALE, linewidth=0, zorder=0)
-        axis.axhline(mean, color=GREY, linewidth=0.8, zorder=1)
-        for chain, shade in enumerate(chain_colours(trace)):
+            axis.axhspan(mean - 2 * error, mean + 2 * error, color=style.PALE, linewidth=0, zorder=0)
+        axis.axhline(mean, color=style.GREY, linewidth=0.8, zorder=1)
+        for chain, shade in enumerate(style.chain_colours(trace)):
             axis.plot(at, means[:, chain, i] / unit.factor, color=shade, linewidth=1.2)
-        finish(axis, y=broken(unit.label(name), height_of_row(len(names))))
+        style.finish(axis, y=style.broken(unit.label(name), style.height_of_row(len(names))))
     _logarithmic_steps(axes[-1])
-    legend_of_chains(axes[0].figure, trace)
+    style.legend_of_chains(axes[0].figure, trace)
     axes[0].figure.align_ylabels(axes)
     return axes
 
@@ -327,7 +315,7 @@ def _logarithmic_steps(axes: Axes) -> None:
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_minor_locator(NullLocator())
-    axes.set_xlabel("steps kept", fontsize=FONT)
+    axes.set_xlabel("steps kept", fontsize=style.FONT)
 
 
 def plot_running_rhat(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
@@ -343,21 +331,21 @@ def plot_running_rhat(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     Axes
     """
     names = parameter_names(trace)
-    figure = figure or new_figure(NARROW, 3.0 + 0.1 * len(names))
+    figure = figure or style.new_figure(style.NARROW, 3.0 + 0.1 * len(names))
     axes = figure.subplots()
     at, rhat = running_rhat(trace)
     for i, name in enumerate(names):
-        shade, dashes = PALETTE[i % len(PALETTE)], _DASHES[i // len(PALETTE) % len(_DASHES)]
+        shade, dashes = style.PALETTE[i % len(style.PALETTE)], _DASHES[i // len(style.PALETTE) % len(_DASHES)]
         above = np.maximum(rhat[:, i] - 1.0, _FLOOR)
-        axes.plot(at, above, label=literal(name), color=shade, linestyle=dashes, linewidth=1.6)
-    axes.plot(at[[0, -1]], [RHAT_LIMIT - 1.0] * 2, color=BLACK, linewidth=1.0)
+        axes.plot(at, above, label=style.literal(name), color=shade, linestyle=dashes, linewidth=1.6)
+    axes.plot(at[[0, -1]], [RHAT_LIMIT - 1.0] * 2, color=style.BLACK, linewidth=1.0)
     axes.annotate(f"limit {given(RHAT_LIMIT)}", (at[-1], RHAT_LIMIT - 1.0), (0, 3), textcoords="offset points",
-                  ha="right", fontsize=FONT - 2, bbox=_BACKED)  # fmt: skip
+                  ha="right", fontsize=style.FONT - 2, bbox=_BACKED)  # fmt: skip
     finite = rhat[np.isfinite(rhat)] - 1.0
     axes.set_ylim(_FLOOR, max(3.0 * (RHAT_LIMIT - 1.0), 1.3 * finite.max(initial=0.0)))
     axes.set_yscale("log")
     axes.minorticks_off()
     _logarithmic_steps(axes)
-    finish(axes, y=f"R-hat − 1\n(at least {given(_FLOOR)})")
-    legend_below(axes)
+    style.finish(axes, y=f"R-hat − 1\n(at least {given(_FLOOR)})")
+    style.legend_below(axes)
     return axes

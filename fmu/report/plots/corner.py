@@ -10,18 +10,7 @@ from numpy.typing import ArrayLike
 
 from fmu.analysis.information import not_informed
 from fmu.analysis.trace.reading import constant, parameter_draws, parameter_names
-from fmu.report.plots.style import (
-    BLACK,
-    FONT,
-    GREY,
-    VERMILLION,
-    AxesArray,
-    broken,
-    colour,
-    new_figure,
-    tint,
-    unit_of,
-)
+from fmu.report.plots import style
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -44,7 +33,7 @@ def plot_corner(
     maximum: ArrayLike | None = None,
     figure: Figure | None = None,
     names: Sequence[str] | None = None,
-) -> AxesArray:
+) -> style.AxesArray:
     """Draw all marginals and all pairs of a posterior, with start, bounds and maximum marked.
 
     Contours hold 50 % and 90 % of the draws. Names in grey are of parameters that the data did not inform.
@@ -72,26 +61,26 @@ def plot_corner(
     known = parameter_names(trace)
     names = known if names is None else tuple(names)
     columns = [known.index(name) for name in names]
-    units = [unit_of(trace, name) for name in names]
+    units = [style.unit_of(trace, name) for name in names]
     factor = np.array([unit.factor for unit in units])
     draws = parameter_draws(trace).reshape(-1, len(known))[:, columns] / factor
     if len(draws) < len(names):
         raise ValueError(f"trace: must have more draws than parameters (got {len(draws)} of {len(names)})")
     draws = draws[:: max(1, len(draws) // _MAX_DRAWS)]
     bounds = [_point(trace, names, which) / factor for which in ("lower", "upper")]
-    base = colour(str(trace.attrs["sampler"]))
+    base = style.colour(str(trace.attrs["sampler"]))
     side = float(np.clip(_WIDTH / len(names), *_SIDE))
     left = not_informed(trace)
     named = (f"{name}, prior" if name in left else name for name in names)
-    labels = [broken(unit.label(name), side) for name, unit in zip(named, units, strict=True)]
+    labels = [style.broken(unit.label(name), side) for name, unit in zip(named, units, strict=True)]
     edge = _EDGE + _LINE * max(label.count("\n") for label in labels)
     size = side * len(names) + edge + 0.2
-    figure = figure or new_figure(size, size, layout=None)  # corner arranges the panels
+    figure = figure or style.new_figure(size, size, layout=None)  # corner arranges the panels
     corner.corner(
         draws,
         fig=figure,
         labels=labels,
-        label_kwargs={"fontsize": FONT + 1},
+        label_kwargs={"fontsize": style.FONT + 1},
         range=_frames(draws, *bounds),
         bins=36,
         smooth=0.9,
@@ -99,7 +88,7 @@ def plot_corner(
         color=base,
         plot_datapoints=False,
         fill_contours=True,
-        contourf_kwargs={"colors": ["white", tint(base, 0.65), tint(base, 0.2)]},
+        contourf_kwargs={"colors": ["white", style.tint(base, 0.65), style.tint(base, 0.2)]},
         contour_kwargs={"linewidths": 0.8},
         hist_kwargs={"linewidth": 1.4},
         quiet=True,
@@ -108,7 +97,7 @@ def plot_corner(
     figure.subplots_adjust(left=edge / size, bottom=edge / size, right=1 - 0.1 / size, top=1 - 0.1 / size)
     for name, x, y in zip(names, axes[-1], axes[:, 0], strict=True):
         for label in (x.xaxis.label, y.yaxis.label):
-            label.set_color(GREY if name in left else BLACK)
+            label.set_color(style.GREY if name in left else style.BLACK)
         x.xaxis.set_label_coords(0.5, -0.3 / side)
         y.yaxis.set_label_coords(-0.45 / side, 0.5)
     for region in (region for panel in figure.axes for region in panel.collections):
@@ -142,13 +131,18 @@ class _Mark(TypedDict, total=False):
     markeredgewidth: float
 
 
-def _mark(axes: AxesArray, marks: dict[str, FloatArray], bounds: list[FloatArray]) -> None:
+def _mark(axes: style.AxesArray, marks: dict[str, FloatArray], bounds: list[FloatArray]) -> None:
     """Draw points and bounds inside the axes; the legend names points outside."""
     from matplotlib.lines import Line2D
 
     styles: dict[str, _Mark] = {
-        "start": {"color": BLACK, "marker": "x", "markeredgewidth": 1.8},
-        "maximum": {"color": VERMILLION, "marker": "*", "markeredgecolor": BLACK, "markeredgewidth": 0.5},
+        "start": {"color": style.BLACK, "marker": "x", "markeredgewidth": 1.8},
+        "maximum": {
+            "color": style.VERMILLION,
+            "marker": "*",
+            "markeredgecolor": style.BLACK,
+            "markeredgewidth": 0.5,
+        },
     }
     n = len(axes)
     for i in range(n):
@@ -171,14 +165,14 @@ def _mark(axes: AxesArray, marks: dict[str, FloatArray], bounds: list[FloatArray
                 elif i == j and seen[0]:
                     panel.axvline(point[j], color=styles[name]["color"], linewidth=1.2)
             panel.set(xlim=frame[0], ylim=frame[1])
-    handles = [Line2D([], [], color=BLACK, linestyle="--", linewidth=1.6, label="bound")]
+    handles = [Line2D([], [], color=style.BLACK, linestyle="--", linewidth=1.6, label="bound")]
     for name, point in marks.items():
         limits = [axes[-1, j].get_xlim() for j in range(n)]
         hidden = any(not low <= value <= high for value, (low, high) in zip(point, limits, strict=True))
         label = f"{name} (outside the frame)" if hidden else name
         handles.append(Line2D([], [], linestyle="none", markersize=9, label=label, **styles[name]))
     axes[0, -1].figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.98, 0.93), frameon=False,
-                              fontsize=FONT + 1)  # fmt: skip
+                              fontsize=style.FONT + 1)  # fmt: skip
 
 
 def _arrange_ticks(panel: Axes, most: int) -> None:
@@ -193,10 +187,10 @@ def _arrange_ticks(panel: Axes, most: int) -> None:
             axis.set_major_locator(
                 FixedLocator(ticks[(ticks >= low + margin) & (ticks <= high - margin)].tolist())
             )
-    panel.tick_params(labelsize=FONT - 2, labelrotation=0)
+    panel.tick_params(labelsize=style.FONT - 2, labelrotation=0)
 
 
 def _line_within(draw: Callable[..., object], value: float, limits: tuple[float, float]) -> None:
     """Draw a bound if it lies within the limits, ends included."""
     if limits[0] <= value <= limits[1]:
-        draw(value, color=BLACK, linestyle="--", linewidth=1.6, clip_on=False, zorder=8)
+        draw(value, color=style.BLACK, linestyle="--", linewidth=1.6, clip_on=False, zorder=8)

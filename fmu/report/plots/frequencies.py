@@ -14,20 +14,7 @@ from fmu.analysis.prediction import measured_tests, measurement_in_words, predic
 from fmu.analysis.trace.modal_states import GROUP, START
 from fmu.analysis.trace.reading import has, mode_names
 from fmu.numbers import given
-from fmu.report.plots.style import (
-    BLACK,
-    GREY,
-    MOST_LABELS,
-    NARROW,
-    PALE,
-    colour,
-    finish,
-    legend_below,
-    literal,
-    new_figure,
-    rotate_labels,
-    thin_labels,
-)
+from fmu.report.plots import style
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -81,13 +68,13 @@ def plot_frequency_errors(
     Axes
     """
     measured = np.asarray(measured_hz, dtype=float)
-    figure = figure or new_figure(7.2, 4.4)
+    figure = figure or style.new_figure(7.2, 4.4)
     axes = figure.subplots()
     centre = np.arange(len(measured), dtype=float)
     for k in range(1, len(measured)):
-        axes.axvline(k - 0.5, color=PALE, linewidth=1.0, zorder=0)
-    axes.axhline(0.0, color=BLACK, linewidth=1.0, zorder=1)
-    dot, bar = (7.0, 4.5) if len(measured) <= MOST_LABELS else (4.0, 2.0)
+        axes.axvline(k - 0.5, color=style.PALE, linewidth=1.0, zorder=0)
+    axes.axhline(0.0, color=style.BLACK, linewidth=1.0, zorder=1)
+    dot, bar = (7.0, 4.5) if len(measured) <= style.MOST_LABELS else (4.0, 2.0)
     for k, entry in enumerate(series):
         x = centre + 0.7 * ((k + 0.5) / len(series) - 0.5)
         error = 100.0 * (np.asarray(entry.hz) / measured - 1.0)
@@ -107,13 +94,13 @@ def plot_frequency_errors(
             x, error, linestyle="none", marker="o", markersize=dot, color=entry.colour, label=entry.label,
             markerfacecolor=entry.colour if entry.filled else "white", markeredgewidth=1.5, zorder=3,
         )  # fmt: skip
-    options = rotate_labels(labels, figure.get_figwidth())
+    options = style.rotate_labels(labels, figure.get_figwidth())
     between = ", " if options else "\n"
     names = [f"{label}{between}{given(hz)} Hz" for label, hz in zip(labels, measured, strict=True)]
-    axes.set_xticks(centre, thin_labels(names), **options)
+    axes.set_xticks(centre, style.thin_labels(names), **options)
     axes.set_xlim(-0.5, len(measured) - 0.5)
-    finish(axes, "mode, measured frequency", "(computed − measured)/measured, %")
-    legend_below(axes)
+    style.finish(axes, "mode, measured frequency", "(computed − measured)/measured, %")
+    style.legend_below(axes)
     return axes
 
 
@@ -138,27 +125,27 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
     series = []
     before = frequencies_before(trace)
     if before is not None:
-        series.append(Frequencies("before updating", before, GREY, filled=False))
+        series.append(Frequencies("before updating", before, style.GREY, filled=False))
     prefix, kind = ("noisy_", "with") if "noisy_sd" in table else ("", "without")
     ends = table[[f"{prefix}eti90_lb", f"{prefix}eti90_ub"]].to_numpy().T
     label = f"after: mean, 90 % interval {kind} measurement noise"
     if tests is not None and "noisy_sd" in table:
         label = f"after: mean, 90 % interval for {measurement_in_words(tests)}"
-    series.append(Frequencies(label, table["mean"], colour(str(trace.attrs["sampler"])), interval_hz=ends))
+    series.append(Frequencies(label, table["mean"], style.colour(str(trace.attrs["sampler"])), interval_hz=ends))
     if "test_eti90_lb" in table:
         ends = table[["test_eti90_lb", "test_eti90_ub"]].to_numpy().T
         series.append(
-            Frequencies("the same for one more test", table["mean"], BLACK, filled=False, interval_hz=ends)
+            Frequencies("the same for one more test", table["mean"], style.BLACK, filled=False, interval_hz=ends)
         )
-    labels = [literal(name) for name in mode_names(trace)]
+    labels = [style.literal(name) for name in mode_names(trace)]
     figure = figure or _new_figure(labels)
     return plot_frequency_errors(table["measured"], series, labels, figure)
 
 
 def _new_figure(labels: Sequence[str]) -> Figure:
     """Return an empty figure of modes, wider where they are many."""
-    width = max(NARROW, _OF_A_MODE * len(labels))
-    return new_figure(width, 5.2 if rotate_labels(labels, width) else 4.2)
+    width = max(style.NARROW, _OF_A_MODE * len(labels))
+    return style.new_figure(width, 5.2 if style.rotate_labels(labels, width) else 4.2)
 
 
 def plot_left_out(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
@@ -176,8 +163,8 @@ def plot_left_out(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     table = leave_one_out(trace)
     ends = table[["eti90_lb", "eti90_ub"]].to_numpy().T
     label = "predicted by the other modes: mean, 90 % interval with measurement noise"
-    found = Frequencies(label, table["mean"], colour(str(trace.attrs["sampler"])), interval_hz=ends)
-    labels = [literal(name) for name in mode_names(trace)]
+    found = Frequencies(label, table["mean"], style.colour(str(trace.attrs["sampler"])), interval_hz=ends)
+    labels = [style.literal(name) for name in mode_names(trace)]
     figure = figure or _new_figure(labels)
     axes = plot_frequency_errors(table["measured"], [found], labels, figure)
     axes.set_ylabel("(predicted − measured)/measured, %")
@@ -217,7 +204,7 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
     narrow, wide = predict_frequencies(trace), predict_frequencies(trace, 0.99)
     if "noisy_sd" not in narrow:
         raise ValueError("trace: must have a predictive distribution of measurements (it has none)")
-    base, labels = colour(str(trace.attrs["sampler"])), [literal(name) for name in mode_names(trace)]
+    base, labels = style.colour(str(trace.attrs["sampler"])), [style.literal(name) for name in mode_names(trace)]
     figure = figure or _new_figure(labels)
     axes = figure.subplots()
     x = np.arange(len(narrow), dtype=float)
@@ -241,17 +228,17 @@ def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> A
         low, high = (scale(table[end]) for end in ends)
         axes.vlines(x, low, high, color=base, linewidth=width, alpha=alpha, label=words)
     measured = scale(narrow["measured"])
-    axes.plot(x, measured, linestyle="none", marker="D", color=BLACK, markersize=6, label="measured")
+    axes.plot(x, measured, linestyle="none", marker="D", color=style.BLACK, markersize=6, label="measured")
     if tests is not None:
         low, high = (scale(narrow[f"test_eti90_{end}"]) for end in ("lb", "ub"))
         beside = x + 0.25
-        axes.vlines(beside, low, high, color=GREY, linewidth=5.0, alpha=0.45, label="90 % of one more test")
+        axes.vlines(beside, low, high, color=style.GREY, linewidth=5.0, alpha=0.45, label="90 % of one more test")
         axes.plot(beside, np.transpose([scale(test) for test in tests]), linestyle="none", marker="_",
-                  color=BLACK, alpha=0.6)  # fmt: skip
-        axes.plot([], [], linestyle="none", marker="_", color=BLACK, label="the tests")
-    axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=0)
-    axes.set_xticks(x, thin_labels(labels), **rotate_labels(labels, figure.get_figwidth()))
+                  color=style.BLACK, alpha=0.6)  # fmt: skip
+        axes.plot([], [], linestyle="none", marker="_", color=style.BLACK, label="the tests")
+    axes.axhline(0.0, color=style.GREY, linewidth=0.8, zorder=0)
+    axes.set_xticks(x, style.thin_labels(labels), **style.rotate_labels(labels, figure.get_figwidth()))
     axes.set_xlim(-0.5, len(x) - 0.5)
-    finish(axes, "mode", "(frequency − predicted mean)\n/ predictive sd")
-    legend_below(axes)
+    style.finish(axes, "mode", "(frequency − predicted mean)\n/ predictive sd")
+    style.legend_below(axes)
     return axes

@@ -10,26 +10,7 @@ from numpy.typing import ArrayLike
 from fmu.analysis.identifiability import kept_identifiability
 from fmu.analysis.trace.reading import constant, has, parameter_names
 from fmu.numbers import significant
-from fmu.report.plots.style import (
-    BLACK,
-    FONT,
-    GREY,
-    NARROW,
-    ON_DARK,
-    ON_PALE,
-    PALE,
-    VERMILLION,
-    AxesArray,
-    broken,
-    colour,
-    finish,
-    legend_below,
-    literal,
-    new_figure,
-    rotate_labels,
-    thin_labels,
-    unit_of,
-)
+from fmu.report.plots import style
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -37,14 +18,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_COLUMNS, _BINS = 2, 28
+_BINS = 28
 MOST_MEASURED, _WRITTEN = 40, 12
 """Measured quantities whose sensitivities are drawn, and up to how many the numbers are written into the cells."""
 
 
 def plot_marginals(
     trace: xr.DataTree, maximum: ArrayLike | None = None, figure: Figure | None = None
-) -> AxesArray:
+) -> style.AxesArray:
     """Draw the densities of each parameter before and after updating, with the start and the maximum.
 
     Parameters
@@ -66,35 +47,32 @@ def plot_marginals(
     """
     if not has(trace, "prior"):
         raise ValueError("trace: must have draws from the prior (it has none)")
-    names, base = parameter_names(trace), colour(str(trace.attrs["sampler"]))
-    rows = -(-len(names) // _COLUMNS)
-    figure = figure or new_figure(NARROW, 1.25 * rows + 0.6)
-    panels = figure.subplots(rows, _COLUMNS, squeeze=False).ravel()
-    for spare in panels[len(names) :]:
-        spare.remove()
-    for k, (name, axes) in enumerate(zip(names, panels, strict=False)):
-        unit = unit_of(trace, name)
+    names, base = parameter_names(trace), style.colour(str(trace.attrs["sampler"]))
+    figure = figure or style.new_figure(style.NARROW, 1.25 * ((len(names) + 1) // 2) + 0.6)
+    panels = style.grid_axes(len(names), figure)
+    for k, (name, axes) in enumerate(zip(names, panels, strict=True)):
+        unit = style.unit_of(trace, name)
         before, after = (trace[group][name].to_numpy().ravel() / unit.factor for group in ("prior", "posterior"))
         x, density = _density(before)
-        axes.fill_between(x, density, step="mid", color=PALE, linewidth=0, rasterized=True)
-        axes.plot(x, density, color=GREY, linewidth=1.0, drawstyle="steps-mid", label="prior")
+        axes.fill_between(x, density, step="mid", color=style.PALE, linewidth=0, rasterized=True)
+        axes.plot(x, density, color=style.GREY, linewidth=1.0, drawstyle="steps-mid", label="prior")
         axes.plot(*_density(after), color=base, linewidth=1.4, drawstyle="steps-mid", label="posterior")
         start = constant(trace, "start", name) / unit.factor
         if np.isfinite(start):
             axes.plot([start], [0.0], linestyle="none", marker="|", markersize=14, markeredgewidth=1.6,
-                      color=BLACK, label="start", clip_on=False)  # fmt: skip
+                      color=style.BLACK, label="start", clip_on=False)  # fmt: skip
         if maximum is not None:
             axes.plot(np.asarray(maximum)[[k]] / unit.factor, [0.0], linestyle="none", marker="*", markersize=9,
-                      color=VERMILLION, markeredgecolor=BLACK, markeredgewidth=0.5, label="maximum", clip_on=False,
-                      zorder=5)  # fmt: skip
+                      color=style.VERMILLION, markeredgecolor=style.BLACK, markeredgewidth=0.5, label="maximum",
+                      clip_on=False, zorder=5)  # fmt: skip
         axes.set_ylim(bottom=0.0)
         axes.set_yticks([])
         axes.locator_params(axis="x", nbins=4)
-        finish(axes, broken(unit.label(name), 0.5 * NARROW))
-        axes.tick_params(labelsize=FONT - 2)
+        style.finish(axes, style.broken(unit.label(name), 0.5 * style.NARROW))
+        axes.tick_params(labelsize=style.FONT - 2)
         axes.spines["left"].set_visible(False)
-    legend_below(panels[0])
-    return np.asarray(panels[: len(names)])
+    style.legend_below(panels[0])
+    return panels
 
 
 def _density(x: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -136,10 +114,10 @@ def plot_sensitivity(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     rows = [k for k, label in enumerate(found.labels) if label.endswith("frequency")] or range(len(found.labels))
     rows = list(rows)[:MOST_MEASURED]
     S, n = found.sensitivity[rows], len(found.names)
-    labels = [literal(found.labels[k].removesuffix(", frequency")) for k in rows]
-    names = [literal(name) for name in found.names]
-    side = max(NARROW - 1.0, 0.42 * n)
-    figure = figure or new_figure(side + 1.2, max(1.5, 0.28 * len(rows)) + 1.6)
+    labels = [style.literal(found.labels[k].removesuffix(", frequency")) for k in rows]
+    names = [style.literal(name) for name in found.names]
+    side = max(style.NARROW - 1.0, 0.42 * n)
+    figure = figure or style.new_figure(side + 1.2, max(1.5, 0.28 * len(rows)) + 1.6)
     axes = figure.subplots()
     largest = float(np.max(np.abs(S))) or 1.0
     edges = [np.arange(size + 1) - 0.5 for size in (n, len(rows))]
@@ -147,11 +125,11 @@ def plot_sensitivity(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     if max(S.shape) <= _WRITTEN:
         for i, j in np.ndindex(*S.shape):
             if abs(S[i, j]) >= 0.03 * largest:
-                axes.text(j, i, significant(float(S[i, j]), 2), ha="center", va="center", fontsize=FONT - 1,
-                          color=ON_DARK if abs(S[i, j]) > 0.6 * largest else ON_PALE)  # fmt: skip
-    axes.set_xticks(np.arange(n), thin_labels(names), **rotate_labels(names, side))
-    axes.set_yticks(np.arange(len(rows)), thin_labels(labels))
+                axes.text(j, i, significant(float(S[i, j]), 2), ha="center", va="center", fontsize=style.FONT - 1,
+                          color=style.ON_DARK if abs(S[i, j]) > 0.6 * largest else style.ON_PALE)  # fmt: skip
+    axes.set_xticks(np.arange(n), style.thin_labels(names), **style.rotate_labels(names, side))
+    axes.set_yticks(np.arange(len(rows)), style.thin_labels(labels))
     axes.invert_yaxis()
     figure.colorbar(mesh, ax=axes, label="sd / prior sd")
-    finish(axes, "parameter", "mode")
+    style.finish(axes, "parameter", "mode")
     return axes

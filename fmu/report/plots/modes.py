@@ -9,22 +9,8 @@ import numpy as np
 from fmu.analysis.trace.modal_states import GROUP, MEAN, MEASURED, START
 from fmu.analysis.trace.reading import has
 from fmu.numbers import hertz
+from fmu.report.plots import style
 from fmu.report.plots.correlation import plot_mac_matrix
-from fmu.report.plots.style import (
-    BLACK,
-    COLOURS,
-    FONT,
-    GREY,
-    NARROW,
-    AxesArray,
-    colour,
-    finish,
-    legend_below,
-    literal,
-    new_figure,
-    rotate_labels,
-    stack_axes,
-)
 from fmu.types import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -71,10 +57,10 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
     rows, columns = (modes[name].to_numpy().astype(str).tolist() for name in ("reference_mode", "mode"))
     is_measured = modes["mac"].attrs["reference"] == MEASURED
     y = "measured shape" if is_measured else "mode of the model before updating"
-    return plot_mac_matrix(values, rows, columns, figure, f"mode of the model, {literal(state)}", y)
+    return plot_mac_matrix(values, rows, columns, figure, f"mode of the model, {style.literal(state)}", y)
 
 
-def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> AxesArray:
+def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesArray:
     """Draw each mode before updating (dashed) and at the posterior mean, and the measured shape (diamonds, dots).
 
     A straight structure is drawn with its largest displacement upwards, any other one from the side or in
@@ -98,35 +84,26 @@ def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> AxesAr
     """
     is_placed = has(trace, GROUP, "displacement")
     modes = _modes(trace, "displacement" if is_placed else "component")
-    labels, base = [str(label) for label in modes["mode"].to_numpy()], colour(str(trace.attrs["sampler"]))
+    labels, base = [str(label) for label in modes["mode"].to_numpy()], style.colour(str(trace.attrs["sampler"]))
     is_line = is_placed and np.sum(_is_wide(modes["coordinates"].to_numpy())) == 1
     draw = _draw_along if is_line else _draw_projected if is_placed else _draw_components
     if is_line or not is_placed or len(labels) <= _ONE_COLUMN:
-        axes = stack_axes(len(labels), figure, 1.3 if is_line else 1.6 if not is_placed else 2.6)
+        axes = style.stack_axes(len(labels), figure, 1.3 if is_line else 1.6 if not is_placed else 2.6)
     else:
-        axes = _in_pairs(len(labels), figure)
+        figure = figure or style.new_figure(2 * style.NARROW, 2.2 * ((len(labels) + 1) // 2) + 0.5)
+        axes = style.grid_axes(len(labels), figure, shared=True)
     for label, axis in zip(labels, axes, strict=True):
         one = modes.sel(mode=label)
         below = draw(axis, one, base)
         before, after = (float(one["frequency"].sel(state=state)) for state in (START, MEAN))
         hz = hertz(before, after)
-        axis.set_title(f"mode {literal(label)}: {hz[0]} Hz before, {hz[1]} Hz after",
-                       fontsize=FONT, loc="left")  # fmt: skip
-        finish(axis)
-    axes[-1].set_xlabel(below, fontsize=FONT)
-    legend_below(axes[0])
+        axis.set_title(f"mode {style.literal(label)}: {hz[0]} Hz before, {hz[1]} Hz after",
+                       fontsize=style.FONT, loc="left")  # fmt: skip
+        style.finish(axis)
+    axes[-1].set_xlabel(below, fontsize=style.FONT)
+    style.legend_below(axes[0])
     axes[0].figure.align_ylabels(axes)
     return axes
-
-
-def _in_pairs(n: int, figure: Figure | None) -> AxesArray:
-    """Return `n` axes in two columns with common ordinate and abscissa, shape (n,)."""
-    rows = (n + 1) // 2
-    figure = figure or new_figure(2 * NARROW, 2.2 * rows + 0.5)
-    axes = figure.subplots(rows, 2, sharex=True, sharey=True).ravel()
-    for spare in axes[n:]:
-        spare.remove()
-    return np.asarray(axes[:n])
 
 
 def _modes(trace: xr.DataTree, needed: str) -> xr.Dataset:
@@ -143,7 +120,7 @@ def _is_wide(coordinates: FloatArray) -> BoolArray:
 
 def _styles(base: str) -> tuple[tuple[str, str, str, str], ...]:
     """Return state, words, colour and dashes of the shapes drawn."""
-    return (START, "before updating", GREY, "--"), (MEAN, "posterior mean", base, "-")
+    return (START, "before updating", style.GREY, "--"), (MEAN, "posterior mean", base, "-")
 
 
 def scaled_to_mean(one: xr.Dataset, of: str = "measured") -> FloatArray | None:
@@ -172,7 +149,7 @@ def measured_at(one: xr.Dataset) -> tuple[FloatArray, FloatArray] | None:
 
 def _mark(axis: Axes, points: FloatArray) -> None:
     """Mark measured values at points, shape (n, 2)."""
-    axis.plot(*points.T, linestyle="none", marker="D", markersize=5, color=BLACK, markerfacecolor="white",
+    axis.plot(*points.T, linestyle="none", marker="D", markersize=5, color=style.BLACK, markerfacecolor="white",
               label="measured", zorder=5)  # fmt: skip
 
 
@@ -183,19 +160,19 @@ def _draw_along(axis: Axes, one: xr.Dataset, base: str) -> str:
     first = one["displacement"].sel(state=START).to_numpy()
     direction = int(np.argmax(np.sum(first**2, axis=0)))
     upright = np.sign(first[np.argmax(np.abs(first[:, direction])), direction])
-    axis.axhline(0.0, color=BLACK, linewidth=0.6, zorder=0)
+    axis.axhline(0.0, color=style.BLACK, linewidth=0.6, zorder=0)
     for state, words, shade, dashes in _styles(base):
         shape = one["displacement"].sel(state=state).to_numpy()
         points = np.stack([coordinates[:, along], upright * shape[:, direction]], axis=1)
         _lines(axis, points, ends, shade, dashes, words)
     if (whole := scaled_to_mean(one, "expanded")) is not None:
         points = np.stack([coordinates[:, along], upright * whole[:, direction]], axis=1)
-        _lines(axis, points, ends, BLACK, ":", _EXPANDED, 1.2)
+        _lines(axis, points, ends, style.BLACK, ":", _EXPANDED, 1.2)
     if (seen := measured_at(one)) is not None:
         _mark(axis, np.stack([seen[0][:, along], upright * seen[1][:, direction]], axis=1))
     axis.set_ylim(-1.15, 1.15)
     axis.set_yticks([-1, 0, 1])
-    axis.set_ylabel(f"{'xyz'[direction]} displ.\n/ largest", fontsize=FONT)
+    axis.set_ylabel(f"{'xyz'[direction]} displ.\n/ largest", fontsize=style.FONT)
     return f"{'xyz'[along]} / m"
 
 
@@ -204,12 +181,12 @@ def _draw_projected(axis: Axes, one: xr.Dataset, base: str) -> str:
     coordinates, ends = one["coordinates"].to_numpy(), one["ends"].to_numpy()
     swing = _SWING * float(np.max(np.ptp(coordinates, axis=0)))
     project = _projection(coordinates, one["displacement"].to_numpy())
-    _lines(axis, coordinates @ project, ends, BLACK, "-", width=0.6)
+    _lines(axis, coordinates @ project, ends, style.BLACK, "-", width=0.6)
     for state, words, shade, dashes in _styles(base):
         moved = coordinates + swing * one["displacement"].sel(state=state).to_numpy()
         _lines(axis, moved @ project, ends, shade, dashes, words)
     if (whole := scaled_to_mean(one, "expanded")) is not None:
-        _lines(axis, (coordinates + swing * whole) @ project, ends, BLACK, ":", _EXPANDED, 1.2)
+        _lines(axis, (coordinates + swing * whole) @ project, ends, style.BLACK, ":", _EXPANDED, 1.2)
     if (seen := measured_at(one)) is not None:
         _mark(axis, (seen[0] + swing * seen[1]) @ project)
     axis.set_aspect("equal")
@@ -223,15 +200,15 @@ def _draw_components(axis: Axes, one: xr.Dataset, base: str) -> str:
     directions = {place.rpartition(" ")[2] for place in places}
     if len(directions) == 1:
         places = [place.rpartition(" ")[0] for place in places]
-    axis.axhline(0.0, color=BLACK, linewidth=0.6, zorder=0)
+    axis.axhline(0.0, color=style.BLACK, linewidth=0.6, zorder=0)
     for state, words, shade, dashes in _styles(base):
         axis.plot(x, one["component"].sel(state=state), color=shade, linestyle=dashes, marker="o", markersize=3,
                   linewidth=1.4, label=words)  # fmt: skip
     if (seen := scaled_to_mean(one)) is not None:
         _mark(axis, np.stack([x, seen], axis=1))
-    axis.set_xticks(x, [literal(place) for place in places], **rotate_labels(places, NARROW))
+    axis.set_xticks(x, [style.literal(place) for place in places], **style.rotate_labels(places, style.NARROW))
     direction = f"{directions.pop()} " if len(directions) == 1 else ""
-    axis.set_ylabel(f"{direction}displ.\n/ largest", fontsize=FONT)
+    axis.set_ylabel(f"{direction}displ.\n/ largest", fontsize=style.FONT)
     return "degree of freedom"
 
 
@@ -286,7 +263,7 @@ def plot_mode(
     -------
     Axes
     """
-    figure = figure or new_figure(NARROW, 2.3)
+    figure = figure or style.new_figure(style.NARROW, 2.3)
     axes = figure.subplots()
     wide, swing = np.flatnonzero(_is_wide(coordinates)), _SWING * float(np.ptp(coordinates, axis=0).max())
     if len(wide) == 1:
@@ -294,16 +271,16 @@ def plot_mode(
         x, u = coordinates[:, wide[0]], displacement[:, across]
         undeformed, deformed = np.stack([x, 0.0 * x], axis=1), np.stack([x, u / np.max(np.abs(u))], axis=1)
         axes.set_ylim(-1.15, 1.15)
-        axes.set_xlabel(f"{'xyz'[wide[0]]} / m", fontsize=FONT)
-        axes.set_ylabel(f"{'xyz'[across]} displacement\n/ largest", fontsize=FONT)
+        axes.set_xlabel(f"{'xyz'[wide[0]]} / m", fontsize=style.FONT)
+        axes.set_ylabel(f"{'xyz'[across]} displacement\n/ largest", fontsize=style.FONT)
     else:
         project = _projection(coordinates, displacement)
         undeformed, deformed = coordinates @ project, (coordinates + swing * displacement) @ project
         axes.set_aspect("equal")
         axes.set_axis_off()
-    for points, shade, width in ((undeformed, GREY, 0.9), (deformed, COLOURS["hmc"], 2.0)):
+    for points, shade, width in ((undeformed, style.GREY, 0.9), (deformed, style.COLOURS["hmc"], 2.0)):
         pieces = np.full((len(ends), 3, 2), np.nan)  # a gap after every element
         pieces[:, :2] = points[ends]
         axes.plot(*pieces.reshape(-1, 2).T, color=shade, linewidth=width, solid_capstyle="round")
-    finish(axes)
+    style.finish(axes)
     return axes

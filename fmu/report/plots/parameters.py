@@ -11,24 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from fmu.analysis.convergence.diagnostics import summary
 from fmu.analysis.information import not_informed
 from fmu.analysis.trace.reading import constant, parameter_names, problem_of
-from fmu.report.plots.style import (
-    BLACK,
-    FONT,
-    GREY,
-    MOST_LABELS,
-    NARROW,
-    PALE,
-    TITLES,
-    VERMILLION,
-    AxesArray,
-    colour,
-    finish,
-    legend_below,
-    literal,
-    new_figure,
-    rotate_labels,
-    unit_of,
-)
+from fmu.report.plots import style
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -50,7 +33,7 @@ def plot_parameter_updates(
     maximum: ArrayLike | None = None,
     summaries: Mapping[str, pd.DataFrame] | None = None,
     figure: Figure | None = None,
-) -> AxesArray:
+) -> style.AxesArray:
     """Draw posterior means and 90 % intervals between the bounds, beside start, maximum and published values.
 
     Parameters
@@ -75,11 +58,11 @@ def plot_parameter_updates(
     noise = inferred_deviations(first)
     groups: dict[tuple[str, bool], list[str]] = {}
     for name in names:
-        groups.setdefault((unit_of(first, name).name, name in noise), []).append(name)
+        groups.setdefault((style.unit_of(first, name).name, name in noise), []).append(name)
     tables = {label: summary(trace) for label, trace in traces.items()} if summaries is None else summaries
-    tilted = sum(bool(rotate_labels(members, NARROW)) for members in groups.values())
-    width = max(NARROW, _EACH * max(map(len, groups.values())))
-    figure = figure or new_figure(width, 2.5 * len(groups) + 0.6 * tilted + 0.6)
+    tilted = sum(bool(style.rotate_labels(members, style.NARROW)) for members in groups.values())
+    width = max(style.NARROW, _EACH * max(map(len, groups.values())))
+    figure = figure or style.new_figure(width, 2.5 * len(groups) + 0.6 * tilted + 0.6)
     axes = figure.subplots(len(groups), 1, squeeze=False)[:, 0]
     points = {} if maximum is None else {"maximum": dict(zip(names, np.asarray(maximum), strict=True))}
     values = {key: dict(zip(names, np.asarray(v), strict=True)) for key, v in (published or {}).items()}
@@ -89,22 +72,22 @@ def plot_parameter_updates(
             x = np.arange(len(members)) + 0.6 * ((k + 0.5) / len(traces) - 0.5)
             _intervals(axis, x, trace, tables[label], members, label)
             if label in values:
-                y = [values[label][name] / unit_of(trace, name).factor for name in members]
+                y = [values[label][name] / style.unit_of(trace, name).factor for name in members]
                 axis.plot(x, y, linestyle="none", marker="D", markersize=6, markerfacecolor="white",
-                          color=colour(str(trace.attrs["sampler"])),
-                          label=f"{literal(label)}, published")  # fmt: skip
+                          color=style.colour(str(trace.attrs["sampler"])),
+                          label=f"{style.literal(label)}, published")  # fmt: skip
         for label, point in points.items():
-            y = [point[name] / unit_of(first, name).factor for name in members]
-            axis.plot(x + 0.3, y, linestyle="none", marker="*", markersize=8, color=VERMILLION,
-                      markeredgecolor=BLACK, markeredgewidth=0.5, label=label, zorder=4)  # fmt: skip
+            y = [point[name] / style.unit_of(first, name).factor for name in members]
+            axis.plot(x + 0.3, y, linestyle="none", marker="*", markersize=8, color=style.VERMILLION,
+                      markeredgecolor=style.BLACK, markeredgewidth=0.5, label=label, zorder=4)  # fmt: skip
         what = "deviation" if is_deviation else "value"
-        axis.set_ylabel(f"{what} / {literal(unit)}" if unit else what, fontsize=FONT)
-    axes[0].set_title("mean and 90 % interval", fontsize=FONT - 1, color=GREY, loc="right")
-    axes[-1].set_xlabel("parameter", fontsize=FONT)
+        axis.set_ylabel(f"{what} / {style.literal(unit)}" if unit else what, fontsize=style.FONT)
+    axes[0].set_title("mean and 90 % interval", fontsize=style.FONT - 1, color=style.GREY, loc="right")
+    axes[-1].set_xlabel("parameter", fontsize=style.FONT)
     is_told = _LEFT in axes[0].get_legend_handles_labels()[1]
     if not is_told and any(not_informed(trace) for trace in traces.values()):
-        axes[0].plot([], [], linestyle="none", marker="o", markersize=5, color=GREY, label=_LEFT)
-    legend_below(axes[0])
+        axes[0].plot([], [], linestyle="none", marker="o", markersize=5, color=style.GREY, label=_LEFT)
+    style.legend_below(axes[0])
     return axes
 
 
@@ -117,33 +100,33 @@ def _frame(axis: Axes, trace: xr.DataTree, members: list[str]) -> None:
     """Draw the axis of the parameters, the range between finite bounds, and the start."""
     x = np.arange(len(members))
     lower, upper, start = (
-        np.array([constant(trace, which, name) / unit_of(trace, name).factor for name in members])
+        np.array([constant(trace, which, name) / style.unit_of(trace, name).factor for name in members])
         for which in ("lower", "upper", "start")
     )
     if np.all(np.isfinite([lower, upper])):
-        axis.bar(x, upper - lower, 0.8, lower, color=PALE, label="between the bounds", zorder=0)
+        axis.bar(x, upper - lower, 0.8, lower, color=style.PALE, label="between the bounds", zorder=0)
     if np.all(np.isfinite(start)):
-        length = 24.0 if len(x) <= MOST_LABELS else 12.0
-        axis.plot(x, start, linestyle="none", marker="_", markersize=length, markeredgewidth=1.8, color=BLACK,
-                  label="start", zorder=1)  # fmt: skip
-    axis.set_xticks(x, [literal(name) for name in members], **rotate_labels(members, NARROW))
+        length = 24.0 if len(x) <= style.MOST_LABELS else 12.0
+        axis.plot(x, start, linestyle="none", marker="_", markersize=length, markeredgewidth=1.8,
+                  color=style.BLACK, label="start", zorder=1)  # fmt: skip
+    axis.set_xticks(x, [style.literal(name) for name in members], **style.rotate_labels(members, style.NARROW))
     axis.set_xlim(-0.6, len(members) - 0.4)
     axis.use_sticky_edges = False
     axis.margins(y=0.06)
-    finish(axis)
+    style.finish(axis)
 
 
 def _intervals(
     axis: Axes, x: NDArray[np.floating], trace: xr.DataTree, table: pd.DataFrame, members: list[str], label: str
 ) -> None:
     """Draw means with their intervals at the abscissae x, in grey where the data did not inform the parameter."""
-    factor = np.array([unit_of(trace, name).factor for name in members])
+    factor = np.array([style.unit_of(trace, name).factor for name in members])
     mean, low, high = (table.loc[members, column].to_numpy() / factor for column in _ENDS)
     left = not_informed(trace)
     is_told = np.array([name not in left for name in members])
     for of, shade, words in (
-        (is_told, colour(str(trace.attrs["sampler"])), TITLES.get(label, literal(label))),
-        (~is_told, GREY, _LEFT),
+        (is_told, style.colour(str(trace.attrs["sampler"])), style.TITLES.get(label, style.literal(label))),
+        (~is_told, style.GREY, _LEFT),
     ):
         if of.any():
             axis.vlines(x[of], low[of], high[of], color=shade, linewidth=4.5, alpha=0.5, zorder=2)

@@ -12,22 +12,8 @@ from fmu.analysis.convergence.growth import Growth, growth, meets_criterion
 from fmu.analysis.convergence.remedies import fewest, required_ess
 from fmu.analysis.trace.reading import array_of, parameter_names
 from fmu.numbers import fixed
+from fmu.report.plots import style
 from fmu.report.plots.chains import draw_ranks
-from fmu.report.plots.style import (
-    FONT,
-    GREY,
-    NARROW,
-    PALE,
-    AxesArray,
-    broken,
-    colour,
-    finish,
-    legend_below,
-    literal,
-    new_figure,
-    stack_axes,
-    unit_of,
-)
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -36,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_LINE, _COLUMNS, _BINS = 0.19, 2, 32
+_LINE, _BINS = 0.19, 32
 _INSIDE = (0.05, 0.25, 0.75, 0.95)
 _NUMBERS = (("rhat", "R-hat", 3, 0.28), ("ess_bulk", "bulk", 0, 0.64), ("ess_tail", "tail", 0, 1.0))
 """Columns beside a forest plot: of the summary, heading, decimals, and the right edge."""
@@ -47,7 +33,7 @@ def plot_forest(
     traces: Mapping[str, xr.DataTree],
     summaries: Mapping[str, pd.DataFrame] | None = None,
     figure: Figure | None = None,
-) -> AxesArray:
+) -> style.AxesArray:
     """Draw the means with 50 % and 90 % intervals of every parameter by every sampler, R-hat and ESS beside them.
 
     As ArviZ's ``plot_forest``, which takes runs of one length only. Each parameter has an axis of its own, as
@@ -69,37 +55,37 @@ def plot_forest(
     first = next(iter(traces.values()))
     names = parameter_names(first)
     rows = _LINE * len(traces) + 0.55
-    figure = figure or new_figure(NARROW, rows * len(names) + 0.3)
+    figure = figure or style.new_figure(style.NARROW, rows * len(names) + 0.3)
     axes = figure.subplots(len(names), 2, squeeze=False, width_ratios=(2.2, 1.15))
     y = np.arange(len(traces), dtype=float)
     for name, (axis, beside) in zip(names, axes, strict=True):
-        unit = unit_of(first, name)
+        unit = style.unit_of(first, name)
         for k, (label, trace) in enumerate(traces.items()):
             draws = array_of(trace, "posterior", name) / unit.factor
             low, lower, upper, high = np.quantile(draws, _INSIDE)
-            shade = colour(str(trace.attrs["sampler"]))
+            shade = style.colour(str(trace.attrs["sampler"]))
             axis.hlines(y[k], low, high, color=shade, linewidth=1.3)
             axis.hlines(y[k], lower, upper, color=shade, linewidth=4.0)
             axis.plot([draws.mean()], [y[k]], marker="o", markersize=5, color=shade, markeredgecolor="white",
                       markeredgewidth=0.7)  # fmt: skip
             for column, _, places, x in _NUMBERS:
                 beside.text(x, y[k], fixed(float(tables[label][column][name]), places), ha="right", va="center",
-                            fontsize=FONT - 2)  # fmt: skip
-        axis.set_yticks(y, [literal(label) for label in traces])
+                            fontsize=style.FONT - 2)  # fmt: skip
+        axis.set_yticks(y, [style.literal(label) for label in traces])
         axis.locator_params(axis="x", nbins=5)
-        axis.set_title(literal(unit.label(name)), loc="left", fontsize=FONT)
-        finish(axis)
+        axis.set_title(style.literal(unit.label(name)), loc="left", fontsize=style.FONT)
+        style.finish(axis)
         axis.tick_params(axis="y", length=0)
         beside.set_axis_off()
         beside.set_xlim(0.0, 1.0)
         for both in (axis, beside):
             both.set_ylim(len(traces) - 0.4, -0.6)
     for _, heading, _, x in _NUMBERS:
-        axes[0, 1].text(x, -1.0, heading, ha="right", va="center", fontsize=FONT - 2, color=GREY)
+        axes[0, 1].text(x, -1.0, heading, ha="right", va="center", fontsize=style.FONT - 2, color=style.GREY)
     return np.asarray(axes[:, 0])
 
 
-def plot_overlaid_marginals(traces: Mapping[str, xr.DataTree], figure: Figure | None = None) -> AxesArray:
+def plot_overlaid_marginals(traces: Mapping[str, xr.DataTree], figure: Figure | None = None) -> style.AxesArray:
     """Draw the posterior density of every parameter by every sampler, one over the other.
 
     Parameters
@@ -114,37 +100,34 @@ def plot_overlaid_marginals(traces: Mapping[str, xr.DataTree], figure: Figure | 
     """
     first = next(iter(traces.values()))
     names = parameter_names(first)
-    rows = -(-len(names) // _COLUMNS)
-    figure = figure or new_figure(NARROW, 1.25 * rows + 0.8)
-    panels = figure.subplots(rows, _COLUMNS, squeeze=False).ravel()
-    for spare in panels[len(names) :]:
-        spare.remove()
-    for name, axes in zip(names, panels, strict=False):
-        unit = unit_of(first, name)
+    figure = figure or style.new_figure(style.NARROW, 1.25 * ((len(names) + 1) // 2) + 0.8)
+    panels = style.grid_axes(len(names), figure)
+    for name, axes in zip(names, panels, strict=True):
+        unit = style.unit_of(first, name)
         draws = {
             label: array_of(trace, "posterior", name).ravel() / unit.factor for label, trace in traces.items()
         }
         low, high = np.min([x.min() for x in draws.values()]), np.max([x.max() for x in draws.values()])
         bins = np.linspace(low, high, _BINS + 1) if high > low else _BINS
         for label, x in draws.items():
-            shade = colour(str(traces[label].attrs["sampler"]))
+            shade = style.colour(str(traces[label].attrs["sampler"]))
             density, edges = np.histogram(x, bins, density=True)
             axes.plot(0.5 * (edges[1:] + edges[:-1]), density, color=shade, linewidth=1.2, drawstyle="steps-mid",
-                      label=literal(label))  # fmt: skip
+                      label=style.literal(label))  # fmt: skip
         axes.set_ylim(bottom=0.0)
         axes.set_yticks([])
         axes.locator_params(axis="x", nbins=4)
-        finish(axes, broken(unit.label(name), 0.5 * NARROW))
-        axes.tick_params(labelsize=FONT - 2)
-    legend_below(panels[0])
-    return np.asarray(panels[: len(names)])
+        style.finish(axes, style.broken(unit.label(name), 0.5 * style.NARROW))
+        axes.tick_params(labelsize=style.FONT - 2)
+    style.legend_below(panels[0])
+    return panels
 
 
 def plot_ranks_of_samplers(
     traces: Mapping[str, xr.DataTree],
     summaries: Mapping[str, pd.DataFrame] | None = None,
     figure: Figure | None = None,
-) -> AxesArray:
+) -> style.AxesArray:
     """Draw ArviZ's rank plots of samplers: near zero if all draw from one distribution.
 
     As `plot_ranks`, each sampler in place of a chain. All are thinned to half of the smallest effective sample
@@ -172,13 +155,13 @@ def plot_ranks_of_samplers(
         {name: (("chain", "draw"), [_evenly(trace, name, wanted) for trace in traces.values()]) for name in names},
         coords={"chain": np.arange(len(traces)), "draw": np.arange(wanted)},
     )
-    axes = stack_axes(len(names), figure)
-    shades = [colour(str(trace.attrs["sampler"])) for trace in traces.values()]
+    axes = style.stack_axes(len(names), figure)
+    shades = [style.colour(str(trace.attrs["sampler"])) for trace in traces.values()]
     draw_ranks(ranked, axes, shades)
-    axes[-1].set_xlabel("rank among the draws of all samplers / their number", fontsize=FONT)
+    axes[-1].set_xlabel("rank among the draws of all samplers / their number", fontsize=style.FONT)
     for label, shade in zip(traces, shades, strict=True):
-        axes[0].plot([], [], color=shade, label=literal(label))
-    legend_below(axes[0])
+        axes[0].plot([], [], color=shade, label=style.literal(label))
+    style.legend_below(axes[0])
     return axes
 
 
@@ -211,22 +194,26 @@ def plot_growth(
     Axes
     """
     grown = {name: growth(trace) for name, trace in traces.items()} if grown is None else grown
-    figure = figure or new_figure(NARROW, 3.6)
+    figure = figure or style.new_figure(style.NARROW, 3.6)
     axes = figure.subplots()
     needed = 0
     for label, trace in traces.items():
-        shade, run, chains = colour(str(trace.attrs["sampler"])), grown[label], trace["posterior"].sizes["chain"]
-        axes.plot(search + run.solves, run.ess, color=shade, linewidth=1.6, label=literal(label))
+        shade, run, chains = (
+            style.colour(str(trace.attrs["sampler"])),
+            grown[label],
+            trace["posterior"].sizes["chain"],
+        )
+        axes.plot(search + run.solves, run.ess, color=shade, linewidth=1.6, label=style.literal(label))
         met = [meets_criterion(*both, chains) for both in zip(run.rhat, run.ess, strict=True)]
         if any(met):
             k = met.index(True)
             axes.plot(search + run.solves[[k]], run.ess[[k]], marker="o", markersize=6, color=shade,
                       markeredgecolor="white", markeredgewidth=0.8)  # fmt: skip
         needed = max(needed, required_ess(chains))
-    axes.axhline(needed, color=GREY, linestyle="--", linewidth=0.9, label=f"{needed} needed")
+    axes.axhline(needed, color=style.GREY, linestyle="--", linewidth=0.9, label=f"{needed} needed")
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.grid(color=PALE, linewidth=0.7)
-    finish(axes, "model solves, everything counted", "smaller of bulk and tail ESS")
-    legend_below(axes)
+    axes.grid(color=style.PALE, linewidth=0.7)
+    style.finish(axes, "model solves, everything counted", "smaller of bulk and tail ESS")
+    style.legend_below(axes)
     return axes

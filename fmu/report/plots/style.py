@@ -130,6 +130,14 @@ def stack_axes(
     return np.asarray(figure.subplots(n, 1, sharex=sharex, sharey=sharey, squeeze=False)[:, 0])
 
 
+def grid_axes(n: int, figure: Figure, shared: bool = False) -> AxesArray:
+    """Return `n` axes in two columns, with common ordinate and abscissa if `shared`, shape (n,)."""
+    axes = figure.subplots((n + 1) // 2, 2, sharex=shared, sharey=shared, squeeze=False).ravel()
+    for spare in axes[n:]:
+        spare.remove()
+    return np.asarray(axes[:n])
+
+
 def broken(label: str, room: float) -> str:
     """Return a label in lines that fit into a room in inches, at most three; the unit has a line of its own."""
     most = max(6, int(room / _LABEL_LETTER))

@@ -8,20 +8,7 @@ import numpy as np
 
 from fmu.analysis.trace.damage import ANY, GROUP, damage, probably
 from fmu.numbers import share
-from fmu.report.plots.style import (
-    BLACK,
-    FONT,
-    GREY,
-    NARROW,
-    PALE,
-    PALETTE,
-    VERMILLION,
-    AxesArray,
-    finish,
-    literal,
-    new_figure,
-    unit_of,
-)
+from fmu.report.plots import style
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -34,7 +21,7 @@ _FEW_LABELS = 16
 _BAR = {"elinewidth": 1.6, "capsize": 0, "marker": "o", "markersize": 3.5, "linestyle": "none"}
 
 
-def plot_values(trace: xr.DataTree, figure: Figure | None = None) -> AxesArray:
+def plot_values(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesArray:
     """Draw the value of every parameter with a population in each test, and the population behind them.
 
     The band is mean ± sd of the population: variability of the structure. The bars are the central 90 % of each
@@ -55,37 +42,41 @@ def plot_values(trace: xr.DataTree, figure: Figure | None = None) -> AxesArray:
         name for name in map(str, values.data_vars) if f"{name} mean" in posterior or f"{name} median" in posterior
     ]
     tests = values["test"].to_numpy().astype(str)
-    figure = figure or new_figure(WIDE, 1.5 * len(names) + 0.8)
+    figure = figure or style.new_figure(WIDE, 1.5 * len(names) + 0.8)
     axes = np.asarray(figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0])
     x = np.arange(1, len(tests) + 1)
     for axis, name in zip(axes, names, strict=True):
         of_logarithm = f"{name} median" in posterior
         centre = f"{name} {'median' if of_logarithm else 'mean'}"
-        unit = unit_of(trace, centre)
+        unit = style.unit_of(trace, centre)
         middle = posterior[centre].to_numpy().mean()
         width = posterior[f"{name} {'log sd' if of_logarithm else 'sd'}"].to_numpy().mean()
         low, high = (middle * np.exp(s * width) if of_logarithm else middle + s * width for s in (-1, 1))
-        axis.axhspan(low / unit.factor, high / unit.factor, color=PALE, zorder=0, label="population: mean ± sd")
-        axis.axhline(middle / unit.factor, color=GREY, linewidth=1, zorder=1)
+        axis.axhspan(
+            low / unit.factor, high / unit.factor, color=style.PALE, zorder=0, label="population: mean ± sd"
+        )
+        axis.axhline(middle / unit.factor, color=style.GREY, linewidth=1, zorder=1)
         draws = values[name].to_numpy().reshape(-1, len(tests)) / unit.factor
         ends, mean = np.quantile(draws, (0.05, 0.95), axis=0), draws.mean(axis=0)
         axis.errorbar(
-            x, mean, yerr=np.abs(ends - mean), color=PALETTE[0], label="each test: 90 % interval", **_BAR
+            x, mean, yerr=np.abs(ends - mean), color=style.PALETTE[0], label="each test: 90 % interval", **_BAR
         )
-        label = literal(name) + (f" / {literal(unit.name)}" if unit.name else "")
-        finish(axis, y=label)
+        label = style.literal(name) + (f" / {style.literal(unit.name)}" if unit.name else "")
+        style.finish(axis, y=label)
     if len(tests) <= _FEW_LABELS:
-        axes[-1].set_xticks(x, [literal(test) for test in tests], rotation=45 if len("".join(tests)) > 60 else 0)
-        finish(axes[-1], "test")
+        axes[-1].set_xticks(
+            x, [style.literal(test) for test in tests], rotation=45 if len("".join(tests)) > 60 else 0
+        )
+        style.finish(axes[-1], "test")
     else:
         axes[-1].xaxis.get_major_locator().set_params(integer=True)
-        finish(axes[-1], f"number of the test, {literal(tests[0])} to {literal(tests[-1])}")
+        style.finish(axes[-1], f"number of the test, {style.literal(tests[0])} to {style.literal(tests[-1])}")
     handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper right", ncols=2, fontsize=FONT - 1, frameon=False)
+    figure.legend(handles, labels, loc="outside upper right", ncols=2, fontsize=style.FONT - 1, frameon=False)
     return axes
 
 
-def plot_losses(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None = None) -> AxesArray:
+def plot_losses(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None = None) -> style.AxesArray:
     """Draw the loss of every parameter in each later state, with the probability that it is larger than `beyond`.
 
     Parameters
@@ -102,26 +93,30 @@ def plot_losses(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None 
     table, losses = damage(trace, (beyond,)), trace[GROUP].to_dataset()
     states = losses["state"].to_numpy().astype(str).tolist()
     names = [str(name) for name in losses.data_vars]
-    figure = figure or new_figure(max(NARROW, 1.4 + 0.5 * len(names)), 2.4 * len(states) + 0.6)
+    figure = figure or style.new_figure(max(style.NARROW, 1.4 + 0.5 * len(names)), 2.4 * len(states) + 0.6)
     axes = np.asarray(figure.subplots(len(states), 1, sharex=True, sharey=True, squeeze=False)[:, 0])
     for axis, state in zip(axes, states, strict=True):
         draws = np.stack([losses[name].sel(state=state).to_numpy().ravel() for name in names], axis=1)
         _state(axis, 100.0 * draws, table.loc[state].drop(ANY).iloc[:, -1].to_numpy(), beyond)
-        axis.set_title(literal(state), fontsize=FONT, loc="left", pad=18)  # above the probabilities
-        finish(axis, y="loss / %")
+        axis.set_title(style.literal(state), fontsize=style.FONT, loc="left", pad=18)  # above the probabilities
+        style.finish(axis, y="loss / %")
     turned = len("".join(names)) > 10 * figure.get_figwidth()
-    axes[-1].set_xticks(np.arange(len(names)), [literal(name) for name in names], rotation=45 if turned else 0)
-    axes[0].set_title(f"below: P(loss > {share(beyond)})", fontsize=FONT - 1, color=GREY, loc="right", pad=18)
+    axes[-1].set_xticks(
+        np.arange(len(names)), [style.literal(name) for name in names], rotation=45 if turned else 0
+    )
+    axes[0].set_title(
+        f"below: P(loss > {share(beyond)})", fontsize=style.FONT - 1, color=style.GREY, loc="right", pad=18
+    )
     return axes
 
 
 def _state(axis: Axes, draws: FloatArray, exceeded: FloatArray, beyond: float) -> None:
     x = np.arange(draws.shape[1])
     quantiles = np.quantile(draws, (0.05, 0.25, 0.5, 0.75, 0.95), axis=0)
-    axis.axhline(0.0, color=GREY, linewidth=1, zorder=0)
-    axis.axhline(100.0 * beyond, color=GREY, linewidth=1, linestyle="--", zorder=0)
+    axis.axhline(0.0, color=style.GREY, linewidth=1, zorder=0)
+    axis.axhline(100.0 * beyond, color=style.GREY, linewidth=1, linestyle="--", zorder=0)
     for k, p in enumerate(exceeded):
-        shade = VERMILLION if p > 0.5 else BLACK
+        shade = style.VERMILLION if p > 0.5 else style.BLACK
         axis.plot([k, k], quantiles[[0, 4], k], color=shade, linewidth=1.5)
         axis.plot([k, k], quantiles[[1, 3], k], color=shade, linewidth=5, solid_capstyle="butt")
         axis.plot(k, quantiles[2, k], marker="o", markersize=5, color="white", markeredgecolor=shade)
@@ -132,7 +127,7 @@ def _state(axis: Axes, draws: FloatArray, exceeded: FloatArray, beyond: float) -
             xytext=(0, 3),
             textcoords="offset points",
             ha="center",
-            fontsize=FONT - 2,
+            fontsize=style.FONT - 2,
             color=shade,
         )
     axis.set_xlim(-0.6, len(x) - 0.4)
