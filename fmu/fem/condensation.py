@@ -72,7 +72,7 @@ def guyan(K: Matrix, M: Matrix, masters: ArrayLike) -> Reduction:
     """
     K, M = _matrices(K, M)
     masters = _index("masters", masters, K.shape[0])
-    return _ritz(K, M, _constraint_modes(K, masters), masters)
+    return _ritz(K, M, StaticCondensation(K, masters).extend(np.eye(len(masters))), masters)
 
 
 @check_arguments
@@ -107,7 +107,7 @@ def craig_bampton(K: Matrix, M: Matrix, boundary: ArrayLike, n_modes: Annotated[
     """
     K, M = _matrices(K, M)
     boundary = _index("boundary", boundary, K.shape[0])
-    columns = [_constraint_modes(K, boundary)]
+    columns = [StaticCondensation(K, boundary).extend(np.eye(len(boundary)))]
     for interior in substructures(K, M, boundary):
         inner = M[interior][:, interior]
         finite = rank(inner)
@@ -206,10 +206,6 @@ class StaticCondensation:
 
     def _inner(self, load: FloatArray) -> FloatArray:
         return self._unit * self._factor.solve(self._unit * load) if len(load) else load
-
-
-def _constraint_modes(K: Matrix, masters: IntArray) -> FloatArray:
-    return StaticCondensation(K, masters).extend(np.eye(len(masters)))
 
 
 _MOVES = "masters: the structure can still move when they are held (singular K_ss)"

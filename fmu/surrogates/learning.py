@@ -337,18 +337,15 @@ def _check(problem: UpdatingProblem, tolerance: float, batch: int, checks: int, 
         )
 
 
-def _remedy(learner: _Learner) -> str:
-    if learner.left >= CHECKS:
-        return "the solver's answers scatter, so that more solves would not help: tighten its tolerance"
-    return "allow more solves"
-
-
 def _tell(learner: _Learner, limits: ErrorLimits, tolerance: float) -> None:
     if not limits.shift <= tolerance:
+        remedy = "allow more solves"
+        if learner.left >= CHECKS:
+            remedy = "the solver's answers scatter, so that more solves would not help: tighten its tolerance"
         warnings.warn(
             f"the surrogate misses its tolerance after {learner.solves} solves: by {limits.n} draws posterior "
             f"means may be off by {significant(limits.shift, 2)} posterior standard deviations (asked for: "
-            f"{significant(tolerance, 2)}); {_remedy(learner)}",
+            f"{significant(tolerance, 2)}); {remedy}",
             SurrogateWarning,
             stacklevel=3,
         )

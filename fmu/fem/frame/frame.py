@@ -96,30 +96,31 @@ class Frame:
         nodes = self._coordinates()
         numbering = Numbering.of(len(nodes), self.supports, self.springs)
         self._check(nodes, numbering)
-        K_terms: list[Term] = []
-        M_terms: list[Term] = []
+        K: list[tuple[sp.csr_array, Powers]] = []
+        M: list[tuple[sp.csr_array, Powers]] = []
         for index, group in enumerate(self.groups):
             ends = np.asarray(group.elements, dtype=int)
             axis = nodes[ends[:, 1]] - nodes[ends[:, 0]]
             length = np.linalg.norm(axis, axis=1)
             y_direction = beam.horizontal(axis) if group.y_direction is None else group.y_direction
             axes = beam.local_axes(axis, y_direction)
-            for recipe, unit, terms in (
-                (_STIFFNESS, beam.stiffness_terms(length), K_terms),
-                (_MASS, beam.mass_terms(length), M_terms),
+            for recipe, unit, parts in (
+                (_STIFFNESS, beam.stiffness_terms(length), K),
+                (_MASS, beam.mass_terms(length), M),
             ):
                 for name, properties in recipe.items():
                     scale, powers = owned.coefficient((Quantity(p, index), group.value(p)) for p in properties)
                     if name == "GJ":
                         scale /= 2 * (1 + group.material.nu)
                     matrix = _assemble(beam.to_global(unit[name], axes) * scale, ends, len(nodes))
-                    terms.append(Term(numbering.restrict(matrix), powers))
-        K_terms += [Term(numbering.restrict(m), powers) for m, powers in self._spring_matrices(nodes, owned)]
-        M_terms += [Term(numbering.restrict(m), powers) for m, powers in self._mass_matrices(len(nodes), owned)]
+                    parts.append((matrix, powers))
+        K += self._spring_matrices(nodes, owned)
+        M += self._mass_matrices(len(nodes), owned)
         elements = np.concatenate([np.asarray(group.elements, dtype=np.int64) for group in self.groups])
+        K_terms, M_terms = (merge_terms([Term(numbering.restrict(m), of) for m, of in part]) for part in (K, M))
         return SeparableModel(
-            merge_terms(K_terms),
-            merge_terms(M_terms),
+            K_terms,
+            M_terms,
             numbering.names,
             Geometry(
                 nodes,

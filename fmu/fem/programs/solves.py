@@ -10,6 +10,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import KW_ONLY, dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +38,7 @@ class Failure(NamedTuple):
     reason: str
 
 
+@dataclass(eq=False, repr=False)
 class Solves:
     """The solves of one callable, each made once: remembered, read from a store, or made by calling it.
 
@@ -71,29 +73,25 @@ class Solves:
         The first twenty points that failed.
     """
 
-    def __init__(
-        self,
-        call: Callable[[FloatArray], object],
-        n_parameters: int,
-        *,
-        batched: bool = False,
-        store: SolveStore | None = None,
-        least_s: float = SLOW_S,
-        retries: int = 0,
-        loading_s: float = 1.0,
-        lasting: type[Exception] = Exception,
-        is_outdated: Callable[[Solve], bool] | None = None,
-        most_bytes: int = MOST_BYTES,
-    ) -> None:
-        self.call, self.n_parameters, self.batched, self.store = call, n_parameters, batched, store
-        self.least_s, self.retries, self.loading_s = least_s, retries, loading_s
-        self.lasting, self.is_outdated, self.most_bytes = lasting, is_outdated, most_bytes
+    call: Callable[[FloatArray], object]
+    n_parameters: int
+    _: KW_ONLY
+    batched: bool = False
+    store: SolveStore | None = None
+    least_s: float = SLOW_S
+    retries: int = 0
+    loading_s: float = 1.0
+    lasting: type[Exception] = Exception
+    is_outdated: Callable[[Solve], bool] | None = None
+    most_bytes: int = MOST_BYTES
+
+    def __post_init__(self) -> None:
         self.reasons: list[Failure] = []
         self._known: dict[bytes, Solve] = {}
         self._bytes = 0
         self._first: bytes | None = None
         self._engine: Engine | None = None
-        self._keeps = store is not None  # until the callable turns out to be faster than a store
+        self._keeps = self.store is not None  # until the callable turns out to be faster than a store
 
     def __getstate__(self) -> dict[str, object]:
         return self.__dict__ | {"reasons": [], "_known": {}, "_bytes": 0, "_first": None, "_engine": None}

@@ -23,6 +23,7 @@ modes at some points by Sylvester's law of inertia.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import InitVar, dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -155,6 +156,7 @@ def _gain(nu: FloatArray, relative: FloatArray) -> FloatArray:
     return np.maximum(values / nu - 1.0, np.einsum("nii->ni", relative))
 
 
+@dataclass(eq=False)
 class FrequencyBound:
     """Bounds of the frequencies of a trained model at any point of its box, a right-hand side a mode.
 
@@ -167,16 +169,13 @@ class FrequencyBound:
         Those of blocks for which they are there already.
     """
 
-    def __init__(
-        self,
-        full: BlockModel[FullBlock],
-        reduced: Parts,
-        lower: FloatArray,
-        upper: FloatArray,
-        anchors: Mapping[int, Anchors],
-    ) -> None:
-        self.full, self.reduced = full, reduced
-        self.lower, self.upper = lower, upper
+    full: BlockModel[FullBlock]
+    reduced: Parts
+    lower: FloatArray
+    upper: FloatArray
+    anchors: InitVar[Mapping[int, Anchors]]
+
+    def __post_init__(self, anchors: Mapping[int, Anchors]) -> None:
         self._anchors = dict(anchors)
 
     def __call__(self, theta: FloatArray, modes: ModalSolution) -> FloatArray:
