@@ -10,6 +10,7 @@ solves at a few points more confirm it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
@@ -62,6 +63,7 @@ _CUT, _FRESH = 0.85, 48
 _CHECKS, _CUTS = 1000, 2000  # seeds of theirs
 
 
+@dataclass(eq=False, repr=False)
 class Training:
     """Offline stage of the parametric reduced basis.
 
@@ -78,22 +80,17 @@ class Training:
         Solves the full model at several points at once. The result does not depend on it.
     """
 
-    def __init__(
-        self,
-        full: BlockModel[FullBlock],
-        rule: IndexPairing | ShapePairing,
-        lower: FloatArray,
-        upper: FloatArray,
-        tolerance: float,
-        engine: Engine | None = None,
-    ) -> None:
-        for b, block in enumerate(full):
+    full: BlockModel[FullBlock]
+    rule: IndexPairing | ShapePairing
+    lower: FloatArray
+    upper: FloatArray
+    tolerance: float
+    engine: Engine | None = None
+
+    def __post_init__(self) -> None:
+        for b, block in enumerate(self.full):
             if block.is_reduced:
                 raise TypeError(f"block {b}: training needs the full model (got {type(block).__name__})")
-        self.full, self.rule = full, rule
-        self.lower, self.upper = lower, upper
-        self.tolerance = tolerance
-        self._engine = engine or InProcess()
         self.learners: dict[int, Learner] = {}
         self.fixed: RankPairing | None = None
         self.reduced: dict[int, ReducedBlock] = {}
@@ -367,7 +364,7 @@ class Training:
         counts = self.rule.counts(self.full)
         # where that is dear, the modes of the cut are a start, and one process has the factors
         full = confirmed_model(self._bound())
-        engine = self._engine if full is self.full else InProcess()
+        engine = self.engine if self.engine is not None and full is self.full else InProcess()
         tasks = [(b, theta[None], count) for b, count in counts.items() for theta in points[:_CHECKED]]
         with phase("training", len(tasks)) as under_way:
             outcome = iter(engine.run_tasks(_solve_there, full, tasks, lambda *_: under_way.advance()))
