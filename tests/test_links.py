@@ -66,6 +66,22 @@ def missing_files(text, root):
     return sorted({n for n in re.findall(r"`((?:fmu|tests)/[\w/]+\.\w+)", text) if not (root / n).exists()})
 
 
+def wrong_names(text, *houses):
+    """The modules that a text names and that are not in `houses`, or have no such name as stands behind them."""
+    found = []
+    for file, names in re.findall(r"`((?:\w+/)*\w+\.py)`(?:[ \n]+`(\w+(?:\.\w+)*)`)?", text):
+        if file.startswith(("tests/", "fmu/")) or file.endswith("NAME.py"):
+            continue
+        sources = [path.read_text(encoding="utf-8") for house in houses for path in house.rglob(file)]
+        if not any(set(names.split(".")) - {""} <= set(re.findall(r"\w+", source)) for source in sources):
+            found.append(f"{file} {names}".strip())
+    return found
+
+
+def test_what_the_map_names_is_there():
+    assert wrong_names(markdown(ROOT / "CONTRIBUTING.md"), ROOT / "fmu", ROOT / "notebooks" / "guide") == []
+
+
 @pytest.mark.parametrize("page", PAGES, ids=str)
 def test_links_lead_somewhere(page):
     assert broken(ROOT / page) == []
@@ -120,3 +136,11 @@ def test_names_of_missing_files_are_found(tmp_path):
     (tmp_path / "fmu" / "here.py").touch()
     text = "`fmu/here.py`, `fmu/samplers/gone.py`, `tests/gone.py::test_it`, `sampling.py`, fmu/in_prose.py"
     assert missing_files(text, tmp_path) == ["fmu/samplers/gone.py", "tests/gone.py"]
+
+
+def test_names_that_a_module_does_not_have_are_found(tmp_path):
+    (tmp_path / "fem").mkdir()
+    (tmp_path / "fem" / "beam.py").write_text("class Beam:\n    def stiffness(self): ...\n", encoding="utf-8")
+    right = "`fem/beam.py` `Beam.stiffness`, `beam.py`\n`Beam`, `tests/fem/test_beam.py`"
+    wrong = "`beam.py` `Plate`, `fem/plate.py`, `fem/beam.py` `Beam.mass`"
+    assert wrong_names(f"{right}, {wrong}", tmp_path) == ["beam.py Plate", "fem/plate.py", "fem/beam.py Beam.mass"]
