@@ -623,7 +623,7 @@ def may_be_accepted(call: Call, name: str, key: str) -> bool:
         return ("str" in kinds and (key == "x" or not is_path)) or "Place" in kinds or (is_path and key == "x")
     if key in ("1e9", "1e300", "-1", "-0.5", "0", "inf", "-inf"):
         if not {"float", "int", "Positive", "NotNegative", "Count", "Seed", "Draws", "Bound", "ArrayLike", "Any",
-                "Place", "Length"} & set(kinds):  # fmt: skip
+                "Place", "Length", "Scale"} & set(kinds):  # fmt: skip
             return False
         if key in ("inf", "-inf"):
             return "Bound" in kinds or (name in ("lower", "upper") and "ArrayLike" in kinds)
