@@ -48,7 +48,7 @@ class GeometryTable(TomlTable):
         if model is None or model.geometry is None:
             rule = "must be given with a model whose nodes have coordinates: of a frame, or exported with its mesh"
             raise BrokenError(ArgumentError(WHERE, rule))
-        known = {point: built.places.get(str(place), place) for point, place in self.nodes.items()}
+        known = {point: built.at(place) for point, place in self.nodes.items()}
         try:
             return match_points(self._read(folder), model, self.unit, known)
         except ValueError as error:

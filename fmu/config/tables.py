@@ -71,6 +71,10 @@ class Built(NamedTuple):
     places: Mapping[str, Place]
     most_modes: float = math.inf
 
+    def at(self, place: Place) -> Place:
+        """Return the node that a place is: that of its name, or itself."""
+        return self.places.get(str(place), place)
+
     @property
     def separable(self) -> SeparableModel | None:
         """The model, if it is one of matrices."""

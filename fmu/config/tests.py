@@ -68,15 +68,14 @@ class TestTable(MeasurementTable):
             raise BrokenError(*(mistake.replace_key("measurement", where) for mistake in error.mistakes)) from None
         if self.beta is not None:
             data = type(data)(**{**vars(data), "sd_hz": np.sqrt(0.5 / np.asarray(self.beta))})
-        place = {str(name): node for name, node in built.places.items()}
         try:
             return Test(
                 self.name,
                 data,
                 self.group,
                 dict(self.covariates),
-                {place.get(str(one.place), one.place): one.mass for one in self.masses},
-                {(place.get(str(one.place), one.place), one.direction): one.stiffness for one in self.springs},
+                {built.at(one.place): one.mass for one in self.masses},
+                {(built.at(one.place), one.direction): one.stiffness for one in self.springs},
                 dict(self.known),
             )
         except ValueError as error:

@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Self, TextIO
 
 from fmu.numbers import fixed
+from fmu.progress.lines import LineStream
 from fmu.progress.pace import Pace, Throttle
 from fmu.progress.words import Info, Report, as_json, bar_name, duration, in_words
 
@@ -150,7 +151,7 @@ class JSONLines:
     """
 
     def __init__(self, stream: TextIO) -> None:
-        self._stream: TextIO | None = stream
+        self._lines = LineStream(stream)
         self._throttle = Throttle(_LINE_S)
         self._paces: dict[str, Pace] = defaultdict(Pace)
         self._held_back: dict[str, dict[str, object]] = {}
@@ -178,21 +179,12 @@ class JSONLines:
         line |= {key: value for key, value in info.items() if key not in line}
         if self._throttle.lets(name, ends=done >= total):
             self._held_back.pop(name, None)
-            self._write(line)
+            self._lines.write(as_json(line))
         else:
             self._held_back[name] = line
 
     def close(self) -> None:
         """Write the lines that were held back; the stream stays open."""
         for line in self._held_back.values():
-            self._write(line)
+            self._lines.write(as_json(line))
         self._held_back.clear()
-
-    def _write(self, line: dict[str, object]) -> None:
-        if self._stream is None:
-            return
-        try:
-            self._stream.write(as_json(line) + "\n")
-            self._stream.flush()
-        except (OSError, ValueError):  # broken, or closed
-            self._stream = None

@@ -20,6 +20,23 @@ FIRST_S = 0.5
 EVERY_S = 30.0
 
 
+class LineStream:
+    """Writes lines, and flushes each; once the stream has broken, nothing more is written."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream: TextIO | None = stream
+
+    def write(self, line: str) -> None:
+        """Write a line."""
+        if self._stream is None:
+            return
+        try:
+            self._stream.write(line + "\n")
+            self._stream.flush()
+        except (OSError, ValueError):  # broken, or closed
+            self._stream = None
+
+
 class ProgressLines:
     """Writes what is being done, how large it is, how long it has taken and how long it will take.
 
@@ -37,7 +54,7 @@ class ProgressLines:
 
     def __init__(self, stream: TextIO, stage: str, look_s: float = 0.1) -> None:
         self._look_s = look_s
-        self._stream: TextIO | None = stream
+        self._lines = LineStream(stream)
         self._outer = stage
         self._began = self._last = time.monotonic()
         self._told: set[str] = set()
@@ -96,7 +113,7 @@ class ProgressLines:
                     self._waiting, self._last = [], now
                     self._told.add(self._stage)
             for line in lines:
-                self._write(line)
+                self._lines.write(line)
 
     def _line(self, now: float) -> str:
         parts = [f"{self._done} of {self._total}"] if self._total else []
@@ -105,15 +122,6 @@ class ProgressLines:
         parts += [f"{duration(left)} to go"] if left is not None else []
         parts += [self._words] if self._words else []
         return f"{self._stage}: {', '.join(parts)}"
-
-    def _write(self, line: str) -> None:
-        if self._stream is None:
-            return
-        try:
-            self._stream.write(line + "\n")
-            self._stream.flush()
-        except (OSError, ValueError):  # broken, or closed
-            self._stream = None
 
 
 @contextmanager

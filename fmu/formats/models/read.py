@@ -26,7 +26,7 @@ from pathlib import Path
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.formats.calculix_dat import read_displacements, read_frequencies
 from fmu.formats.files import too_large, why_no_file
-from fmu.formats.matrices.limits import LARGEST_FILE, MOST_DOFS, Labelled, RefusedError, SeveralError, text_lines
+from fmu.formats.matrices.limits import LARGEST_FILE, MOST_DOFS, RefusedError, SeveralError, text_lines
 from fmu.formats.matrices.nastran.includes import BULK_DATA, included_files
 from fmu.formats.matrices.read import read_labelled
 from fmu.formats.models import FORMATS
@@ -89,18 +89,15 @@ def read_model(
     if not isinstance(found, Mesh):
         found = _name_argument("mesh", partial(_mesh_of, Path(found)))
     beside = _mass_beside(path) if mass is None else Path(mass)
+    names: tuple[str | None, str | None]
     if beside is None:
         names = variables if variables is not None else _name_argument("path", partial(_both, path))
-        read = [_name_argument("path", partial(_matrix, path, name)) for name in names]
-        where = ["path", "path"]
+        where, files = ("path", "path"), (path, path)
     else:
-        where = ["path", "mass"]
-        read = [
-            _name_argument(at, partial(_matrix, file, name))
-            for at, file, name in zip(
-                where, (path, beside), (None, None) if variables is None else variables, strict=True
-            )
-        ]
+        names = variables if variables is not None else (None, None)
+        where, files = ("path", "mass"), (path, beside)
+    matrices = zip(where, files, names, strict=True)
+    read = [_name_argument(at, partial(read_labelled, file, name, fill=True)) for at, file, name in matrices]
     if dofs is not None:
         given = _name_argument("dofs", partial(read_names, Path(dofs)))
         for one in read:
@@ -112,21 +109,13 @@ def read_model(
     model = assemble(read, 1, where, found)
     if mesh is not None:
         require_nodes(model.dofs, model.motions, found, [path])
-    ties: dict[DofName, dict[DofName, float]] = {}
-    notes: list[str] = []
+    motions, notes = dict(model.motions), [*model.notes, *found.notes]
     if tied_modes is not None:
-        ties, notes = _name_argument("tied_modes", partial(read_ties, Path(tied_modes), found, model.dofs))
-    return ExportedModel(
-        model.matrices[0],
-        model.matrices[1],
-        tuple(model.dofs),
-        found.nodes,
-        found.coordinates,
-        found.elements,
-        found.kinds,
-        (*model.notes, *found.notes, *notes),
-        {**model.motions, **ties},
-    )
+        ties, of_ties = _name_argument("tied_modes", partial(read_ties, Path(tied_modes), found, model.dofs))
+        motions, notes = motions | ties, notes + of_ties
+    K, M = model.matrices
+    mesh_parts = (found.nodes, found.coordinates, found.elements, found.kinds)
+    return ExportedModel(K, M, tuple(model.dofs), *mesh_parts, tuple(notes), motions)
 
 
 def read_ties(
@@ -227,10 +216,6 @@ def require_nodes(
         raise ArgumentError(
             "mesh", f"must have the nodes of the matrices, such as {named[0]} (it has none of them)"
         )
-
-
-def _matrix(path: Path, variable: str | None) -> Labelled:
-    return read_labelled(path, variable, fill=True)
 
 
 def _both(path: Path) -> tuple[str, str]:
