@@ -11,9 +11,8 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Self, TextIO
 
 from fmu.numbers import fixed
-from fmu.progress.lines import LineStream
 from fmu.progress.pace import Pace, Throttle
-from fmu.progress.words import Info, Report, as_json, bar_name, duration, in_words
+from fmu.progress.words import Info, LineStream, Report, as_json, bar_name, duration, in_words
 
 if TYPE_CHECKING:
     from IPython.display import DisplayHandle

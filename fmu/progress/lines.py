@@ -13,28 +13,11 @@ from typing import Self, TextIO
 
 from fmu.progress.pace import Pace
 from fmu.progress.phases import told_to
-from fmu.progress.words import Info, Report, bar_name, duration, in_words
+from fmu.progress.words import Info, LineStream, Report, bar_name, duration, in_words
 
 FIRST_S = 0.5
 """A stage has its first line after so long: most stages take no time."""
 EVERY_S = 30.0
-
-
-class LineStream:
-    """Writes lines, and flushes each; once the stream has broken, nothing more is written."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream: TextIO | None = stream
-
-    def write(self, line: str) -> None:
-        """Write a line."""
-        if self._stream is None:
-            return
-        try:
-            self._stream.write(line + "\n")
-            self._stream.flush()
-        except (OSError, ValueError):  # broken, or closed
-            self._stream = None
 
 
 class ProgressLines:

@@ -1,4 +1,4 @@
-"""Reports of progress in words and as JSON: short numbers that keep their place."""
+"""Reports of progress in words and as JSON: short numbers that keep their place; and the stream of their lines."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from numbers import Integral, Real
+from typing import TextIO
 
 from fmu.numbers import MISSING, fixed, significant
 
@@ -74,3 +75,20 @@ def _item(name: str, value: str | int | float, brief: bool) -> str:
     if not name.endswith(_RATE):
         return f"{name} {text}"
     return f"{text}/s" if brief else f"{text} {name.removesuffix(_RATE)}/s"
+
+
+class LineStream:
+    """Writes lines, and flushes each; once the stream has broken, nothing more is written."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream: TextIO | None = stream
+
+    def write(self, line: str) -> None:
+        """Write a line."""
+        if self._stream is None:
+            return
+        try:
+            self._stream.write(line + "\n")
+            self._stream.flush()
+        except (OSError, ValueError):  # broken, or closed
+            self._stream = None
