@@ -57,7 +57,7 @@ def shares(names: StrArray) -> dict[str, float]:
     return {combination: count / len(names) for combination, count in counts.most_common()}
 
 
-def shares_over_the_box(problem: UpdatingProblem, points: int, seed: int = 0) -> list[dict[str, float]]:
+def shares_over_the_box(problem: UpdatingProblem, points: int) -> list[dict[str, float]]:
     """Return for each measured mode the share of the parameter box in which each physical mode is paired with it.
 
     By a scrambled Sobol sequence over the bounds.
@@ -69,7 +69,7 @@ def shares_over_the_box(problem: UpdatingProblem, points: int, seed: int = 0) ->
     """
     from scipy.stats import qmc
 
-    unit = qmc.Sobol(problem.ndim, rng=np.random.default_rng(seed)).random_base2(int(np.log2(points)))
+    unit = qmc.Sobol(problem.ndim, rng=np.random.default_rng(0)).random_base2(int(np.log2(points)))
     names = paired_names(problem, problem.lower + unit * (problem.upper - problem.lower))
     return [shares(column[:, np.newaxis]) for column in names.T]
 

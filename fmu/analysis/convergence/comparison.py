@@ -139,17 +139,15 @@ def _row(trace: xr.DataTree, table: pd.DataFrame, diagnosis: Diagnosis) -> dict[
 
 
 def costs_side_by_side(
-    traces: Mapping[str, xr.DataTree], grown: Mapping[str, Growth] | None = None, baseline: str = BASELINE
+    traces: Mapping[str, xr.DataTree], grown: Mapping[str, Growth] | None = None
 ) -> pd.DataFrame:
-    """Return the cost of each sampler, in solves, and as a multiple of the baseline's.
+    """Return the cost of each sampler, in solves, and as a multiple of the one of `BASELINE`.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
     grown : mapping of str to Growth, optional
         ``growth(trace)`` of each, if already computed.
-    baseline : str
-        Name of the sampler whose cost is the unit.
 
     Returns
     -------
@@ -177,7 +175,7 @@ def costs_side_by_side(
             "solves_per_ess": (total - warm) / ess if ess > 0 else np.nan,
         })  # fmt: skip
     samplers = [str(trace.attrs["sampler"]) for trace in traces.values()]
-    unit = rows[samplers.index(baseline)] if baseline in samplers else dict.fromkeys(rows[0], np.nan)
+    unit = rows[samplers.index(BASELINE)] if BASELINE in samplers else dict.fromkeys(rows[0], np.nan)
     for row in rows:
         row["criterion_over_baseline"] = row["criterion_solves"] / unit["criterion_solves"]
         row["per_ess_over_baseline"] = row["solves_per_ess"] / unit["solves_per_ess"]

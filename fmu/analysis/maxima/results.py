@@ -280,9 +280,9 @@ class Maxima:
         header = ["unit", "before", *(self.title(k) for k in range(len(best))), "measured"]
         return pd.DataFrame(rows, index=index, columns=header)
 
-    def at_bounds(self, most: int = MOST_SHOWN) -> list[str]:
+    def at_bounds(self) -> list[str]:
         """Return a sentence for each of the highest maxima that lies at bounds."""
-        words = [self.words_at_bounds(m) for m in self.maxima[:most]]
+        words = [self.words_at_bounds(m) for m in self.maxima[:MOST_SHOWN]]
         titles = [self.title(k).capitalize() for k in range(len(words))]
         return [f"{title} lies at bounds: {said}." for title, said in zip(titles, words, strict=True) if said]
 
@@ -290,12 +290,12 @@ class Maxima:
         """Return ``"maximum 1"``, or ``"jump 2"`` of a place that is no maximum; `k` counts from 0."""
         return f"{self.maxima[k].kind if not self.maxima[k].is_maximum else MAXIMUM} {k + 1}"
 
-    def no_maxima(self, most: int = MOST_SHOWN) -> list[str]:
+    def no_maxima(self) -> list[str]:
         """Return a sentence for each of the highest places at which the search ended though it is no maximum."""
         return [
             f"{self.title(k).capitalize()} is no maximum: the log-probability rises by "
             f"{significant(m.slope, 2)} per posterior standard deviation up to {_ENDS[m.kind]}"
-            for k, m in enumerate(self.maxima[:most])
+            for k, m in enumerate(self.maxima[:MOST_SHOWN])
             if not m.is_maximum
         ]
 

@@ -8,7 +8,6 @@ from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from fmu.analysis.start.pairing_doubts import ComputedMode, close, note_unmeasured, unlike, warn_of_order
 from fmu.fem.black_box import BlackBoxModel
@@ -109,21 +108,19 @@ class InitialModes:
         return pd.DataFrame(rows)
 
 
-def initial_modes(problem: UpdatingProblem, theta: ArrayLike | None = None) -> InitialModes:
-    """Solve the full model of a problem and return which of its modes are paired with the measured ones.
+def initial_modes(problem: UpdatingProblem) -> InitialModes:
+    """Solve the full model of a problem at its start and return which modes are paired with the measured ones.
 
     Parameters
     ----------
     problem : UpdatingProblem
-    theta : array_like, shape (ndim,), optional
-        Parameters; the start if not given.
 
     Returns
     -------
     InitialModes
         The paired modes alone if the model gives no others.
     """
-    point = problem.start if theta is None else np.asarray(theta, dtype=float)
+    point = problem.start
     labels = tuple(map(str, problem.data.labels))
     measured = np.asarray(problem.data.frequencies_hz, dtype=float)
     structural = point[: problem.model.n_parameters]  # behind them, what is uncertain of the errors

@@ -125,10 +125,10 @@ def _read(group: h5py.Group) -> xr.Dataset:
     return xr.Dataset(variables, coords=beside, attrs=_attributes(dict(group.attrs)))
 
 
-def _attributes(found: Mapping[str, object]) -> dict[str, object]:
+def _attributes(found: Mapping[str, str | AnyArray]) -> dict[str, object]:
     """Return the attributes that a user sees, without the format's own; arrays of one number become numbers."""
     return {
-        name: value[0] if isinstance(value, np.ndarray) and value.size == 1 else value
+        name: value[0] if np.ndim(value) and np.size(value) == 1 else value
         for name, value in found.items()
         if name not in _OF_THE_FORMAT and not name.startswith(_OF_NETCDF)
     }

@@ -121,13 +121,11 @@ def height_of_row(n: int) -> float:
     return 1.35 if n <= 8 else 1.1
 
 
-def stack_axes(
-    n: int, figure: Figure | None, height: float | None = None, sharey: bool = False, sharex: bool = True
-) -> AxesArray:
-    """Return `n` axes in a column, with a common abscissa by default, on a narrow figure if none is given."""
+def stack_axes(n: int, figure: Figure | None, height: float | None = None, sharey: bool = False) -> AxesArray:
+    """Return `n` axes in a column, with a common abscissa, on a narrow figure if none is given."""
     height = height_of_row(n) if height is None else height
     figure = figure or new_figure(NARROW, height * n + 0.5)
-    return np.asarray(figure.subplots(n, 1, sharex=sharex, sharey=sharey, squeeze=False)[:, 0])
+    return np.asarray(figure.subplots(n, 1, sharex=True, sharey=sharey, squeeze=False)[:, 0])
 
 
 def grid_axes(n: int, figure: Figure, shared: bool = False) -> AxesArray:
