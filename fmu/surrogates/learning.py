@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmu.arguments import Seed, check_arguments
+from fmu.arguments import ArgumentError, Seed, check_arguments
 from fmu.fem.approximation import Approximation
 from fmu.fem.black_box import solves_of_a_surrogate
 from fmu.fem.certificates import SurrogateCertificate
@@ -324,17 +324,15 @@ def _check(problem: UpdatingProblem, tolerance: float, batch: int, checks: int, 
     why_not = can_learn(problem)
     if why_not:
         raise ValueError(f"problem: {why_not} (got {problem.model!r})")
-    if not 0.0 < tolerance <= 1.0:
-        raise ValueError(f"tolerance: must be above 0 and at most 1 (got {tolerance})")
-    if batch < 1:
-        raise ValueError(f"batch: must be at least 1 (got {batch})")
-    if checks < 8:
-        raise ValueError(f"checks: must be at least 8 (got {checks})")
     least = 2 * problem.n_structural + 6 + checks
-    if max_solves < least:
-        raise ValueError(
-            f"max_solves: must be at least {least}, the first design and the checks (got {max_solves})"
-        )
+    for holds, name, rule, value in (
+        (0.0 < tolerance <= 1.0, "tolerance", "above 0 and at most 1", tolerance),
+        (batch >= 1, "batch", "at least 1", batch),
+        (checks >= 8, "checks", "at least 8", checks),
+        (max_solves >= least, "max_solves", f"at least {least}, the first design and the checks", max_solves),
+    ):
+        if not holds:
+            raise ArgumentError(name, f"must be {rule}", value)
 
 
 def _tell(learner: _Learner, limits: ErrorLimits, tolerance: float) -> None:
