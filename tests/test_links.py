@@ -92,6 +92,24 @@ def test_files_that_are_named_exist(page):
     assert missing_files(markdown(ROOT / page), ROOT) == []
 
 
+def missing_functions(text, source):
+    """The private functions, and classes and methods as `Class.method`, that only the text knows."""
+    named = re.findall(r"`(_[a-z]\w+)`|`([A-Z][a-z]\w*)\.(_{0,2}[a-z]\w+)`", text)
+    names = {name for found in named for name in found if name}
+    return sorted(name for name in names if not re.search(rf"(def|class) {name}\b|^    {name}:", source, re.M))
+
+
+def test_functions_in_the_map_exist():
+    source = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "fmu").rglob("*.py"))
+    assert missing_functions(markdown(ROOT / "CONTRIBUTING.md"), source) == []
+    text = "`_points`, `Solves.of`, `_gone`, `Solves.gone`, `Gone.of`, `log_prob`"
+    assert missing_functions(text, "class Solves:\n    def of(self)\n    def _points(") == [
+        "Gone",
+        "_gone",
+        "gone",
+    ]
+
+
 def test_every_kind_of_page_is_read():
     names = {str(page) for page in PAGES}
     assert {"README.md", "CHANGELOG.md", "results/README.md", "results/young-shape/tables.md"} < names
