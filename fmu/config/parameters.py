@@ -13,6 +13,9 @@ from fmu.config.mistakes import Mistakes
 from fmu.config.tables import Declared, Name, NotNegative, OneOf, ParameterName, Positive, TomlTable
 from fmu.fem.frame.updates import PROPERTIES
 from fmu.formats.shown import quote
+from fmu.posterior.joint.varies import Variation
+from fmu.posterior.joint.varies.damage import Damage
+from fmu.posterior.joint.varies.population import Population
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors import PRIORS
 from fmu.types import Direction
@@ -92,6 +95,14 @@ class PopulationTable(TomlTable):
     sd: PriorTable | None = None
     """Prior of its standard deviation, or of the logarithm's; half-normal if not given."""
 
+    def build(self) -> Population:
+        """Return the population."""
+        return Population(self.distribution, None if self.sd is None else self.sd.build())
+
+
+SETTINGS = {"population": "population", "damage": "loss"}
+"""The key with the settings of a way to vary between tests."""
+
 
 class ParameterTable(Uncertain, Target):
     """A parameter; of a frame, with the quantities that it updates."""
@@ -108,10 +119,18 @@ class ParameterTable(Uncertain, Target):
 
     @model_validator(mode="after")
     def _what_varies(self) -> Self:
-        for key, kind in (("population", "population"), ("loss", "damage")):
+        for kind, key in SETTINGS.items():
             if key in self.model_fields_set and self.varies != kind:
                 raise ArgumentError(key, f'must be given with varies = "{kind}"', self.varies)
         return self
+
+    def variation(self) -> str | Variation | None:
+        """Return how the parameter varies between tests; None if the file does not say."""
+        if self.varies == "population":
+            return (self.population or PopulationTable()).build()
+        if self.varies == "damage":
+            return Damage(None if self.loss is None else self.loss.build())
+        return self.varies
 
     def is_positive(self) -> bool:
         """Say whether bounds or prior keep the parameter positive."""
@@ -160,7 +179,7 @@ def of_several_tests(tables: Sequence[ParameterTable]) -> list[ArgumentError]:
     return [
         ArgumentError(f"parameters.{i}.{key}", "is allowed with several [[tests]] only")
         for i, table in enumerate(tables)
-        for key in ("varies", "population", "slopes", "loss")
+        for key in ParameterTable.__annotations__  # its own: a single test has those of its bases
         if key in table.model_fields_set
     ]
 

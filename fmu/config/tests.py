@@ -16,8 +16,6 @@ from fmu.config.parameters import ParameterTable
 from fmu.config.tables import Built, Name, ParameterName, TomlTable
 from fmu.posterior.joint.modal_test import Test, TestsError
 from fmu.posterior.joint.varies import Variation
-from fmu.posterior.joint.varies.damage import Damage
-from fmu.posterior.joint.varies.population import Population
 from fmu.posterior.priors.base import Prior
 from fmu.types import Direction
 
@@ -96,24 +94,11 @@ def build_tests(
     return tests, found
 
 
-Varies = dict[str, str | Variation]
-
-
-def variations(tables: Sequence[ParameterTable]) -> tuple[Varies, dict[str, dict[str, Prior]]]:
+def variations(
+    tables: Sequence[ParameterTable],
+) -> tuple[dict[str, str | Variation], dict[str, dict[str, Prior]]]:
     """Return the arguments `varies` and `slopes` of `fmu.JointProblem`."""
-    varies: Varies = {}
-    for table in tables:
-        if table.varies == "population":
-            given = table.population
-            varies[table.name] = (
-                Population()
-                if given is None
-                else Population(given.distribution, None if given.sd is None else given.sd.build())
-            )
-        elif table.varies == "damage":
-            varies[table.name] = Damage(None if table.loss is None else table.loss.build())
-        elif table.varies is not None:
-            varies[table.name] = table.varies
+    varies = {table.name: how for table in tables if (how := table.variation()) is not None}
     slopes = {t.name: {name: prior.build() for name, prior in t.slopes.items()} for t in tables if t.slopes}
     return varies, slopes
 

@@ -129,6 +129,12 @@ def test_one_measurement_or_several_tests(tmp_path):
     assert mistakes(written(tmp_path, K1 + 'varies = "test"\n', K2, measurement)) == [
         "parameters.0.varies: is allowed with several [[tests]] only"
     ]
+    losses = 'varies = "damage"\nloss = { distribution = "normal", sd = 0.1 }\n'
+    slopes = 'slopes = { temperature = { distribution = "normal", sd = 0.01 } }\n'
+    assert mistakes(written(tmp_path, K1 + losses, K2 + slopes, measurement)) == [
+        f"parameters.{i}.{key}: is allowed with several [[tests]] only"
+        for i, key in ((0, "varies"), (0, "loss"), (1, "slopes"))
+    ]
 
 
 def test_check_run_and_damage(tmp_path):
