@@ -81,16 +81,8 @@ def is_kind(value: Any, rule: Rule) -> bool:
     origin = rule.origin
     if origin is Any:
         return True
-    if origin is None or origin is NoneType:
-        return value is None
-    if origin is bool:
-        return type(value).__name__ == "bool"  # NumPy's, too
-    if origin is Numbers:
-        return _is_numeric(value, rule)
-    if origin is Callable:
-        return callable(value)
-    if origin in _CLASSES:
-        kind = _CLASSES[origin]
+    if origin in _KINDS:
+        kind = _KINDS[origin]
         is_of_class = isinstance(value, kind.classes) and not isinstance(value, kind.others)
         return is_of_class and kind.holds(value, rule)
     if not isinstance(origin, type):
@@ -142,9 +134,10 @@ class _Indexed(Protocol):
 
 
 class _Kind(NamedTuple):
-    """The values of a type: those of some classes but not of others, if they are as they must be."""
+    """A type in words, and its values: those of some classes but not of others, if they are as they must be."""
 
-    classes: tuple[type, ...]
+    words: str
+    classes: tuple[type, ...] = (object,)
     others: tuple[type, ...] = ()
     holds: Callable[..., bool] = lambda value, rule: True
 
@@ -154,31 +147,26 @@ def _is_path(value: str | os.PathLike[str], rule: Rule) -> bool:
     return "\0" not in text and text != ""
 
 
+def _has_entries(value: object, rule: Rule) -> bool:
+    return getattr(value, "ndim", 1) != 0
+
+
 PATHS = (os.PathLike, Path)
-_CLASSES = {
-    int: _Kind((numbers.Integral,), (bool,), _is_in_range),
-    float: _Kind((numbers.Real,), (bool,), _is_in_range),
-    str: _Kind((str,), holds=lambda value, rule: "\0" not in value),
-    Literal: _Kind((str, int), holds=lambda value, rule: value in get_args(rule.form)),
-    Collection: _Kind((Collection,), (str, bytes)),
-    Iterable: _Kind((Iterable,), (str, bytes)),
-    Sequence: _Kind((_Indexed,), (str, bytes, Mapping), lambda value, rule: getattr(value, "ndim", 1) != 0),
-}
-_CLASSES |= dict.fromkeys(PATHS, _Kind((str, os.PathLike), holds=_is_path))
-_CLASSES |= dict.fromkeys((tuple, list), _CLASSES[Sequence])
+_SEQUENCES = (Sequence, tuple, list)
 _KINDS = {
-    float: "a finite number",
-    int: "a whole number",
-    bool: "True or False",
-    str: "text",
-    NoneType: "None",
-    None: "None",
-    Numbers: "numbers (an array or a list)",
-    Mapping: "a mapping",
-    Callable: "a function",
-    os.PathLike: "a path",
-    Path: "a path",
+    int: _Kind("a whole number", (numbers.Integral,), (bool,), _is_in_range),
+    float: _Kind("a finite number", (numbers.Real,), (bool,), _is_in_range),
+    bool: _Kind("True or False", holds=lambda value, rule: type(value).__name__ == "bool"),  # NumPy's, too
+    str: _Kind("text", (str,), holds=lambda value, rule: "\0" not in value),
+    Literal: _Kind("a word", (str, int), holds=lambda value, rule: value in get_args(rule.form)),
+    Numbers: _Kind("numbers (an array or a list)", holds=_is_numeric),
+    Mapping: _Kind("a mapping", (Mapping,)),
+    Callable: _Kind("a function", holds=lambda value, rule: callable(value)),
 }
+_KINDS |= dict.fromkeys((None, NoneType), _Kind("None", (NoneType,)))
+_KINDS |= dict.fromkeys(PATHS, _Kind("a path", (str, os.PathLike), holds=_is_path))
+_KINDS |= {one: _Kind("a sequence", (one,), (str, bytes)) for one in (Collection, Iterable)}
+_KINDS |= dict.fromkeys(_SEQUENCES, _Kind("a sequence", (_Indexed,), (str, bytes, Mapping), _has_entries))
 
 
 def in_words(rule: Rule) -> str:
@@ -193,10 +181,10 @@ def in_words(rule: Rule) -> str:
         return _number_in_words(origin is int, rule)
     if origin is Numbers and rule.marks:
         return f"{_number_in_words(False, rule).removeprefix('a ')}s, in an array or a list"
-    if origin in (Sequence, tuple, list, Collection, Iterable):
-        return f"a sequence, each entry {in_words(of[0])}" if of else "a sequence"
+    if origin in (*_SEQUENCES, Collection, Iterable) and of:
+        return f"a sequence, each entry {in_words(of[0])}"
     if origin in _KINDS:
-        return _KINDS[origin]
+        return _KINDS[origin].words
     name = name_of(origin)
     return _NAMES.get(name) or f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"
 
