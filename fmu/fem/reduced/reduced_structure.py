@@ -26,8 +26,8 @@ from fmu.types import BoolArray, FloatArray, IntArray
 
 # Numbers of an array in a batch of reduced solves: 128 MiB.
 _MOST_NUMBERS = 2**24
-# How often the box of training may become larger.
-_WIDENED = 3
+# How often the box of training may become larger, and points be added where the model is inaccurate.
+_WIDENED, _REFINED = 3, 20
 
 
 class ReducedStructure(Approximation):
@@ -261,24 +261,22 @@ def train(
     state : dict of str to ndarray
         What `restore` needs to have the same model again.
     """
-    training = Training(truth.blocks, truth.rule, lower, upper, tolerance, engine=engine)
     with single_thread():
-        model = ReducedStructure(truth, training.run())
-        for _ in range(_WIDENED if wider_box is not None else 0):
-            wider = wider_box(model)  # type: ignore[misc]
+        for left in range(_WIDENED, -1, -1):
+            training = Training(truth.blocks, truth.rule, lower, upper, tolerance, engine)
+            model = ReducedStructure(truth, training.run())
+            wider = None if wider_box is None or not left else wider_box(model)
             if wider is None:
                 break
             lower, upper = wider
-            training = Training(truth.blocks, truth.rule, lower, upper, tolerance, engine=engine)
-            model = ReducedStructure(truth, training.run())
         if training.is_cut() and region is not None and tolerance < LOOSE:
-            narrow = Training(truth.blocks, truth.rule, lower, upper, LOOSE, engine=engine)
+            narrow = Training(truth.blocks, truth.rule, lower, upper, LOOSE, engine)
             narrow.run()
             part = None if narrow.is_cut() else _narrow(truth, narrow, tolerance, region)
             if part is not None:
                 training, model = narrow, part
-        for _ in range(20 if inaccurate_points is not None and not training.prefers_full() else 0):
-            inaccurate = inaccurate_points(model)  # type: ignore[misc]
+        for _ in range(0 if training.prefers_full() else _REFINED):
+            inaccurate = None if inaccurate_points is None else inaccurate_points(model)
             if inaccurate is None or not training.is_accurate:
                 break
             model = ReducedStructure(truth, training.refine(*inaccurate))
