@@ -184,11 +184,19 @@ def of_several_tests(tables: Sequence[ParameterTable]) -> list[ArgumentError]:
     ]
 
 
-def without_targets(tables: Sequence[ParameterTable]) -> list[ArgumentError]:
-    """Return a mistake for each key that only parameters of a frame may have."""
-    return [
-        ArgumentError(f"parameters.{i}.{key}", "is allowed for frames only")
-        for i, table in enumerate(tables)
-        for key in Target.model_fields
-        if key in table.model_fields_set
-    ]
+class ModelTable(TomlTable):
+    """The table of a model; most have no use for the keys of a parameter that are of frames."""
+
+    @property
+    def decks(self) -> list[str]:
+        """Input decks that are filled with the values of parameters."""
+        return []
+
+    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
+        """Return the mistakes between tables: here one for each key that only parameters of a frame may have."""
+        return [
+            ArgumentError(f"parameters.{i}.{key}", "is allowed for frames only")
+            for i, table in enumerate(parameters)
+            for key in Target.model_fields
+            if key in table.model_fields_set
+        ]

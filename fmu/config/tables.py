@@ -137,15 +137,6 @@ class TomlTable(BaseModel):
     )
 
 
-class ModelTable(TomlTable):
-    """The table of a model."""
-
-    @property
-    def decks(self) -> list[str]:
-        """Input decks that are filled with the values of parameters."""
-        return []
-
-
 class Declared(TomlTable):
     """A table whose keys are the arguments of a constructor, or of one of several; see `declare_table`."""
 

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
-from fmu.arguments import ArgumentError
 from fmu.config.mistakes import BrokenError
-from fmu.config.parameters import ParameterTable, without_targets
-from fmu.config.tables import Built, FileName, ModelTable, Of, Positive
+from fmu.config.parameters import ModelTable, ParameterTable
+from fmu.config.tables import Built, FileName, Of, Positive
 from fmu.fem.programs.command import STEP, CommandError, CommandModel
 from fmu.fem.programs.found_frequencies import FoundFrequencies
 from fmu.formats.modes import READERS
@@ -55,10 +54,6 @@ class CommandTable(ModelTable):
     def decks(self) -> list[str]:
         """The template."""
         return [self.template]
-
-    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return a mistake for each key that a program cannot use."""
-        return without_targets(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
         """Return the model; BrokenError if a file or the program is missing, or the template lacks a parameter."""

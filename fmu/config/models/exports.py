@@ -13,8 +13,8 @@ from pydantic import Field
 
 from fmu.arguments import ArgumentError
 from fmu.config.mistakes import BrokenError, Mistakes
-from fmu.config.parameters import ParameterTable, without_targets
-from fmu.config.tables import Built, FileName, ModelTable, Name, TomlTable
+from fmu.config.parameters import ModelTable, ParameterTable
+from fmu.config.tables import Built, FileName, Name, TomlTable
 from fmu.fem.exports.from_exports import from_exports
 from fmu.fem.exports.recovery import Export
 from fmu.fem.frame.stability import require_stable
@@ -58,7 +58,7 @@ class ExportsTable(ModelTable):
         for i, name in enumerate(names):
             if name not in self.exports[0].values:
                 found.add(f"parameters.{i}.name", "must have a value in the first of model.exports", quote(name))
-        return found + without_targets(parameters)
+        return found + super().mistakes(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
         """Read the exports and return the model; BrokenError if it cannot be built."""

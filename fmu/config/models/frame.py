@@ -12,8 +12,8 @@ from pydantic import Field
 
 from fmu.arguments import ArgumentError, Place
 from fmu.config.mistakes import BrokenError, Mistakes
-from fmu.config.parameters import KEYS, ParameterTable, Target
-from fmu.config.tables import Built, ModelTable, Name, Of, TomlTable, Vector, inside
+from fmu.config.parameters import KEYS, ModelTable, ParameterTable, Target
+from fmu.config.tables import Built, Name, Of, TomlTable, Vector, inside
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, Material, PointMass, Section
 from fmu.fem.frame.frame import Frame
 from fmu.fem.frame.stability import require_stable

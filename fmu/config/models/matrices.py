@@ -15,8 +15,8 @@ from pydantic import Field, model_validator
 from fmu.arguments import ArgumentError, Place
 from fmu.config.mistakes import BrokenError, Mistakes
 from fmu.config.models.lines import LineTable, mistakes_of_lines, picture_of
-from fmu.config.parameters import ParameterTable, without_targets
-from fmu.config.tables import Built, FileName, ModelTable, Name, SensorTable, TomlTable, Vector, one_length
+from fmu.config.parameters import ModelTable, ParameterTable
+from fmu.config.tables import Built, FileName, Name, SensorTable, TomlTable, Vector, one_length
 from fmu.fem.frame.stability import MechanismError, require_stable
 from fmu.fem.modes.separable import Geometry, SeparableModel
 from fmu.fem.modes.terms import Term
@@ -100,7 +100,7 @@ class MatricesTable(ModelTable):
             if table.name not in used:
                 found.add(f"parameters.{i}.name", "must be in the powers of a term", quote(table.name))
         found += mistakes_of_lines(self.points, self.lines, parameters, self.mesh is not None)
-        return found + self._of_powers(parameters) + without_targets(parameters) + self._of_dofs()
+        return found + self._of_powers(parameters) + super().mistakes(parameters) + self._of_dofs()
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
         """Read the matrices and return the model; BrokenError if it cannot be built."""

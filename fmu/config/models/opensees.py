@@ -15,8 +15,8 @@ from pydantic import Field, StringConstraints
 from fmu.arguments import ArgumentError
 from fmu.config.mistakes import PYTHON_FILE, BrokenError
 from fmu.config.models.python import import_function
-from fmu.config.parameters import ParameterTable, without_targets
-from fmu.config.tables import Built, FileName, ModelTable
+from fmu.config.parameters import ModelTable, ParameterTable
+from fmu.config.tables import Built, FileName
 from fmu.fem.exports.recovery import NotSeparableError
 from fmu.fem.frame.stability import require_stable
 from fmu.fem.programs.opensees import MODES, MOST_DOFS, OpenSeesModel, from_opensees
@@ -40,10 +40,6 @@ class OpenSeesTable(ModelTable):
     store: FileName = "solves"
     """With per_theta: folder, from that of this file, of solves that took 0.05 s or longer."""
     free: bool = False
-
-    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return a mistake for each key that such a model cannot use."""
-        return without_targets(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
         """Import the file, build the model at several theta, and return it; BrokenError if that fails."""

@@ -18,8 +18,8 @@ from pydantic import Field, StringConstraints
 
 from fmu.arguments import ArgumentError
 from fmu.config.mistakes import FUNCTION, BrokenError
-from fmu.config.parameters import ParameterTable, without_targets
-from fmu.config.tables import Built, FileName, ModelTable
+from fmu.config.parameters import ModelTable, ParameterTable
+from fmu.config.tables import Built, FileName
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.programs.sources import source_digest
 from fmu.formats.files import too_large, why_no_file
@@ -44,10 +44,6 @@ class PythonTable(ModelTable):
     batched: bool = False
     step: Annotated[float, Field(gt=0, le=0.1)] = 1e-4
     store: FileName = "solves"
-
-    def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return a mistake for each key that a function cannot use."""
-        return without_targets(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
         """Import the function and return the model; BrokenError if there is none."""
