@@ -149,7 +149,7 @@ def _variables(file: BinaryIO, n_bytes: int, order: str) -> Iterator[tuple[str, 
             head = zlib.decompressobj().decompress(head, _HEAD)[8:]
         parts = _parts(memoryview(head), order, cut=True)
         flags, shape = (_numbers(*next(parts, _NO_PART), order).tolist() for _ in range(2))
-        if (flags[0] & 0xFF == _SPARSE or flags[0] & 0xFF in _FULL) and len(shape) == 2 and min(shape) >= 0:
+        if _is_matrix(flags[0], shape):
             name = bytes(next(parts, _NO_PART)[1]).decode("ascii")
             yield name, _Variable(flags[0], tuple(shape), at + 8, size, compressed)
         elif flags[0] & 0xFF == _STRUCT and shape == [1, 1]:
@@ -159,6 +159,10 @@ def _variables(file: BinaryIO, n_bytes: int, order: str) -> Iterator[tuple[str, 
                 yield f"{name}.{field}", one
         at += 8 + size
     raise RefusedError(f"must hold at most {MOST_NAMES} variables")
+
+
+def _is_matrix(kind: int, shape: list[int]) -> bool:
+    return (kind & 0xFF == _SPARSE or kind & 0xFF in _FULL) and len(shape) == 2 and min(shape) >= 0
 
 
 def _fields(body: memoryview, struct: _Variable, order: str) -> Iterator[tuple[str, _Variable]]:
@@ -174,7 +178,7 @@ def _fields(body: memoryview, struct: _Variable, order: str) -> Iterator[tuple[s
             raise ValueError("it has a struct that is cut short")
         inner = _parts(part, order, cut=True)
         flags, shape = (_numbers(*next(inner, _NO_PART), order).tolist() for _ in range(2))
-        if (flags[0] & 0xFF == _SPARSE or flags[0] & 0xFF in _FULL) and len(shape) == 2 and min(shape) >= 0:
+        if _is_matrix(flags[0], shape):
             field = bytes(names[k * width : (k + 1) * width]).split(b"\0")[0].decode("ascii")
             yield field, struct._replace(kind=flags[0], shape=tuple(shape), field=_FIELDS + k)
 

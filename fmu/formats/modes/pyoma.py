@@ -74,7 +74,7 @@ def pyoma_modes(
     uncertainty of their mean: it and ``Phi_std`` are left out.
     """
     source = type(result).__name__
-    given = {name: _attribute(result, name) for name in (*_KEPT, "setups_used")}
+    given = _parts(result)
     if given["Fn"] is None or given["Phi"] is None:
         raise ModesError(source, ["must have frequencies Fn and shapes Phi (got none: was mpe called?)"])
     frequencies = np.asarray(given["Fn"], dtype=float).reshape(-1)
@@ -90,14 +90,10 @@ def pyoma_modes(
     chosen = list(range(1, len(frequencies) + 1)) if modes is None else [int(number) for number in modes]
     if not chosen or any(not 1 <= number <= len(frequencies) for number in chosen):
         found.append(f"modes: must lie in 1..{len(frequencies)} (got {quote(chosen)})")
-    sd = None
-    if given["Fn_std"] is not None and given["setups_used"] is None:
-        sd = np.array(given["Fn_std"], dtype=float).reshape(-1)
+    sd = None if given["Fn_std"] is None else np.array(given["Fn_std"], dtype=float).reshape(-1)
     if sd is not None and len(sd) != len(frequencies):
         found.append(f"Fn_std: must be {len(frequencies)}, one per mode (got {len(sd)})")
-    phi_std = None
-    if given["Phi_std"] is not None and given["setups_used"] is None:
-        phi_std = np.array(given["Phi_std"], dtype=float)
+    phi_std = None if given["Phi_std"] is None else np.array(given["Phi_std"], dtype=float)
     if not found and phi_std is not None and phi_std.shape != phi.shape:
         found.append(f"Phi_std: must have the shape of Phi, {phi.shape} (got {phi_std.shape})")
     if found:
@@ -170,10 +166,7 @@ def read_pyoma(
 
 def save_pyoma(path: Path, result: object) -> None:
     """Write the parts of a result that `pyoma_modes` needs to an ``.npz`` file, for use in a problem file."""
-    given = {name: _attribute(result, name) for name in (*_KEPT, "setups_used")}
-    if given["setups_used"] is not None:
-        given["Fn_std"] = given["Phi_std"] = None
-    arrays: dict[str, Any] = {name: np.asarray(given[name]) for name in _KEPT if given[name] is not None}
+    arrays: dict[str, Any] = {name: np.asarray(part) for name, part in _parts(result).items() if part is not None}
     with path.open("wb") as file:
         np.savez(file, **arrays)
 
@@ -215,6 +208,14 @@ def load_pyoma(path: Path) -> dict[str, AnyArray]:
     if wrong:
         raise ModesError(path.name, wrong)
     return found
+
+
+def _parts(result: object) -> dict[str, ArrayLike | None]:
+    """Return the parts of a result that are used, None for those that it lacks or that say nothing."""
+    given = {name: _attribute(result, name) for name in _KEPT}
+    if _attribute(result, "setups_used") is not None:
+        given["Fn_std"] = given["Phi_std"] = None
+    return given
 
 
 def _attribute(result: object, name: str) -> ArrayLike | None:
