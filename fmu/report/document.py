@@ -61,6 +61,9 @@ class Link:
     words: str
     target: str
 
+    def __str__(self) -> str:
+        return self.words
+
 
 _LONG = 16
 """Rows of a table that a page shows at once."""
@@ -115,7 +118,7 @@ class PageTable(_Part):
     def fits_beside(self) -> bool:
         """Whether the words of its header and its longest cells have room beside a narrow figure, about."""
         columns = zip(self.header, *self.rows, strict=True)
-        letters = sum(max(_longest(head.split()), _longest(map(_words, cells))) for head, *cells in columns)
+        letters = sum(max(_longest(head.split()), _longest(map(str, cells))) for head, *cells in columns)
         return _LETTER * letters + _PADDING * len(self.header) <= _BESIDE
 
 
@@ -356,10 +359,6 @@ def _first_sentence(text: str) -> str:
 
 def _longest(words: Iterable[str]) -> int:
     return max(map(len, words), default=0)
-
-
-def _words(cell: str | Link) -> str:
-    return cell if isinstance(cell, str) else cell.words
 
 
 def breaking_at_commas(text: str) -> str:

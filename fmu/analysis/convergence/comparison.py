@@ -81,7 +81,7 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
     ValueError
         If `traces` is empty or contains something other than traces.
     """
-    if not isinstance(traces, Mapping) or not traces:
+    if not traces:
         raise ArgumentError("traces", "must be a mapping of at least one name to a trace", f"{traces!r:.60}")
     for name, trace in traces.items():
         check_trace(trace, f"traces.{name}")
