@@ -145,16 +145,28 @@ class Varies:
     ----------
     scatters : bool
         Whether its values are draws from a population, which may be correlated with others.
+    by_test : bool
+        Whether its values differ from test to test, so that there must be two.
     by_group : bool
         Whether its values differ between groups of tests, so that later groups have losses.
     """
 
     scatters: ClassVar[bool] = False
+    by_test: ClassVar[bool] = False
     by_group: ClassVar[bool] = False
 
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
         """Return what these tests lack for a parameter of this name to vary so, each with its place."""
-        return []
+        here = [test for test in tests if name not in test.known]
+        found = []
+        if self.by_test and len(here) < 2:
+            found.append(f"varies.{name}: varies by test, and needs two tests or more (got {len(here)})")
+        if self.by_group:
+            rule = f"must be given, as {name} varies by group (got none)"
+            found += [f"tests.{t}.group: {rule}" for t, test in enumerate(tests) if not test.group]
+            if len({test.group for test in here}) < 2:
+                found.append(f"varies.{name}: varies by group, and needs two groups or more (got 1)")
+        return found
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> InTests:
         """Add the parameters of theta that stand for a parameter of the structure; return its values in tests.
@@ -178,23 +190,3 @@ class Varies:
     def as_dict(self) -> dict[str, Plain]:
         """Return the settings in plain Python types."""
         return {}
-
-
-def require_two_tests(name: str, tests: Sequence[Test]) -> list[str]:
-    """Return a mistake if fewer than two tests do not know a parameter that varies from test to test."""
-    here = [test for test in tests if name not in test.known]
-    if len(here) > 1:
-        return []
-    return [f"varies.{name}: varies by test, and needs two tests or more (got {len(here)})"]
-
-
-def require_groups(name: str, tests: Sequence[Test]) -> list[str]:
-    """Return the mistakes in the groups of tests, between which a parameter varies."""
-    found = [
-        f"tests.{t}.group: must be given, as {name} varies by group (got none)"
-        for t, test in enumerate(tests)
-        if not test.group
-    ]
-    if len({test.group for test in tests if name not in test.known}) < 2:
-        found.append(f"varies.{name}: varies by group, and needs two groups or more (got 1)")
-    return found

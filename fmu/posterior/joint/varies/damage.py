@@ -9,8 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from fmu.arguments import check_arguments
-from fmu.posterior.joint.modal_test import Test
-from fmu.posterior.joint.varies.base import InTests, Slope, Theta, Varies, require_groups
+from fmu.posterior.joint.varies.base import InTests, Slope, Theta, Varies
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal, Prior
 from fmu.types import BoolArray, FloatArray, IntArray, Plain
@@ -38,10 +37,6 @@ class Damage(Varies):
 
     prior: Prior | None = None
     by_group: ClassVar[bool] = True
-
-    def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
-        """Return the mistakes in the groups."""
-        return require_groups(name, tests)
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> Lost:
         """Add the value in the reference, and a loss for each later group."""

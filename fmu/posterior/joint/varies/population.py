@@ -19,8 +19,7 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 
 from fmu.arguments import check_arguments
-from fmu.posterior.joint.modal_test import Test
-from fmu.posterior.joint.varies.base import Future, InTests, Slope, Theta, Varies, require_two_tests
+from fmu.posterior.joint.varies.base import Future, InTests, Slope, Theta, Varies
 from fmu.posterior.joint.varies.truncated_normal import (
     Slopes,
     truncated_normal_log_pdf,
@@ -64,6 +63,7 @@ class Population(Varies):
     distribution: Literal["normal", "log-normal"] = "normal"
     sd: Prior | None = None
     scatters: ClassVar[bool] = True
+    by_test: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if self.distribution not in ("normal", "log-normal"):
@@ -73,10 +73,6 @@ class Population(Varies):
     def of_logarithm(self) -> bool:
         """Whether the logarithm is normal."""
         return self.distribution == "log-normal"
-
-    def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
-        """Return a mistake if there are fewer than two tests."""
-        return require_two_tests(name, tests)
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> Drawn:
         """Add centre and width of the population, and a score for each test."""

@@ -9,15 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from fmu.posterior.joint.modal_test import Test
-from fmu.posterior.joint.varies.base import (
-    Future,
-    InTests,
-    Slope,
-    Theta,
-    Varies,
-    require_groups,
-    require_two_tests,
-)
+from fmu.posterior.joint.varies.base import Future, InTests, Slope, Theta, Varies
 from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray, IntArray
 
@@ -86,6 +78,7 @@ class ByTest(Shared):
     """A value of its own in each test."""
 
     kind = "test"
+    by_test = True
 
     def place_of(self, test: Test) -> str:
         """Return the test."""
@@ -94,10 +87,6 @@ class ByTest(Shared):
     def own(self, p: Parameter) -> Parameter:
         """Return the parameter."""
         return p
-
-    def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
-        """Return a mistake if there are fewer than two tests."""
-        return require_two_tests(name, tests)
 
 
 class ByGroup(Shared):
@@ -109,7 +98,3 @@ class ByGroup(Shared):
     def place_of(self, test: Test) -> str:
         """Return the group."""
         return test.group
-
-    def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
-        """Return the mistakes in the groups."""
-        return require_groups(name, tests)
