@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fmu.analysis.permutation import adjusted_probabilities, correlation_with, in_random_orders, lag_one
 from fmu.analysis.prediction import measured_tests
 from fmu.numbers import fixed, share, significant, whole
 from fmu.posterior.data.repeated import RepeatedTests
@@ -19,9 +20,6 @@ if TYPE_CHECKING:
 
 FALSE_ALARMS = 0.005
 """Probability of a warning for any mode, if the tests are independent."""
-_PERMUTATIONS = 2000
-_AT_ONCE = 1_000_000
-"""Entries of an array of random orders."""
 _MOST_CORRELATED = 0.98
 
 
@@ -129,21 +127,10 @@ def repeatability(tests: ArrayLike, labels: tuple[str, ...]) -> Repeatability:
     present = ~np.isnan(values)
     mean = np.nanmean(values, axis=0)
     z = np.where(present, values - mean, 0.0)
-    rng = np.random.default_rng(0)  # the same tests give the same result
-    orders = np.array([np.arange(len(z)), *(rng.permutation(len(z)) for _ in range(_PERMUTATIONS))])
-    parts = np.array_split(orders, 1 + orders.size * z.shape[1] // _AT_ONCE)
-    statistics = np.concatenate([_statistics(z[part], present[part]) for part in parts])
-    given, shuffled = statistics[0], statistics[1:]
-    n_modes = z.shape[1]
-    size = np.concatenate([given[: n_modes + 1], np.abs(given[n_modes + 1 :])])
-    shuffled[:, n_modes + 1 :] = np.abs(shuffled[:, n_modes + 1 :])
-    centre = shuffled.mean(axis=0)
-    centre[n_modes + 1 :] = 0.0  # of a correlation of either sign
-    spread = np.sqrt(np.mean((shuffled - centre) ** 2, axis=0))
-    spread[spread == 0] = np.inf
-    largest = ((shuffled - centre) / spread).max(axis=1)
-    reached = np.mean(largest[:, None] >= ((size - centre) / spread - 1e-9), axis=0)
-    told = (reached * _PERMUTATIONS + 1) / (_PERMUTATIONS + 1) <= FALSE_ALARMS
+    statistics = in_random_orders(z, present, _statistics)
+    given, n_modes = statistics[0], z.shape[1]
+    two_sided = np.arange(len(given)) > n_modes
+    told = adjusted_probabilities(statistics, two_sided) <= FALSE_ALARMS
     t = np.arange(len(z), dtype=float)
     return Repeatability(
         labels=labels,
@@ -175,10 +162,6 @@ def _statistics(z: FloatArray, present: BoolArray) -> FloatArray:
 
     `z` (n_orders, n_tests, n_modes) is centred, and zero where a test missed a mode.
     """
-    square, n = np.sum(z**2, axis=1), present.sum(axis=1)
-    pairs = np.maximum(np.sum(present[:, 1:] & present[:, :-1], axis=1), 1)
-    r = np.sum(z[:, 1:] * z[:, :-1], axis=1) / square * (n - 1) / pairs
-    t = np.where(present, np.arange(z.shape[1])[:, None], 0.0)
-    t = np.where(present, t - (t.sum(axis=1) / n)[:, None], 0.0)
-    trend = np.sum(t * z, axis=1) / np.sqrt(square * np.sum(t**2, axis=1))
+    r = lag_one(z, present)
+    trend = correlation_with(np.arange(z.shape[1], dtype=float), z, present)
     return np.concatenate([r, r.mean(axis=1, keepdims=True), trend], axis=1)

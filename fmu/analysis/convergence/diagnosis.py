@@ -200,8 +200,7 @@ def diagnose(
     for name, other in named.items():
         check_trace(other, f"others.{name}")
     check_parameters(trace, named)
-    searched = [] if problem is None else [search.find_map(problem)]
-    return judge(trace, _kept_maxima(trace, named) + searched, named)
+    return judge(trace, _kept_maxima(trace, named) + _searched(problem), named)
 
 
 def _kept_maxima(trace: xr.DataTree, others: Mapping[str, xr.DataTree]) -> list[Maxima]:
@@ -300,13 +299,17 @@ def diagnose_all(
     summaries : mapping of str to pandas.DataFrame, optional
         ``summary(trace)`` of each, if already computed.
     """
-    searched = [] if problem is None else [search.find_map(problem)]
-    found = {}
+    searched, found = _searched(problem), {}
     for name, trace in traces.items():
         others = {key: other for key, other in traces.items() if key != name and _same_posterior(trace, other)}
         known = searched + _kept_maxima(trace, others)
         found[name] = judge(trace, known, others, None if summaries is None else summaries[name])
     return found
+
+
+def _searched(problem: LogDensity | None) -> list[Maxima]:
+    """Return the maxima of a problem; none of a population, whose maximum is far from its mass."""
+    return [search.find_map(problem)] if problem is not None and search.is_searchable(problem) else []
 
 
 def choose_run(verdicts: Mapping[str, Diagnosis], summaries: Mapping[str, pd.DataFrame]) -> str:

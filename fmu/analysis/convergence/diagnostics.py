@@ -19,12 +19,14 @@ from fmu.analysis.convergence.remedies import (
     MIN_AUTOCORRELATION_TIMES,
     RATIOS,
     RELIABLE_TIMES,
+    RHAT_LIMIT_OF_SCORES,
     WALKER_RHAT_LIMIT,
     Places,
     for_chains_apart,
     for_divergences,
     for_too_few_draws,
     required_ess,
+    without_scores,
 )
 from fmu.analysis.convergence.remedies import RHAT_LIMIT as RHAT_LIMIT
 from fmu.analysis.trace.reading import (
@@ -35,6 +37,7 @@ from fmu.analysis.trace.reading import (
     parameter_draws,
     parameter_names,
     parameter_units,
+    roles_of,
     walkers_of,
 )
 from fmu.arguments import ArgumentError, check_arguments
@@ -112,6 +115,7 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
         times = trace["emcee"]["autocorrelation_time"].to_numpy()
         table["ess_emcee"] = np.sum(draws.shape[1] / times, axis=0)
     table.attrs["units"] = dict(zip(names, parameter_units(trace), strict=True))
+    table.attrs["scores"] = [name for name, (kind, *_) in roles_of(trace).items() if kind == "score"]
     return table
 
 
@@ -173,8 +177,9 @@ def convergence_failures(
     The rule: at least two chains; no chain that does not move for a fifth of its draws; R-hat of every parameter
     below 1.01; bulk and tail ESS of every parameter at least 400 and at least 100 per chain (Vehtari et al. 2021);
     standard errors of the means below a tenth of the posterior sd, and of the ends of the 90 % intervals below
-    0.12 of it. At most one Hamiltonian trajectory in a thousand diverges, unless most steps are candidates of a
-    mixture, and E-BFMI of every chain is at least 0.3. A mixture had enough candidates for each of its components
+    0.12 of it. Of the scores of single tests in a population only R-hat is judged, which must be below 1.05. At
+    most one Hamiltonian trajectory in a thousand diverges, unless most steps are candidates of a mixture, and
+    E-BFMI of every chain is at least 0.3. A mixture had enough candidates for each of its components
     (`fmu.analysis.convergence.candidates`), and the weights of those of a curved one have no heavy tail. For an
     ensemble sampler, whose ensembles are the chains: at least four ensembles; a run of at least 50 autocorrelation
     times; and R-hat over walkers below 1.05. In so long a run it is above only if walkers stay in separate places
@@ -210,10 +215,14 @@ def convergence_failures(
         failures.append(f"{chains} {kind}{'s' if chains > 1 else ''}; at least {needed} are needed: --chains 4")
     standing = _standing(trace)
     failures += standing
+    every, table = table, without_scores(table)
     required, names = required_ess(chains), table.index
     short = []
     if chains > 1 or not few_ensembles(trace):
-        short += _above(table["rhat"].to_numpy(), RHAT_LIMIT, names, "R-hat is {}; it must be below {}")
+        why = "R-hat is {}; it must be below {}"
+        short += _above(table["rhat"].to_numpy(), RHAT_LIMIT, names, why)
+        if not short:
+            short += _above(every["rhat"].to_numpy(), RHAT_LIMIT_OF_SCORES, every.index, why)
     for column, label in (("ess_bulk", "bulk ESS"), ("ess_tail", "tail ESS")):
         short += _below(table[column].to_numpy(), required, names, label + " is {}; at least {} are needed")
     mcse = (table["mcse_mean"] / table["sd"]).to_numpy()
@@ -227,18 +236,21 @@ def convergence_failures(
     if is_ensemble:
         lengths = autocorrelation_times_run(trace)
         too_short = _below(
-            lengths, MIN_AUTOCORRELATION_TIMES, names, "the run is {} autocorrelation times long; {} are needed"
+            lengths,
+            MIN_AUTOCORRELATION_TIMES,
+            every.index,
+            "the run is {} autocorrelation times long; {} are needed",
         )
         can_tell = places != "one" or float(np.min(lengths)) >= RELIABLE_TIMES
         are_apart = bool(too_short) and can_tell and walkers_stay_apart(trace, lengths)
         short = too_short + short
         if are_apart or not too_short:  # of walkers that mix, R-hat says that the run is short, once more
             why = "R-hat over walkers is {}; it must be below {}: walkers stay in separate places"
-            unmixed = _above(rhat_over_walkers(trace), WALKER_RHAT_LIMIT, names, why)
+            unmixed = _above(rhat_over_walkers(trace), WALKER_RHAT_LIMIT, every.index, why)
             are_apart |= bool(unmixed)
             short = unmixed + short
     if short and not standing and places != "missed" and not is_beyond_draws(trace):
-        short[0] += for_too_few_draws(trace, table, required, lengths, are_apart, places)
+        short[0] += for_too_few_draws(trace, every, required, lengths, are_apart, places)
     return failures + short + _heavy_weights(trace) + _trajectories(trace)
 
 

@@ -12,14 +12,14 @@ from fmu.analysis.convergence.candidates import growth_for_candidates
 from fmu.analysis.trace.reading import has, is_imported
 from fmu.numbers import typed
 from fmu.samplers.hmc import SHORT_STEPS
-from fmu.types import FloatArray
+from fmu.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
 
-RHAT_LIMIT = 1.01
+RHAT_LIMIT, RHAT_LIMIT_OF_SCORES = 1.01, 1.05
 ESS_PER_CHAIN = 100
 ESS_LIMIT = 400
 MIN_AUTOCORRELATION_TIMES = 50
@@ -46,6 +46,19 @@ def required_ess(chains: int) -> int:
     return max(ESS_LIMIT, ESS_PER_CHAIN * chains)
 
 
+def without_scores(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of a summary that a run is judged by: all but the scores of single tests.
+
+    There are many of them, and the worst of many is worse. What they say is in the population's mean and standard
+    deviation, and in the structure's parameters in the test.
+    """
+    return table[~_is_score(table)]
+
+
+def _is_score(table: pd.DataFrame) -> BoolArray:
+    return np.asarray(table.index.isin(table.attrs.get("scores", [])))
+
+
 def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | None = None) -> float:
     """Return the factor by which the draws must grow until effective sample sizes and standard errors suffice.
 
@@ -65,6 +78,7 @@ def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | No
     float
         At most 1 if they suffice; NaN if one of them is undefined.
     """
+    table = without_scores(table)
     limits = {"mcse_mean": MCSE_LIMIT, **dict.fromkeys(MCSE_OF_ENDS, MCSE_LIMIT_OF_ENDS)}
     errors = [(table[column] / table["sd"]).to_numpy() / limit for column, limit in limits.items()]
     factors = [required / fewest(table), float(np.max(errors)) ** 2]
@@ -74,13 +88,14 @@ def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | No
 
 
 def fewest(table: pd.DataFrame) -> float:
-    """Return the smallest bulk or tail ESS of a summary; NaN if one is NaN."""
-    return float(table[["ess_bulk", "ess_tail"]].to_numpy().min())
+    """Return the smallest bulk or tail ESS of a summary, scores left out; NaN if one is NaN."""
+    return float(without_scores(table)[["ess_bulk", "ess_tail"]].to_numpy().min())
 
 
 def rhat_excess(table: pd.DataFrame) -> float:
     """Return how many times as far above 1 the worst R-hat is as it may be; that falls as the draws grow."""
-    return float(np.max(table["rhat"].to_numpy() - 1.0)) / (RHAT_LIMIT - 1.0)
+    allowed = np.where(_is_score(table), RHAT_LIMIT_OF_SCORES, RHAT_LIMIT) - 1.0
+    return float(np.max((table["rhat"].to_numpy() - 1.0) / allowed))
 
 
 def draws_to_come(draws: int, growth: float, is_reliable: bool = True, excess: float = 0.0) -> int:

@@ -11,9 +11,9 @@ from fmu.numbers import change, significant
 
 LEVEL = 0.01
 """The probability that a right model fails any check, at most."""
-PREDICTED, HELD_OUT, RESIDUALS, TEST, NOISE, SHAPE, QUANTITY = (
+PREDICTED, HELD_OUT, RESIDUALS, TEST, NOISE, SHAPE, QUANTITY, POPULATION = (
     "from the other modes", "not used in updating", "residuals", "one of the tests", "inferred noise", "shape",
-    "mass or displacement",
+    "mass or displacement", "population",
 )  # fmt: skip
 
 
@@ -24,7 +24,7 @@ class Check:
     Attributes
     ----------
     kind : str
-        `PREDICTED`, `HELD_OUT`, `RESIDUALS`, `TEST`, `NOISE`, `SHAPE` or `QUANTITY`.
+        `PREDICTED`, `HELD_OUT`, `RESIDUALS`, `TEST`, `NOISE`, `SHAPE`, `QUANTITY` or `POPULATION`.
     of : str
         What is checked.
     found, limit : str

@@ -20,6 +20,7 @@ however they depend on each other.
   uniform at one posterior draw, and its mean is compared with α/2. Noise that had to grow to absorb what the model
   does not explain fails, if the prior says what was expected of it; with a wide prior it cannot.
 - A weighed mass or a static displacement: P(χ²₁ ≥ r²) of its own residual, as above.
+- A population: `fmu.analysis.fit.populations`.
 - A shape that is not the measured one: MAC below `ALIKE` after updating. This has no level, as nothing is said of
   the errors of the shapes; where their errors are in the likelihood, they are among the residuals instead.
 """
@@ -47,6 +48,8 @@ from fmu.analysis.fit.check import (
     beyond,
     probability,
 )
+from fmu.analysis.fit.populations import GROUP as POPULATIONS
+from fmu.analysis.fit.populations import effective_parameters, population_checks
 from fmu.analysis.held_out.modes import kept_table
 from fmu.analysis.information import CONTRACTED
 from fmu.analysis.prediction import measured_mac, measured_tests, measurement_in_words, shape_warnings
@@ -89,6 +92,8 @@ def checks_of(trace: xr.DataTree) -> list[Check]:
         kinds.append(partial(_noise, trace, table))
     if has(trace, QUANTITIES):
         kinds.append(partial(_quantities, trace))
+    if has(trace, POPULATIONS, "score"):
+        kinds.append(partial(population_checks, trace))
     found = [check for kind in kinds for check in kind(LEVEL / len(kinds))]
     return [check for check in found if np.isfinite(check.p)] + _shapes(trace)
 
@@ -238,7 +243,7 @@ def _follows(trace: xr.DataTree, larger: float) -> str:
 
     With a degree of freedom left, parameters cannot fit every error, even where they fit these errors well.
     """
-    if larger <= _MOST or int(trace[GROUP].attrs["n_data"]) > len(parameter_units(trace)):
+    if larger <= _MOST or int(trace[GROUP].attrs["n_data"]) > effective_parameters(trace):
         return ""
     return f"the model can follow these data: only residuals {significant(larger, 2)} times as large would fail"
 

@@ -12,6 +12,7 @@ from fmu.analysis.fit.check import (
     HELD_OUT,
     LEVEL,
     NOISE,
+    POPULATION,
     PREDICTED,
     RESIDUALS,
     SHAPE,
@@ -20,6 +21,7 @@ from fmu.analysis.fit.check import (
     failed_checks,
 )
 from fmu.analysis.fit.checks import checks_of
+from fmu.analysis.fit.populations import effective_parameters
 from fmu.analysis.trace.misfit import GROUP
 from fmu.analysis.trace.reading import has, parameter_names
 from fmu.numbers import names_in_words, share
@@ -65,7 +67,7 @@ class ModelFit:
             return CONTRADICTED
         if not self.checks:
             return UNKNOWN
-        is_tested = any(check.kind == HELD_OUT and check.could_fail for check in self.checks)
+        is_tested = any(check.kind in (HELD_OUT, POPULATION) and check.could_fail for check in self.checks)
         return NOT_CONTRADICTED if is_tested or (self.able and self.n_data > self.n_parameters) else NOT_TESTABLE
 
     @property
@@ -177,7 +179,7 @@ def model_fit(trace: xr.DataTree) -> ModelFit:
     if not has(trace, GROUP):
         return ModelFit((), 0, len(parameter_names(trace)))
     told = trace[GROUP].attrs
-    n_data, n_parameters = int(told["n_data"]), len(parameter_names(trace))
+    n_data, n_parameters = int(told["n_data"]), effective_parameters(trace)
     return ModelFit(tuple(checks_of(trace)), n_data, n_parameters, str(told["other"]))
 
 

@@ -307,6 +307,28 @@ def _frequency_groups(
     )
 
 
+def _populations(
+    problem: UpdatingProblem, theta: FloatArray, shape: tuple[int, ...], coordinates: dict[str, Any]
+) -> xr.Dataset:
+    """Return mean and standard deviation of the scores, NaN where a value is known, and the correlations."""
+    import xarray as xr
+
+    layout = problem.layout
+    names = list(layout.populations)
+    scores = np.full((2, len(names), len(problem.tests)), np.nan)
+    for k, one in enumerate(layout.drawn):
+        z = one.population_scores(theta)[0][:, one.scored]
+        scores[:, k, one.scored] = z.mean(axis=0), z.std(axis=0)
+    dims = ("population", "test")
+    variables: dict[str, Any] = {"score": (dims, scores[0]), "score_sd": (dims, scores[1])}
+    every = coordinates | {"population": names, "test": [test.name for test in problem.tests]}
+    if layout.correlation is None:
+        return xr.Dataset(variables, coords=every)
+    matrices = layout.correlations(theta).reshape(*shape, len(names), -1)
+    variables["correlation"] = (("chain", "draw", "population", "other"), matrices)
+    return xr.Dataset(variables, coords=every | {"other": names})
+
+
 def _groups_of_tests(result: RunResult, problem: UpdatingProblem, predictions: bool) -> dict[str, xr.Dataset]:
     """Return the groups of a trace on each test and on the next test."""
     import xarray as xr
@@ -322,13 +344,8 @@ def _groups_of_tests(result: RunResult, problem: UpdatingProblem, predictions: b
     }
     names = [test.name for test in problem.tests]
     found = {"tests": xr.Dataset(variables, coords=coordinates | {"test": names})}
-    if problem.layout.correlation is not None:
-        populations = list(problem.layout.populations)
-        matrices = problem.layout.correlations(structural).reshape(*position.shape[:2], len(populations), -1)
-        found["populations"] = xr.Dataset(
-            {"correlation": (("chain", "draw", "population", "other"), matrices)},
-            coords=coordinates | {"population": populations, "other": populations},
-        )
+    if problem.is_hierarchical:
+        found["populations"] = _populations(problem, structural, position.shape[:2], coordinates)
     states = problem.layout.states
     if states:
         losses = problem.layout.losses(structural).reshape(*position.shape[:2], len(states), -1)

@@ -98,7 +98,7 @@ def population(run: ReportedRun) -> PageSection | Omitted:
     caption = "Bars: the value in each test, 90 %. Band: the population, mean ± sd."
     drawn = picture(plot_values(run.trace), f"{run.name}-tests", alt, caption)
     parts: list[Part] = [words, table, Pictures((drawn,))]
-    if has(run.trace, "populations"):
+    if has(run.trace, "populations", "correlation"):
         parts.append(_correlations(run))
     if has(run.trace, "next_test"):
         parts.append(_next_test(run))
