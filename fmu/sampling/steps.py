@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     import xarray as xr
+    from numpy.typing import ArrayLike
 
     from fmu.analysis.maxima.results import Maxima
     from fmu.analysis.maxima.starts import Starts
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from fmu.samplers.kernel import Sampler
     from fmu.samplers.loop.record import RunResult
     from fmu.sampling.limits import Limits
+    from fmu.types import LogDensity
 
 _SHORTENED = "warmup_shortened_to"
 
@@ -70,7 +72,7 @@ class Task(NamedTuple):
     @classmethod
     def of(
         cls,
-        problem: Any,
+        problem: LogDensity,
         settings: Sampler,
         numbers: dict[str, int],
         limits: Limits,
@@ -85,13 +87,14 @@ class Task(NamedTuple):
         from fmu.analysis.trace.densities import is_updating
         from fmu.analysis.trace.failure_ledger import failure_rate_exceeded
         from fmu.runs import Checkpoint
+        from fmu.samplers.kernel import Target
         from fmu.samplers.settings import usual_costs
 
         failure_rate_exceeded(0, 0, max_failure_rate)  # which says if it is no rate
         getattr(problem, "take_failures", list)()
         saved = checkpoint if checkpoint is None or isinstance(checkpoint, Checkpoint) else Checkpoint(checkpoint)
         full_solves = problem.model.full_solves if is_updating(problem) else 0
-        costs = usual_costs(settings, numbers["chains"], int(getattr(problem, "solves_per_gradient", 1)))
+        costs = usual_costs(settings, numbers["chains"], Target(problem).solves_per_gradient)
         warmup, limits = limits.shorten(numbers["warmup"], costs)
         if saved is not None:
             warmup = _saved_warmup(saved, numbers["warmup"], warmup)
@@ -107,7 +110,9 @@ class Beginning(NamedTuple):
     is_new: bool
 
 
-def begin(task: Task, settings: Sampler, init: Any, jumps: bool | None, maxima: Maxima | None) -> Beginning:
+def begin(
+    task: Task, settings: Sampler, init: str | ArrayLike, jumps: bool | None, maxima: Maxima | None
+) -> Beginning:
     """Search for the maxima, unless they are known, and choose where the chains start."""
     from fmu.analysis.maxima.results import NEGLIGIBLE
     from fmu.analysis.maxima.search import find_map, is_searchable
@@ -288,10 +293,12 @@ def _engine(workers: int | str | Engine, stack: ExitStack) -> Engine:
     return stack.enter_context(engine(cluster=workers) if isinstance(workers, str) else engine(workers))
 
 
-def _takes_exact_gradients(trace: xr.DataTree, problem: Any, settings: Sampler) -> bool:
+def _takes_exact_gradients(trace: xr.DataTree, problem: LogDensity, settings: Sampler) -> bool:
     """Return whether gradients were taken that cost more than the solves counted for them.
 
     Differences consist of solves that are counted, and a user's function returns value and gradient in one call.
     """
-    is_function = bool(getattr(getattr(problem, "model", None), "functions", ()))
+    from fmu.analysis.trace.densities import is_updating
+
+    is_function = is_updating(problem) and bool(problem.model.functions)
     return bool(trace.attrs["n_gradients"]) and not is_function and settings.gradient != "central-difference"

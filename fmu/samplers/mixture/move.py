@@ -66,10 +66,11 @@ class MixtureMove(Move):
     def __init__(
         self, density: Any = None, *, lower: ArrayLike | None = None, upper: ArrayLike | None = None
     ) -> None:
-        if density is not None and callable(getattr(density, "lower", min)):
+        below, above = (getattr(density, name, None) for name in ("lower", "upper"))
+        if density is not None and (below is None or callable(below)):
             raise ValueError(f"density: must have lower and upper, shape (ndim,) (got {shown(density)})")
-        lower = getattr(density, "lower", -np.inf) if lower is None else lower
-        upper = getattr(density, "upper", np.inf) if upper is None else upper
+        lower = next((end for end in (lower, below) if end is not None), -np.inf)
+        upper = next((end for end in (upper, above) if end is not None), np.inf)
         self.lower, self.upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
         if self.lower.ndim and self.upper.ndim and self.lower.shape != self.upper.shape:
             raise ValueError(f"upper: must have the shape of lower, {self.lower.shape} (got {self.upper.shape})")
