@@ -1,14 +1,21 @@
-"""Estimators of the evidence, from draws on the rungs of a ladder and from candidates of a mixture."""
+"""Rungs of a ladder in a trace; estimators of the evidence from their draws and from candidates of a mixture."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
 
 from fmu.analysis.convergence import effective
+from fmu.samplers.tempering.kernel import LOG_LIKELIHOOD
+from fmu.samplers.tempering.tempering import first_ladder, rejections
 from fmu.types import FloatArray
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from fmu.samplers.loop.record import RunResult
 
 
 class _Estimate(NamedTuple):
@@ -99,3 +106,39 @@ def thermodynamic(draws: FloatArray, t: FloatArray) -> _Estimate:
 
 
 _MOST_BRIDGES = 200
+
+
+def tempering_group(result: RunResult) -> xr.Dataset:
+    """Return log-likelihoods and swaps of the rungs in a run of parallel tempering.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``log_likelihood`` (chain, draw, rung) from the prior to the posterior, and ``inverse_temperature`` and
+        ``rejection`` (of swaps with the next rung) along ``rung``. Attributes: ``barrier``, Λ; ``round_trips`` of
+        replicas from the posterior to the prior and back, and ``round_trip_rate``, a draw and chain;
+        ``round_trip_limit``, (2 + 2Λ)⁻¹, which it has where replicas forget where they were in every step
+        (Syed et al. 2022, section 3.4).
+    """
+    import xarray as xr
+
+    draws = result.posterior.stats[LOG_LIKELIHOOD]
+    given = result.learnt.get("temperatures") or result.settings["temperatures"]
+    t = first_ladder(draws.shape[2]) if given is None else np.asarray(given)
+    rejection = rejections(draws, t).mean(axis=0)
+    barrier, trips = float(rejection.sum()), int(result.posterior.stats["round_trips"].sum())
+    chains, steps, rungs = draws.shape
+    return xr.Dataset(
+        {
+            "log_likelihood": (("chain", "draw", "rung"), draws),
+            "inverse_temperature": ("rung", t),
+            "rejection": ("rung", np.append(rejection, np.nan)),
+        },
+        coords={"chain": np.arange(chains), "draw": np.arange(steps), "rung": np.arange(rungs)},
+        attrs={
+            "barrier": barrier,
+            "round_trips": trips,
+            "round_trip_rate": trips / (chains * steps),
+            "round_trip_limit": 1.0 / (2.0 + 2.0 * barrier),
+        },
+    )

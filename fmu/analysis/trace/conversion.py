@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fmu.analysis.evidence_estimators import tempering_group
 from fmu.analysis.trace.densities import has_prior, has_several_tests, is_updating, names_of, start_of, units_of
 from fmu.analysis.trace.distinct_draws import DistinctDraws
 from fmu.analysis.trace.misfit import misfit_group, quantities_group
@@ -29,7 +30,6 @@ from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers.mixture.kernel import CANDIDATE, LOG_WEIGHT
 from fmu.samplers.registry import SAMPLERS
 from fmu.samplers.tempering.kernel import LOG_LIKELIHOOD
-from fmu.samplers.tempering.tempering import first_ladder, rejections
 from fmu.types import AnyArray, FloatArray
 
 if TYPE_CHECKING:
@@ -84,9 +84,9 @@ def to_trace(
         from the prior inside the bounds), ``observed_data`` (``frequency``; ``tests``, a row per test, where it is
         their mean; ``used``, where not all modes are used in updating) and ``constant_data`` (``lower``,
         ``upper``, ``start``, ``beta``, and ``covariance_hz2`` where errors are correlated); of parallel tempering
-        ``tempering`` (`tempering_group`). Of several tests (`fmu.JointProblem`): ``tests``, the structure's
-        parameters in every test (chain, draw, test); and of a hierarchical posterior ``next_test``, the
-        frequencies of one more test like the first, ``frequency`` with measurement noise and
+        ``tempering`` (`fmu.analysis.evidence_estimators.tempering_group`). Of several tests (`fmu.JointProblem`):
+        ``tests``, the structure's parameters in every test (chain, draw, test); and of a hierarchical posterior
+        ``next_test``, the frequencies of one more test like the first, ``frequency`` with measurement noise and
         ``model_frequency`` without. The attributes say how the draws came about.
     """
     import xarray as xr
@@ -368,39 +368,3 @@ def _groups_of_tests(result: RunResult, problem: UpdatingProblem, predictions: b
 def _stack_terms(terms: FloatArray, squares: FloatArray) -> FloatArray:
     """Return terms (n, n_modes) and squares (n, n_kinds, n_modes) as one array, (n, 1 + n_kinds, n_modes)."""
     return np.concatenate([terms[:, None], squares], axis=1)
-
-
-def tempering_group(result: RunResult) -> xr.Dataset:
-    """Return log-likelihoods and swaps of the rungs in a run of parallel tempering.
-
-    Returns
-    -------
-    xarray.Dataset
-        ``log_likelihood`` (chain, draw, rung) from the prior to the posterior, and ``inverse_temperature`` and
-        ``rejection`` (of swaps with the next rung) along ``rung``. Attributes: ``barrier``, Λ; ``round_trips`` of
-        replicas from the posterior to the prior and back, and ``round_trip_rate``, a draw and chain;
-        ``round_trip_limit``, (2 + 2Λ)⁻¹, which it has where replicas forget where they were in every step
-        (Syed et al. 2022, section 3.4).
-    """
-    import xarray as xr
-
-    draws = result.posterior.stats[LOG_LIKELIHOOD]
-    given = result.learnt.get("temperatures") or result.settings["temperatures"]
-    t = first_ladder(draws.shape[2]) if given is None else np.asarray(given)
-    rejection = rejections(draws, t).mean(axis=0)
-    barrier, trips = float(rejection.sum()), int(result.posterior.stats["round_trips"].sum())
-    chains, steps, rungs = draws.shape
-    return xr.Dataset(
-        {
-            "log_likelihood": (("chain", "draw", "rung"), draws),
-            "inverse_temperature": ("rung", t),
-            "rejection": ("rung", np.append(rejection, np.nan)),
-        },
-        coords={"chain": np.arange(chains), "draw": np.arange(steps), "rung": np.arange(rungs)},
-        attrs={
-            "barrier": barrier,
-            "round_trips": trips,
-            "round_trip_rate": trips / (chains * steps),
-            "round_trip_limit": 1.0 / (2.0 + 2.0 * barrier),
-        },
-    )
