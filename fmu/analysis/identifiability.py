@@ -167,7 +167,9 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
     Parameters
     ----------
     problem : UpdatingProblem
-        With errors in the modes. Inferred standard deviations of errors are held fixed.
+        With errors in the modes. Inferred standard deviations of errors are held fixed. The scores of tests in a
+        population are integrated out; its standard deviation is left out, as it changes no mode of a test that is
+        at the mean.
     theta : array_like, shape (ndim,), optional
         Point of linearisation, SI units, within the bounds; the start if not given.
 
@@ -186,13 +188,28 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
     point = problem.start if theta is None else np.asarray(theta, dtype=float)
     if point.shape != (problem.ndim,) or not find_inside(point, problem.lower, problem.upper)[1]:
         raise ArgumentError("theta", f"must be {problem.ndim} numbers within the bounds", point.tolist())
-    n = problem.n_structural
-    prior_sd = np.array([truncated_sd(parameter) for parameter in problem.parameters[:n]])
+    roles = problem.layout.roles
+    if problem.is_hierarchical:  # about the mean, where values follow it
+        problem = problem.with_layout(problem.layout.uncentred())
+        point = np.where([role.kind == "score" for role in problem.roles], 0.0, point)
+    prior_sd = np.array([truncated_sd(parameter) for parameter in problem.parameters[: len(roles)]])
     sensitivity = problem.sensitivity(point[None])[0] * prior_sd
     if not np.all(np.isfinite(sensitivity)):
         raise ArgumentError("theta", "the modes must have finite derivatives", f"none at {point.tolist()}")
     labels = problem.likelihood.labels(tuple(map(str, problem.data.labels)))
-    return Identifiability(problem.names[:n], problem.units[:n], labels, point[:n], prior_sd, sensitivity)
+    scores = [k for k, role in enumerate(roles) if role.kind == "score"]
+    kept = [k for k, role in enumerate(roles) if role.kind not in ("score", "sd", "correlation")]
+    names, units = (tuple(of[k] for k in kept) for of in (problem.names, problem.units))
+    marginal = _integrate_out(sensitivity[:, kept], sensitivity[:, scores])
+    return Identifiability(names, units, labels, point[kept], prior_sd[kept], marginal)
+
+
+def _integrate_out(sensitivity: FloatArray, by_scores: FloatArray) -> FloatArray:
+    """Return derivatives of the data in standard deviations of their errors and the scores' effects together."""
+    if not by_scores.size:
+        return sensitivity
+    root = np.linalg.cholesky(np.eye(len(by_scores)) + by_scores @ by_scores.T)
+    return np.asarray(np.linalg.solve(root, sensitivity))
 
 
 def with_identifiability(

@@ -39,6 +39,11 @@ if TYPE_CHECKING:
 _MOST_SENSORS = 8
 
 
+_MOST_ROWS = 40
+type Block = tuple[str, Iterable[str], pd.DataFrame | None]
+"""Title, sentences and table of a section."""
+
+
 @dataclass(frozen=True, eq=False)
 class Check:
     """The findings of `check`.
@@ -152,9 +157,9 @@ class Check:
         numbers = self.parameters.select_dtypes("number").columns
         return self.parameters.assign(**{name: self.parameters[name].map(given) for name in numbers})
 
-    def _blocks(self) -> list[tuple[str, Iterable[str], pd.DataFrame | None]]:
+    def _blocks(self) -> list[Block]:
         """Return the sections below the model: titles, sentences, and tables as text."""
-        blocks: list[tuple[str, Iterable[str], pd.DataFrame | None]] = [
+        blocks: list[Block] = [
             ("Parameters", (), self.parameter_table().reset_index(names="")),
             *self._assumption_block(),
             *self._points(),
@@ -174,7 +179,7 @@ class Check:
         lengths = {f"{key}, m": table[key].map(significant) for key in ("distance", "spacing")}
         return table[["point", "node"]].assign(**lengths)
 
-    def _points(self) -> list[tuple[str, Iterable[str], pd.DataFrame | None]]:
+    def _points(self) -> list[Block]:
         if self.points is None:
             return []
         return [
@@ -185,7 +190,7 @@ class Check:
             )
         ]
 
-    def _sensors(self) -> list[tuple[str, Iterable[str], pd.DataFrame | None]]:
+    def _sensors(self) -> list[Block]:
         if self.modes.correlation is None:
             return []
         worst = self.sensor_table()[:_MOST_SENSORS]
@@ -193,7 +198,7 @@ class Check:
         title = "Sensors" if every else f"The {len(worst)} sensors with the largest ECoMAC"
         return [(title, (LOOK_AT_SENSORS,), worst)]
 
-    def _assumption_block(self) -> list[tuple[str, Iterable[str], pd.DataFrame | None]]:
+    def _assumption_block(self) -> list[Block]:
         import pandas as pd
 
         if self.assumptions is None:
@@ -204,7 +209,7 @@ class Check:
 
     def __str__(self) -> str:
         parts = [_lines(self.model)]
-        for title, sentences, table in self._blocks():
+        for title, sentences, table in map(_shortened, self._blocks()):
             if table is None:
                 parts.append(f"{title}\n{_lines(sentences)}")
             else:
@@ -222,7 +227,7 @@ class Check:
             return f"<h4>{html.escape(title)}</h4>" + "".join(f"<p>{html.escape(said)}</p>" for said in sentences)
 
         parts = [words(self.name, self.model), self.drawing]
-        for title, sentences, table in self._blocks():
+        for title, sentences, table in map(_shortened, self._blocks()):
             parts.append(words(title, sentences) + ("" if table is None else table.to_html(index=False)))
         doubts = "".join(f"<li>{html.escape(doubt)}</li>" for doubt in self.doubts)
         parts.append(words("Warnings", ()) + f"<ul>{doubts}</ul>" if doubts else words("No warnings.", ()))
@@ -231,6 +236,14 @@ class Check:
 
 _WORDS = ("", "point", "sensor", "unit", "prior", "changes", "measured mode", "moves", "mode")
 """Columns that hold words."""
+
+
+def _shortened(block: Block) -> Block:
+    """Return a section whose table has at most `_MOST_ROWS` rows: of several tests, the first that fit."""
+    title, sentences, table = block
+    if table is None or len(table) <= _MOST_ROWS:
+        return block
+    return f"{title}: the first {_MOST_ROWS} of {len(table)} rows", sentences, table[:_MOST_ROWS]
 
 
 def _lines(sentences: Iterable[str]) -> str:

@@ -50,9 +50,13 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
 
 
 def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
-    """Return one row per parameter: unit, start, bounds, prior in words, and the matrices that it changes."""
-    rows = []
-    for k, parameter in enumerate(problem.parameters):
+    """Return one row per parameter: unit, start, bounds, prior in words, and the matrices that it changes.
+
+    The scores of tests in a population are left out: all are standard normal.
+    """
+    rows, listed = [], _listed(problem)
+    for k in listed:
+        parameter = problem.parameters[k]
         found, unit = problem.matrices_of(k), customary_unit(parameter.unit)
         changes = "" if found is None else _changes(*found)
         if k >= problem.n_structural:
@@ -67,19 +71,24 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
                 "changes": changes,
             }
         )
-    table = data_frame(rows, "parameter", problem.names)
+    table = data_frame(rows, "parameter", [problem.names[k] for k in listed])
     return table if any(table["changes"]) else table.drop(columns="changes")
 
 
 def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
-    """Return the structure as SVG, and a colour for each parameter; an empty text and None if it is not drawn."""
-    structure = problem.model.parts[0].structure
+    """Return the structure as SVG, and a colour for each row of `parameter_table`; "" and None without one."""
+    listed, structure = _listed(problem), problem.model.parts[0].structure
     if structure is None or not is_drawable(structure, _MOST_ELEMENTS):
-        return "", [None] * problem.ndim
+        return "", [None] * len(listed)
     found = sketch(structure, problem.data.sensors)
     colours = parameter_colours(found)
-    changed = [problem.matrices_of(k) for k in range(problem.ndim)]
+    changed = [problem.matrices_of(k) for k in listed]
     return draw_svg(found), [None if of is None or of[0] is not structure else colours[of[1]] for of in changed]
+
+
+def _listed(problem: UpdatingProblem) -> list[int]:
+    """Return the numbers of all parameters but the scores of tests."""
+    return [k for k, role in enumerate(problem.roles) if role.kind != "score"]
 
 
 def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:

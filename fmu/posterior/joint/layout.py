@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -142,6 +142,11 @@ class Layout:
         """Numbers in theta of what tells how others scatter: of populations and their correlations."""
         found = [k for one in self.drawn for k in (one.centre, one.width)]
         return sorted([*found, *(self.correlation.columns if self.correlation else ())])
+
+    def uncentred(self) -> Layout:
+        """Return the layout with standard normal scores, whatever the population is."""
+        references = {one.centre: (np.zeros_like(one.centring), one.reference) for one in self.drawn}
+        return replace(self, values_of=tuple(one.refer_to(references) for one in self.values_of))
 
     def values(self, theta: FloatArray) -> FloatArray:
         """Return the parameters of the structure, shape (n, n_tests, n_structural), at theta (n, n_parameters).
