@@ -35,6 +35,8 @@ from fmu.types import BoolArray, FloatArray
 if TYPE_CHECKING:
     import xarray as xr
 
+    from fmu.posterior.problem import UpdatingProblem
+
 
 GROUP = "populations"
 _INFORMED = 0.05
@@ -68,6 +70,36 @@ class Causes(NamedTuple):
     def effect(self, k: int, cause: int) -> str:
         """Return the effect of a cause on population `k` in words."""
         return self.words[cause](float(self.statistics[0, k, cause]))
+
+
+def population_group(
+    problem: UpdatingProblem, theta: FloatArray, shape: tuple[int, ...], coordinates: dict[str, Any]
+) -> xr.Dataset:
+    """Return the group of a trace with the scores' means and standard deviations, and the correlations.
+
+    Parameters
+    ----------
+    problem : UpdatingProblem
+        With a population.
+    theta : ndarray, shape (n, n_structural)
+        The draws; `shape` is (chains, draws), and `coordinates` names both.
+    """
+    import xarray as xr
+
+    layout = problem.layout
+    names = list(layout.populations)
+    scores = np.full((2, len(names), len(problem.tests)), np.nan)
+    for k, one in enumerate(layout.drawn):
+        z = one.population_scores(theta)[0][:, one.scored]
+        scores[:, k, one.scored] = z.mean(axis=0), z.std(axis=0)
+    dims = ("population", "test")
+    variables: dict[str, Any] = {"score": (dims, scores[0]), "score_sd": (dims, scores[1])}
+    every = coordinates | {"population": names, "test": [test.name for test in problem.tests]}
+    if layout.correlation is None:
+        return xr.Dataset(variables, coords=every)
+    matrices = layout.correlations(theta).reshape(*shape, len(names), -1)
+    variables["correlation"] = (("chain", "draw", "population", "other"), matrices)
+    return xr.Dataset(variables, coords=every | {"other": names})
 
 
 def population_checks(trace: xr.DataTree, level: float) -> list[Check]:

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.analysis.evidence_estimators import tempering_group
+from fmu.analysis.fit.populations import GROUP as POPULATIONS
+from fmu.analysis.fit.populations import population_group
 from fmu.analysis.trace.densities import has_prior, has_several_tests, is_updating, names_of, start_of, units_of
 from fmu.analysis.trace.distinct_draws import DistinctDraws
 from fmu.analysis.trace.misfit import misfit_group, quantities_group
@@ -307,28 +309,6 @@ def _frequency_groups(
     )
 
 
-def _populations(
-    problem: UpdatingProblem, theta: FloatArray, shape: tuple[int, ...], coordinates: dict[str, Any]
-) -> xr.Dataset:
-    """Return mean and standard deviation of the scores, NaN where a value is known, and the correlations."""
-    import xarray as xr
-
-    layout = problem.layout
-    names = list(layout.populations)
-    scores = np.full((2, len(names), len(problem.tests)), np.nan)
-    for k, one in enumerate(layout.drawn):
-        z = one.population_scores(theta)[0][:, one.scored]
-        scores[:, k, one.scored] = z.mean(axis=0), z.std(axis=0)
-    dims = ("population", "test")
-    variables: dict[str, Any] = {"score": (dims, scores[0]), "score_sd": (dims, scores[1])}
-    every = coordinates | {"population": names, "test": [test.name for test in problem.tests]}
-    if layout.correlation is None:
-        return xr.Dataset(variables, coords=every)
-    matrices = layout.correlations(theta).reshape(*shape, len(names), -1)
-    variables["correlation"] = (("chain", "draw", "population", "other"), matrices)
-    return xr.Dataset(variables, coords=every | {"other": names})
-
-
 def _groups_of_tests(result: RunResult, problem: UpdatingProblem, predictions: bool) -> dict[str, xr.Dataset]:
     """Return the groups of a trace on each test and on the next test."""
     import xarray as xr
@@ -345,7 +325,7 @@ def _groups_of_tests(result: RunResult, problem: UpdatingProblem, predictions: b
     names = [test.name for test in problem.tests]
     found = {"tests": xr.Dataset(variables, coords=coordinates | {"test": names})}
     if problem.is_hierarchical:
-        found["populations"] = _populations(problem, structural, position.shape[:2], coordinates)
+        found[POPULATIONS] = population_group(problem, structural, position.shape[:2], coordinates)
     states = problem.layout.states
     if states:
         losses = problem.layout.losses(structural).reshape(*position.shape[:2], len(states), -1)

@@ -83,7 +83,7 @@ class Tempering(Sampler):
 
     def __post_init__(self) -> None:
         given = self.kernel
-        if given in tuple(SAMPLERS):
+        if isinstance(given, str) and given in SAMPLERS:
             object.__setattr__(self, "kernel", make_sampler(given))
         if self.temperatures is not None:
             object.__setattr__(self, "temperatures", ladder("temperatures", self.temperatures))
