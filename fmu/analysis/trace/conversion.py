@@ -15,8 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.analysis.evidence_estimators import tempering_group
-from fmu.analysis.fit.populations import GROUP as POPULATIONS
-from fmu.analysis.fit.populations import population_group
 from fmu.analysis.trace.densities import has_prior, has_several_tests, is_updating, names_of, start_of, units_of
 from fmu.analysis.trace.distinct_draws import DistinctDraws
 from fmu.analysis.trace.misfit import misfit_group, quantities_group
@@ -27,7 +25,6 @@ from fmu.analysis.trace.reading import check_trace
 from fmu.arguments import check_arguments
 from fmu.durable_files import write_durably
 from fmu.interruption import shielded
-from fmu.posterior.joint.joint_problem import simulate_next_test
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers.mixture.kernel import CANDIDATE, LOG_WEIGHT
 from fmu.samplers.registry import SAMPLERS
@@ -313,6 +310,9 @@ def _groups_of_tests(result: RunResult, problem: UpdatingProblem, predictions: b
     """Return the groups of a trace on each test and on the next test."""
     import xarray as xr
 
+    from fmu.analysis.fit.populations import GROUP, population_group
+    from fmu.posterior.joint.joint_problem import simulate_next_test
+
     position = result.posterior.position
     coordinates = _sample_coordinates(position)
     theta = position.reshape(-1, position.shape[-1])
@@ -325,7 +325,7 @@ def _groups_of_tests(result: RunResult, problem: UpdatingProblem, predictions: b
     names = [test.name for test in problem.tests]
     found = {"tests": xr.Dataset(variables, coords=coordinates | {"test": names})}
     if problem.is_hierarchical:
-        found[POPULATIONS] = population_group(problem, structural, position.shape[:2], coordinates)
+        found[GROUP] = population_group(problem, structural, position.shape[:2], coordinates)
     states = problem.layout.states
     if states:
         losses = problem.layout.losses(structural).reshape(*position.shape[:2], len(states), -1)
