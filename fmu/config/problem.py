@@ -29,7 +29,6 @@ from fmu.fem.pairing.rules import SOFTNESS
 from fmu.formats.decks import EXPORTED, fill_deck, filled_name, read_deck
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import ErrorModel
-from fmu.posterior.joint.joint_problem import JointProblem
 from fmu.posterior.joint.modal_test import TestsError
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.problem import UpdatingProblem
@@ -220,6 +219,8 @@ class ProblemFile(TomlTable):
         engine: Engine | None,
     ) -> UpdatingProblem:
         """Return the problem of several tests."""
+        from fmu.posterior.joint.joint_problem import JointProblem
+
         if beta is not None:
             raise ValueError(f"beta: must not be given for several tests (got {beta})")
         errors = with_places(errors, structure.places)
