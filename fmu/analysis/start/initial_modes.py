@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 
 _SEEN = 1e-3
+_MOST_TESTS = 5
+"""Tests whose warnings are given in full."""
 _BEYOND = 2
 
 
@@ -132,7 +134,32 @@ def initial_modes(problem: UpdatingProblem) -> InitialModes:
     frequencies = problem.frequencies(point)
     found = tuple(ComputedMode(None, float(frequencies[k]), int(k)) for k in range(len(frequencies)))
     note = "The model itself pairs its modes with the measured ones."
-    return InitialModes(labels, measured, found, notes=(note,))
+    return InitialModes(labels, measured, found, doubts=tuple(_doubts_of_tests(problem)), notes=(note,))
+
+
+def _doubts_of_tests(problem: UpdatingProblem) -> list[str]:
+    """Return the warnings about shapes and sensors of each of several tests, of a few of them at most."""
+    model = problem.model
+    if model.n_tests == 1 or problem.data.shapes is None or not model.gives_shapes:
+        return []
+    seen = model.observed(problem.model_parameters(problem.start[None]))
+    doubts, concerned = [], []
+    for t, test in enumerate(problem.tests):
+        here = model.test_of_modes == t
+        computed, measured = seen.shapes[0][:, here], np.asarray(test.data.shapes)
+        correlation = correlate_shapes(test.data, computed, seen.frequencies[0, here])
+        labels = tuple(map(str, test.data.labels))
+        said = [
+            *unlike(labels, list(range(len(labels))), mac(computed, measured), correlation),
+            *correlation.doubts_of_sensors(),
+        ]
+        if said:
+            concerned.append(test.name)
+        if len(concerned) <= _MOST_TESTS:
+            doubts += [f"Test {test.name}: {one}" for one in said]
+    if len(concerned) > _MOST_TESTS:
+        doubts.append(f"{len(concerned) - _MOST_TESTS} more tests have such warnings, such as {concerned[-1]}.")
+    return doubts
 
 
 def _of_structure(

@@ -44,3 +44,36 @@ def test_the_mean_is_as_well_known_as_the_tests_scatter(campaign):
     scatter = np.diag([start["k1 sd"] ** 2, start["k2 sd"] ** 2])
     expected = (of_one + scatter) / len(campaign.tests)
     np.testing.assert_allclose(np.linalg.inv(found.fisher_information), expected, rtol=0.02)
+
+
+def with_shapes(n_tests, swapped=()):
+    """Return a building of eight storeys whose shapes each test measured, two sensors swapped in some of them."""
+    names = [f"k{j}" for j in range(8)]
+    model = shear_building(names, stiffness=2e6, mass=1e3)
+    K = 2e6 * sum(storey(j, 8) for j in range(8))
+    lam, phi = (part[..., :4] for part in np.linalg.eigh(K / 1e3))
+    tests = []
+    for t in range(n_tests):
+        shapes = phi[[0, 1, 2, 6, 4, 5, 3, 7]] if t in swapped else phi
+        data = fmu.ModalData(
+            np.sqrt(lam) / (2.0 * np.pi), sensors=model.dofs, shapes=shapes, shapes_sd=0.02, sd_hz=0.02
+        )
+        tests.append(fmu.Test(f"t{t + 1}", data))
+    parameters = [fmu.Parameter(name, 1.0, 0.5, 2.0) for name in names]
+    errors = [fmu.FrequencyErrors(), fmu.ShapeErrors()]
+    return fmu.JointProblem(model, tests, parameters, varies={"k0": "test"}, error=errors)
+
+
+def test_a_swapped_sensor_is_named_with_its_test():
+    assert fmu.check(with_shapes(3)).modes.doubts == ()
+    doubts = fmu.check(with_shapes(3, swapped=(1,))).doubts
+    assert all(doubt.startswith("Test t2: ") for doubt in doubts)
+    assert any("MAC 0." in doubt for doubt in doubts)
+    sensors = [doubt for doubt in doubts if doubt.startswith("Test t2: Sensor ")]
+    assert {doubt.split()[3] for doubt in sensors} == {"3", "6"}
+
+
+def test_of_many_tests_with_warnings_the_first_are_named():
+    doubts = fmu.check(with_shapes(8, swapped=range(8))).doubts
+    assert {doubt[:8] for doubt in doubts[:-1]} == {f"Test t{t}:" for t in range(1, 6)}
+    assert doubts[-1] == "3 more tests have such warnings, such as t8."
