@@ -56,7 +56,7 @@ def _check_frequencies(frequencies: ArrayLike, scatter: str) -> FloatArray:
 
 
 def _scatter(values: FloatArray, scatter: str) -> _Scatter:
-    """Return the scatter of each mode by itself or, if `scatter` is "pooled", with one relative scatter for all."""
+    """Return the scatter of each mode by itself or, if `scatter` is "pooled", with one relative scatter."""
     n = np.sum(~np.isnan(values), axis=0)
     mean, s = np.nanmean(values, axis=0), np.nanstd(values, axis=0, ddof=1)
     nu = n - 1

@@ -18,4 +18,4 @@ ERROR_MODELS: dict[str, type[ErrorModel]] = {
     "mass": MassErrors,
     "static": StaticErrors,
 }
-"""Error models by the value of ``of`` in a problem file; the other keys are the arguments (`fmu.config.errors`)."""
+"""Error models by the value of ``of`` in a problem file; the other keys are arguments (`fmu.config.errors`)."""

@@ -181,7 +181,7 @@ class ErrorTerm:
         raise NotImplementedError
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return simulated measured frequencies (n, n_modes), Hz, for computed frequencies; see `of_frequencies`."""
+        """Return simulated measured frequencies (n, n_modes), Hz, for computed ones; see `of_frequencies`."""
         raise NotImplementedError
 
     def simulate_inferred(
@@ -230,7 +230,7 @@ class Likelihood:
     noise : tuple of Parameter
         Standard deviations to be inferred: the last parameters of the problem.
     beta : ndarray, shape (n_modes,), or None
-        β of eq. (4), if the errors are independent with known variances 1/(2β); else None.
+        β of eq. (4) for each mode, without correlations, if `error` is set or the error is the modal residual.
     error : FrequencyTerm, CorrelatedFrequencyTerm or None
         The error model, if it is the only one, of absolute errors of frequencies with known standard deviations.
     correlated : CorrelatedFrequencyTerm or None
@@ -267,7 +267,7 @@ class Likelihood:
         return other
 
     def with_model(self, model: Any) -> Self:
-        """Return the likelihood with another model of the same parameters and modes; itself if there is no model."""
+        """Return the likelihood with another model of the same parameters and modes; itself if it has no model."""
         return self
 
     def of_used[Values: np.generic](self, values: NDArray[Values], axis: int = -1) -> NDArray[Values]:
@@ -321,7 +321,7 @@ class Likelihood:
         raise NotImplementedError
 
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the names of the residuals, in the order of `residuals_and_slopes`, given the labels of all modes."""
+        """Return the names of the residuals, in the order of `residuals_and_slopes`, given the labels of modes."""
         raise NotImplementedError
 
     def in_standard_deviations(self, frequencies: FloatArray, error: FloatArray, theta: FloatArray) -> FloatArray:
@@ -343,7 +343,7 @@ class Likelihood:
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with only the inferred errors added, which are those of the model."""
+        """Return frequencies (n, n_modes), Hz, with only the inferred errors added, those of the model."""
         return frequencies
 
     def why_not_finite(self, theta: FloatArray) -> str | None:

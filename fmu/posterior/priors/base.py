@@ -73,7 +73,7 @@ class Prior(ABC):
 
     @abstractmethod
     def as_dict(self) -> dict[str, Plain]:
-        """Return name and settings."""
+        """Return a dict of the name and settings of the prior."""
 
     def draw(self, rng: np.random.Generator, n: int, lower: float, upper: float) -> FloatArray:
         """Draw from the distribution truncated to the bounds, by default by inversion."""
@@ -175,7 +175,7 @@ class Normal(Prior):
         return max(lower, densest - 4.0 * self.sd), min(upper, densest + 4.0 * self.sd)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return name and settings."""
+        """Return a dict of the name and settings of the prior."""
         return {"distribution": "normal", "mean": self.mean, "sd": self.sd}
 
 

@@ -64,7 +64,7 @@ class HalfNormal(Prior):
         return self.gaussian.quantile(p, max(lower, self.at), upper)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return name and settings."""
+        """Return a dict of the name and settings of the prior."""
         return {"distribution": "half-normal", "sd": self.sd, "at": self.at}
 
     @cached_property
@@ -151,7 +151,7 @@ class LogNormal(Prior):
             return np.clip(np.exp(self.gaussian.quantile(p, _log(lower), _log(upper))), lower, upper)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return name and settings."""
+        """Return a dict of the name and settings of the prior."""
         return {"distribution": "log-normal", "median": self.median, "sigma": self.sigma}
 
     @cached_property

@@ -148,7 +148,7 @@ class ScaledBeta(InvertedPrior):
         return np.asarray(self.high - (self.high - self.low) * betaincinv(self.b, self.a, p))
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return name and settings."""
+        """Return a dict of the name and settings of the prior."""
         return {"distribution": "beta", "a": self.a, "b": self.b, "low": self.low, "high": self.high}
 
     def _parts(self, x: Any) -> tuple[FloatArray, FloatArray]:

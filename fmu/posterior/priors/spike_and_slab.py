@@ -94,7 +94,7 @@ class SpikeAndSlab(InvertedPrior):
         return 2.0 * self.mean - self.ppf(p)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return name and settings."""
+        """Return a dict of the name and settings of the prior."""
         own = {"share": self.share, "sd": self.sd, "spike": self.spike, "mean": self.mean}
         return {"distribution": "spike-and-slab", **own}
 
