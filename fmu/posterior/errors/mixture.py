@@ -67,8 +67,8 @@ class MixtureLikelihood(ModalLikelihood):
 
     Notes
     -----
-    - The pairing is *not* one to one: two measured modes may use the same candidate. The log-weight that is lost is
-      the difference in MAC divided by τ, which is zero if two measured shapes are equal at the sensors.
+    - The pairing is *not* one to one: two measured modes may use the same candidate. The log-weight lost is the
+      difference in MAC divided by τ, which is zero if two measured shapes are equal at the sensors.
     - A candidate whose MAC is lower than the highest MAC by Δ has the relative weight e^(−Δ/τ). With the default
       τ = 0.02 its log-weight is lower by at most 50 nats. If frequencies are measured so accurately that a wrong
       frequency costs more, another mode with a matching frequency but a wrong shape becomes plausible: then reduce
@@ -133,7 +133,7 @@ class MixtureLikelihood(ModalLikelihood):
         return terms.sum(axis=1), gradient.sum(axis=1), self._information(J, theta)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return names and settings."""
+        """Return a dict of names and settings in plain Python types."""
         return {**super().as_dict(), "softness": self.softness}
 
     def _terms_by_error(self, theta: FloatArray) -> list[tuple[str, FloatArray]]:

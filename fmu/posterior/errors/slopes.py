@@ -13,7 +13,7 @@ from fmu.types import FloatArray, IntArray
 
 
 def chain_prediction(seen: ModalPrediction, chain: Chain, test: IntArray) -> ModalPrediction:
-    """Return a prediction with derivatives by the parameters of all tests; `test` (n_modes,) is the test by mode."""
+    """Return a prediction with derivatives by the parameters of all tests; `test` has the test of each mode."""
     by_shape = seen.shape_slopes
     if by_shape is not None:
         by_shape = np.stack([chain(by_shape[:, s], test) for s in range(by_shape.shape[1])], axis=1)

@@ -30,8 +30,8 @@ def evaluated_with_variance(
     """Return the terms of an error model for a prediction with variances, see `ErrorTerm.evaluate`.
 
     The derivatives by the predicted frequencies and shapes use ∂g/∂x = −(∂r/∂x)ᵀ(∂r/∂x) and a constant h
-    (Gauss–Newton). For the derivatives by inferred standard deviations, the correction is differentiated by central
-    differences.
+    (Gauss–Newton). For the derivatives by inferred standard deviations, the correction is differentiated by
+    central differences.
     """
     part, residuals = term.evaluate(seen, noise, True), term.residuals(seen, noise)
     terms = part.terms + _correction(part, residuals, seen)
