@@ -279,7 +279,7 @@ class Posterior:
     def _chain(self, theta: FloatArray) -> Chain | None:
         """Return the function that applies the chain rule from the parameters of each test to theta.
 
-        None if the parameters of the test are those of theta.
+        Return None if theta has the parameters of a single test themselves.
         """
         if self.layout.is_identity:
             return None

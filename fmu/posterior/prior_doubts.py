@@ -130,7 +130,7 @@ def _doubt(names: list[str], one: Parameter) -> str:
         )
     scale = one.upper - one.lower if np.isfinite(one.upper - one.lower) else abs(fit.centre)
     if fit.spread < NARROW * scale:
-        sd = f"{significant(fit.spread, 2)} {one.unit}".rstrip()  # in the unit of the file, where the slip is
+        sd = f"{significant(fit.spread, 2)} {one.unit}".rstrip()  # in the unit of the file, which has the error
         return (
             f"{_priors(names)} {_centre(one, fit)} with a standard deviation of {sd}: so narrow that "
             "the data cannot move the parameter. Check the unit of the standard deviation; if the value is known "

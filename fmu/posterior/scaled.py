@@ -61,11 +61,11 @@ class ScaledDensity:
         self.upper = self.to_scaled(self.theta_upper)
 
     def to_scaled(self, theta: FloatArray) -> FloatArray:
-        """Return u for theta of any leading shape."""
+        """Return the scaled coordinates u, shape (..., ndim), for theta of this shape."""
         return (theta - self.offset) / self.scale
 
     def to_theta(self, u: FloatArray) -> FloatArray:
-        """Return theta for u in the scaled box, clipped so that rounding cannot move it out of the bounds."""
+        """Return theta for u in the box, clipped so that rounding cannot move it out of the bounds."""
         return np.clip(self.offset + self.scale * u, self.theta_lower, self.theta_upper)
 
     def stretch(self, theta: FloatArray) -> FloatArray:
@@ -117,7 +117,7 @@ class LogScaledDensity(ScaledDensity):
         self.upper = np.where(self.is_log, np.minimum(self.upper, FARTHEST), self.upper)
 
     def to_scaled(self, theta: FloatArray) -> FloatArray:
-        """Return u for theta of any leading shape."""
+        """Return the scaled coordinates u, shape (..., ndim), for theta of this shape."""
         with np.errstate(divide="ignore"):  # at the bound 0
             logs = (np.log(np.where(self.is_log, theta, 1.0)) - self._mean) / self._sd
         return np.where(self.is_log, logs, super().to_scaled(theta))

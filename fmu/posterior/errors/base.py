@@ -164,7 +164,7 @@ class ErrorTerm:
         return seen
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
-        """Return the terms, with their derivatives if `gradient`.
+        """Return the log-densities of the modes as `Evaluated`, with their derivatives if `gradient` is true.
 
         Parameters
         ----------
@@ -343,7 +343,7 @@ class Likelihood:
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with only the inferred errors added, those of the model."""
+        """Return frequencies (n, n_modes), Hz, with only the inferred errors (of the model) added."""
         return frequencies
 
     def why_not_finite(self, theta: FloatArray) -> str | None:

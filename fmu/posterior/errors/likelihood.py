@@ -221,7 +221,7 @@ class ModalLikelihood(Likelihood):
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with only the inferred errors added, those of the model.
+        """Return frequencies (n, n_modes), Hz, with only the inferred errors (of the model) added.
 
         Raises
         ------
@@ -351,7 +351,7 @@ class ModalLikelihood(Likelihood):
     def _with_quantities_and_slopes(
         self, terms: FloatArray, slopes: FloatArray, theta: FloatArray, chain: Chain | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the terms and gradients of the modes (n, n_used, ndim), with those of quantities appended."""
+        """Return the terms and their gradients, of the modes (n, n_used, ndim) and then of the quantities."""
         if not self.quantities:
             return terms, slopes
         parts = [slopes]

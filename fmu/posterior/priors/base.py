@@ -76,7 +76,7 @@ class Prior(ABC):
         """Return a dict of the name and settings of the prior."""
 
     def draw(self, rng: np.random.Generator, n: int, lower: float, upper: float) -> FloatArray:
-        """Draw from the distribution truncated to the bounds, by default by inversion."""
+        """Draw `n` values from the distribution truncated to the bounds, by default by inversion."""
         return self.quantile(rng.uniform(size=n), lower, upper)
 
     def scale(self, lower: float, upper: float) -> tuple[float, float]:
@@ -143,11 +143,11 @@ class Normal(Prior):
         a, b = (lower - self.mean) / self.sd, (upper - self.mean) / self.sd
         if a > 0:
             a, b = -b, -a
-        with np.errstate(divide="ignore", invalid="ignore"):  # bounds so far out or so close that nothing is left
+        with np.errstate(divide="ignore", invalid="ignore"):  # where the probability between the bounds underflows
             return float(log_ndtr(b) + np.log1p(-np.exp(log_ndtr(a) - log_ndtr(b))))
 
     def draw(self, rng: np.random.Generator, n: int, lower: float, upper: float) -> FloatArray:
-        """Draw by inversion of the truncated distribution function."""
+        """Draw `n` values by inversion of the truncated distribution function."""
         return self._invert_cdf(rng.uniform(size=n), lower, upper)
 
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
@@ -203,7 +203,7 @@ class Uniform(Prior):
         return np.asarray(lower + (upper - lower) * p)
 
     def draw(self, rng: np.random.Generator, n: int, lower: float, upper: float) -> FloatArray:
-        """Draw from the uniform distribution between the bounds, shape (n,)."""
+        """Draw `n` values from the uniform distribution between the bounds."""
         return rng.uniform(lower, upper, size=n)
 
     def scale(self, lower: float, upper: float) -> tuple[float, float]:

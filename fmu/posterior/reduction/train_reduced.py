@@ -34,7 +34,7 @@ from fmu.progress.phases import by_parts
 from fmu.types import BoolArray, FloatArray
 
 PATIENCE = 3
-_AT_ONCE = 16  # points
+_AT_ONCE = 16  # points solved at once
 # Share of the tolerance of the log-probability that training must meet at its points; other points may be worse.
 _TUNED = 0.7
 # Safety factor on the reduction of the errors required in the next round, and limits of that reduction: with many
@@ -247,7 +247,7 @@ def _paired_error(model: ReducedStructure, lower: FloatArray, upper: FloatArray,
     theta = box_points(lower, upper, _CHECKED, _CHECK_SEED)
     if (
         model.truth.solver != LAPACK
-    ):  # where solves are dear, so many of the points inside, on faces and at corners
+    ):  # where solves are expensive, only about this number of the points inside, on faces and at corners
         theta = theta[:: -(-len(theta) // _CHECKED)]
     return _error_at(model, theta, tolerance)
 
