@@ -35,7 +35,7 @@ _FIRST_DAMPING, _MOST_DAMPING = 1e-2, 1e12
 
 @dataclass(frozen=True)
 class Maximum:
-    """A local maximum theta (ndim,) within the bounds, its log-probability, and the number of starts reaching it."""
+    """A local maximum theta (ndim,) within the bounds, its log-probability, and the number of its starts."""
 
     theta: FloatArray
     log_prob: float
@@ -225,7 +225,7 @@ def _climb(scaled: ScaledDensity, start: FloatArray, starts: int = 1) -> Maximum
 
 @dataclass(frozen=True)
 class Ascent:
-    """Results of `ascend`.
+    """The results of `ascend`.
 
     Attributes
     ----------
@@ -379,7 +379,7 @@ def _box_step(u: FloatArray, g: FloatArray, A: FloatArray, lower: FloatArray, up
 
 
 def _newton(g: FloatArray, A: FloatArray, held: BoolArray, s: FloatArray) -> FloatArray:
-    """Return the minimiser of g·s + sᵀAs/2, (n, ndim), with the `held` coordinates fixed at their values in `s`."""
+    """Return the minimiser of g·s + sᵀAs/2, (n, ndim), with the `held` coordinates fixed at the values in `s`."""
     i = np.arange(g.shape[1])
     s = np.where(held, s, 0.0)
     # identity rows for held coordinates keep the size of the system the same for the whole batch

@@ -54,7 +54,8 @@ class UpdatingProblem(Posterior):
         The temperature τ of the weights, for ``"soft"`` only.
     beta : float or array_like, shape (n_modes,), optional
         Trust in the data, β = 1/(2σ²) (eq. 4): 1/Hz² for frequencies, dimensionless for the modal residual; 1 by
-        default, as in the paper. It must not be given if `data` have standard deviations or a covariance.
+        default, as in the paper. For frequencies, `beta` must not be given if `data` have standard deviations or a
+        covariance.
     error : {"frequency", "modal-residual"}, ErrorModel, or sequence of ErrorModel
         ``"frequency"``: ε = f − f^m in Hz. ``"modal-residual"``: the residual of eq. (2) at the sensors, a
         pseudo-likelihood that needs measured shapes and a SeparableModel (`fmu.posterior.errors.residual`).

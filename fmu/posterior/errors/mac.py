@@ -157,10 +157,10 @@ def in_span(seen: ModalPrediction, unit: FloatArray, groups: Groups) -> ModalPre
 
     The measured shape u_i is projected onto the span of the computed shapes S of the group: with
     P = S (SᵀS)⁻¹ Sᵀ, the shape of mode i becomes P u_i. The MAC of P u_i with u_i is ‖P u_i‖², whatever basis of
-    the span the eigensolver returned (cf. D'Ambrogio &
-    Fregolent 2003, Higher-order MAC for the correlation of close and multiple modes, *Mech. Syst. Signal Process.*
-    17). The derivative of P u is ∂P u = (I − P) ∂S S⁺u + S⁺ᵀ ∂Sᵀ (I − P) u. Rotations of the shapes within their
-    span cancel, so the derivative remains of order one through a veering.
+    the span the eigensolver returned (cf. D'Ambrogio & Fregolent 2003, Higher-order MAC for the correlation of
+    close and multiple modes, *Mech. Syst. Signal Process.* 17). The derivative of P u is
+    ∂P u = (I − P) ∂S S⁺u + S⁺ᵀ ∂Sᵀ (I − P) u. Rotations of the shapes within their span cancel, so the derivative
+    remains of order one through a veering.
 
     Parameters
     ----------
