@@ -35,7 +35,7 @@ _FIRST_DAMPING, _MOST_DAMPING = 1e-2, 1e12
 
 @dataclass(frozen=True)
 class Maximum:
-    """A local maximum theta (ndim,) within the bounds, its log-probability, and the number of its starts."""
+    """A local maximum theta (ndim,) within the bounds, its log-probability and the count of starts reaching it."""
 
     theta: FloatArray
     log_prob: float

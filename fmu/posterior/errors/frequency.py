@@ -134,7 +134,7 @@ class FrequencyTerm(ErrorTerm):
     kind : {"absolute", "relative", "eigenvalue"}
     measured : ndarray, shape (n_modes,), Hz
     spread : Spread
-        Variances V of ε, in the squared unit of ε.
+        Variances V of the errors, in Hz² or, for eigenvalues, dimensionless.
     beta : ndarray, shape (n_modes,), optional
         1/(2V), if β is given instead of standard deviations.
     """
