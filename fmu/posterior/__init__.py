@@ -1,1 +1,1 @@
-"""The question: what was known, what was measured, and how probable theta is."""
+"""The posterior of the parameters theta: priors, measured data, error models and the log-probability."""

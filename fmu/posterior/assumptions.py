@@ -1,4 +1,4 @@
-"""What a posterior rests on, in words and numbers, from the configuration of a problem that a trace keeps."""
+"""The assumptions of a posterior in words and numbers, from the configuration of a problem stored in a trace."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from fmu.posterior.prior_doubts import outside_bounds
 from fmu.types import FloatArray
 
 Inferred = Mapping[str, tuple[float, float]]
-"""Posterior mean and standard deviation of inferred standard deviations, by name."""
+"""Posterior mean and standard deviation of each inferred standard deviation, by the name of the parameter."""
 
 
 class Assumptions(NamedTuple):
-    """What the posterior of a problem rests on.
+    """The assumptions of the posterior of a problem.
 
     Attributes
     ----------
     sentences : tuple of str
-        The error model, the priors, the pairing and the reduced model.
+        Sentences on the error models, the priors, the pairing and the reduced model.
     errors : tuple of tuple of str
-        For each measured mode its label, frequency in Hz, and the standard deviation of its error in Hz and in
-        per cent; empty if frequencies have no error of their own.
+        For each measured mode, its label, its frequency in Hz, and the standard deviation of its error in Hz and
+        in per cent; empty if there are no errors of frequencies.
     has_inferred : bool
         Whether standard deviations are inferred.
     """
@@ -50,20 +50,20 @@ def assumptions(
     Parameters
     ----------
     problem : mapping
-        `UpdatingProblem.configuration`, as it is or from a trace.
+        The dict returned by `UpdatingProblem.configuration`, or the same dict read from a trace.
     reduction : float or None
         Relative error of a frequency that the reduced model may have; None if there is no reduced model.
     inferred : mapping of str to (float, float), optional
         Posterior mean and standard deviation of each inferred standard deviation, after a run.
     error : float, optional
-        Largest relative error of a frequency that the certificate of a run found.
+        Largest relative error of a frequency found by the certificate of a run.
     elsewhere : float, optional
-        What is allowed where the posterior has no mass, if that is more.
+        Relative error allowed to a frequency outside the mass of the posterior, if it is larger than `reduction`.
 
     Returns
     -------
     Assumptions or None
-        None for something other than an updating problem.
+        None if `problem` is not the configuration of an updating problem.
     """
     if not isinstance(problem, Mapping) or not {"likelihood", "parameters", "data"} <= set(problem):
         return None
@@ -104,7 +104,7 @@ _OF = {
 
 
 def _between_tests(problem: Mapping[str, Any]) -> list[str]:
-    """Return the assumptions on several tests of one structure."""
+    """Return the list of sentences on the parameters in several tests of one structure."""
     if "tests" not in problem:
         return []
     said = ["A parameter has one value in all tests, unless it is named for one of them or for a group."]
@@ -122,7 +122,7 @@ def _between_tests(problem: Mapping[str, Any]) -> list[str]:
 def _errors(
     likelihood: Mapping[str, Any], parameters: Any, data: Mapping[str, Any], inferred: Inferred | None
 ) -> list[str]:
-    """Return a sentence on each error model."""
+    """Return the list of sentences on the error models."""
     if likelihood.get("error") == "modal-residual":
         size = _range(np.asarray(likelihood["beta"]))
         return [f"The error is the modal residual of eq. (2), a pseudo-likelihood without noise: β = {size}."]
@@ -166,7 +166,7 @@ def _errors(
 
 
 def _describe_known(name: str, fixed: FloatArray, data: Mapping[str, Any]) -> str:
-    """Return a known standard deviation in the unit in which it is constant."""
+    """Return known standard deviations as text, in per cent for relative errors, in Hz for absolute errors."""
     if name == "relative frequency":
         return f"{_range(100.0 * fixed / np.asarray(data['frequencies_hz']))} %"
     return _range(fixed) + (" Hz" if name == "absolute frequency" else "")
@@ -187,7 +187,7 @@ def _source(data: Mapping[str, Any]) -> str:
 def _by_mode(
     likelihood: Mapping[str, Any], parameters: Any, data: Mapping[str, Any], inferred: Inferred | None
 ) -> tuple[tuple[str, str, str, str], ...]:
-    """Return the standard deviation of the frequency error of each mode."""
+    """Return the rows of the table of frequency errors, see `Assumptions.errors`."""
     measured = np.asarray(data["frequencies_hz"], dtype=float)
     sd = frequency_sd(likelihood, parameters, measured, inferred)
     if sd is None:
@@ -202,9 +202,9 @@ def _by_mode(
 def frequency_sd(
     likelihood: Mapping[str, Any], parameters: Any, measured: FloatArray, inferred: Inferred | None
 ) -> FloatArray | None:
-    """Return the standard deviation of the frequency error of each mode, Hz; None if it is not known.
+    """Return the standard deviation of the frequency error of each mode, (n_modes,), Hz; None if it is unknown.
 
-    An inferred one is taken at its posterior mean, before a run at its start.
+    An inferred standard deviation has its posterior mean or, before a run, its start value.
     """
     named = list(likelihood.get("noise", ()))
     start = {p["name"]: float(p["start"]) for p in parameters}
@@ -226,9 +226,9 @@ def frequency_sd(
 
 
 def _pairing(problem: Mapping[str, Any]) -> str:
-    """Say how computed modes are paired with the measured ones."""
+    """Return the sentence that states how computed modes are paired with the measured modes."""
     model, data, likelihood = problem["model"], problem["data"], problem["likelihood"]
-    if isinstance(model, Mapping) and "configurations" in model:  # of several tests, which pair in one way
+    if isinstance(model, Mapping) and "configurations" in model:  # several tests, with the same kind of pairing
         model = model["configurations"][0]["model"]
     if likelihood.get("error") == "modal-residual":
         return "The modal residual compares no computed modes, and pairs none."
@@ -238,7 +238,7 @@ def _pairing(problem: Mapping[str, Any]) -> str:
         order = "in the sorted spectrum" if model["pairing"] == "IndexPairing" else "in the order of the function"
         if "n_rigid" in model:
             order = f"among the elastic modes, which follow {model['n_rigid']} rigid-body modes"
-        numbers = dict.fromkeys(map(str, data["numbers"]))  # the same in several tests
+        numbers = dict.fromkeys(map(str, data["numbers"]))  # each number once, also with several tests
         return f"Modes are paired by number {order}: {', '.join(numbers)}."
     softly = ""
     if "softness" in likelihood:
@@ -259,7 +259,7 @@ def _pairing(problem: Mapping[str, Any]) -> str:
 
 
 def _range(values: FloatArray) -> str:
-    """Return the one value of several, or their range."""
+    """Return the range of values as text, or a single number if all values are equal."""
     values = np.asarray(values, dtype=float)
     low, high = float(values.min()), float(values.max())
     if high - low <= 1e-9 * high:

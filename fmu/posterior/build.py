@@ -1,4 +1,4 @@
-"""Construction of the parts of an updating problem: the model paired with the data, and the likelihood."""
+"""Construction of the paired model and the likelihood of an updating problem."""
 
 from __future__ import annotations
 
@@ -42,18 +42,18 @@ def paired_model(
     pairing: str,
     softness: float = SOFTNESS,
 ) -> ModalModel:
-    """Return the model of the measured modes.
+    """Return the model that maps theta to the frequencies and shapes paired with the measured modes.
 
     Parameters
     ----------
     model : SeparableModel, BlackBoxModel or ModalModel
-        A `ModalModel` is paired already.
+        A `ModalModel` is already paired.
     data : ModalData
     parameters : sequence of Parameter
-        The model's.
+        Parameters of the model.
     pairing : {"shape", "index", "soft"}
     softness : float
-        Softness of the soft pairing.
+        Temperature τ of the weights exp(MAC/τ), for soft pairing.
 
     Raises
     ------
@@ -116,16 +116,16 @@ def likelihood_of(
     data: ModalData,
     parameters: Sequence[Parameter],
 ) -> Likelihood:
-    """Return the likelihood.
+    """Return the likelihood of an updating problem.
 
     Parameters
     ----------
     error : str, ErrorModel or sequence of ErrorModel
         See `fmu.posterior.problem.UpdatingProblem`.
     beta : float or array_like, optional
-        β of the errors that are given by name.
-    model, paired : ModalModel
-        The model as given, and paired with the data.
+        β of errors that are given by their name.
+    model, paired : SeparableModel, BlackBoxModel or ModalModel
+        The model as the user gave it, and the same model paired with the data.
     data : ModalData
     parameters : sequence of Parameter
         Parameters of the model.
@@ -137,8 +137,8 @@ def likelihood_of(
 
     Notes
     -----
-    Errors of a mass or a displacement are added to those of the modes; where only such are given, the frequencies
-    have errors as by default.
+    Errors of a mass or a displacement are added to the errors of the modes. If only errors of masses or
+    displacements are given, the frequencies have their default errors.
     """
     if isinstance(error, str) and error not in ERRORS:
         raise ArgumentError("error", f"must be one of {ERRORS}, or error models", repr(error))

@@ -1,4 +1,4 @@
-"""The log-probability of theta, its gradient and its parts: what an updating problem answers."""
+"""The posterior density of an updating problem: the log-probability of theta, its gradient and its parts."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ from fmu.types import BoolArray, FloatArray, Plain
 class Posterior:
     """The posterior of eq. (8) as a density of theta.
 
-    theta → layout → parameters of the structure in every test → model → likelihood; and the prior of theta. It is
-    an `fmu.posterior.problem.UpdatingProblem` without its construction, and has the attributes named there.
+    The layout maps theta to the parameters of the structure in every test, the model maps these to the modes, and
+    the likelihood compares the modes with the data; the prior is a density of theta. This class is the base of
+    `fmu.posterior.problem.UpdatingProblem`, which constructs its attributes and describes them.
     """
 
     name: str
@@ -63,7 +64,7 @@ class Posterior:
         """Return log P(θ|D) up to the evidence: the sum of `log_likelihood` and `log_prior`."""
         points, single = self._points(theta)
         within = self._within(points)
-        if np.count_nonzero(within) == within.size > 0:  # as a rule; it saves the copies
+        if np.count_nonzero(within) == within.size > 0:  # the usual case, without copies
             value = self._posterior(points)
         else:
             value = np.full(len(points), -np.inf)
@@ -109,34 +110,36 @@ class Posterior:
         ----------
         theta : ndarray, shape (n, ndim)
         frequencies : ndarray, shape (n, n_modes), Hz, optional
-            Of the model there, if they are known: it is not solved again if they are enough.
+            Frequencies of the model at theta, if they are known. The model is solved again only if the likelihood
+            needs more than the frequencies.
 
         Returns
         -------
         terms : ndarray, shape (n, n_used)
         squares : ndarray, shape (n, n_kinds, n_used)
-            Σ r² over the residuals r of a mode, by the error models of ``likelihood.chi_square``.
+            Σ r² over the residuals r of a mode, for each error model of ``likelihood.chi_square``.
         """
         terms, squares = self.likelihood.terms_and_misfit(self.layout.of_model(theta), frequencies)
         return self._record_failures(terms, theta), squares
 
     def terms_of_frequencies(self, theta: FloatArray, frequencies: FloatArray) -> FloatArray:
-        """Return the log-likelihood of each datum at theta (n, ndim), where the model has the `frequencies`, Hz.
+        """Return the log-likelihood of each datum at theta (n, ndim), given the model's frequencies there.
 
-        It is solved again only if these, (n, n_modes), are not enough.
+        The `frequencies`, (n, n_modes), are in Hz. The model is solved again only if the likelihood needs more.
         """
         return self.likelihood.terms_of_frequencies(frequencies, self.layout.of_model(theta))
 
     def quadratic(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
 
-        At theta (n, ndim), of a likelihood of computed modes: JᵀJ of the residuals for the parameters of the
-        structure, Fisher's information for the inferred standard deviations.
+        The likelihood must be one of computed modes; theta has the shape (n, ndim). The information on the
+        parameters of the structure is JᵀJ, with the Jacobian J of the residuals. The information on the inferred
+        standard deviations is Fisher's.
         """
         return self.likelihood.quadratic(self.layout.of_model(theta), self._chain(theta))
 
     def sensitivity(self, theta: FloatArray) -> FloatArray:
-        """Return the derivatives of errors over their sds, (n, n_residuals, n_structural), at theta (n, ndim)."""
+        """Return the derivatives of the residuals, (n, n_residuals, n_structural), at theta (n, ndim)."""
         return self.likelihood.residuals_and_slopes(self.layout.of_model(theta), self._chain(theta))[1]
 
     def log_prior(self, theta: ArrayLike) -> Any:
@@ -159,7 +162,7 @@ class Posterior:
     def frequencies(self, theta: ArrayLike) -> FloatArray:
         """Return the frequencies in Hz paired with the measured modes, shape (n_modes,) or (n, n_modes).
 
-        Works outside the bounds too.
+        theta may lie outside the bounds.
         """
         points, single = self._points(theta)
         frequencies = self.model.frequencies(self.model_parameters(points))
@@ -168,7 +171,8 @@ class Posterior:
     def model_parameters(self, theta: FloatArray) -> FloatArray:
         """Return the parameters of the model, (n, n_parameters), at theta (n, ndim).
 
-        Of several tests the structure's in the first test, then in the second, and so on.
+        With several tests, the parameters of the structure in the first test come first, then those in the second
+        test, and so on.
         """
         return self.layout.of_model(theta)[:, : self.model.n_parameters]
 
@@ -182,7 +186,8 @@ class Posterior:
         Returns
         -------
         ndarray
-            In the order of the tests, and of ``layout.structural``; the known value where one is known in a test.
+            Values in the order of the tests and of ``layout.structural``. If the value of a parameter is known in
+            a test, it is the known value.
         """
         points, single = self._points(theta)
         values = self.layout.values(points[:, : self.n_structural])
@@ -194,23 +199,24 @@ class Posterior:
 
     @property
     def failures(self) -> list[Failure]:
-        """The points inside the bounds that have no finite log-likelihood, and why; the first ten thousand."""
+        """The first ten thousand points inside the bounds without a finite log-likelihood, with the reasons."""
         return list(self._failed.first)
 
     @property
     def n_failures(self) -> int:
-        """How many evaluations inside the bounds gave no finite log-likelihood."""
+        """Number of evaluations inside the bounds that gave no finite log-likelihood."""
         return self._failed.count
 
     def take_failures(self) -> list[Failure]:
-        """Return the failures since this was last called; they remain in `failures`.
+        """Return the list of failures since this method was last called; the failures remain in `failures`.
 
-        A theta that failed several times is returned once; at most ten thousand are kept, `n_failures` counts all.
+        A theta that failed several times is returned once. At most ten thousand failures are kept; `n_failures`
+        counts all failures.
         """
         return self._failed.take()
 
     def configuration(self) -> dict[str, Plain]:
-        """Return the data that define the posterior, in plain Python types."""
+        """Return a dict of the settings and data that define the posterior, in plain Python types."""
         other = {} if self.tolerance in (None, Tolerance()) else {"reduction": self.tolerance.frequency}
         of_tests = {} if self.layout.is_identity else self.layout.configuration()
         return other | {
@@ -234,7 +240,7 @@ class Posterior:
 
     @property
     def solves_per_gradient(self) -> int:
-        """What `log_prob_and_grad` costs at one theta, in solves of the model: 1 where derivatives are exact."""
+        """Cost of `log_prob_and_grad` at one theta in solves of the model: 1 if derivatives are exact."""
         of_model = self.model
         return of_model.solves_per_shape_gradient if self.likelihood.needs_shapes else of_model.solves_per_gradient
 
@@ -245,21 +251,21 @@ class Posterior:
 
     @property
     def roles(self) -> tuple[Role, ...]:
-        """What each parameter of theta is for."""
+        """The role of each parameter of theta."""
         return (*self.layout.roles, *[Role("noise", None)] * (self.ndim - self.n_structural))
 
     @property
     def is_hierarchical(self) -> bool:
-        """Whether parameters have a distribution that is inferred: a population."""
+        """Whether the distribution of some parameters is itself inferred (a population)."""
         return bool(self.layout.scales)
 
     def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
-        """Return the first matrices that parameter `k` of theta changes, and its number there, or None."""
+        """Return the first SeparableModel that parameter `k` of theta changes, and its index there, or None."""
         of = self.roles[k].of
         return None if of is None else self.model.matrices_of(of)
 
     def with_layout(self, layout: Layout) -> Self:
-        """Return the same problem with scores that refer to others, of the same parameters."""
+        """Return the same problem with another layout of the same parameters, which defines scores differently."""
         other = copy(self)
         other.layout, other.prior, other._failed = layout, self._prior_of(layout), FailureRecord()
         return other
@@ -271,7 +277,10 @@ class Posterior:
         return None if theta is None else theta[:, self.n_structural :]
 
     def _chain(self, theta: FloatArray) -> Chain | None:
-        """Return the chain rule from the parameters of each test to theta; None if they are the same."""
+        """Return the function that applies the chain rule from the parameters of each test to theta.
+
+        Return None if theta has the parameters of a single test themselves.
+        """
         if self.layout.is_identity:
             return None
         return partial(self.layout.chain_slopes, theta[:, : self.n_structural])
@@ -304,7 +313,7 @@ class Posterior:
         return self._record_failures(self.likelihood.terms(self.layout.of_model(points)), points)
 
     def _record_failures(self, terms: FloatArray, points: FloatArray) -> FloatArray:
-        """Return `terms` with -inf in place of non-finite values, after recording the points that failed."""
+        """Return `terms` with -inf for all terms of a point with a non-finite term, and record such points."""
         finite = np.isfinite(terms)
         if np.count_nonzero(finite) == finite.size:
             return terms

@@ -1,4 +1,4 @@
-"""Points inside the bounds that have no finite log-likelihood, each with the reason."""
+"""The record of points inside the bounds without a finite log-likelihood, each with the reason."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from fmu.fem.programs.solves import Failure as Failure
 from fmu.types import FloatArray
 
 MOST_KEPT = 10_000
-"""How many failures are kept, in `first` and until `take` is called."""
+"""Largest number of failures kept in `first`, and of failures kept until `take` is called."""
 
 
 class FailureRecord:
-    """The first failed points, and those since `take` was last called.
+    """A record of the first failed points, and of the points that failed since `take` was last called.
 
-    At most `most` of each are kept with their reasons, so memory and time are bounded; `count` counts all. A copy
-    in another process, or a pickled one, starts empty and records the failures there.
+    At most `most` points of either kind are kept with their reasons, so memory and time are bounded; `count`
+    counts all failures. A pickled record is empty, so that another process records only its own failures.
 
     Parameters
     ----------
@@ -24,9 +24,9 @@ class FailureRecord:
     Attributes
     ----------
     first : list of Failure
-        A theta that fails again before `take` is called is recorded once.
+        The first failures. A theta that fails again before `take` is called is recorded once.
     count : int
-        Failed evaluations, including repeated ones.
+        Number of failed evaluations, including repeated evaluations of one theta.
     """
 
     def __init__(self, most: int = MOST_KEPT) -> None:
@@ -39,7 +39,7 @@ class FailureRecord:
         return FailureRecord, (self.most,)
 
     def add(self, points: FloatArray, why: Callable[[FloatArray], str]) -> None:
-        """Record failed points (n, ndim); ``why(theta)`` gives the reason for those that are kept."""
+        """Record failed points (n, ndim); ``why(theta)`` returns the reason and is called only for points kept."""
         self.count += len(points)
         for theta in points:
             if len(self._waiting) >= self.most:
@@ -53,7 +53,7 @@ class FailureRecord:
                 self.first.append(failure)
 
     def take(self) -> list[Failure]:
-        """Return the failures since this was last called, in order."""
+        """Return the list of failures since this method was last called, in order."""
         taken = list(self._waiting.values())
         self._waiting.clear()
         return taken

@@ -1,7 +1,7 @@
-"""Local maxima of a posterior, from several starts: an optimum found once is not the mode.
+"""The search for local maxima of a posterior from several starts, since a single optimum need not be the mode.
 
-Gauss–Newton ascents from all starts run in lockstep as one array; those near one summit go on as one, and equal
-results are merged.
+Gauss–Newton ascents from all starts run in lockstep as one array. Ascents close to the same maximum are continued
+from the highest point only, and equal results are merged.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from fmu.types import BoolArray, FloatArray, IntArray
 
 STARTS = 256
 _ROUGH, _TOLERANCE = 0.1, 1e-10
-"""Decrease that a step still predicts, in nats, where all ascents pause, and where the best of them end."""
+"""Predicted decrease of a step, in nats, below which all ascents pause, and below which the best ascents end."""
 _CLOSE = 0.5
-"""Starts that end this little below the same summit by its curvature, in nats, climb on as one."""
+"""Ascents that pause less than this below the same maximum by its curvature, in nats, are continued as one."""
 _SAME = 1e-3
 _VALLEY = 0.1
 _ON_THE_WAY = np.linspace(0.0, 1.0, 33)[1:-1, None]
 _MOST_POLISHED, _FIRST = 8, 16
 Quadratic = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
-"""Maps (n, ndim) to V = −log P, shape (n,), its gradient (n, ndim) and Gauss–Newton Hessian (n, ndim, ndim)."""
+"""A function of u (n, ndim) that returns V = −log P (n,), its gradient and its Gauss–Newton Hessian."""
 
 _FIRST_DAMPING, _MOST_DAMPING = 1e-2, 1e12
 
 
 @dataclass(frozen=True)
 class Maximum:
-    """A local maximum within the bounds: theta (ndim,), its log-probability, and how many starts led to it."""
+    """A local maximum theta (ndim,) within the bounds, its log-probability and the count of starts reaching it."""
 
     theta: FloatArray
     log_prob: float
@@ -51,31 +51,32 @@ def local_maxima(
 ) -> tuple[Maximum, ...]:
     """Return the distinct local maxima of the log-probability within the bounds, the highest first.
 
-    The starts are the problem's own and points of a scrambled Sobol sequence in its box. If the errors are those
-    of computed modes, all starts climb by Gauss–Newton steps in lockstep (`ascend`). Just below a summit, of those
-    that are close to one another only the highest climbs on. Of those that stall at a kink, the best eight
-    continue by L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995). Otherwise every start climbs by L-BFGS-B. Two results
-    count as one maximum if no valley separates them: on the straight line between them the log-probability is
-    nowhere more than 0.1 below the lower of the two.
+    The starts are the problem's own start and points of a scrambled Sobol sequence in the box of the priors. If
+    the errors are those of computed modes, all starts ascend by Gauss–Newton steps in lockstep (`ascend`). Just
+    below a maximum, only the highest of several points close to one another continues. Of the ascents that stall
+    at a kink, the best eight continue by L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995). For other errors, every start
+    ascends by L-BFGS-B. Two results count as one maximum if no valley separates them: on the straight line between
+    the two points, the log-probability is nowhere more than 0.1 below the lower of the two values.
 
     Parameters
     ----------
     problem : UpdatingProblem
     starts : int
-        At least 1; the first is ``problem.start``. Where modes swap, few starts may lead to an important maximum:
-        in cantilever-section, paired by number, one start in twelve reaches the maximum that holds nearly all of
-        the probability.
+        Number of starts, at least 1; the first is ``problem.start``. Where modes swap, few starts may lead to an
+        important maximum: in the example cantilever-section, with pairing by number, one start in twelve reaches
+        the maximum with nearly all of the probability.
     seed : int
     near : ndarray, shape (n, ndim), optional
-        Further points to start from, SI units.
+        Further starts, SI units.
     most_solves : float
-        With a limit the starts climb one after the other, and none begins once it is reached; nor, where there are
-        no errors of modes, after sixteen that led to more than eight maxima, as those of a hollow density.
+        Largest number of solves. With a finite limit the starts ascend one after the other, and no ascent begins
+        once the limit is reached. Without errors of modes, no ascent begins either after sixteen ascents have led
+        to more than eight maxima, as in a density that is hollow.
 
     Raises
     ------
     ValueError
-        If `starts` is not positive, or the log-probability has a finite gradient at none of them.
+        If `starts` is not positive, or no start has a log-probability with a finite gradient.
     """
     if starts < 1:
         raise ValueError(f"starts: must be at least 1 (got {starts})")
@@ -90,7 +91,7 @@ def local_maxima(
 def maxima_from(
     problem: Posterior, scaled: ScaledDensity, points: FloatArray, most_solves: float = np.inf
 ) -> tuple[Maximum, ...]:
-    """Return the maxima reached from scaled points (n, ndim), the highest first; see `local_maxima`."""
+    """Return the tuple of maxima reached from scaled points (n, ndim), the highest first; see `local_maxima`."""
     before = solves()
     if not problem.likelihood.of_modes:
         tops = list[Maximum]()
@@ -123,7 +124,7 @@ def maxima_from(
 
 
 def _nowhere(problem: Posterior, n: int) -> str:
-    """Return why no start has a gradient."""
+    """Return the message that explains why no start has a finite gradient."""
     why = ""
     still = np.flatnonzero(~(problem.frequencies(problem.start) > 0.0))
     if len(still):
@@ -136,7 +137,7 @@ def _nowhere(problem: Posterior, n: int) -> str:
 
 
 def _starting_points(problem: Posterior, scaled: ScaledDensity, starts: int, seed: int) -> FloatArray:
-    """Return scaled points (starts, ndim) within the bounds."""
+    """Return the scaled starting points (starts, ndim) within the bounds."""
     from scipy.stats import qmc
 
     lower, upper = box(problem.parameters)
@@ -151,7 +152,7 @@ def _starting_points(problem: Posterior, scaled: ScaledDensity, starts: int, see
 
 
 def leaders(ends: Ascent) -> tuple[FloatArray, IntArray]:
-    """Return the highest of the ends close to one another (n, ndim), and the number of ends near each (n,)."""
+    """Return the highest of each group of close end points, (n, ndim), and the size of each group, (n,)."""
     chosen, starts = list[int](), list[int]()
     left = np.argsort(ends.value)
     left = left[np.isfinite(ends.value[left])]
@@ -168,7 +169,7 @@ def leaders(ends: Ascent) -> tuple[FloatArray, IntArray]:
 
 
 def _collect_ends(scaled: ScaledDensity, u: FloatArray, starts: IntArray) -> list[Maximum]:
-    """Return the scaled points (n, ndim) with a finite log-probability as maxima; `starts` (n,) led to each."""
+    """Return the list of maxima at scaled points (n, ndim) of finite log-probability, with their `starts` (n,)."""
     theta = scaled.to_theta(u)
     values = scaled.density.log_prob(theta)
     return [Maximum(x, float(v), int(n)) for x, v, n in zip(theta, values, starts, strict=True) if np.isfinite(v)]
@@ -182,7 +183,7 @@ def _is_same(problem: Posterior, one: Maximum, other: Maximum) -> bool:
 
 
 def _merge(problem: Posterior, maxima: Iterable[Maximum]) -> tuple[Maximum, ...]:
-    """Return the distinct maxima, the highest first, each with the starts of all that are equal to it."""
+    """Return the tuple of distinct maxima, the highest first; the starts of equal maxima are added up."""
     distinct: list[Maximum] = []
     for maximum in sorted(maxima, key=lambda m: -m.log_prob):
         for i, known in enumerate(distinct):
@@ -195,12 +196,12 @@ def _merge(problem: Posterior, maxima: Iterable[Maximum]) -> tuple[Maximum, ...]
 
 
 def _distinct(problem: Posterior, tops: Iterable[Maximum]) -> tuple[Maximum, ...]:
-    """Return the distinct maxima of those with a finite log-probability, the highest first."""
+    """Return the tuple of distinct maxima with a finite log-probability, the highest first."""
     return _merge(problem, [top for top in tops if np.isfinite(top.log_prob)])
 
 
 def _climb(scaled: ScaledDensity, start: FloatArray, starts: int = 1) -> Maximum:
-    """Climb by L-BFGS-B from a scaled point."""
+    """Return the maximum that L-BFGS-B reaches from a scaled point (ndim,)."""
     from scipy.optimize import minimize
 
     def negative(u: FloatArray) -> tuple[float, FloatArray]:
@@ -224,19 +225,20 @@ def _climb(scaled: ScaledDensity, start: FloatArray, starts: int = 1) -> Maximum
 
 @dataclass(frozen=True)
 class Ascent:
-    """Results of `ascend`.
+    """The results of `ascend`.
 
     Attributes
     ----------
     position : ndarray, shape (n, ndim)
         Final points.
     value : ndarray, shape (n,)
-        V there.
+        V at the final points.
     hessian : ndarray, shape (n, ndim, ndim)
-        Its Gauss–Newton Hessian there.
+        Gauss–Newton Hessian of V at the final points.
     stationary : ndarray of bool, shape (n,)
+        Whether each final point is stationary.
     steps : int
-        Number of steps.
+        Number of steps performed.
     """
 
     position: FloatArray
@@ -269,7 +271,7 @@ class GaussNewton:
         if scaled.is_log.any():
             prior_slope = prior_slope / scaled.scale * stretch
             j = np.flatnonzero(scaled.is_log)
-            prior_curvature[:, j, j] = 1.0  # of −log p = u²/2 + sd u, the logarithm of a log-normal density of θ
+            prior_curvature[:, j, j] = 1.0  # as −log p = u²/2 + sd u for a log-normal density of θ
         gradient = -slope * stretch - prior_slope
         hessian = information * (stretch[..., :, None] * stretch[..., None, :]) + prior_curvature
         failed = ~(np.isfinite(value) & np.all(np.isfinite(gradient), axis=1))
@@ -285,22 +287,23 @@ def ascend(
     tolerance: float = 1e-9,
     max_steps: int = 100,
 ) -> Ascent:
-    """Climb from every start to a local maximum of −V within a box.
+    """Ascend from every start to a local maximum of −V within a box, by the Levenberg–Marquardt method.
 
-    Levenberg–Marquardt: the step minimises the quadratic model with its diagonal enlarged, within the box, and the
-    enlargement follows the ratio of actual and predicted decrease (Nocedal & Wright 2006, sections 4.1 and 10.3).
-    At a kink, where computed modes swap, the quadratic model fails: such an ascent does not end at a stationary
-    point.
+    Each step minimises the quadratic model with an enlarged diagonal within the box. The enlargement follows the
+    ratio of actual and predicted decrease (Nocedal & Wright 2006, sections 4.1 and 10.3). At a kink, where
+    computed modes swap, the quadratic model is invalid, and the ascent does not end at a stationary point.
 
     Parameters
     ----------
     quadratic : callable
     start : ndarray, shape (n, ndim)
-        Within the box. Starts with an infinite V are returned unchanged.
+        Starts within the box. Starts with an infinite V are returned unchanged.
     lower, upper : ndarray, shape (ndim,)
+        Limits of the box.
     tolerance : float
-        A point is stationary if the decrease predicted there is smaller; V is in units of log-probability.
+        A point is stationary if the predicted decrease of V is smaller than this, in nats.
     max_steps : int
+        Largest number of steps.
 
     Returns
     -------
@@ -337,12 +340,12 @@ def ascend(
 
 
 def find_pressed(u: FloatArray, g: FloatArray, lower: FloatArray, upper: FloatArray) -> BoolArray:
-    """Return a mask of the coordinates at a bound with V decreasing outwards, shape (n, ndim)."""
+    """Return a mask of the coordinates that are at a bound and in which V decreases outwards, shape (n, ndim)."""
     return ((u <= lower) & (g > 0)) | ((u >= upper) & (g < 0))
 
 
 def decrement(u: FloatArray, g: FloatArray, H: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return the decrease of V that an undamped step predicts, with the pressed coordinates held, shape (n,)."""
+    """Return the predicted decrease of V in an undamped step, (n,); coordinates of `find_pressed` are held."""
     held = find_pressed(u, g, lower, upper)
     s = _newton(g, _invertible(H), held, np.zeros_like(u))
     return -0.5 * np.sum(np.where(held, 0.0, g) * s, axis=1)
@@ -353,13 +356,13 @@ def _box_step(u: FloatArray, g: FloatArray, A: FloatArray, lower: FloatArray, up
 
     The exact minimum in a box is a quadratic programme. Three cheap candidates are enough, since the damping
     corrects a poor step: the Newton step clipped to the box, the Newton step shortened to the first bound, and an
-    active-set step, which fixes coordinates at the bounds they would cross and solves for the others until none is
-    outside.
+    active-set step. The latter fixes coordinates at the bounds that they would cross and solves for the remaining
+    coordinates, until all are inside.
     """
-    # coordinates at a bound that V pushes outwards do not move at all
+    # coordinates at a bound in which V decreases outwards are held
     held = find_pressed(u, g, lower, upper)
     s = _newton(g, A, held, np.zeros_like(u))
-    # the fraction of the step at which the first coordinate meets its bound
+    # the fraction of the step at which the first coordinate reaches its bound
     with np.errstate(divide="ignore", invalid="ignore"):
         room = np.where(s > 0, (upper - u) / s, np.where(s < 0, (lower - u) / s, np.inf))
     cut = s * np.clip(room.min(axis=1), 0.0, 1.0)[:, None]
@@ -376,10 +379,10 @@ def _box_step(u: FloatArray, g: FloatArray, A: FloatArray, lower: FloatArray, up
 
 
 def _newton(g: FloatArray, A: FloatArray, held: BoolArray, s: FloatArray) -> FloatArray:
-    """Return the minimiser of g·s + sᵀAs/2 over the free coordinates of `s`; the others are fixed."""
+    """Return the minimiser of g·s + sᵀAs/2, (n, ndim), with the `held` coordinates fixed at the values in `s`."""
     i = np.arange(g.shape[1])
     s = np.where(held, s, 0.0)
-    # identity rows keep the system of one size for the whole batch, whatever is held
+    # identity rows for held coordinates keep the size of the system the same for the whole batch
     B = np.where(held[:, :, None] | held[:, None, :], 0.0, A)
     B[:, i, i] = np.where(held, 1.0, B[:, i, i])
     right = np.where(held, 0.0, -(g + np.einsum("nij,nj->ni", A, s)))
@@ -387,11 +390,11 @@ def _newton(g: FloatArray, A: FloatArray, held: BoolArray, s: FloatArray) -> Flo
 
 
 def _predicted_decrease(s: FloatArray, g: FloatArray, A: FloatArray) -> FloatArray:
-    """Return the decrease of the model along `s`, shape (n,)."""
+    """Return the decrease of the quadratic model in the step `s`, shape (n,)."""
     return -np.sum(g * s, axis=1) - 0.5 * np.einsum("ni,nij,nj->n", s, A, s)
 
 
 def _invertible(H: FloatArray) -> FloatArray:
-    """Return H with a small multiple of the identity added, for directions that nothing determines."""
+    """Return H with a small multiple of the identity added, which regularises undetermined directions."""
     n = H.shape[1]
     return H + (1e-12 * (1.0 + np.trace(H, axis1=1, axis2=2)))[:, None, None] * np.eye(n)

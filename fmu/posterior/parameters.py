@@ -1,4 +1,4 @@
-"""Updating parameters: name, unit, bounds, start and prior."""
+"""Updating parameters, each with its name, unit, bounds, start value and prior."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fmu.posterior.priors.base import Normal, Prior, Uniform
 from fmu.types import FloatArray
 
 _IN_THE_UNIT = ("mean", "sd", "at", "median", "low", "high")
-"""Settings of priors that are values of the parameter."""
+"""Arguments of priors that are in the unit of the parameter."""
 DIMENSIONS = ("chain", "draw")
 """Dimensions of the draws in a trace."""
 
@@ -22,27 +22,28 @@ DIMENSIONS = ("chain", "draw")
 @check_arguments
 @dataclass(frozen=True)
 class Parameter:
-    """One uncertain quantity of the model.
+    """An uncertain quantity of the model.
 
     Attributes
     ----------
     name : str
-        See `require_name`.
+        For the names that are allowed see `require_name`.
     start : float
         Value in the model before updating, in `unit`.
     lower, upper : float
-        Bounds; they truncate the prior. They are moved inwards to the ends of the support of the prior.
+        Bounds, which truncate the prior. A bound outside the support of the prior is moved to the end of the
+        support.
     prior : Prior
         `Uniform` by default, which needs finite bounds.
     unit : str
-        SI unit, for labels, in printable characters; empty for a factor.
+        SI unit, for labels, in printable characters; empty for a dimensionless factor.
     group : str
-        Parameters of one group may share their α in eq. (6), see `share_alpha`.
+        Name of a group whose parameters may share one α in eq. (6), see `share_alpha`.
 
     Raises
     ------
     ValueError
-        If the name is not allowed, or bounds, start and prior do not fit together.
+        If the name is not allowed, or the bounds, the start and the prior are inconsistent.
     """
 
     name: str
@@ -81,13 +82,13 @@ class Parameter:
 
     @property
     def lowest(self) -> float:
-        """Lowest value with a positive density: `lower`, or the next number above if the prior is zero there."""
+        """Lowest value of positive prior density: `lower`, or the float above if the density is zero there."""
         ends = not np.isfinite(self.lower) or self._has_density(self.lower)
         return self.lower if ends else float(np.nextafter(self.lower, np.inf))
 
     @property
     def highest(self) -> float:
-        """Highest value with a positive density: `upper`, or the next number below if the prior is zero there."""
+        """Highest value of positive prior density: `upper`, or the float below if the density is zero there."""
         ends = not np.isfinite(self.upper) or self._has_density(self.upper)
         return self.upper if ends else float(np.nextafter(self.upper, -np.inf))
 
@@ -96,7 +97,7 @@ class Parameter:
 
 
 def prior_in_words(settings: Mapping[str, Any], unit: str) -> str:
-    """Return the name and the numbers of a prior, those in `unit` as they are shown: ``"normal, sd 200"``."""
+    """Return the name and arguments of a prior as text, in the customary unit, such as ``"normal, sd 200"``."""
     factor = 1.0 if str(settings["distribution"]).startswith("scipy") else customary_unit(unit).factor
     parts = [
         f"{key} {given(value / (factor if key in _IN_THE_UNIT else 1.0)) if isinstance(value, float) else value}"
@@ -106,7 +107,7 @@ def prior_in_words(settings: Mapping[str, Any], unit: str) -> str:
 
 
 def require_name(name: str, key: str = "name") -> None:
-    """Raise ValueError for a name that a trace could not store or nobody could read.
+    """Raise ValueError for a name that a trace cannot store or that is not legible.
 
     Spaces, Greek letters, ``$``, ``_``, ``%``, ``|``, ``<b>`` and quotes are allowed.
     """
@@ -122,18 +123,18 @@ def require_name(name: str, key: str = "name") -> None:
 
 
 def share_alpha(parameters: Sequence[Parameter], alpha: Mapping[str, float]) -> tuple[Parameter, ...]:
-    """Give every group of parameters its α of eq. (6).
+    """Return the parameters with a Gaussian prior for each named group, with the α of eq. (6).
 
     Parameters
     ----------
     parameters : sequence of Parameter
     alpha : mapping of group name to float
-        α = 1/σ² in the parameters' units; parameters of groups not named keep their prior.
+        α = 1/σ² in the parameters' units. Parameters of groups that are not named keep their prior.
 
     Raises
     ------
     ValueError
-        If a group has no parameter.
+        If a named group has no parameter.
     """
     unused = set(alpha) - {p.group for p in parameters}
     if unused:

@@ -1,4 +1,4 @@
-"""Priors that hardly fit their bounds: slips such as a mean left out, or a standard deviation in another unit."""
+"""A check for priors that are inconsistent with their bounds, as when a mean is missing or a unit is wrong."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors import prior_of
 
 LEAST_MASS = 0.05
-"""Bounds that hold less of a prior than this are doubted."""
+"""Share of a prior's probability between the bounds below which the prior is reported."""
 FAR = 1.0
-"""A prior is far outside its bounds if its centre is this many of its standard deviations outside."""
+"""Distance of a prior's centre outside the bounds, in standard deviations, above which the prior is reported."""
 NARROW = 1e-4
-"""A prior narrower than this part of the range between the bounds (of its centre, without bounds) is fixed."""
+"""Width of a prior relative to the bounds (without bounds, to its centre) below which the parameter is fixed."""
 _FLAT = 0.1
 
 
 class Fit(NamedTuple):
-    """How a prior lies in its bounds, in the parameter's unit.
+    """The position of a prior relative to its bounds, in the parameter's unit.
 
     Attributes
     ----------
     mass : float
-        The part of the prior between the bounds.
+        Probability of the prior between the bounds.
     centre, sd : float
-        Median of the prior before the bounds cut it, and half its central 68 % interval.
+        Median of the prior before truncation, and half its central 68 % interval.
     outside : float
-        How many `sd` the centre lies outside the bounds; 0 if it is inside.
+        Distance of the centre outside the bounds in units of `sd`; 0 if the centre is inside.
     median, spread : float
-        The same within the bounds.
+        Median of the truncated prior, and half its central 68 % interval.
     is_flat : bool
-        Whether the prior is about constant between its bounds: its median is near the middle.
+        Whether the prior is nearly constant between its bounds, so that its median is near the middle.
     """
 
     mass: float
@@ -48,7 +48,7 @@ class Fit(NamedTuple):
 
 
 def fit_to_bounds(parameter: Parameter) -> Fit | None:
-    """Return how a prior lies in its bounds; None for a prior that only bounds make a distribution."""
+    """Return the position of a prior relative to its bounds; None for a prior defined only between bounds."""
     prior, lower, upper = parameter.prior, parameter.lower, parameter.upper
     if prior.needs_bounds:
         return None
@@ -64,21 +64,21 @@ def fit_to_bounds(parameter: Parameter) -> Fit | None:
 
 
 def prior_doubts(parameters: Iterable[Parameter]) -> list[str]:
-    """Return a sentence for each prior that hardly fits its bounds: what is wrong, the value, what to do.
+    """Return the list of messages on priors that are inconsistent with their bounds, with a remedy for each.
 
-    Doubted are priors of which the bounds hold less than 5 %, whose centre lies more than one of their standard
-    deviations outside the bounds, or that are so narrow that the data cannot move the parameter.
+    A prior is reported if less than 5 % of its probability lies between the bounds, if its centre lies more than
+    one of its standard deviations outside the bounds, or if it is so narrow that the data have no influence.
     """
     return [said for names, one in _alike(parameters) if (said := _doubt(names, one))]
 
 
 def outside_bounds(configuration: Iterable[Mapping[str, Any]]) -> list[str]:
-    """Describe the priors that are centred outside their bounds, and their share within them.
+    """Return the list of sentences on priors centred outside their bounds, with the probability within the bounds.
 
     Parameters
     ----------
     configuration : iterable of dict
-        ``parameters`` of `UpdatingProblem.configuration`.
+        The list ``parameters`` in the dict returned by `UpdatingProblem.configuration`.
     """
     known = []
     for p in configuration:
@@ -98,7 +98,7 @@ def outside_bounds(configuration: Iterable[Mapping[str, Any]]) -> list[str]:
 
 
 def _alike(parameters: Iterable[Parameter]) -> list[tuple[list[str], Parameter]]:
-    """Return the parameters of equal prior and bounds: their names, and one of them."""
+    """Return the list of groups of parameters with equal prior and bounds: the names, and the first parameter."""
     groups: dict[str, tuple[list[str], Parameter]] = {}
     for one in parameters:
         key = str((one.prior.as_dict(), one.lower, one.upper, one.unit))
@@ -130,7 +130,7 @@ def _doubt(names: list[str], one: Parameter) -> str:
         )
     scale = one.upper - one.lower if np.isfinite(one.upper - one.lower) else abs(fit.centre)
     if fit.spread < NARROW * scale:
-        sd = f"{significant(fit.spread, 2)} {one.unit}".rstrip()  # in the unit of the file, where the slip is
+        sd = f"{significant(fit.spread, 2)} {one.unit}".rstrip()  # in the unit of the file, which has the error
         return (
             f"{_priors(names)} {_centre(one, fit)} with a standard deviation of {sd}: so narrow that "
             "the data cannot move the parameter. Check the unit of the standard deviation; if the value is known "

@@ -1,4 +1,4 @@
-"""The updating problem: THE log-probability callable that every sampler shares."""
+"""The updating problem, which defines the log-probability that every sampler evaluates."""
 
 from __future__ import annotations
 
@@ -34,34 +34,37 @@ _LEAST_NOISE = 1e-150
 class UpdatingProblem(Posterior):
     """The posterior of eq. (8): a model, a measurement and the priors of the parameters.
 
-    The full model answers; `reduced` makes the same problem with a reduced model, which is much faster.
+    This class solves the full model; `reduced` makes the same problem with a reduced model, which is much faster.
 
     Parameters
     ----------
     model : SeparableModel, BlackBoxModel or ModalModel
-        The structure, a function of the user, or any map from theta to the frequencies of the measured modes. Of
-        several tests (`fmu.JointProblem`) it maps the parameters in all tests to the modes of all.
+        The structure, a function of the user, or any map from theta to the frequencies of the measured modes. With
+        several tests (`fmu.JointProblem`) it maps the parameters in all tests to the modes measured in all tests.
     data : ModalData
     parameters : sequence of Parameter
-        Parameters of the model, in the order of theta. Standard deviations inferred by `error` follow them.
+        Parameters of the model, in the order of theta. The standard deviations that `error` infers follow them.
     pairing : {"shape", "index", "soft"}
-        How the modes of a SeparableModel are paired with the measured ones (`fmu.fem.pairing.rules`): by MAC with
-        the modes of the model before updating, or by number in the sorted spectrum. ``"soft"``: all of them, with
-        weights exp(MAC/τ), so that the log-probability does not jump where modes veer; see
-        `fmu.posterior.errors.mixture` for its cost.
+        How the modes of a SeparableModel are paired with the measured modes (`fmu.fem.pairing.rules`): by MAC with
+        the measured shapes or, without them, with the modes of the model before updating; or by number in the
+        sorted spectrum. ``"soft"``: each measured mode is compared with all candidate modes, with weights
+        exp(MAC/τ), so that the log-probability does not jump where modes veer; see `fmu.posterior.errors.mixture`
+        for the limits of this pairing.
     softness : float
-        τ, for ``"soft"`` only.
+        The temperature τ of the weights, for ``"soft"`` only.
     beta : float or array_like, shape (n_modes,), optional
         Trust in the data, β = 1/(2σ²) (eq. 4): 1/Hz² for frequencies, dimensionless for the modal residual; 1 by
-        default, as in the paper. It must not be given if `data` have standard deviations or a covariance.
+        default, as in the paper. For frequencies, `beta` must not be given if `data` have standard deviations or a
+        covariance.
     error : {"frequency", "modal-residual"}, ErrorModel, or sequence of ErrorModel
         ``"frequency"``: ε = f − f^m in Hz. ``"modal-residual"``: the residual of eq. (2) at the sensors, a
-        pseudo-likelihood that needs measured shapes and a SeparableModel (`fmu.posterior.errors.residual`). Or the
-        error models to be summed: `fmu.FrequencyErrors`, `fmu.ShapeErrors`, `fmu.MACErrors`; and for data beside
-        the modes `fmu.MassErrors` and `fmu.StaticErrors`, with which frequencies keep their default errors.
+        pseudo-likelihood that needs measured shapes and a SeparableModel (`fmu.posterior.errors.residual`).
+        Otherwise the error models whose log-densities are summed: `fmu.FrequencyErrors`, `fmu.ShapeErrors`,
+        `fmu.MACErrors`; and, for data other than modes, `fmu.MassErrors` and `fmu.StaticErrors`. If only the
+        latter two are given, the frequencies keep their default errors.
     name : str
     layout : Layout, optional
-        From theta to the parameters of the structure in each of several tests; the identity by default.
+        The map from theta to the parameters of the structure in each of several tests; the identity by default.
 
     Attributes
     ----------
@@ -71,39 +74,39 @@ class UpdatingProblem(Posterior):
     names, units : tuple of str
     lower, upper, start : ndarray, shape (ndim,), SI units
     offset, scale : ndarray, shape (ndim,)
-        (theta − offset)/scale is of order one: the unit box where there are bounds.
+        (theta − offset)/scale is of order one; with two finite bounds it usually lies between 0 and 1.
     prior : JointPrior
     layout : Layout
     tests : tuple of Test
-        One, unless the structure was tested several times.
+        The tests of the structure; one unless the structure was tested several times.
     roles : tuple of Role
-        What each parameter is for.
+        The role of each parameter of theta.
     tolerance : Tolerance or None
-        Errors allowed to the reduced model; None where there is none, see `reduced`.
+        Errors that the reduced model may have; None if there is no reduced model, see `reduced`.
     failures : list of Failure
-        ``(theta, reason)`` for every theta inside the bounds whose solve failed or whose log-likelihood was not
-        finite, the first ten thousand.
+        ``(theta, reason)`` for the first ten thousand theta inside the bounds at which the solve failed or the
+        log-likelihood was not finite.
     n_failures : int
-        Number of such evaluations.
+        Number of all such evaluations.
     is_hierarchical : bool
-        Whether parameters have a distribution that is inferred too (`fmu.Population`). The maximum of such a
-        posterior lies far from its mass.
+        Whether the distribution of some parameters is itself inferred (`fmu.Population`). The maximum of such a
+        posterior lies far from most of its probability.
 
     Raises
     ------
     ValueError
-        If the model does not fit the parameters or the data, two parameters share a name, or rounding in the
-        matrices is larger than the errors of the measurement (`fmu.posterior.rounding`).
+        If the model does not fit the parameters or the data, two parameters share a name, or the rounding errors
+        of the matrices exceed the errors of the measurement (`fmu.posterior.rounding`).
 
     Warns
     -----
     RoundingWarning
-        If rounding is not negligible beside those errors.
+        If the rounding errors are not negligible beside the errors of the measurement.
 
     Notes
     -----
     theta is in SI units throughout. ``log_prob`` maps ``(ndim,)`` to a float and ``(n, ndim)`` to ``(n,)``; it
-    is ``-inf`` outside the bounds, and never an exception for a finite theta.
+    is ``-inf`` outside the bounds, and no finite theta raises an exception.
     """
 
     @check_arguments
@@ -134,10 +137,11 @@ class UpdatingProblem(Posterior):
         self.units = tuple(p.unit for p in self.parameters)
         self.lower = np.array([p.lower for p in self.parameters], dtype=float)
         self.upper = np.array([p.upper for p in self.parameters], dtype=float)
-        # as rows, like one theta, which spares it NumPy's broadcasting; open where the prior vanishes at a bound
+        # rows of shape (1, ndim), so that NumPy need not broadcast for a single theta; a bound at which the prior
+        # vanishes is excluded
         self._lowest = np.array([[p.lowest for p in self.parameters]])
         self._highest = np.array([[p.highest for p in self.parameters]])
-        # errors of no size at all have no density, and their square must not vanish
+        # errors with a standard deviation of zero have no density, and its square must not underflow
         self._lowest[:, self.n_structural :] = np.maximum(self._lowest[:, self.n_structural :], _LEAST_NOISE)
         self.start = np.array([p.start for p in self.parameters], dtype=float)
         scales = [p.prior.scale(p.lower, p.upper) for p in self.parameters]
@@ -158,23 +162,25 @@ class UpdatingProblem(Posterior):
     ) -> UpdatingProblem:
         """Return a problem in which a certified reduced model replaces a SeparableModel inside the bounds.
 
-        It is trained here, or read from the cache (`fmu.posterior.reduction.train_reduced`). Others are kept.
+        The reduced model is trained here, or read from the cache (`fmu.posterior.reduction.train_reduced`). A
+        model that is not a SeparableModel is kept.
 
         Parameters
         ----------
         *args, **options
-            Those of `UpdatingProblem`.
+            The arguments of `UpdatingProblem`.
         reduction : bool or float
-            Largest relative error of its frequencies, above 0 and at most 0.01; true stands for 1e-6. The error
-            allowed to the log-probability follows from it (`fmu.posterior.reduction.tolerance.Tolerance.of`).
-            False: the full model is kept.
+            Largest relative error of the reduced model's frequencies, above 0 and at most 0.01; True means 1e-6.
+            The largest error of the log-probability follows from this value
+            (`fmu.posterior.reduction.tolerance.Tolerance.of`). False keeps the full model.
         engine : Engine, optional
-            Trains with its workers (see `fmu.engine`); the result is the same in every bit. It is not kept.
+            The engine whose workers train the reduced model (see `fmu.engine`); the result is identical to the
+            last bit. The problem keeps no reference to the engine.
 
         Raises
         ------
         ValueError
-            As `UpdatingProblem` does, and if `reduction` is out of range.
+            In the cases listed for `UpdatingProblem`, and if `reduction` is out of range.
 
         Warns
         -----
@@ -195,17 +201,17 @@ class UpdatingProblem(Posterior):
 
     @check_arguments
     def using(self, labels: Collection[str]) -> UpdatingProblem:
-        """Return the same problem updated with other modes; the model, reduced or not, is shared.
+        """Return the same problem updated with the named modes only; the model, reduced or not, is shared.
 
         Parameters
         ----------
         labels : collection of str
-            Names of the modes whose measurement is used; the others are paired and predicted only.
+            Names of the modes whose measurement is used; the other modes are paired and predicted only.
 
         Raises
         ------
         ValueError
-            If there is no such mode, or none is named.
+            If there is no mode of a given name, or no mode is named.
         """
         unknown = [name for name in labels if name not in self.data.labels]
         if unknown:
@@ -220,9 +226,9 @@ class UpdatingProblem(Posterior):
 
     @check_arguments
     def coarser(self, share: Annotated[float, Interval(gt=0, le=1)]) -> UpdatingProblem:
-        """Return the same problem with a model by only a share of its reduced basis, if it has one.
+        """Return the same problem with only a share of the vectors of the reduced basis, if there is one.
 
-        A solve takes less time and is less accurate: for what may be approximate, such as proposals.
+        A solve then takes less time and is less accurate, which is enough for approximations such as proposals.
         """
         return self.with_model(self.model.coarser(share))
 
@@ -239,12 +245,13 @@ class UpdatingProblem(Posterior):
         return np.clip(self.prior.draw(rng, n), self._lowest, self._highest)
 
     def walkers(self, n: int, seed: int = 1) -> FloatArray:
-        """Return starts for the walkers of an ensemble, such as emcee's, shape (n, ndim), SI units.
+        """Return starting points for the walkers of an ensemble sampler such as emcee, shape (n, ndim), SI units.
 
-        They are spread over the maxima of the posterior in proportion to their probability, around each of them
-        twice as wide as the posterior, within the bounds and where the log-probability is finite
-        (`fmu.analysis.maxima.starts.starts_at_maxima`); of a hierarchical posterior around its middle. The maxima
-        are searched for once (`fmu.find_map`). Another seed gives other starts, for another ensemble.
+        The points are spread over the maxima of the posterior in proportion to the probability of each maximum.
+        Around each maximum they are twice as wide as the posterior, within the bounds and where the
+        log-probability is finite (`fmu.analysis.maxima.starts.starts_at_maxima`). For a hierarchical posterior
+        they lie around its middle instead. The maxima are searched for once (`fmu.find_map`). A different seed
+        gives different points, for another ensemble.
 
         Parameters
         ----------
@@ -257,7 +264,7 @@ class UpdatingProblem(Posterior):
         ValueError
             If `n` or `seed` is out of range.
         """
-        # the search for maxima is in a layer above: the one call that goes up, when it is made
+        # the search for maxima belongs to a higher layer, so it is imported only when this method is called
         found: FloatArray = import_module("fmu.analysis.maxima.starts").walkers(self, n, seed)
         return found
 
@@ -271,22 +278,22 @@ class UpdatingProblem(Posterior):
         rng : Generator
         frequencies : ndarray, shape (n, n_modes), Hz
         theta : ndarray, shape (n, ndim), optional
-            Where standard deviations are inferred, they are taken from here.
+            Supplies the inferred standard deviations, if there are any.
 
         Raises
         ------
         ValueError
-            If the error models give no distribution of the frequencies (shapes alone, the modal residual).
+            If the error models define no distribution of the frequencies (shapes alone, the modal residual).
         """
         return self.likelihood.simulate(rng, frequencies, self._noise(theta))
 
     def simulate_test(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
     ) -> FloatArray:
-        """Return simulated frequencies of one more test where the model has `frequencies`, Hz, shape (n, n_modes).
+        """Return simulated frequencies of one more test, Hz, shape (n, n_modes), for computed `frequencies`.
 
-        `simulate_data` repeats the data, the mean of all tests; a single test scatters √n times as much
-        (`fmu.posterior.data.repeated.RepeatedTests.simulate`). The parameters are those of `simulate_data`.
+        `simulate_data` simulates the data, which are the mean of n tests. A single test scatters √n times as much
+        (`fmu.posterior.data.repeated.RepeatedTests.simulate`). The parameters are the same as in `simulate_data`.
 
         Raises
         ------

@@ -1,8 +1,8 @@
-"""Whether the digits of the matrices are enough for the errors of the measurement.
+"""A check that rounding errors of the matrices are smaller than the errors of the measurement.
 
-An entry of K is rounded to one part in 10¹⁶. Where stiff parts hardly strain, such as a rigid link, or a spring of
-1e16 N/m beside others of 1e5 N/m, their strain energy in a mode, φᵀKφ = Σ K_ij φ_i φ_j, is a small difference of
-large numbers, and so is λ:
+An entry of K is rounded to one part in 10¹⁶. If stiff parts hardly strain, such as a rigid link, or a spring of
+1e16 N/m beside springs of 1e5 N/m, their strain energy in a mode, φᵀKφ = Σ K_ij φ_i φ_j, is a small difference of
+large numbers. The error of the eigenvalue λ is then
 
     δλ ≈ u √(Σ_ij (|K|_ij φ_i φ_j)²) + λ u √(Σ_ij (|M|_ij φ_i φ_j)²),      |K| = Σ_k |c_k| |K_k|,
 
@@ -35,39 +35,39 @@ from fmu.types import FloatArray
 
 UNIT = 2.0**-53
 WARN, REFUSE = 0.05, 1.0
-"""Expected error of a frequency by rounding, in standard deviations of its measurement."""
-# Solvers, and the sums that make an entry, commit several roundings: with this factor the expected error is 2 to
-# 30 times the error found in extended precision.
+"""Expected rounding errors of a frequency, in standard deviations of its measurement, to warn and to refuse."""
+# Solvers, and the sums that form an entry, round several times: with this factor the expected error is 2 to 30
+# times the error found in extended precision.
 _ROUNDINGS = 4.0
-# Strain energy of a term in a motion, relative to the sum of the magnitudes that cancel in it. Below this the
-# motion does not strain the term, apart from rounding, also in matrices exported with ten digits; and of motions
-# whose energy in all terms is rounding of 16 digits, for which λ is exactly zero.
+# Strain energy of a term in a mode shape, relative to the sum of the magnitudes that cancel. Below the first value
+# the shape does not strain the term, apart from rounding, also in matrices exported with ten digits. The second
+# value is for shapes with λ exactly zero, whose energy in all terms is rounding error of 16 digits.
 _LOST, _LOST_EXACTLY = 1e-6, 1e-9
 _RIGID_AT_MOST = 7
-# The last start of each model: it is asked for before training and after.
+# The solution at the last start of each model, which is needed both before and after training.
 _SOLVED: WeakKeyDictionary[PairedStructure, tuple[FloatArray, FloatArray, ModalSolution]] = WeakKeyDictionary()
 
 
 class RoundingWarning(UserWarning):
-    """The matrices have too few digits for the errors of the measurement."""
+    """A warning that rounding errors of the matrices are not negligible beside the errors of the measurement."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rounding:
-    """Errors of the frequencies at the start due to rounding.
+    """The rounding errors of the frequencies at the start.
 
     Attributes
     ----------
     relative : ndarray, shape (n_modes,)
-        Expected error of each frequency, relative to it.
+        Expected relative error of each frequency.
     of_sd : ndarray, shape (n_modes,)
-        The same in standard deviations of its measurement.
+        Expected error of each frequency in standard deviations of its measurement.
     mode : str
-        The measured mode with the largest error, relative to its standard deviation.
+        Label of the measured mode with the largest `of_sd`.
     where : str
-        The degree of freedom that contributes most to it.
+        The degree of freedom that contributes most to the error of that mode.
     stiffness : float
-        Stiffness on the diagonal of K there.
+        Diagonal entry of K at that degree of freedom, SI units.
     """
 
     relative: FloatArray
@@ -77,7 +77,7 @@ class Rounding:
     stiffness: float
 
     def sentence(self) -> str:
-        """Say how large the error is, where it comes from, and what to do."""
+        """Return the message that states the largest error, its cause and a remedy."""
         k = int(np.argmax(self.of_sd))
         of_sd, relative = significant(100 * self.of_sd[k], 2), significant(self.relative[k], 1)
         return (
@@ -91,7 +91,7 @@ class Rounding:
 def rounding(problem: Posterior) -> Rounding | None:
     """Return the rounding errors of a problem's frequencies at the start.
 
-    None if the model has no matrices, or its likelihood is not one of computed modes.
+    Return None if the model has no matrices, or the likelihood is not one of computed modes.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def rounding(problem: Posterior) -> Rounding | None:
 
 
 def bounded_rounding(problem: Posterior) -> Rounding | None:
-    """Return the `rounding` of a problem; ValueError if it exceeds the errors of the measurement."""
+    """Return the `rounding` of a problem; ValueError if a rounding error exceeds the error of the measurement."""
     found = rounding(problem)
     if found is not None and np.max(found.of_sd) > REFUSE:
         raise ValueError(found.sentence())
@@ -140,11 +140,12 @@ def bounded_rounding(problem: Posterior) -> Rounding | None:
 def require_digits(problem: Posterior) -> None:
     """Raise ValueError if rounding errors exceed the errors of the measurement; warn if they are not negligible.
 
-    Also raises where the start of a structure has no finite log-probability.
+    Also raise ValueError if the model is a structure and the log-probability at the start is not finite.
 
     Warns
     -----
     RoundingWarning
+        If an expected rounding error exceeds 5 % of the standard deviation of the measurement.
     """
     if any(map(structure_of, problem.model.parts)) and not np.isfinite(problem.log_prob(problem.start)):
         raise ValueError(_without_density(problem))
@@ -153,24 +154,24 @@ def require_digits(problem: Posterior) -> None:
         return
     model = problem.model
     if model.truth is not model and np.max(rounding(problem.with_model(model.truth)).of_sd) > WARN:  # type: ignore[union-attr]
-        return  # it was said of the full model
+        return  # the warning was already given for the full model
     warnings.warn(found.sentence(), RoundingWarning, skip_file_prefixes=(f"{Path(__file__).parents[1]}{os.sep}",))
 
 
 def _without_density(problem: Posterior) -> str:
-    """Say why the start has no finite log-probability."""
+    """Return the message that explains why the log-probability at the start is not finite."""
     why = problem.likelihood.why_not_finite(problem.start) or "the modes at the start cannot be computed"
     return f"start: must have a finite log-probability (got -inf: {why}); correct the model, or the start"
 
 
 def _require_no_term_lost(problem: Posterior, model: PairedStructure, theta: FloatArray, top: float) -> None:
-    """Raise ValueError if a mode taken for a rigid-body mode strains a term of K, or K is negative for one.
+    """Raise ValueError if a mode treated as a rigid-body mode strains a term of K, or if K is not semidefinite.
 
-    A λ that is tiny relative to `top` is taken for zero, and pairing ignores the mode. If a term of K has strain
-    energy in it, that is wrong: the term was lost in the sum, or nearly.
+    A λ that is tiny relative to `top` is treated as zero, and pairing ignores the mode. This is wrong if a term of
+    K has strain energy in the mode: then the term was lost, or nearly lost, in rounding of the sum.
     """
     structure = model.structure
-    counts = model.rule.counts(model.blocks)  # so many were solved for
+    counts = model.rule.counts(model.blocks)  # the number of modes solved for in each block
     for b, block in enumerate(model.blocks):
         lam, shapes = block.modes(theta[None], max(counts.get(b, 0), min(_RIGID_AT_MOST, block.n_modes)))
         rigid = lam[0] <= RIGID * top
@@ -188,7 +189,7 @@ def _require_no_term_lost(problem: Posterior, model: PairedStructure, theta: Flo
 
 
 def _lost(model: PairedStructure, theta: FloatArray, dof: int) -> str:
-    """Describe the soft part, at a degree of freedom, that is lost in rounding."""
+    """Return the message on a soft part whose stiffness at a degree of freedom is lost in rounding."""
     node, direction = model.structure.dofs[dof]
     return (
         "rounding: stiffnesses of neighbours must differ by less than 1e14, and no mode may be below 3e-5 of the "
@@ -199,7 +200,7 @@ def _lost(model: PairedStructure, theta: FloatArray, dof: int) -> str:
 
 
 def _negative(problem: Posterior, model: PairedStructure, theta: FloatArray, motion: FloatArray) -> str:
-    """Name the term that makes K negative for a motion (n_dof,), or blame its rounding."""
+    """Return the message on the term, or the rounding, that makes K negative for a displacement (n_dof,)."""
     terms = model.structure.K_terms
     weights = coefficients(terms, theta[None])[0]
     energy = [c * (motion @ (t.matrix @ motion)) for c, t in zip(weights, terms, strict=True)]
@@ -222,13 +223,13 @@ def _sizes(terms: Sequence[Term], theta: FloatArray) -> Any:
 
 
 def _energies(sizes: Any, shapes: FloatArray) -> FloatArray:
-    """Return Σ_j (|A|_ij φ_i φ_j)² for every degree of freedom i and mode, shape (n_dof, n_modes)."""
+    """Return Σ_j (|A|_ij φ_i φ_j)² for every degree of freedom i and mode shape φ, shape (n_dof, n_modes)."""
     squares = sp.csr_array((sizes.data**2, sizes.indices, sizes.indptr), shape=sizes.shape)
     return np.asarray(shapes**2 * (squares @ shapes**2))
 
 
 def _highest_of_reduced(model: ModalModel, owners: NDArray[np.int64], theta: FloatArray) -> FloatArray:
-    """Return the highest eigenvalue of the reduced block of each mode, 0 where the full model is used."""
+    """Return the highest eigenvalue of the reduced block of each mode, (n_modes,); 0 if there is no such block."""
     if not isinstance(model, ReducedStructure):
         return np.zeros(len(owners))
     highest = {}

@@ -1,4 +1,4 @@
-"""A log-density in scaled coordinates: affine ones for samplers, and logarithms for ascents where they help."""
+"""Log-densities in scaled coordinates: affine, or logarithmic for ascents with wide log-normal priors."""
 
 from __future__ import annotations
 
@@ -11,31 +11,33 @@ from fmu.posterior.density import Posterior
 from fmu.types import BoolArray, FloatArray, LogDensity
 
 WIDE = 1.0
-"""Standard deviation of a logarithm above which a prior spans decades: 95 % of it lie within a factor of 50."""
+"""Standard deviation of log θ above which a prior spans decades (with 1, 95 % lie within a factor of 50)."""
 FARTHEST = 40.0
-"""Standard deviations of a logarithm, where an ascent ends: there a prior is lower by 800 nats."""
+"""Largest distance from the median, in standard deviations of log θ, where the prior is lower by 800 nats."""
 
 
 class ScaledDensity:
     """A log-density in the coordinates u = (theta − offset)/scale, in which metrics and widths are of order one.
 
-    Coordinates with two finite bounds lie in the unit box. Values are those of the density in theta; the Jacobian
-    of an affine map is constant and left out.
+    By default, coordinates with two finite bounds lie between 0 and 1. Values are those of the density of theta,
+    without the Jacobian, which is constant for an affine map.
 
     Parameters
     ----------
     density : LogDensity
-        Its attributes `offset` and `scale`, shape (ndim,), are used if it has them. Otherwise they follow from the
-        bounds: the unit box where both are finite, else offset 0 and scale 1.
+        A density whose attributes `offset` and `scale`, shape (ndim,), are used if they exist. Otherwise a
+        coordinate between two finite bounds is scaled to lie between 0 and 1; other coordinates have the offset 0
+        and the scale 1.
 
     Raises
     ------
     ValueError
-        If bounds, offset or scale have the wrong length, the bounds enclose nothing, or a scale is not positive.
+        If bounds, offset or scale have the wrong length, an upper bound does not exceed the lower bound, a scale
+        is not positive and finite, or an offset is not finite.
     """
 
     is_log: BoolArray = np.zeros(1, dtype=bool)
-    """Coordinates that are logarithms: none."""
+    """Mask of the coordinates that are logarithms; here there are none."""
 
     def __init__(self, density: LogDensity) -> None:
         self.density = density
@@ -59,23 +61,23 @@ class ScaledDensity:
         self.upper = self.to_scaled(self.theta_upper)
 
     def to_scaled(self, theta: FloatArray) -> FloatArray:
-        """Return u for theta of any leading shape."""
+        """Return the scaled coordinates u, shape (..., ndim), for theta of this shape."""
         return (theta - self.offset) / self.scale
 
     def to_theta(self, u: FloatArray) -> FloatArray:
-        """Return theta for u in the scaled box, clipped so that rounding cannot move it out of the bounds."""
+        """Return theta for u in the box, clipped so that rounding cannot move it out of the bounds."""
         return np.clip(self.offset + self.scale * u, self.theta_lower, self.theta_upper)
 
     def stretch(self, theta: FloatArray) -> FloatArray:
-        """Return the derivatives ∂θ/∂u, shape (ndim,), or (n, ndim) at theta of that shape."""
+        """Return the derivatives ∂θ/∂u, here the constant `scale` (ndim,); (n, ndim) if they depend on theta."""
         return self.scale
 
     def log_prob(self, u: Any) -> Any:
-        """Return the density's log_prob at u, shape (n, ndim), which must lie in the box."""
+        """Return the log-density, shape (n,), at u (n, ndim), which must lie in the box."""
         return self.density.log_prob(self.to_theta(u))
 
     def log_prob_and_grad(self, u: Any) -> tuple[Any, Any]:
-        """Return log_prob and its gradient with respect to u."""
+        """Return the log-density at u and its gradient with respect to u."""
         theta = self.to_theta(u)
         log_prob, gradient = self.density.log_prob_and_grad(theta)
         return log_prob, gradient * self.stretch(theta)
@@ -88,18 +90,20 @@ class ScaledDensity:
 
 
 class LogScaledDensity(ScaledDensity):
-    """A log-density in coordinates that climb well: u = (log θ − mean)/sd where a log-normal prior is `WIDE`.
+    """A log-density in coordinates for ascents: u = (log θ − mean)/sd if a log-normal prior is wider than `WIDE`.
 
-    Others are scaled as in `ScaledDensity`. The density is that of θ, so that its maxima are the same; there is no
-    Jacobian. The box ends `FARTHEST` from the median. Where no prior is so wide, all is as in `ScaledDensity`, to
-    the last bit.
+    Other coordinates are scaled as in `ScaledDensity`. The density is that of θ, without a Jacobian, so that its
+    maxima are the same. The box ends `FARTHEST` standard deviations from the median. If no prior is so wide, all
+    values equal those of `ScaledDensity` to the last bit.
 
-    Along θ an ascent that has come far out stays there: a spring that is nearly rigid changes nothing, and the
-    slope of the log-density falls with 1/θ. In log θ the prior is a parabola, which leads back.
+    In θ, an ascent that has moved far out does not return: a nearly rigid spring has no influence on the modes,
+    and the slope of the log-density decreases as 1/θ. In log θ the log-density of the prior is a parabola, whose
+    slope leads back.
 
     Attributes
     ----------
     is_log : ndarray of bool, shape (ndim,)
+        Mask of the coordinates that are logarithms.
     """
 
     def __init__(self, problem: Posterior) -> None:
@@ -113,7 +117,7 @@ class LogScaledDensity(ScaledDensity):
         self.upper = np.where(self.is_log, np.minimum(self.upper, FARTHEST), self.upper)
 
     def to_scaled(self, theta: FloatArray) -> FloatArray:
-        """Return u for theta of any leading shape."""
+        """Return the scaled coordinates u, shape (..., ndim), for theta of this shape."""
         with np.errstate(divide="ignore"):  # at the bound 0
             logs = (np.log(np.where(self.is_log, theta, 1.0)) - self._mean) / self._sd
         return np.where(self.is_log, logs, super().to_scaled(theta))
@@ -126,11 +130,11 @@ class LogScaledDensity(ScaledDensity):
         return np.clip(theta, self.theta_lower, self.theta_upper)
 
     def stretch(self, theta: FloatArray) -> FloatArray:
-        """Return the derivatives ∂θ/∂u, shape (n, ndim), at theta of that shape."""
+        """Return the derivatives ∂θ/∂u, shape (n, ndim), at theta (n, ndim)."""
         return np.where(self.is_log, theta * self._sd, self.scale)
 
 
 def ascent_coordinates(problem: Posterior) -> ScaledDensity:
-    """Return the coordinates in which to climb: logarithms only if a prior spans decades."""
+    """Return the scaled density for ascents, in logarithms of the parameters whose priors span decades."""
     with_logs = LogScaledDensity(problem)
     return with_logs if with_logs.is_log.any() else ScaledDensity(problem)

@@ -1,4 +1,4 @@
-"""What was measured: modal data, and repeated tests.
+"""The measured data: modal data, covariances of frequencies, and repeated tests.
 
 Reading order: modal_data, covariance, repeated.
 """

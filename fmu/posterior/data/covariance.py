@@ -10,24 +10,25 @@ from fmu.numbers import significant
 from fmu.types import FloatArray
 
 _SYMMETRIC = 1e-9
-"""Largest asymmetry, relative to the standard deviations."""
+"""Largest asymmetry allowed in the matrix of correlations."""
 
 
 def checked_covariance(covariance: ArrayLike, n: int, name: str = "covariance_hz2") -> FloatArray:
-    """Return a covariance as a read-only array, symmetric to the last bit.
+    """Return a covariance matrix as a read-only array, symmetric to the last bit.
 
     Parameters
     ----------
     covariance : array_like, shape (n, n)
     n : int
+        Number of modes.
     name : str
-        Its name in the error message.
+        Name of the matrix in error messages.
 
     Raises
     ------
     ValueError
-        If its shape is another, or it is not finite, symmetric (to 1e-9 of the standard deviations) and positive
-        definite: no correlation may be within 1e-12 or so of ±1.
+        If the matrix does not have the shape (n, n), is not finite, is not symmetric (correlations may differ by
+        1e-9), or is not positive definite: the lowest eigenvalue of the correlations must be at least 1e-12.
     """
     matrix = np.array(covariance, dtype=float)
     if matrix.shape != (n, n):

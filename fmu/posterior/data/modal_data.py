@@ -1,4 +1,4 @@
-"""Measured modes."""
+"""Measured frequencies and mode shapes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from fmu.types import FloatArray, IntArray, Plain
 @check_arguments
 @dataclass(frozen=True, eq=False)
 class ModalData:
-    """Frequencies and shapes measured in a modal test, and their uncertainty.
+    """The frequencies and shapes measured in a modal test, and their uncertainty.
 
     Attributes
     ----------
@@ -36,42 +36,43 @@ class ModalData:
         The number (from 1) of each measured mode in the sorted spectrum of the model, for pairing by number;
         1, 2, … by default.
     sensors : tuple of (node, direction)
-        Where the motion was measured, and in which direction: a mode that moves no sensor cannot be measured.
+        Node and direction of each sensor. A mode with no motion at any sensor cannot be measured.
     shapes : ndarray, shape (n_sensors, n_modes), optional
         Measured mode shapes at the sensors, in any scale.
     labels : tuple of str
         Names of the modes, ``"1"``, ``"2"``, … by default.
     sd_hz : ndarray, shape (n_modes,), optional
-        Standard deviations of independent errors of the frequencies; a scalar holds for all modes.
+        Standard deviations of independent errors of the frequencies; a scalar applies to all modes.
     covariance_hz2 : ndarray, shape (n_modes, n_modes), optional
         Covariance of correlated errors, instead of `sd_hz`.
     shapes_sd : ndarray, shape (n_sensors, n_modes), optional
-        Standard deviation of the shapes' errors, in units of a shape that has unit length at the sensors. A scalar
-        holds for all components, one number per mode for all sensors.
+        Standard deviations of the errors of the shape components, for shapes scaled to unit length at the sensors.
+        A scalar applies to all components; one number per mode applies to all sensors.
     counterparts : tuple of int, optional
-        For pairing by shape where no shapes were measured: the mode of the model before updating that corresponds
-        to each measured one, numbered from 1 among the elastic modes that move a sensor. By default the lowest
-        ones, in ascending order.
+        For pairing by shape where no shapes were measured: the number of the mode of the model before updating
+        that corresponds to each measured mode, counted from 1 among the elastic modes that move a sensor. By
+        default the lowest of these modes, in ascending order.
     tests : RepeatedTests, optional
         The tests whose mean is `frequencies_hz`. The likelihood is that of the mean; the tests are used to predict
-        one more of them, and to check whether they are independent.
+        one more test, and to check whether the tests are independent.
     use : tuple of bool, optional
-        Which modes the parameters are updated with, all by default. The others are paired and predicted like them,
-        but are not in the likelihood: they test the updated model on what it has not seen.
+        Whether each mode is used in updating; all modes by default. The modes that are not used are paired and
+        predicted too, but are not in the likelihood, so that they validate the updated model.
     mpc : ndarray, shape (n_modes,), optional
-        Modal phase collinearity of measured shapes that were complex, to be shown.
+        Modal phase collinearity of measured shapes that were complex, for display.
     points : Matching, optional
-        How the nodes of the sensors were found from the coordinates of the test (`fmu.match_points`), to be shown.
+        The measurement points matched to the nodes of the model by their coordinates (`fmu.match_points`), for
+        display.
     counts_rigid : bool, optional
-        Whether `numbers` count the rigid-body modes of a free structure. By default they do if they are given;
-        otherwise mode 1 is the first elastic one.
+        Whether `numbers` count the rigid-body modes of a free structure. True by default if `numbers` are given;
+        otherwise mode 1 is the first elastic mode.
 
     Raises
     ------
     ValueError
-        If a frequency is not positive and finite, a shape is not finite or zero, the lengths differ, a standard
-        deviation is not positive, a covariance not positive definite, counterparts are not distinct numbers from 1
-        or not needed, or no mode is used.
+        If a frequency is not positive and finite, a shape is zero or not finite, the lengths differ, a standard
+        deviation is not positive, the covariance is not positive definite, the counterparts are not distinct
+        numbers from 1 or are given together with shapes, or no mode is used.
     """
 
     frequencies_hz: ArrayLike
@@ -168,28 +169,29 @@ class ModalData:
         labels: tuple[str, ...] = (),
         use: tuple[bool, ...] = (),
     ) -> Self:
-        """Return the mean of several tests, with the uncertainty estimated from their scatter.
+        """Return the mean of several tests as modal data, with the uncertainty estimated from their scatter.
 
         Parameters
         ----------
         frequencies : array_like, shape (n_tests, n_modes), Hz
-            NaN where a test missed a mode; every mode needs two values.
+            NaN where a test missed a mode; every mode needs at least two values.
         shapes : array_like, shape (n_tests, n_sensors, n_modes), optional
-            In any scale and sign, all NaN where a test missed a mode; see
-            `fmu.posterior.data.repeated.mean_shapes`. Their scatter gives the standard deviation of the mean
-            shapes (`fmu.posterior.data.repeated.shapes_sd`).
+            Measured shapes in any scale and sign, all NaN where a test missed a mode; see
+            `fmu.posterior.data.repeated.mean_shapes`. The scatter of the shapes gives the standard deviation of
+            the mean shapes (`fmu.posterior.data.repeated.shapes_sd`).
         scatter : {"each", "pooled", "joint"}
-            Independent modes, each with its own scatter; independent modes with one relative scatter, for few
-            tests; or a full covariance, which needs at least three tests more than modes. In all three the
-            standard deviation is increased because few tests determine it poorly:
+            "each": independent modes, each with its own scatter. "pooled": independent modes with one relative
+            scatter, for few tests. "joint": a full covariance, which needs at least three tests more than modes.
+            In all three cases the standard deviation is increased because few tests determine it poorly, see
             `fmu.posterior.data.repeated.RepeatedTests`.
         numbers, sensors, labels, use
-            As of the class.
+            The attributes of the class with these names.
 
         Raises
         ------
         ValueError
-            If a mode has too few values, they do not scatter, or two tests' shapes are of different modes.
+            If a mode has too few values, the values of a mode do not scatter, or the shapes of two tests belong to
+            different modes.
         """
         tests = RepeatedTests(frequencies, scatter)
         mean, sd, covariance = tests.mean()
@@ -199,21 +201,22 @@ class ModalData:
     @classmethod
     @check_arguments
     def from_csv(cls, frequencies: str | os.PathLike[str], shapes: str | os.PathLike[str] | None = None) -> Self:
-        """Read frequencies from a CSV table, and shapes from another.
+        """Return the modes in CSV tables: frequencies from one table and, optionally, shapes from another.
 
         Parameters
         ----------
         frequencies : path-like
-            Columns ``mode``, ``frequency`` (Hz) and, if known, ``number``, ``sd`` (Hz) and ``use``.
+            Table with the columns ``mode``, ``frequency`` (Hz) and, if known, ``number``, ``sd`` (Hz) and ``use``.
         shapes : path-like, optional
-            Columns ``place``, ``direction``, and one per mode with its name; see `fmu.formats.modes.csv`.
+            Table with the columns ``place``, ``direction``, and a column for each mode, headed by the name of the
+            mode; see `fmu.formats.modes.csv`.
 
         Raises
         ------
         ValueError
-            Lists every mistake with its line and column.
+            If a table is invalid; the message lists every error with its line and column.
         FileNotFoundError
-            If there is no such file.
+            If a file does not exist.
         """
         modes = read_frequencies(Path(frequencies))
         if shapes is None:
@@ -230,25 +233,26 @@ class ModalData:
         modes: Sequence[int] | None = None,
         **options: Any,
     ) -> Self:
-        """Read modes from a universal file, dataset 55; needs pyuff.
+        """Return the modes in a universal file, dataset 55; needs the package pyuff.
 
         Parameters
         ----------
         path : path-like
         nodes : mapping of node number to place, optional
-            The place in the model of each node of the file; other nodes are left out. By default, its number.
+            The node of the model, or its name, for each node number in the file; nodes of the file that are not in
+            the mapping are skipped. By default, the nodes of the model have the same numbers as those in the file.
         modes : sequence of int, optional
-            Numbers of modes in the file; all if not given.
+            Numbers of the modes in the file; all modes if not given.
         **options
             ``sensors`` and ``least_mpc`` of `fmu.formats.modes.uff.read_uff`; other arguments of the class, such
-            as ``numbers`` or ``sd_hz``, which the format does not have.
+            as ``numbers`` or ``sd_hz``, which the file format does not contain.
 
         Raises
         ------
         ValueError
-            If the file has no such modes, or a shape is too complex to be taken for a real one.
+            If the file does not contain the modes, or a shape is too complex to be treated as real.
         FileNotFoundError, ImportError
-            If there is no such file, or no pyuff.
+            If the file does not exist, or pyuff is not installed.
         """
         reading = {name: options.pop(name) for name in ("sensors", "least_mpc") if name in options}
         return cls.from_modes(read_uff(Path(path), nodes, modes, **reading), **options)
@@ -264,46 +268,47 @@ class ModalData:
         least_mpc: Annotated[float, Interval(ge=0.0, le=1.0)] = LEAST_MPC,
         **options: Any,
     ) -> Self:
-        """Return the modes identified by pyOMA_2: frequencies, shapes and, if computed, their deviations.
+        """Return the modes identified by pyOMA_2: frequencies, shapes and, if computed, standard deviations.
 
         Parameters
         ----------
         result : object
-            ``setup["name"].result`` after ``mpe``; run with ``calc_unc=True`` it has standard deviations.
+            ``setup["name"].result`` after ``mpe``; with ``calc_unc=True`` it contains standard deviations.
         sensors : sequence of (place, direction)
-            Sensor of each channel, in order.
+            The sensor of each channel, in the order of the channels.
         modes : sequence of int, optional
-            Which modes of the result, from 1; all if not given.
+            Numbers of the modes of the result, from 1; all modes if not given.
         least_mpc : float
-            Least phase collinearity of a shape: `fmu.formats.modes.measured_modes.real_shapes`.
+            Smallest modal phase collinearity accepted, see `fmu.formats.modes.measured_modes.real_shapes`.
         **options
-            Other arguments of the class, such as ``numbers``; ``sd_hz`` or ``covariance_hz2`` replace the
-            result's.
+            Other arguments of the class, such as ``numbers``; ``sd_hz`` or ``covariance_hz2`` replace the standard
+            deviations of the result.
 
         Raises
         ------
         ValueError
-            If the result has no modes or other channels, or a shape is too complex to be taken for a real one.
+            If the result has no modes, its channels do not match `sensors`, or a shape is too complex to be
+            treated as real.
         """
         return cls.from_modes(pyoma_modes(result, sensors, modes, least_mpc), **options)
 
     @check_arguments
     def to_uff(self, path: str | os.PathLike[str], nodes: Mapping[int, Any] | None = None) -> None:
-        """Write frequencies and shapes into a universal file, to six significant digits; needs pyuff.
+        """Write the frequencies and shapes to a universal file, with six significant digits; needs pyuff.
 
         Parameters
         ----------
         path : path-like
             An existing file is replaced.
         nodes : mapping of node number to place, optional
-            Needed where a place is not a number.
+            The node of the model, or its name, for each node number in the file; needed for nodes with a name.
 
         Raises
         ------
         ValueError
-            If there are no shapes, or a place has no number.
+            If there are no shapes, or a node has no number.
         ImportError
-            If there is no pyuff.
+            If pyuff is not installed.
         """
         if self.shapes is None:
             raise ArgumentError("shapes", "must have been measured to be written")
@@ -312,14 +317,14 @@ class ModalData:
     @classmethod
     @check_arguments
     def from_modes(cls, modes: MeasuredModes, **options: Any) -> Self:
-        """Return the modes that a reader of `fmu.formats.modes` found.
+        """Return modal data with the modes that a reader of `fmu.formats.modes` has read.
 
         Parameters
         ----------
         modes : MeasuredModes
         **options
-            Further arguments of the class, such as ``numbers``; ``sd_hz`` or ``covariance_hz2`` replace those of
-            `modes`.
+            Further arguments of the class, such as ``numbers``; ``sd_hz`` or ``covariance_hz2`` replace the
+            standard deviations of `modes`.
         """
         own = {} if "covariance_hz2" not in options else {"sd_hz": None}
         return cls(**(vars(modes) | own | options))
@@ -331,11 +336,11 @@ class ModalData:
 
     @property
     def used(self) -> IntArray | None:
-        """Which modes are used in updating, numbered from 0; None for all of them."""
+        """Indices (from 0) of the modes used in updating, shape (n_used,); None if all modes are used."""
         return None if all(self.use) else np.flatnonzero(self.use)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return the data in plain Python types."""
+        """Return a dict of the data in plain Python types."""
         optional = ("shapes", "sd_hz", "covariance_hz2", "shapes_sd")
         given = {name: getattr(self, name) for name in optional if getattr(self, name) is not None}
         return {
@@ -351,7 +356,7 @@ class ModalData:
 
 
 def _spread(value: ArrayLike, name: str, shape: tuple[int, ...], what: str) -> FloatArray:
-    """Return standard deviations of the given shape, read-only."""
+    """Return standard deviations as a read-only array of the given shape; ValueError if they are invalid."""
     given = np.array(value, dtype=float)
     if given.shape not in ((), shape[-1:], shape):
         raise ArgumentError(name, f"must be a number or have shape {shape}, {what}", given.shape)

@@ -1,4 +1,4 @@
-"""Repeated tests of one structure: the mean of the measured modes, and its uncertainty."""
+"""Repeated tests of one structure: the mean of the measured modes, and the uncertainty of the mean."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from fmu.types import FloatArray, Plain
 
 SCATTERS = ("each", "pooled", "joint")
 LEAST_MAC = 0.5
-"""Least MAC of a test's shape with the mean of all; a lower value indicates another mode."""
+"""Smallest MAC of the shape from one test with the mean of all tests; a lower value indicates another mode."""
 _SHARE = 0.95
 _NO_SCATTER = 1e-9
-"""Shapes of unit length with less scatter differ by rounding only."""
+"""Scatter of shapes of unit length below which the shapes differ by rounding only."""
 
 
 class MeanFrequencies(NamedTuple):
-    """Means (n_modes,), and either their standard deviations (n_modes,), Hz, or covariance (n_modes, n_modes)."""
+    """Mean frequencies (n_modes,), Hz, with standard deviations (n_modes,), Hz, or a covariance matrix, Hz²."""
 
     frequencies_hz: FloatArray
     sd_hz: FloatArray | None
@@ -29,7 +29,7 @@ class MeanFrequencies(NamedTuple):
 
 
 class _Scatter(NamedTuple):
-    """Means and sample standard deviations in Hz, degrees of freedom and numbers of tests: each (n_modes,)."""
+    """Means and sample standard deviations, Hz, degrees of freedom and numbers of tests, shape (n_modes,) each."""
 
     mean: FloatArray
     s: FloatArray
@@ -38,7 +38,7 @@ class _Scatter(NamedTuple):
 
 
 def _check_frequencies(frequencies: ArrayLike, scatter: str) -> FloatArray:
-    """Return frequencies as an array; ValueError if they or `scatter` are wrong."""
+    """Return frequencies as an array (n_tests, n_modes); ValueError if `frequencies` or `scatter` is invalid."""
     values = np.array(frequencies, dtype=float)
     if values.ndim != 2 or values.size == 0:
         raise ArgumentError("frequencies", "must have shape (n_tests, n_modes)", values.shape)
@@ -56,7 +56,7 @@ def _check_frequencies(frequencies: ArrayLike, scatter: str) -> FloatArray:
 
 
 def _scatter(values: FloatArray, scatter: str) -> _Scatter:
-    """Return the scatter of each mode, or one relative scatter of all."""
+    """Return the scatter of each mode by itself or, if `scatter` is "pooled", with one relative scatter."""
     n = np.sum(~np.isnan(values), axis=0)
     mean, s = np.nanmean(values, axis=0), np.nanstd(values, axis=0, ddof=1)
     nu = n - 1
@@ -74,31 +74,32 @@ def _scatter(values: FloatArray, scatter: str) -> _Scatter:
 
 @dataclass(frozen=True, eq=False)
 class RepeatedTests:
-    """Repeated tests in the order in which they were made.
+    """The frequencies of repeated tests, in the order in which the tests were made.
 
     Attributes
     ----------
     frequencies_hz : ndarray, shape (n_tests, n_modes)
-        NaN where a test missed a mode; every mode needs two values.
+        Frequencies, with NaN where a test missed a mode; every mode needs at least two values.
     scatter : {"each", "pooled", "joint"}
-        "each": modes are independent, each with the scatter of its own values, ν = n_i − 1. This makes no
-        assumption that the tests could contradict, but a few tests may agree closely by chance, and such a mode
+        "each": independent modes, each with the scatter of its own n_i values and ν = n_i − 1 degrees of freedom.
+        This assumes nothing about other modes, but a few tests may agree closely by chance, and such a mode
         then gets too much weight. "pooled": independent modes with one *relative* scatter, s_i = c f_i with
         c² = Σ ν_i (s_i/f_i)² / Σ ν_i and ν = Σ ν_i: useful for two to four tests. "joint": a full covariance, for
-        modes that move together, as with temperature. With the prior ∝ |Σ|^(−(n_modes + 1)/2) the mean has a
-        multivariate Student distribution (Gelman et al. 2013, Bayesian Data Analysis, 3rd ed., section 3.6);
-        its covariance is taken, S (n − 1)/(n (n − n_modes − 2)) with the sample covariance S, which exists for
-        n ≥ n_modes + 3 tests, none with a mode missing. With fewer tests, S is singular or nearly so.
+        modes whose frequencies vary together, as with temperature. With the prior ∝ |Σ|^(−(n_modes + 1)/2) the
+        mean has a multivariate Student distribution (Gelman et al. 2013, Bayesian Data Analysis, 3rd ed., section
+        3.6). The covariance of that distribution is used, S (n − 1)/(n (n − n_modes − 2)) with the sample
+        covariance S. It exists for n ≥ n_modes + 3 tests, none with a mode missing. With fewer tests, S is
+        singular or nearly so.
 
     Raises
     ------
     ValueError
-        If a frequency is not positive, a mode has too few values or they do not scatter at all.
+        If a frequency is not positive, a mode has too few values, or the values of a mode do not scatter at all.
 
     Notes
     -----
-    This is repeatability only. Errors that all tests share (the mass of the sensors, the weather of that day, a
-    bias of the identification, the error of the model) do not average out and are not included.
+    The scatter measures repeatability only. Errors that all tests share (the mass of the sensors, the weather of
+    that day, a bias of the identification, the error of the model) do not average out and are not included.
     """
 
     frequencies_hz: ArrayLike
@@ -111,13 +112,14 @@ class RepeatedTests:
         self.mean()
 
     def mean(self) -> MeanFrequencies:
-        """Return the mean over tests, and the size of its error estimated from the scatter between them.
+        """Return the mean over the tests, and its uncertainty estimated from the scatter between the tests.
 
-        With n_i tests of mode i, s_i their sample standard deviation and ν degrees of freedom the error of the
-        mean, divided by s_i/√n_i, has Student's distribution, because s_i is itself an estimate. It is replaced by
-        the Gaussian with the same central 95 %, whose standard deviation is s_i/√n_i · t_0.975(ν)/1.96 (the
-        expanded uncertainty of JCGM 100:2008, GUM, annex G.3, divided by the normal factor). That is 6.5 s_i/√n_i
-        for two tests, 2.2 for three, 1.4 for five, 1.05 for twenty-five.
+        With n_i tests of mode i, their sample standard deviation s_i and ν degrees of freedom, the error of the
+        mean divided by s_i/√n_i has Student's distribution, because s_i is itself an estimate. This distribution
+        is replaced by the Gaussian with the same central 95 % interval. The standard deviation of the Gaussian is
+        s_i/√n_i · t_0.975(ν)/1.96 (the expanded uncertainty of JCGM 100:2008, GUM, annex G.3, divided by the
+        normal factor): 6.5 s_i/√n_i for two tests, 2.2 s_i/√n_i for three, 1.4 s_i/√n_i for five and
+        1.05 s_i/√n_i for twenty-five.
         """
         values = np.asarray(self.frequencies_hz)
         if self.scatter == "joint":
@@ -128,15 +130,16 @@ class RepeatedTests:
     def normal_scores(self, z: FloatArray, mode: int | None = None) -> FloatArray:
         """Return errors of the mean, divided by the standard deviation of `mean`, as standard normal scores.
 
-        The Gaussian of `mean` has the central 95 % of Student's distribution but not its tails: of three tests,
-        one error in a hundred is beyond four of these standard deviations. The score is Φ⁻¹(F(t)) with the
-        distribution function F of t, exactly standard normal. With a joint scatter `z` is returned as it is.
+        The Gaussian of `mean` has the central 95 % interval of Student's distribution but not its tails: with
+        three tests, one error in a hundred is beyond four of these standard deviations. The score is Φ⁻¹(F(t))
+        with the distribution function F of t, and is exactly standard normal. With a joint scatter `z` is
+        returned unchanged.
 
         Parameters
         ----------
         z : ndarray, shape (..., n_modes), or any shape if a mode is given
         mode : int, optional
-            The mode, from 0, that all of `z` are of.
+            Index (from 0) of the mode that all values of `z` belong to.
         """
         from scipy.special import ndtri, stdtr
 
@@ -157,12 +160,12 @@ class RepeatedTests:
     def simulate(self, rng: np.random.Generator, size: int) -> FloatArray:
         """Draw deviations of one more test from the frequencies of the structure, shape (size, n_modes), Hz.
 
-        The standard deviation of a single test is estimated from n tests. With the prior ∝ 1/s it is integrated
-        out: s_i times Student's t with ν_i degrees of freedom. An interval about the posterior of a model that
-        can follow the mean is a little wide for very few tests (a 90 % interval holds 93 % for two tests, 92 %
-        for three, 90 % from five on), as the Gaussian of `mean` is widened too. Where the scatter is
-        "joint", the multivariate t with n − n_modes degrees of freedom and the matrix (n − 1) S/(n − n_modes),
-        under the prior described for `scatter`.
+        The standard deviation of a single test is estimated from n tests and, with the prior ∝ 1/s, integrated
+        out: the deviations are s_i times Student's t with ν_i degrees of freedom. For very few tests, a predictive
+        interval of a model that can fit the mean is a little too wide, because the Gaussian of `mean` is widened
+        too: a 90 % interval has a coverage of 93 % for two tests, 92 % for three and 90 % from five on. If the
+        scatter is "joint", the deviations have the multivariate t-distribution with n − n_modes degrees of freedom
+        and the scale matrix (n − 1) S/(n − n_modes), under the prior described for `scatter`.
         """
         values = np.asarray(self.frequencies_hz)
         z = rng.standard_normal((size, values.shape[1]))
@@ -178,7 +181,7 @@ class RepeatedTests:
         return np.asarray((z @ root.T) / np.sqrt(rng.chisquare(nu, (size, 1)) / nu))
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return the tests in plain Python types, None for a mode that a test missed."""
+        """Return a dict of the frequencies, with None for a mode that a test missed, and the scatter."""
         rows = [[None if np.isnan(f) else float(f) for f in row] for row in np.asarray(self.frequencies_hz)]
         return {"frequencies_hz": rows, "scatter": self.scatter}
 
@@ -205,10 +208,10 @@ def _joint(values: FloatArray) -> MeanFrequencies:
 
 
 def mean_shapes(shapes: ArrayLike) -> FloatArray:
-    """Return the mean over tests of shapes with a common scale and sign, shape (n_sensors, n_modes).
+    """Return the mean over the tests of shapes with a common scale and sign, shape (n_sensors, n_modes).
 
-    Each is scaled to unit length, with the sign that makes its product with their common direction positive (the
-    first eigenvector of Σ φφᵀ). Their mean has unit length, and the sign of the first test.
+    Each shape is scaled to unit length, with the sign that makes its scalar product with the common direction
+    (the first eigenvector of Σ φφᵀ) positive. The mean has unit length and the sign of the first test.
 
     Parameters
     ----------
@@ -218,21 +221,21 @@ def mean_shapes(shapes: ArrayLike) -> FloatArray:
     Raises
     ------
     ValueError
-        If a shape is zero or not finite, a mode has none at all, or a test's shape has a MAC below 0.5 with the
-        mean: then it is another mode.
+        If a shape is zero or not finite, a mode has no shape in any test, or the MAC of a shape with the mean is
+        below 0.5, which indicates another mode.
     """
     values = _checked_shapes(shapes)
     return np.stack([_align_shapes(values[:, :, k], k + 1)[1] for k in range(values.shape[2])], axis=1)
 
 
 def shapes_sd(shapes: ArrayLike) -> FloatArray | None:
-    """Return the standard deviation of the mean shapes' components from the scatter of tests, shape (n_modes,).
+    """Return the standard deviation of the components of the mean shapes, from the scatter of tests, (n_modes,).
 
-    With the shapes u_j of unit length and one sign, and their mean m, the parts of u_j across m scatter in
-    n_sensors − 1 directions: s² = Σ_j |u_j − (u_jᵀm) m|² / ν with ν = (n − 1)(n_sensors − 1), the same for all
-    sensors, as sensors of one kind have it. The error of the mean is s/√n, widened for few tests as in
-    `RepeatedTests.mean`. None where a mode has fewer than two shapes, there is only one sensor, or a mode's shapes
-    do not differ.
+    With the shapes u_j of unit length and one sign, and their mean m, the components of u_j orthogonal to m
+    scatter in n_sensors − 1 directions: s² = Σ_j |u_j − (u_jᵀm) m|² / ν with ν = (n − 1)(n_sensors − 1). The same
+    s is assumed for all sensors, as for sensors of one kind. The standard deviation of the mean is s/√n, widened
+    for few tests as in `RepeatedTests.mean`. Return None if a mode has fewer than two shapes, there is only one
+    sensor, or the shapes of a mode do not differ.
 
     Parameters
     ----------
@@ -242,7 +245,7 @@ def shapes_sd(shapes: ArrayLike) -> FloatArray | None:
     Raises
     ------
     ValueError
-        As `mean_shapes` does.
+        In the cases listed for `mean_shapes`.
     """
     values = _checked_shapes(shapes)
     sd = np.zeros(values.shape[2])
@@ -264,7 +267,7 @@ def _checked_shapes(shapes: ArrayLike) -> FloatArray:
 
 
 def _align_shapes(shapes: FloatArray, mode: int) -> tuple[FloatArray, FloatArray]:
-    """Return the shapes of one mode, of unit length and one sign, without missed ones; and their mean."""
+    """Return the shapes of one mode that were measured, with unit length and one sign, and the mean shape."""
     tests = np.flatnonzero(~np.isnan(shapes).all(axis=1))
     if not len(tests):
         raise ArgumentError("shapes", "every mode must be in a test", f"none of mode {mode}")

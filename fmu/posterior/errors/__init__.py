@@ -1,4 +1,4 @@
-"""Error models: how far measured and computed modes may differ. One file an error model, settings and formulas.
+"""Error models: the distributions of the differences between measured and computed quantities, one file each.
 
 Reading order: base, noise; frequency, student, shape, mac; quantities; likelihood, mixture; residual.
 """
@@ -18,4 +18,4 @@ ERROR_MODELS: dict[str, type[ErrorModel]] = {
     "mass": MassErrors,
     "static": StaticErrors,
 }
-"""By the name that ``of`` has in a problem file; its other keys are the arguments (`fmu.config.errors`)."""
+"""Error models by the value of ``of`` in a problem file; the other keys are arguments (`fmu.config.errors`)."""

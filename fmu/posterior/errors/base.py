@@ -1,4 +1,4 @@
-"""What an error model and a likelihood are: the protocols, and what their implementations share."""
+"""The interfaces of error models and likelihoods, and functions that their implementations share."""
 
 from __future__ import annotations
 
@@ -20,26 +20,29 @@ from fmu.types import FloatArray, IntArray, Plain
 LOG_2PI = float(np.log(2.0 * np.pi))
 
 type Chain = Callable[[FloatArray, IntArray], FloatArray]
-"""From derivatives by the parameters of the structure in one test, (n, m, P), and the test of each of the m, to
-derivatives by the parameters of all tests, (n, m, n_parameters)."""
+"""A function that applies the chain rule to derivatives of m quantities, each of which belongs to one test.
+
+It takes the derivatives by the parameters of the structure in that test, (n, m, n_structural), and the index of
+the test of each quantity, (m,); it returns the derivatives by the parameters of all tests, (n, m, n_parameters).
+"""
 
 
 class ErrorModel(Protocol):
-    """Settings of an error model."""
+    """The settings of an error model."""
 
     @property
     def sd(self) -> ArrayLike | Parameter | None:
-        """Standard deviation of the errors, known or to be inferred; None if the data have it."""
+        """Standard deviation of the errors, known or to be inferred; None if the data supply it."""
         ...
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
-        """Return the error model of `data`.
+        """Return the error model bound to `data`.
 
         Parameters
         ----------
         data : ModalData
         index : callable
-            Takes the Parameter of an inferred standard deviation, returns its number among those of the problem.
+            Takes the Parameter of an inferred standard deviation and returns its index among those of the problem.
 
         Raises
         ------
@@ -49,11 +52,11 @@ class ErrorModel(Protocol):
         ...
 
     def n_errors(self, data: ModalData) -> int:
-        """Return how many errors `data` have of this kind."""
+        """Return the number of errors of this kind that `data` have."""
         ...
 
     def data_give_sd(self, data: ModalData) -> bool:
-        """Say whether `data` have the standard deviation of these errors, which `sd` would replace."""
+        """Return True if `data` supply the standard deviation of these errors, which `sd` would replace."""
         ...
 
 
@@ -66,11 +69,11 @@ class Evaluated(NamedTuple):
     by_frequency : ndarray, shape (n, n_modes), or None
         Derivative of each term with respect to the frequency of its mode, 1/Hz.
     by_shape : ndarray, shape (n, n_sensors, n_modes), or None
-        Derivative with respect to the components of its shape.
+        Derivative of each term with respect to the components of the shape of its mode.
     by_noise : mapping of int to ndarray, shape (n, n_modes), or None
-        Derivative with respect to each inferred standard deviation.
+        Derivative of each term with respect to each inferred standard deviation, by the index of the latter.
     by_frequency_variance, by_shape_variance : ndarray, of the shapes of by_frequency and by_shape, or None
-        Derivatives with respect to the variances of the model's own errors.
+        Derivatives of each term with respect to the variances of the model's own errors.
     """
 
     terms: FloatArray
@@ -106,14 +109,14 @@ class ErrorTerm:
     needs_shapes : bool
         Whether the errors are those of mode shapes.
     of_frequencies : bool
-        Whether they are those of frequencies, which `simulate` can add.
+        Whether the errors are those of frequencies, which `simulate` can add.
     is_least_squares : bool
-        Whether the log-density is −½ Σ r² plus what depends on the standard deviations alone.
+        Whether the log-density is −½ Σ r² plus a term that depends on the standard deviations alone.
     is_chi_square : bool
         Whether the sum of the squared residuals of a mode is chi-square distributed with `n_data` degrees of
-        freedom where the model is right and the errors are as stated.
+        freedom if the model and the error model are correct.
     quantity : str
-        What the errors are of, in the plural.
+        Name of the quantities that have these errors, in the plural.
     tests : RepeatedTests or None
         The tests whose scatter alone gives the standard deviations.
     """
@@ -128,7 +131,7 @@ class ErrorTerm:
 
     @property
     def n_data(self) -> int:
-        """How many independent numbers were measured of each mode: by default, as many as there are residuals."""
+        """Number of independent values measured of each mode; by default, the number of its residuals."""
         return len(self.labels([""]))
 
     @property
@@ -142,31 +145,31 @@ class ErrorTerm:
         return False
 
     def among(self, used: IntArray | None) -> ErrorTerm:
-        """Return the error model whose terms of the `used` modes, numbered from 0, are their joint log-density.
+        """Return the error model in which the terms of the `used` modes (indices) sum to their joint log-density.
 
-        The terms of the other modes are dropped. To be overridden where a term depends on the measurement of other
-        modes.
+        The caller drops the terms of the other modes. A subclass overrides this method if the term of a mode
+        depends on the measurements of other modes.
         """
         return self
 
     def normal_scores(self, z: FloatArray, mode: int | None = None) -> FloatArray:
-        """Return errors over their standard deviations, (..., n_modes) or of one mode, as normal scores.
+        """Return errors divided by their standard deviations, (..., n_modes) or of one mode, as normal scores.
 
-        They are Gaussian, but for standard deviations that were estimated from a few tests.
+        Gaussian errors are returned unchanged, unless the standard deviations were estimated from a few tests.
         """
         return z if self.tests is None else self.tests.normal_scores(z, mode)
 
     def project(self, seen: ModalPrediction) -> ModalPrediction:
-        """Return the prediction in the form that `evaluate` and `residuals`, and their derivatives, refer to."""
+        """Return the prediction in the form that `evaluate` and `residuals` take."""
         return seen
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
-        """Return the terms, with their derivatives if `gradient`.
+        """Return the log-densities of the modes as `Evaluated`, with their derivatives if `gradient` is true.
 
         Parameters
         ----------
         seen : ModalPrediction
-            From `project`.
+            A prediction returned by `project`.
         noise : ndarray, shape (n, n_noise)
             The inferred standard deviations.
         gradient : bool
@@ -174,11 +177,11 @@ class ErrorTerm:
         raise NotImplementedError
 
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
-        """Return the errors divided by their standard deviations, with their derivatives; see `evaluate`."""
+        """Return the errors divided by their standard deviations, with derivatives; arguments as in `evaluate`."""
         raise NotImplementedError
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return measured frequencies (n, n_modes) for computed ones, Hz; see `of_frequencies`."""
+        """Return simulated measured frequencies (n, n_modes), Hz, for computed ones; see `of_frequencies`."""
         raise NotImplementedError
 
     def simulate_inferred(
@@ -188,31 +191,32 @@ class ErrorTerm:
         return frequencies
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return mean and standard deviation, (n, n_modes) each, of each measured frequency given the others, Hz.
+        """Return the mean and standard deviation of each measured frequency given the others, (n, n_modes), Hz.
 
         The computed frequencies are of shape (n, n_modes); see `of_frequencies`.
         """
         raise NotImplementedError
 
     def labels(self, modes: Sequence[str]) -> list[str]:
-        """Return a name for each residual, mode by mode."""
+        """Return the list of names of the residuals, mode by mode."""
         raise NotImplementedError
 
     def information(self, noise: FloatArray, used: IntArray | None = None) -> FloatArray:
-        """Return Fisher's information of the `used` modes on the inferred deviations, (n, n_noise, n_noise)."""
+        """Return Fisher's information of the `used` modes on the inferred sds, shape (n, n_noise, n_noise)."""
         return self.spread.information(noise, used)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return the name of the error model under ``error``, and its settings."""
+        """Return a dict with the name of the error model under ``error``, and its settings."""
         raise NotImplementedError
 
 
 class Likelihood:
     """The log-likelihood of the measured modes as a function of theta.
 
-    Here theta has the parameters of the model, and then the inferred standard deviations. Of several tests the
-    former are those of the structure in each test (`fmu.posterior.joint.layout.Layout.of_model`), and derivatives
-    are by the parameters in a value's own test, unless there is a `Chain`.
+    Here theta consists of the parameters of the model, followed by the inferred standard deviations. With several
+    tests, the former are the parameters of the structure in each test
+    (`fmu.posterior.joint.layout.Layout.of_model`). The derivatives of a value are with respect to the parameters
+    in the test that the value belongs to, unless a `Chain` is given.
 
     Attributes
     ----------
@@ -220,27 +224,27 @@ class Likelihood:
         Whether the errors are those of computed modes: then `quadratic`, `residuals_and_slopes`, `labels` and
         `in_standard_deviations` exist.
     needs_shapes : bool
-        Whether errors of mode shapes are among them.
+        Whether some of the errors are those of mode shapes.
     simulates : bool
-        Whether it is a distribution of the frequencies, so that measurements can be simulated.
+        Whether the likelihood defines a distribution of the frequencies, so that measurements can be simulated.
     noise : tuple of Parameter
         Standard deviations to be inferred: the last parameters of the problem.
     beta : ndarray, shape (n_modes,), or None
-        β of eq. (4), where that is all there is to know of the errors.
+        β of eq. (4) for each mode, without correlations, if `error` is set or the error is the modal residual.
     error : FrequencyTerm, CorrelatedFrequencyTerm or None
-        The errors, where they are absolute errors of the frequencies, known, and nothing else.
+        The error model, if it is the only one, of absolute errors of frequencies with known standard deviations.
     correlated : CorrelatedFrequencyTerm or None
-        The errors of the frequencies where they have a covariance, whatever else has errors.
+        The error model of frequencies whose errors have a covariance, also beside other error models.
     terms_name : str
         Name of the terms in a trace.
     terms_of : tuple of ErrorTerm
-        The error models; none if the errors are not those of measured quantities.
+        The error models; empty if the errors are not those of measured quantities.
     chi_square : tuple of ErrorTerm
-        Those whose squared residuals tell whether the model fits, see `ErrorTerm.is_chi_square`.
+        The error models whose squared residuals measure the fit of the model, see `ErrorTerm.is_chi_square`.
     quantities : tuple of QuantityTerm
-        Measured quantities that are not of modes (`fmu.posterior.errors.quantities`).
+        Measured quantities other than modes (`fmu.posterior.errors.quantities`).
     used : ndarray of int, shape (n_used,), or None
-        The modes whose terms make the likelihood, numbered from 0 among the measured ones; None for all of them.
+        Indices (from 0) of the measured modes whose terms make up the likelihood; None for all modes.
     """
 
     of_modes: bool = False
@@ -257,17 +261,17 @@ class Likelihood:
     used: IntArray | None = None
 
     def using(self, used: IntArray | None) -> Self:
-        """Return the likelihood of other modes of the same data."""
+        """Return the likelihood of the modes with the indices `used` of the same data; None for all modes."""
         other = copy(self)
         other.used = used
         return other
 
     def with_model(self, model: Any) -> Self:
-        """Return the likelihood with another model of the same parameters and modes; itself if it has none."""
+        """Return the likelihood with another model of the same parameters and modes; itself if it has no model."""
         return self
 
     def of_used[Values: np.generic](self, values: NDArray[Values], axis: int = -1) -> NDArray[Values]:
-        """Return the values of the used modes, of an array with one for each measured mode along an axis."""
+        """Return the values of the used modes from an array with a value for each measured mode along `axis`."""
         return values if self.used is None else np.take(values, self.used, axis)
 
     def terms(self, theta: FloatArray) -> FloatArray:
@@ -280,18 +284,19 @@ class Likelihood:
         return False
 
     def terms_of_frequencies(self, frequencies: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return the terms where the model has the frequencies (n, n_modes), Hz, at theta.
+        """Return the terms at theta, given the frequencies of the model there, (n, n_modes), Hz.
 
-        It is solved again only if they are not enough.
+        The model is solved again only if the terms need more than the frequencies.
         """
         return self.terms(theta)
 
     def terms_and_misfit(
         self, theta: FloatArray, frequencies: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the terms, and the squared residuals by the models of `chi_square`, (n, n_kinds, n_used).
+        """Return the terms of the modes, and the squared residuals by the models of `chi_square`.
 
-        Where the frequencies of the model, (n, n_modes) in Hz, are given and are enough, it is not solved again.
+        The terms have the shape (n, n_used), the squared residuals (n, n_kinds, n_used). If the frequencies of the
+        model, (n, n_modes) in Hz, are given and the terms need nothing else, the model is not solved again.
         """
         terms = self.terms(theta)
         return terms, np.empty((len(terms), 0, terms.shape[1]))
@@ -312,11 +317,11 @@ class Likelihood:
 
     @property
     def test_of_terms(self) -> IntArray:
-        """The test that each term belongs to, shape (n_terms,); there is one test only."""
+        """Index of the test that each term belongs to, shape (n_terms,)."""
         raise NotImplementedError
 
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
-        """Return a name for each row of `sensitivity`."""
+        """Return the names of the residuals, in the order of `residuals_and_slopes`, given the labels of modes."""
         raise NotImplementedError
 
     def in_standard_deviations(self, frequencies: FloatArray, error: FloatArray, theta: FloatArray) -> FloatArray:
@@ -326,32 +331,32 @@ class Likelihood:
     def simulate(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes) with measurement errors added, Hz; the inferred sds are (n, n_noise).
+        """Return frequencies (n, n_modes), Hz, with measurement errors added; `noise` has the inferred sds.
 
         Raises
         ------
         ValueError
-            If it is not a distribution of the frequencies.
+            If the likelihood does not define a distribution of the frequencies.
         """
         raise ArgumentError("error", "must be a distribution of the frequencies to simulate them")
 
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with only the inferred errors, of the model, added."""
+        """Return frequencies (n, n_modes), Hz, with only the inferred errors (of the model) added."""
         return frequencies
 
     def why_not_finite(self, theta: FloatArray) -> str | None:
-        """Say why the terms are not finite at a theta, shape (ndim,); None where they are."""
+        """Return the reason why the terms are not finite at theta, shape (ndim,); None if they are finite."""
         raise NotImplementedError
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return names and settings in plain Python types."""
+        """Return a dict of names and settings in plain Python types."""
         raise NotImplementedError
 
 
 def mode_weights(weights: ArrayLike | None, n: int) -> FloatArray:
-    """Return the weights of `n` modes, 1 if none are given; ValueError if they are not positive."""
+    """Return the weights of `n` modes, shape (n,), 1 by default; ValueError if a weight is not positive."""
     if weights is None:
         return np.ones(n)
     given = np.asarray(weights, dtype=float)
@@ -361,7 +366,7 @@ def mode_weights(weights: ArrayLike | None, n: int) -> FloatArray:
 
 
 def unit_shapes(data: ModalData, name: str) -> FloatArray:
-    """Return the measured shapes scaled to unit length, (n_sensors, n_modes); ValueError if there are none."""
+    """Return the measured shapes scaled to unit length, (n_sensors, n_modes); ValueError without two sensors."""
     if data.shapes is None:
         raise ArgumentError(name, "need measured shapes at the sensors", "none")
     shapes = np.asarray(data.shapes)
@@ -371,7 +376,7 @@ def unit_shapes(data: ModalData, name: str) -> FloatArray:
 
 
 def checked_beta(beta: ArrayLike, n_modes: int) -> FloatArray:
-    """Return β of every mode, shape (n_modes,); ValueError if one is not positive and finite."""
+    """Return β of every mode, shape (n_modes,); ValueError if a β is not positive and finite."""
     array = np.array(beta, dtype=float)
     if array.ndim > 1 or (array.ndim == 1 and len(array) != n_modes):
         raise ArgumentError("beta", f"must be a number or {n_modes} numbers", f"shape {array.shape}")

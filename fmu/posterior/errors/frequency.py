@@ -1,4 +1,4 @@
-"""Errors of natural frequencies: the paper's (eq. 4 with the normaliser 5), and their common variants."""
+"""Error models of natural frequencies: the paper's (eq. 4 with the normaliser 5) and common variants of it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Kind = Literal["absolute", "relative", "eigenvalue"]
 @check_arguments
 @dataclass(frozen=True)
 class FrequencyErrors:
-    """Independent Gaussian errors of the frequencies.
+    """Gaussian errors of the frequencies, independent from mode to mode unless the data have a covariance.
 
     Attributes
     ----------
@@ -32,21 +32,21 @@ class FrequencyErrors:
         ε = f − f^m in Hz, ε = (f − f^m)/f^m, or ε = (f/f^m)² − 1, the relative error of the eigenvalue. The first
         two are normalised as densities of f^m in Hz, the last as a density of ε.
     sd : float, array_like of shape (n_modes,), or Parameter, optional
-        Standard deviation of ε: known, or to be inferred with a prior of its own. That of the data if not given;
-        where the data have a covariance, absolute errors are correlated.
+        Standard deviation of ε: known, or to be inferred with a prior of its own. By default the standard
+        deviation of the data; if the data have a covariance, absolute errors are correlated.
     weights : array_like, shape (n_modes,), optional
-        Trust in each mode: the variance of ε_i is sd²/w_i.
+        Weights w_i of the modes: the variance of ε_i is sd²/w_i.
     discrepancy : Parameter, optional
-        Standard deviation of the model error, to be inferred: it adds sd_d² to every variance, in the same unit,
-        as an error that is independent from mode to mode.
+        Standard deviation sd_d of the model error, to be inferred, in the unit of ε. The model error is
+        independent from mode to mode and adds sd_d²/w_i to the variance of ε_i.
 
     Notes
     -----
-    Model errors are rarely independent: a mass that was not modelled shifts many modes at once, and the parameters
-    follow it by more than their standard deviations say. Where a discrepancy may be zero, a prior that reaches
-    zero (half-normal) makes a posterior that is hard to sample; a log-normal keeps away from it. With as many
-    parameters as frequencies, errors of size zero fit best: inferring an sd takes more data than that, or a prior
-    that says what is possible.
+    Model errors are rarely independent: a mass that was not modelled shifts many frequencies at once, and the
+    parameters compensate for the shift by more than their standard deviations indicate. If the prior of a
+    discrepancy reaches zero (half-normal), the posterior may be hard to sample; a log-normal prior excludes zero.
+    With as many parameters as frequencies, a standard deviation of zero fits best: inferring a standard deviation
+    requires more data, or an informative prior.
     """
 
     kind: Kind = "relative"
@@ -58,7 +58,7 @@ class FrequencyErrors:
         require_sizes(self.sd, self.weights)
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
-        """Return the error model of `data`, see `ErrorModel`.
+        """Return the error model bound to `data`, see `ErrorModel`.
 
         Raises
         ------
@@ -88,30 +88,30 @@ class FrequencyErrors:
         return sum(data.use)
 
     def data_give_sd(self, data: ModalData) -> bool:
-        """Say whether `data` have standard deviations or a covariance of the frequencies."""
+        """Return True if `data` have standard deviations or a covariance of the frequencies."""
         return data.sd_hz is not None or data.covariance_hz2 is not None
 
 
 @dataclass(frozen=True)
 class BetaFrequencyErrors:
-    """The paper's error model: absolute errors with trust β in the data, or those that the data give.
+    """The paper's error model: absolute errors with trust β in the data, or with the uncertainty of the data.
 
     Attributes
     ----------
     beta : float or array_like, shape (n_modes,), optional
-        β = 1/(2σ²), 1/Hz². If not given, the uncertainty of the data holds; where they have none β = 1, as in the
-        paper.
+        β = 1/(2σ²), 1/Hz². If not given, the uncertainty of the data is used; if the data have no uncertainty,
+        β = 1, as in the paper.
     """
 
     beta: ArrayLike | None = None
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
-        """Return the error model of `data`, see `ErrorModel`.
+        """Return the error model bound to `data`, see `ErrorModel`.
 
         Raises
         ------
         ValueError
-            If `beta` is given and the data have an uncertainty of their own, or it is not positive and finite.
+            If `beta` is given although the data have an uncertainty, or `beta` is not positive and finite.
         """
         known = data.sd_hz is not None or data.covariance_hz2 is not None
         if self.beta is None and known:
@@ -126,16 +126,17 @@ class BetaFrequencyErrors:
 class FrequencyTerm(ErrorTerm):
     """Independent Gaussian errors of frequencies: term i is log N(ε_i; 0, V_i), with ε of `FrequencyErrors`.
 
-    If all deviations are known, it is ½ log(β_i/π) − β_i ε_i² with β = 1/(2V), eqs. (4) and (5) with F = 1.
+    If all standard deviations are known, term i is ½ log(β_i/π) − β_i ε_i² with β = 1/(2V), which is eqs. (4) and
+    (5) with F = 1.
 
     Parameters
     ----------
     kind : {"absolute", "relative", "eigenvalue"}
     measured : ndarray, shape (n_modes,), Hz
     spread : Spread
-        Variances V of ε, in the squared unit of ε.
+        Variances V of the errors, in Hz² or, for eigenvalues, dimensionless.
     beta : ndarray, shape (n_modes,), optional
-        1/(2V), if given instead of the deviations.
+        1/(2V), if β is given instead of standard deviations.
     """
 
     of_frequencies = is_least_squares = is_chi_square = True
@@ -147,28 +148,28 @@ class FrequencyTerm(ErrorTerm):
         self._rows: tuple[FloatArray, FloatArray] | None = None
         if self.is_known:
             self.beta = 0.5 / spread.fixed**2 if beta is None else beta
-            # as rows (1, n_modes), like the frequencies of one theta: NumPy is faster without broadcasting
+            # rows (1, n_modes), as the frequencies at a single theta have: NumPy is faster without broadcasting
             self._rows = 0.5 * np.log(self.beta / np.pi)[None], self.beta[None]
 
     @classmethod
     def of_beta(cls, measured: FloatArray, beta: ArrayLike = 1.0) -> FrequencyTerm:
-        """Return absolute errors with the paper's β, a number or one per mode, 1/Hz².
+        """Return the term of absolute errors with the paper's β, one number or one per mode, 1/Hz².
 
         Raises
         ------
         ValueError
-            If a β is not positive and finite, or there are not as many as modes.
+            If a β is not positive and finite, or the number of β differs from the number of modes.
         """
         known = checked_beta(beta, len(measured))
         return cls("absolute", measured, Spread(np.sqrt(0.5 / known), {}), known)
 
     @property
     def sd(self) -> FloatArray:
-        """Known standard deviations σ_i of the errors, shape (n_modes,)."""
+        """Standard deviations σ_i of the errors, shape (n_modes,); they must be known."""
         return np.asarray(1.0 / np.sqrt(2.0 * self.beta))
 
     def log_prob_terms(self, frequencies: FloatArray) -> FloatArray:
-        """Return the terms, shape (n, n_modes), at frequencies in Hz of that shape; deviations must be known."""
+        """Return the terms (n, n_modes) at frequencies (n, n_modes), Hz; standard deviations must be known."""
         with np.errstate(over="ignore"):
             return self._known_terms(self._errors(frequencies)[0])
 
@@ -193,19 +194,19 @@ class FrequencyTerm(ErrorTerm):
         return Residuals((root * error)[..., None], np.broadcast_to(root * slope, error.shape)[..., None])
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return measured frequencies (n, n_modes) for computed ones, Hz."""
+        """Return simulated measured frequencies (n, n_modes), Hz, for computed frequencies."""
         sd = self.sd if self.is_known else np.sqrt(self.spread.variance(noise))
         error = sd * rng.standard_normal(frequencies.shape)
         if self.kind == "eigenvalue":
-            # the f^m that has this ε; below −1 there is none
+            # the measured frequency with this error ε, which exists only for ε above −1
             return np.asarray(frequencies / np.sqrt(1.0 + np.maximum(error, -0.99)))
         return np.asarray(frequencies + error)
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return mean and standard deviation of each measured frequency, see `ErrorTerm`.
+        """Return the mean and standard deviation of each measured frequency, see `ErrorTerm`.
 
-        Errors of eigenvalues, ε = (f/f^m)² − 1, are not Gaussian in f^m: the standard deviation is the one that
-        puts the measured frequency where it is in the distribution of ε.
+        Errors of eigenvalues, ε = (f/f^m)² − 1, are not Gaussian in f^m. Their standard deviation is converted to
+        Hz such that (f − f^m) divided by it equals ε divided by the standard deviation of ε.
         """
         sd = self.sd[None] if self.is_known else np.sqrt(self.spread.variance(noise))
         if self.kind == "eigenvalue":
@@ -222,11 +223,11 @@ class FrequencyTerm(ErrorTerm):
         return FrequencyTerm(self.kind, self.measured, inferred).simulate(rng, frequencies, noise)
 
     def labels(self, modes: Sequence[str]) -> list[str]:
-        """Return a name for each residual, see `ErrorTerm`."""
+        """Return the list of names of the residuals, see `ErrorTerm`."""
         return [f"{mode}, frequency" for mode in modes]
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return name and settings."""
+        """Return a dict of the name and settings of the error model."""
         return {"error": f"{self.kind} frequency", "spread": self.spread.as_dict()}
 
     def _known_terms(self, error: FloatArray) -> FloatArray:
@@ -235,8 +236,8 @@ class FrequencyTerm(ErrorTerm):
         return normaliser - beta * error**2
 
     def _errors(self, f: FloatArray) -> tuple[FloatArray, FloatArray | float]:
-        """Return ε, in Hz but for eigenvalues, and ∂ε/∂f."""
-        # in C order, in which the terms of a row are summed in the same order whatever the batch
+        """Return ε, in Hz or, for eigenvalues, dimensionless, and ∂ε/∂f."""
+        # C order, so that the terms of a row are summed in the same order whatever the batch size
         f = np.ascontiguousarray(f)
         if self.kind == "eigenvalue":
             return (f / self.measured) ** 2 - 1.0, 2.0 * f / self.measured**2
@@ -250,25 +251,27 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
     log P(D|θ) = Σ_i (−½ log 2π − log L_ii − ½ z_i²).
 
-    Term i is the log-density of f_i^m given f_1^m … f_{i−1}^m: what mode i adds to the modes before it. Single
-    terms depend on the order of the modes, their sum does not. `project` gives z in place of the frequencies.
+    Term i is the log-density of f_i^m given f_1^m … f_{i−1}^m, the information of mode i in addition to the modes
+    before it. The single terms depend on the order of the modes; their sum does not. `project` replaces the
+    frequencies by z.
 
     Parameters
     ----------
     measured : ndarray, shape (n_modes,), Hz
     covariance_hz2 : ndarray, shape (n_modes, n_modes), Hz²
     used : ndarray of int, optional
-        The modes whose density is wanted, numbered from 0: L is then that of Σ without the covariances between
-        these modes and the others, so that the terms of these modes sum to their marginal density.
+        Indices (from 0) of the modes whose density is wanted. L is then the Cholesky factor of Σ without the
+        covariances between these modes and the others, so that the terms of these modes sum to their marginal
+        log-density.
 
     Raises
     ------
     ValueError
-        If the covariance is not symmetric and positive definite, or not of that shape.
+        If the covariance is not symmetric and positive definite, or does not have the shape (n_modes, n_modes).
 
     Notes
     -----
-    Products with L and L⁻¹ are accumulated a column at a time and not by BLAS, whose order of summation depends on
+    Products with L and L⁻¹ are accumulated column by column and not by BLAS, whose order of summation depends on
     the number of theta in a batch.
     """
 
@@ -291,7 +294,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
     @property
     def sd(self) -> FloatArray:
-        """Standard deviation σ_i of the error of each mode by itself, Hz."""
+        """Marginal standard deviations σ_i of the errors, shape (n_modes,), Hz."""
         return self.spread.fixed
 
     @property
@@ -301,7 +304,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
     @property
     def beta(self) -> FloatArray:
-        """1/(2σ_i²) of each mode by itself, 1/Hz²; it does not contain the correlations."""
+        """β_i = 1/(2σ_i²) of each mode, shape (n_modes,), 1/Hz²; it does not contain the correlations."""
         return np.asarray(0.5 / np.diag(self.covariance_hz2))
 
     def among(self, used: IntArray | None) -> CorrelatedFrequencyTerm:
@@ -315,7 +318,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
             seen.frequency_variance,
             seen.frequency_variance_slopes,
         )
-        squares = self._inverse_root**2  # the model's own errors of z are correlated; their variances are kept
+        squares = self._inverse_root**2  # the model's own errors of z are correlated; only variances are used
         return replace(
             seen,
             frequencies=self._standardise(seen.frequencies),
@@ -330,16 +333,16 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         return Evaluated(self._normaliser - 0.5 * z**2, -z if gradient else None)
 
     def log_prob_terms(self, frequencies: FloatArray) -> FloatArray:
-        """Return the terms, shape (n, n_modes), at frequencies in Hz of that shape."""
+        """Return the terms (n, n_modes) at frequencies (n, n_modes), Hz."""
         with np.errstate(over="ignore", invalid="ignore"):
             return np.asarray(self._normaliser - 0.5 * self._standardise(frequencies) ** 2)
 
     def log_prob_given_others(self, frequencies: FloatArray) -> FloatArray:
-        """Return the log-density of each measured frequency given all the other measured ones, (…, n_modes).
+        """Return the log-density of each measured frequency given all other measured frequencies, (…, n_modes).
 
-        With g = Σ⁻¹ε and c_i = (Σ⁻¹)_ii it is N(g_i/c_i; 0, 1/c_i) (Bürkner, Gabry & Vehtari 2021, Computational
-        Statistics 36, 1243, eq. 12), which leave-one-out cross-validation needs. Their sum is not the joint
-        log-density.
+        With g = Σ⁻¹ε and c_i = (Σ⁻¹)_ii it is log N(g_i/c_i; 0, 1/c_i) (Bürkner, Gabry & Vehtari 2021,
+        Computational Statistics 36, 1243, eq. 12). Leave-one-out cross-validation needs these conditional
+        log-densities; their sum is not the joint log-density.
         """
         with np.errstate(over="ignore", invalid="ignore"):
             g = _times(self._inverse_root.T, self._standardise(frequencies))
@@ -347,25 +350,25 @@ class CorrelatedFrequencyTerm(ErrorTerm):
             return np.asarray(0.5 * np.log(c / (2.0 * np.pi)) - 0.5 * g**2 / c)
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return mean and standard deviation of each measured frequency given the others, see `ErrorTerm`."""
+        """Return the mean and standard deviation of each measured frequency given the others, see `ErrorTerm`."""
         c = np.sum(self._inverse_root**2, axis=0)
         g = _times(self._inverse_root.T, self._standardise(frequencies))
         return self.measured + g / c, np.broadcast_to(1.0 / np.sqrt(c), frequencies.shape)
 
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
-        """Return the residuals, see `ErrorTerm`: z."""
+        """Return the residuals z, see `ErrorTerm`."""
         return Residuals(seen.frequencies[..., None], np.ones_like(seen.frequencies)[..., None])
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return measured frequencies (n, n_modes) for computed ones, Hz."""
+        """Return simulated measured frequencies (n, n_modes), Hz, for computed frequencies."""
         return np.asarray(frequencies + _times(self._root_of_all, rng.standard_normal(np.shape(frequencies))))
 
     def labels(self, modes: Sequence[str]) -> list[str]:
-        """Return a name for each residual, see `ErrorTerm`."""
+        """Return the list of names of the residuals, see `ErrorTerm`."""
         return [f"{mode}, frequency" for mode in modes]
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return name and settings."""
+        """Return a dict of the name and settings of the error model."""
         return {"error": "frequency", "covariance_hz2": self.covariance_hz2.tolist()}
 
     def _standardise(self, frequencies: FloatArray) -> FloatArray:
@@ -374,7 +377,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
 
 def _times(A: FloatArray, x: FloatArray, axis: int = -1) -> FloatArray:
-    """Return A x along an axis of `x`, every sum in the same order whatever the batch, in C order."""
+    """Return A x along an axis of `x`, in C order, with each sum in the same order whatever the batch size."""
     total = np.zeros(x.shape)
     along = (slice(None),) * (axis % x.ndim)
     columns = A.T.reshape(len(A), -1, *(1,) * (x.ndim - 1 - axis % x.ndim))

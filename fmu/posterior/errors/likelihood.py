@@ -1,4 +1,4 @@
-"""The likelihood of computed modes: the sum of error models, with standard deviations known or inferred."""
+"""The likelihood of the measured modes as a sum over error models, with known or inferred standard deviations."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ from fmu.types import FloatArray, IntArray, Plain
 
 
 class ModalLikelihood(Likelihood):
-    """The sum of the log-densities of error models that are independent of each other.
+    """The log-likelihood as the sum of the log-densities of error models that are independent of each other.
 
     Parameters
     ----------
     model : ModalModel
-        Takes the leading parameters. It must give shapes where errors are of shapes.
+        A function of the leading parameters. It must compute shapes if there are errors of shapes.
     data : ModalData
     errors : sequence of ErrorModel
     quantities : sequence of QuantityTerm
-        Measured quantities that are not of modes. Their terms follow those of the modes.
+        Measured quantities other than modes. Their terms follow the terms of the modes.
 
     Raises
     ------
     ValueError
-        If there is no error model, one does not fit the data, the model does not give shapes where they are
-        needed, or different parameters share a name.
+        If there is no error model, an error model does not fit the data, the model does not compute the shapes
+        that are needed, or different parameters share a name.
     """
 
     of_modes = True
@@ -73,7 +73,7 @@ class ModalLikelihood(Likelihood):
         self._fast = self._choose_fast_path()
 
     def using(self, used: IntArray | None) -> Self:
-        """Return the likelihood of other modes of the same data."""
+        """Return the likelihood of the modes with the indices `used` of the same data; None for all modes."""
         other = super().using(used)
         other.terms_of = tuple(term.among(used) for term in self.terms_of)
         if self.chi_square:
@@ -84,24 +84,24 @@ class ModalLikelihood(Likelihood):
         return other
 
     def with_model(self, model: ModalModel) -> Self:
-        """Return the likelihood with another model of the same parameters and modes, as a surrogate."""
+        """Return the likelihood with another model of the same parameters and modes, such as a surrogate."""
         other = copy(self)
         other.model = model
         other._fast = other._choose_fast_path()
         return other
 
     def _choose_fast_path(self) -> FrequencyTerm | CorrelatedFrequencyTerm | None:
-        """Return the one error model if it is of the frequencies alone, which saves µs at a single theta."""
+        """Return `error` for an evaluation that saves µs at a single theta; None for an uncertain model."""
         return None if self.model.is_uncertain else self.error
 
     @property
     def frequency_term(self) -> ErrorTerm | None:
-        """The errors of the frequencies, the first if there are several; None if there are none."""
+        """The first error model of frequencies; None if there is no such error model."""
         return next((term for term in self.terms_of if term.of_frequencies), None)
 
     @property
     def correlated(self) -> CorrelatedFrequencyTerm | None:
-        """The errors of the frequencies where they have a covariance."""
+        """The error model of frequencies whose errors have a covariance; None if there is no such error model."""
         return next((term for term in self.terms_of if isinstance(term, CorrelatedFrequencyTerm)), None)
 
     def terms(self, theta: FloatArray) -> FloatArray:
@@ -112,7 +112,7 @@ class ModalLikelihood(Likelihood):
         return np.asarray(terms if not self.quantities else self._with_quantities(terms, theta))
 
     def terms_of_observed(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return the terms, see `terms`, for a prediction of the modes made already."""
+        """Return the `terms` at theta (n, ndim), given the prediction of the modes there."""
         parts = self._parts(seen, theta, gradient=False)[1]
         return self._with_quantities(self.of_used(np.asarray(sum(part.terms for part in parts))), theta)
 
@@ -124,14 +124,14 @@ class ModalLikelihood(Likelihood):
     def terms_and_misfit(
         self, theta: FloatArray, frequencies: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the `terms` of the modes, and from the same solves the `misfit`, see `Likelihood`."""
+        """Return the `terms` of the modes and the `misfit` from the same solves, see `Likelihood`."""
         is_enough = self.by_frequencies and frequencies is not None
         seen = _without_shapes(np.asarray(frequencies)) if is_enough else self.observed(theta)
         squares = self.misfit(seen, theta)
         return self.terms_of_observed(seen, theta)[:, : squares.shape[-1]], squares
 
     def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return the sum of squared residuals of each used mode, by each of `chi_square`, (n, n_kinds, n_used)."""
+        """Return the sums of squared residuals by model of `chi_square` and used mode, (n, n_kinds, n_used)."""
         noise, found = theta[:, self.n_structural :], np.empty((len(theta), 0, seen.frequencies.shape[1]))
         for term in self.chi_square:
             r = np.moveaxis(term.residuals(term.project(seen), noise).values, 1, 2)
@@ -151,15 +151,16 @@ class ModalLikelihood(Likelihood):
         return self._with_quantities_and_slopes(self.of_used(part.terms), self.of_used(slopes, 1), theta)
 
     def terms_of_frequencies(self, frequencies: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return the terms where the model has these frequencies, see `Likelihood`."""
+        """Return the terms at theta, given the frequencies of the model there, see `Likelihood`."""
         if not self.by_frequencies:
             return self.terms(theta)
         return self.terms_of_observed(_without_shapes(frequencies), theta)
 
     def sensitivity_to_model(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return how much the log-likelihood depends on errors of an uncertain model at theta (n, ndim).
+        """Return the sensitivity of the log-likelihood to errors of an uncertain model at theta (n, ndim).
 
-        Summed over the error models: `fmu.posterior.errors.surrogate_variance.sensitivity_to_model`.
+        The arrays of `fmu.posterior.errors.surrogate_variance.sensitivity_to_model`, (n, n_modes) for frequencies
+        and (n, n_sensors, n_modes) for shapes, are summed over the error models; modes not used have zeros.
         """
         seen, noise = self.observed(theta), theta[:, self.n_structural :]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -171,15 +172,16 @@ class ModalLikelihood(Likelihood):
         return of_frequency, of_shape
 
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return all errors divided by their standard deviations, and their derivatives.
+        """Return the residuals, which are all errors divided by their standard deviations, and their derivatives.
 
-        Shapes (n, n_residuals) and (n, n_residuals, n_structural): what Gauss–Newton steps and the linearised
-        information of the data are made of. Inferred standard deviations are held fixed.
+        The residuals have the shape (n, n_residuals), the derivatives (n, n_residuals, n_structural). Gauss–Newton
+        steps and the linearised information of the data are computed from them. Inferred standard deviations are
+        held fixed.
         """
         return self._all_residuals_and_slopes(self._observed_slopes(theta, chain), theta, chain)
 
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
-        """Return a name for each row of `sensitivity`."""
+        """Return the names of the residuals, in the order of `residuals_and_slopes`, given the labels of modes."""
         modes = tuple(map(str, self.of_used(np.array(modes))))
         others = tuple(label for term in self.quantities for label in term.labels)
         if self.error is not None:
@@ -193,7 +195,7 @@ class ModalLikelihood(Likelihood):
         ----------
         frequencies, error : ndarray, shape (n_modes,), Hz
         theta : ndarray, shape (ndim,)
-            Inferred standard deviations are taken from here.
+            Supplies the inferred standard deviations.
         """
         if self.frequency_term is None:
             return np.zeros(len(frequencies))
@@ -204,7 +206,7 @@ class ModalLikelihood(Likelihood):
     def simulate(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes) with the errors of the first error model of them added, Hz.
+        """Return frequencies (n, n_modes), Hz, with errors from the first error model of frequencies added.
 
         Raises
         ------
@@ -219,12 +221,12 @@ class ModalLikelihood(Likelihood):
     def simulate_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with only the inferred errors, of the model, added.
+        """Return frequencies (n, n_modes), Hz, with only the inferred errors (of the model) added.
 
         Raises
         ------
         ValueError
-            As `simulate` does.
+            If standard deviations are inferred and `noise` (n, n_noise) is not given.
         """
         if self.frequency_term is None:
             return frequencies
@@ -235,7 +237,8 @@ class ModalLikelihood(Likelihood):
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
 
-        JᵀJ of the residuals for the model's parameters, Fisher's information for the standard deviations.
+        The information on the model's parameters is JᵀJ, with the Jacobian J of the residuals. The information on
+        the inferred standard deviations is Fisher's.
         """
         seen = self._observed_slopes(theta, chain)
         r, J = self._all_residuals_and_slopes(seen, theta, chain)
@@ -248,7 +251,7 @@ class ModalLikelihood(Likelihood):
         return value, gradient, self._information(J, theta)
 
     def why_not_finite(self, theta: FloatArray) -> str | None:
-        """Say why the terms are not finite at a theta, shape (ndim,); None where they are."""
+        """Return the reason why the terms are not finite at theta, shape (ndim,); None if they are finite."""
         found = why_no_frequencies(self.model, theta[: self.model.n_parameters])
         if found is not None:
             return found
@@ -265,7 +268,7 @@ class ModalLikelihood(Likelihood):
         return None
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return names and settings in plain Python types."""
+        """Return a dict of names and settings in plain Python types."""
         found = self._of_modes_as_dict()
         return found | ({"quantities": [term.as_dict() for term in self.quantities]} if self.quantities else {})
 
@@ -277,7 +280,7 @@ class ModalLikelihood(Likelihood):
         return {"errors": [term.as_dict() for term in self.terms_of], "noise": [p.name for p in self.noise]}
 
     def _terms_by_error(self, theta: FloatArray) -> list[tuple[str, FloatArray]]:
-        """Return the name of each error model and its share of `terms`, (n, n_used)."""
+        """Return the list of pairs of the name of an error model and its terms, (n, n_used)."""
         parts = self._parts(self.observed(theta, False), theta, gradient=False)[1]
         described = self._of_modes_as_dict()
         dicts = [described] if "error" in described else [term.as_dict() for term in self.terms_of]
@@ -290,7 +293,7 @@ class ModalLikelihood(Likelihood):
         return np.empty((len(frequencies), 0)) if noise is None else noise
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the frequencies at theta (n, ndim), and the shapes where they have errors."""
+        """Return the predicted frequencies at theta (n, ndim), with the shapes if some errors are of shapes."""
         structural = theta[:, : self.n_structural]
         if self.needs_shapes or self.model.is_uncertain:
             return self.model.observed(structural, gradient)
@@ -301,7 +304,7 @@ class ModalLikelihood(Likelihood):
     def _parts(
         self, seen: ModalPrediction, theta: FloatArray, gradient: bool
     ) -> tuple[list[ModalPrediction], list[Evaluated]]:
-        """Return the prediction projected for each error model, and its terms."""
+        """Return the projected prediction and the evaluated terms of each error model, as two lists."""
         noise = theta[:, self.n_structural :]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             views = [term.project(seen) for term in self.terms_of]
@@ -314,7 +317,7 @@ class ModalLikelihood(Likelihood):
         return views, parts
 
     def _observed_slopes(self, theta: FloatArray, chain: Chain | None) -> ModalPrediction:
-        """Return the prediction with derivatives, by the parameters of all tests if there is a `chain` to them."""
+        """Return the prediction with derivatives, by the parameters of all tests if `chain` is given."""
         seen = self.observed(theta, True)
         return seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
 
@@ -333,7 +336,7 @@ class ModalLikelihood(Likelihood):
         return self._with_quantities_and_slopes(terms, self.of_used(slopes, 1), theta, chain)
 
     def _with_quantities(self, terms: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return terms of modes (n, n_used), followed by terms of the quantities."""
+        """Return the terms of the modes (n, n_used) followed by the terms of the quantities."""
         if not self.quantities:
             return terms
         structural = theta[:, : self.n_structural]
@@ -341,14 +344,14 @@ class ModalLikelihood(Likelihood):
 
     @property
     def test_of_terms(self) -> IntArray:
-        """The test that each term belongs to, shape (n_terms,)."""
+        """Index of the test that each term belongs to, shape (n_terms,)."""
         of_quantities = [np.full(len(term.labels), term.test) for term in self.quantities]
         return np.concatenate([self.of_used(self.model.test_of_modes), *of_quantities])
 
     def _with_quantities_and_slopes(
         self, terms: FloatArray, slopes: FloatArray, theta: FloatArray, chain: Chain | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return terms of modes and gradients (n, n_used, ndim), then terms and gradients of the quantities."""
+        """Return the terms and their gradients, of the modes (n, n_used, ndim) and then of the quantities."""
         if not self.quantities:
             return terms, slopes
         parts = [slopes]

@@ -1,4 +1,4 @@
-"""Errors 1 − MAC, of single modes or of the space that close modes span."""
+"""The error model of 1 − MAC, for single modes or for the subspace that closely spaced modes span."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray, Plain
 
 _RIDGE = 1e-14
-"""Added to the Gram matrix of shapes, relative to its trace: two shapes equal at the sensors span only a line."""
+"""Ridge added to the Gram matrix of shapes, relative to its trace, since shapes may be equal at the sensors."""
 
 Groups = tuple[tuple[int, ...], ...]
 
@@ -29,20 +29,19 @@ Groups = tuple[tuple[int, ...], ...]
 class MACErrors:
     """Half-Gaussian errors ε = 1 − MAC at the sensors.
 
-    Normalised as a density of ε on [0, 1]. This is a convention of the field rather than a model of measurement
-    noise: noise with standard deviation σ at q sensors gives 1 − MAC of about (q − 1) σ², which is what
-    `ShapeErrors` models.
+    The density is normalised for ε on [0, 1]. It is a convention of the field rather than a model of measurement
+    noise: noise with the standard deviation σ at q sensors gives 1 − MAC ≈ (q − 1) σ², which `ShapeErrors` models.
 
     Attributes
     ----------
     sd : float, array_like of shape (n_modes,), or Parameter
-        Size of 1 − MAC.
+        Standard deviation of the Gaussian that is truncated to [0, 1].
     weights : array_like, shape (n_modes,), optional
-        Trust in each mode: the variance of ε_i is sd²/w_i.
+        Weights w_i of the modes: the variance of ε_i is sd²/w_i.
     together : sequence of sequence of str
-        Groups of modes, by their labels, whose frequencies are too close for their shapes to be distinct, such as
-        the pairs of a nearly symmetric structure. Each mode is compared with the space that the computed modes of
-        its group span, which does not depend on how the shapes rotate into each other (`in_span`).
+        Groups of modes, given by their labels, whose frequencies are too close for their shapes to be distinct,
+        such as the pairs of a nearly symmetric structure. Each mode is compared with the subspace that the
+        computed modes of its group span, which does not depend on the rotation of the shapes in it (`in_span`).
     """
 
     sd: ArrayLike | Parameter
@@ -53,7 +52,7 @@ class MACErrors:
         require_sizes(self.sd, self.weights)
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
-        """Return the error model of `data`, see `ErrorModel`.
+        """Return the error model bound to `data`, see `ErrorModel`.
 
         Raises
         ------
@@ -71,13 +70,13 @@ class MACErrors:
         return sum(data.use)
 
     def data_give_sd(self, data: ModalData) -> bool:
-        """Say no: `data` have no errors of MAC values."""
+        """Return False: `data` have no standard deviations of MAC values."""
         return False
 
 
 @dataclass(frozen=True, eq=False)
 class MACTerm(ErrorTerm):
-    """Errors 1 − MAC; `unit` holds the measured shapes, shape (n_sensors, n_modes)."""
+    """Errors 1 − MAC; `unit` holds the measured shapes of unit length, shape (n_sensors, n_modes)."""
 
     unit: FloatArray
     spread: Spread
@@ -92,7 +91,7 @@ class MACTerm(ErrorTerm):
         return bool(self.groups)
 
     def project(self, seen: ModalPrediction) -> ModalPrediction:
-        """Return the prediction with the shapes of groups projected, see `in_span`."""
+        """Return the prediction with the shapes of grouped modes projected, see `in_span`."""
         return in_span(seen, self.unit, self.groups) if self.groups else seen
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
@@ -114,28 +113,28 @@ class MACTerm(ErrorTerm):
         return Residuals((error / sd)[..., None], None, np.swapaxes(slope / sd[:, None], 1, 2)[:, :, None])
 
     def labels(self, modes: Sequence[str]) -> list[str]:
-        """Return a name for each residual, see `ErrorTerm`."""
+        """Return the list of names of the residuals, see `ErrorTerm`."""
         return [f"{mode}, MAC" for mode in modes]
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return name and settings."""
+        """Return a dict of the name and settings of the error model."""
         together = {"together": [list(group) for group in self.groups]} if self.groups else {}
         return {"error": "MAC", "spread": self.spread.as_dict(), **together}
 
     def _errors(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return 1 − MAC, shape (n, n_modes), and its derivative by the shapes, (n, n_sensors, n_modes)."""
+        """Return 1 − MAC, (n, n_modes), and its derivatives by the shape components, (n, n_sensors, n_modes)."""
         cross, size = np.sum(self.unit * s, axis=1), np.sum(s**2, axis=1)
         a = (cross / size)[:, None]
         return 1.0 - cross**2 / size, -2.0 * a * (self.unit - a * s)
 
 
 def groups_of(together: Sequence[Sequence[str]], labels: Sequence[str], n_sensors: int) -> Groups:
-    """Return groups of modes, given by their labels, as numbers from 0.
+    """Return groups of modes as tuples of indices (from 0), given the groups of labels.
 
     Raises
     ------
     ValueError
-        If a mode is unknown or named twice, or a group has one mode, or as many as there are sensors.
+        If a mode is unknown or named twice, or a group has fewer than 2 modes or at least as many as sensors.
     """
     named = [str(name) for group in together for name in group]
     unknown = [name for name in named if name not in labels]
@@ -154,13 +153,14 @@ def groups_of(together: Sequence[Sequence[str]], labels: Sequence[str], n_sensor
 
 
 def in_span(seen: ModalPrediction, unit: FloatArray, groups: Groups) -> ModalPrediction:
-    """Return the prediction with each shape of a group replaced by the projection of the measured one.
+    """Return the prediction with each shape of a group replaced by the projection of the measured shape.
 
-    With S the computed shapes of a group at the sensors and P = S (SᵀS)⁻¹ Sᵀ, the shape of mode i becomes P u_i,
-    so its MAC with u_i is ‖P u_i‖², whatever basis of the span the eigensolver returned (cf. D'Ambrogio &
-    Fregolent 2003, Higher-order MAC for the correlation of close and multiple modes, *Mech. Syst. Signal Process.*
-    17). Its derivative is ∂P u = (I − P) ∂S S⁺u + S⁺ᵀ ∂Sᵀ (I − P) u. Rotations of the shapes within their span
-    cancel in it, so it remains of order one through a veering.
+    The measured shape u_i is projected onto the span of the computed shapes S of the group: with
+    P = S (SᵀS)⁻¹ Sᵀ, the shape of mode i becomes P u_i. The MAC of P u_i with u_i is ‖P u_i‖², whatever basis of
+    the span the eigensolver returned (cf. D'Ambrogio & Fregolent 2003, Higher-order MAC for the correlation of
+    close and multiple modes, *Mech. Syst. Signal Process.* 17). The derivative of P u is
+    ∂P u = (I − P) ∂S S⁺u + S⁺ᵀ ∂Sᵀ (I − P) u. Rotations of the shapes within their span cancel, so the derivative
+    remains of order one through a veering.
 
     Parameters
     ----------
@@ -168,6 +168,7 @@ def in_span(seen: ModalPrediction, unit: FloatArray, groups: Groups) -> ModalPre
     unit : ndarray, shape (n_sensors, n_modes)
         Measured shapes of unit length.
     groups : tuple of tuple of int
+        Indices of the modes of each group.
     """
     shapes = seen.shapes.copy()
     slopes = None if seen.shape_slopes is None else seen.shape_slopes.copy()

@@ -1,4 +1,4 @@
-"""Mixture pairing: a likelihood without the jumps of a one-to-one pairing of modes."""
+"""The likelihood of the soft pairing, a mixture without the jumps of a one-to-one pairing of modes."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from fmu.types import FloatArray, IntArray, Plain
 
 
 class _Pairs(NamedTuple):
-    """Every candidate k for every measured mode i, shapes (n, k, m).
+    """Log-densities of all pairs of a candidate k and a measured mode i, arrays of shape (n, k, m).
 
     Attributes
     ----------
     log_weight, log_density : ndarray
         log w_ik and log p(measured mode i | candidate k).
     of : list of Evaluated
-        Log-densities of the pairs from each error model, in rows n·k.
+        Log-densities of the pairs from each error model, with n·k rows.
     """
 
     log_weight: FloatArray
@@ -38,47 +38,47 @@ class _Pairs(NamedTuple):
 
     @property
     def responsibility(self) -> FloatArray:
-        """Share of each candidate in the likelihood of a measured mode; the sum over k is 1."""
+        """Share of each candidate in the likelihood of a measured mode, (n, k, m); the sum over k is 1."""
         return np.exp(self.log_weight + self.log_density - self.terms[:, None])
 
 
 class MixtureLikelihood(ModalLikelihood):
-    """The likelihood of each measured mode as a mixture over the computed modes that might correspond to it.
+    """The likelihood of each measured mode as a mixture over the computed modes that may correspond to this mode.
 
     log P(D|θ) = Σ_i log Σ_k w_ik p(f_i, φ_i | f_k(θ), φ_k(θ)),   w_ik = exp(MAC_ik/τ) / Σ_j exp(MAC_ij/τ)
 
-    over the candidates k, the lowest modes of all blocks in which a measured shape moves
+    The candidates k are the lowest modes of all blocks in which a measured shape has motion
     (`fmu.fem.pairing.prediction.CandidateView`). The weights depend on the computed shapes and thus on θ; the
-    gradient contains their derivatives. Where two modes of a block veer, their shapes change continuously, and so
-    does this likelihood; a one-to-one pairing jumps there.
+    gradient contains the derivatives of the weights. Where two modes of a block veer, their shapes and thus this
+    likelihood change continuously, whereas the likelihood of a one-to-one pairing jumps.
 
     Parameters
     ----------
     model : PairedStructure
-        Paired softly; takes the leading parameters.
+        A model with soft pairing; a function of the leading parameters.
     data : ModalData
     errors : sequence of ErrorModel
-        Independent from mode to mode.
+        Error models with errors that are independent from mode to mode.
 
     Raises
     ------
     ValueError
-        If an error model compares groups of modes.
+        If the errors of an error model depend on several modes (a covariance, or groups of modes).
 
     Notes
     -----
-    - The pairing is *not* one to one: two measured modes may use the same candidate. The cost is the difference in
-      MAC divided by τ; where two measured shapes are alike at the sensors, it is zero.
-    - A candidate whose MAC is lower than the best by Δ has the relative weight e^(−Δ/τ). With the default τ = 0.02
-      this costs at most 50 nats. If frequencies are known so well that a wrong one costs more, another mode with a
-      matching frequency but a wrong shape becomes plausible: then reduce τ or add errors of shapes. τ → 0 selects
-      the best MAC.
-    - With errors of frequencies alone this is a density of the frequencies, given the measured shapes. With errors
-      of shapes the weights use the measured shapes a second time, and it is no longer a density: evidences of
-      problems of different softness must not be compared.
-    - ``frequencies`` of the model remain those of the one-to-one assignment, which jump at a veering, since a mean
-      over candidates is not the frequency of any mode.
-    - The candidates of a block end with its highest computed mode. Where that one veers with the next, a jump of
+    - The pairing is *not* one to one: two measured modes may use the same candidate. The log-weight lost is the
+      difference in MAC divided by τ, which is zero if two measured shapes are equal at the sensors.
+    - A candidate whose MAC is lower than the highest MAC by Δ has the relative weight e^(−Δ/τ). With the default
+      τ = 0.02 its log-weight is lower by at most 50 nats. If frequencies are measured so accurately that a wrong
+      frequency costs more, another mode with a matching frequency but a wrong shape becomes plausible: then reduce
+      τ or add errors of shapes. In the limit τ → 0 the candidate of the highest MAC is selected.
+    - With errors of frequencies alone, the likelihood is a density of the frequencies, given the measured shapes.
+      With errors of shapes, the weights use the measured shapes a second time, and the likelihood is no longer a
+      density: evidences of problems with different softness must not be compared.
+    - ``frequencies`` of the model are still those of the one-to-one assignment, which jump at a veering, since a
+      mean over candidates is not the frequency of any mode.
+    - The candidates of a block end with the highest mode computed. Where this mode veers with the next, a jump of
       the size of its weight remains.
     """
 
@@ -91,9 +91,9 @@ class MixtureLikelihood(ModalLikelihood):
                 "pairing", "soft needs errors that are independent from mode to mode", "covariance_hz2 or together"
             )
         self.softness = model.softness
-        # only the model gives the terms, and not the frequencies of the modes paired one to one
+        # the terms need the model; they do not follow from the frequencies of the modes paired one to one
         self.error = self.beta = self._fast = None
-        self.chi_square = ()  # no one candidate's residuals are the errors of a measured mode
+        self.chi_square = ()  # the errors of a measured mode are not the residuals of any single candidate
         self.terms_name = "modes"
 
     by_frequencies = Likelihood.by_frequencies
@@ -109,10 +109,10 @@ class MixtureLikelihood(ModalLikelihood):
         return self._mix(self._pairs(candidates, theta, True), candidates, theta)
 
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return the errors divided by their standard deviations, and their derivatives, for the best MAC.
+        """Return the residuals and their derivatives for the candidates of the highest MAC, see `ModalLikelihood`.
 
-        The modes of the best MAC are the measured ones even where frequencies are still so wrong that other
-        candidates contribute more.
+        These candidates correspond to the measured modes even where the frequencies are still so inaccurate that
+        other candidates contribute more to the likelihood.
         """
         candidates = self._candidates(theta, True)
         best = _best(np.swapaxes(candidates.mac, 1, 2))
@@ -123,7 +123,7 @@ class MixtureLikelihood(ModalLikelihood):
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim).
 
-        The information is that of the candidates with the largest share.
+        The information is computed from the candidate with the largest share in each measured mode.
         """
         candidates = self._candidates(theta, True)
         pairs = self._pairs(candidates, theta, True)
@@ -133,7 +133,7 @@ class MixtureLikelihood(ModalLikelihood):
         return terms.sum(axis=1), gradient.sum(axis=1), self._information(J, theta)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return names and settings."""
+        """Return a dict of names and settings in plain Python types."""
         return {**super().as_dict(), "softness": self.softness}
 
     def _terms_by_error(self, theta: FloatArray) -> list[tuple[str, FloatArray]]:
@@ -156,7 +156,7 @@ class MixtureLikelihood(ModalLikelihood):
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             of = [term.evaluate(each, noise, gradient) for term in self.terms_of]
         log_density = np.asarray(sum(part.terms for part in of)).reshape(n, k, m)
-        # a mode that moves no sensor has zero weight, and the density of its shape is undefined
+        # a mode without motion at any sensor has zero weight, and the density of its shape is undefined
         return _Pairs(log_weight, np.where(np.isneginf(log_weight), 0.0, log_density), of)
 
     def _mix(self, pairs: _Pairs, candidates: Candidates, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -164,7 +164,7 @@ class MixtureLikelihood(ModalLikelihood):
         n, k, m = pairs.log_weight.shape
         n_structural = self.n_structural
         terms = pairs.terms
-        slopes_of: Any = candidates  # with slopes: asked for
+        slopes_of: Any = candidates  # computed with slopes
         with np.errstate(invalid="ignore", over="ignore"):
             share = pairs.responsibility
             pull = (share - np.exp(pairs.log_weight)) / self.softness
@@ -174,7 +174,7 @@ class MixtureLikelihood(ModalLikelihood):
             for part in pairs.of:
                 if part.by_frequency is not None:
                     by = _multiply(share, part.by_frequency.reshape(n, k, m))
-                    # a rigid-body mode has no derivative of its frequency, and no share
+                    # the frequency of a rigid-body mode has no derivative; the share of such a mode is zero
                     slopes = np.where(np.any(by != 0.0, axis=2)[..., None], slopes_of.frequency_slopes, 0.0)
                     leading += np.einsum("nkm,nkp->nmp", by, slopes)
                 if part.by_shape is not None:
@@ -187,12 +187,12 @@ class MixtureLikelihood(ModalLikelihood):
 
 
 def _best(score: FloatArray) -> IntArray:
-    """Return the candidate of the highest score (n, k, m) for each measured mode, shape (n, m)."""
+    """Return the index of the candidate with the highest score, (n, k, m), for each measured mode, (n, m)."""
     return np.argmax(np.nan_to_num(score, nan=-np.inf), axis=1)
 
 
 def _pick_candidates(candidates: Candidates, best: IntArray) -> ModalPrediction:
-    """Return one candidate for each measured mode at the sensors, with its derivatives."""
+    """Return the prediction from one candidate for each measured mode, index `best` (n, m), with derivatives."""
     of: Any = candidates
     return ModalPrediction(
         np.take_along_axis(of.frequencies, best, axis=1),
@@ -203,7 +203,7 @@ def _pick_candidates(candidates: Candidates, best: IntArray) -> ModalPrediction:
 
 
 def _log_sum_exp(x: FloatArray) -> FloatArray:
-    """Return log Σ_k exp x of x (n, k, m), shape (n, m); −inf where all are."""
+    """Return log Σ_k exp x of x (n, k, m), shape (n, m); −inf where x is −inf for all k."""
     highest = np.max(x, axis=1)
     shift = np.where(np.isneginf(highest), 0.0, highest)
     with np.errstate(divide="ignore"):
@@ -211,5 +211,5 @@ def _log_sum_exp(x: FloatArray) -> FloatArray:
 
 
 def _multiply(share: FloatArray, slope: FloatArray) -> FloatArray:
-    """Return their product, 0 where the share is 0: the derivative of a distant candidate may not exist."""
+    """Return share · slope, and 0 where the share is 0, since the slope of a distant candidate may not exist."""
     return np.multiply(share, slope, out=np.zeros(slope.shape), where=np.broadcast_to(share != 0.0, slope.shape))

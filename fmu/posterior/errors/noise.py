@@ -1,4 +1,4 @@
-"""Standard deviations of errors: known, inferred with the parameters, or both."""
+"""Standard deviations of errors that are known, inferred together with the parameters, or both."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray, IntArray, Plain
 
 NoiseIndex = Callable[[Parameter], int]
-"""Returns the number of an inferred standard deviation among those of the problem."""
+"""A function that returns the index of an inferred standard deviation among those of the problem."""
 
 
 def numbering(noise: list[Parameter]) -> NoiseIndex:
-    """Return a function that numbers parameters in the order in which they are met, and keeps them in `noise`."""
+    """Return a function that returns the index of a parameter in `noise`, and appends the parameter if missing."""
 
     def index(parameter: Parameter) -> int:
         if parameter not in noise:
@@ -34,34 +34,35 @@ def numbering(noise: list[Parameter]) -> NoiseIndex:
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """Variances V = fixed² + Σ_k (noise_k · size_k)² of sums of independent errors.
+    """The variances V = fixed² + Σ_k (noise_k · size_k)² of sums of independent errors.
 
     Attributes
     ----------
     fixed : ndarray, any shape
         Known standard deviations.
     sizes : mapping of int to ndarray of the same shape
-        Factor of the inferred standard deviation number k.
+        Factors size_k of the inferred standard deviation with the index k, for each error.
     """
 
     fixed: FloatArray
     sizes: Mapping[int, FloatArray]
 
     def variance(self, noise: FloatArray) -> FloatArray:
-        """Return V, shape (n, *shape), for inferred standard deviations (n, n_noise)."""
+        """Return the variances V, shape (n, *shape), for inferred standard deviations `noise` (n, n_noise)."""
         value = np.broadcast_to(self.fixed**2, (len(noise), *self.fixed.shape))
         for k, size in self.sizes.items():
             value = value + (_column(noise, k, size.ndim) * size) ** 2
         return np.asarray(value)
 
     def slopes(self, noise: FloatArray) -> dict[int, FloatArray]:
-        """Return ∂V/∂noise_k, shape (n, *shape), for each inferred one."""
+        """Return a dict of ∂V/∂noise_k, shape (n, *shape), by the index k of the inferred standard deviation."""
         return {k: 2.0 * _column(noise, k, size.ndim) * size**2 for k, size in self.sizes.items()}
 
     def information(self, noise: FloatArray, used: IntArray | None = None) -> FloatArray:
-        """Return Σ ½ ∂V/∂noise_k ∂V/∂noise_l / V², Fisher's for Gaussian errors, shape (n, n_noise, n_noise).
+        """Return Fisher's information on the inferred standard deviations, shape (n, n_noise, n_noise).
 
-        The sum is over all errors, or those of the `used` modes, the last axis.
+        For Gaussian errors it is Σ ½ ∂V/∂noise_k ∂V/∂noise_l / V². The sum is over all errors, or over the errors
+        of the `used` modes, which are indices into the last axis.
         """
         n, n_noise = noise.shape
         V = self.variance(noise)
@@ -74,7 +75,7 @@ class Spread:
         return found
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return the numbers in plain Python types."""
+        """Return a dict of the known standard deviations and the factors, in plain Python types."""
         return {
             "fixed": self.fixed.tolist(),
             "inferred": {str(k): size.tolist() for k, size in self.sizes.items()},
@@ -88,26 +89,26 @@ def spread(
     size: FloatArray,
     index: NoiseIndex,
 ) -> Spread:
-    """Return the spread of the errors of one error model.
+    """Return the variances of the errors of one error model, as a `Spread`.
 
     Parameters
     ----------
     name : str
         Name of the errors, for messages.
     sd : float, array_like or Parameter or None
-        Standard deviations in units of `size`: known, inferred (one for all), or None if only the discrepancy
-        counts.
+        Standard deviations in units of `size`: known, inferred (one value for all errors), or None if the
+        discrepancy is the only error.
     discrepancy : Parameter, optional
         A further standard deviation to be inferred, in units of `size`.
     size : ndarray
-        Size of one unit for each error.
+        Factor for each error by which standard deviations are multiplied.
     index : NoiseIndex
 
     Raises
     ------
     ValueError
-        If a standard deviation is not positive and finite, has another shape than the errors, can be negative, or
-        is missing.
+        If a standard deviation is not positive and finite, does not have the shape of the errors, can be negative,
+        or is missing.
     """
     inferred = [p for p in (sd, discrepancy) if isinstance(p, Parameter)]
     for parameter in inferred:
@@ -135,7 +136,7 @@ def spread(
 
 
 def require_sizes(sd: ArrayLike | Parameter | None, weights: ArrayLike | None) -> None:
-    """Raise ValueError unless deviations and weights that are given as numbers are positive and finite."""
+    """Raise ValueError unless standard deviations and weights given as numbers are positive and finite."""
     for name, value in (("sd", sd), ("weights", weights)):
         if value is not None and not isinstance(value, Parameter):
             require(name, value, Annotated[Numbers, Gt(0.0)])

@@ -1,7 +1,8 @@
-"""Weighed masses and static displacements: data beside the modes, that separate stiffness from mass.
+"""Error models of weighed masses and static displacements, data that separate stiffness from mass.
 
-Frequencies alone fix ratios of stiffness to mass. A mass on a scale, a centre of gravity or a static deflection is
-one more datum with a Gaussian error, whose computed value is an exact function of theta (`fmu.fem.modes.static`).
+Frequencies alone determine only ratios of stiffness to mass. A weighed mass, a centre of gravity or a static
+displacement is a further datum with a Gaussian error. Its computed value is an exact function of theta
+(`fmu.fem.modes.static`).
 """
 
 from __future__ import annotations
@@ -26,16 +27,17 @@ _AXES = ("x", "y", "z")
 
 
 class QuantityTerm(NamedTuple):
-    """Measured quantities of a structure, and how they are computed.
+    """Measured quantities of a structure other than modes, with the function that computes them.
 
     Attributes
     ----------
     labels, units : tuple of str
     measured, sd : ndarray, shape (q,)
     computed : callable
-        Returns the values (n, q) at the model's parameters (n, n_structural), and if asked for their derivatives.
+        Returns the computed values (n, q) at the model's parameters (n, n_structural) and, if the second argument
+        is true, their derivatives.
     test : int
-        The test in which they were measured.
+        Index of the test in which the quantities were measured.
     """
 
     labels: tuple[str, ...]
@@ -46,17 +48,17 @@ class QuantityTerm(NamedTuple):
     test: int = 0
 
     def terms(self, theta: FloatArray) -> FloatArray:
-        """Return the log-densities, shape (n, q)."""
+        """Return the log-densities of the q quantities, shape (n, q)."""
         z = (self.measured - self.computed(theta)[0]) / self.sd
         return np.asarray(-0.5 * z**2 - np.log(self.sd) - 0.5 * LOG_2PI)
 
     def residuals_and_slopes(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return (computed − measured)/sd, (n, q), and the derivatives, (n, q, n_structural)."""
+        """Return the residuals (computed − measured)/sd, (n, q), and their derivatives, (n, q, n_structural)."""
         values, slopes = self.computed(theta, True)
         return (values - self.measured) / self.sd, slopes / self.sd[:, None]
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return labels, units, values and deviations, in plain Python types."""
+        """Return a dict of labels, units, measured values and standard deviations, in plain Python types."""
         return {
             "error": "quantity",
             "labels": list(self.labels),
@@ -67,34 +69,34 @@ class QuantityTerm(NamedTuple):
 
 
 class QuantityErrors:
-    """Settings of the errors of quantities that are not of modes."""
+    """The settings of the errors of measured quantities other than modes."""
 
     sd: ClassVar[Any] = None
     test: str | None
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
-        """Raise ValueError: these errors are of the structure, see `bind_structure`."""
+        """Raise ValueError: these errors are bound to the structure by `bind_structure`, not to modal data."""
         raise ArgumentError("error", f"{type(self).__name__} must be given to a problem of a SeparableModel")
 
     def n_errors(self, data: ModalData) -> int:
-        """Return 0: no errors of modes."""
+        """Return 0: there are no errors of modes."""
         return 0
 
     def data_give_sd(self, data: ModalData) -> bool:
-        """Say no: `data` are of modes."""
+        """Return False: `data` are modal data."""
         return False
 
     def at_places(self, places: Mapping[str, Any]) -> Self:
-        """Return the same with nodes of the model in place of the names that a file has for them."""
+        """Return the same settings with names of places replaced by nodes of the model."""
         return self
 
     def bind_structure(self, model: SeparableModel, parameters: Sequence[Parameter]) -> QuantityTerm:
-        """Return the quantities of a structure with its parameters.
+        """Return the measured quantities bound to the model and the parameters of a structure.
 
         Raises
         ------
         ValueError
-            If the model cannot give them.
+            If the model cannot compute the quantities.
         """
         raise NotImplementedError
 
@@ -102,23 +104,24 @@ class QuantityErrors:
 @check_arguments
 @dataclass(frozen=True)
 class MassErrors(QuantityErrors):
-    """The weighed mass of the structure, and its centre of gravity if that was found, with Gaussian errors.
+    """The weighed mass of the structure and, if it was measured, its centre of gravity, with Gaussian errors.
 
     Attributes
     ----------
     mass : float, kg
-        As weighed.
+        The weighed mass.
     sd : float, kg
-        Its standard deviation.
+        Standard deviation of the mass.
     centre : tuple of float, length 3, optional, m
-        The centre of gravity, in the axes of the model, which needs the coordinates of all nodes.
+        The centre of gravity in the coordinates of the model. The model must have the coordinates of all nodes.
     centre_sd : float, optional, m
-        Standard deviation of each of its coordinates.
+        Standard deviation of each coordinate of the centre of gravity.
     at_supports : float, kg
-        Mass that the model leaves out because supports hold it still, such as half of the lowest columns. It was
-        weighed too. 0 for a free structure. A centre of gravity must be of the rest.
+        Part of the weighed mass that the model omits because the supports fix it, such as half of the lowest
+        columns; 0 for a free structure. `centre` must be the centre of gravity of the remaining mass.
     test : str, optional
-        Of several tests, the name of the one in which it was measured, and whose changes and parameters it has.
+        With several tests, the name of the test in which the mass was measured. The mass is computed with the
+        changes and parameters of that test.
 
     Raises
     ------
@@ -144,7 +147,7 @@ class MassErrors(QuantityErrors):
             raise ArgumentError("centre", "must be three finite coordinates", list(self.centre))
 
     def bind_structure(self, model: SeparableModel, parameters: Sequence[Parameter]) -> QuantityTerm:
-        """Return mass and centre of a structure, see `QuantityErrors`."""
+        """Return the mass and, if given, the centre of gravity of a structure, see `QuantityErrors`."""
         start = np.array([p.start for p in parameters])
         moments = MassMoments(model, start, self.centre is not None)
         labels, units = ["mass"], ["kg"]
@@ -165,17 +168,18 @@ class StaticErrors(QuantityErrors):
     Attributes
     ----------
     force : tuple of (place, direction)
-        Where the load acts, as a sensor is named.
-    load : float, N (N·m along rx, ry, rz)
+        Place and direction of the load, in the notation of a sensor.
+    load : float, N (N·m about rx, ry, rz)
         The load, positive along the direction.
-    displacement : float, m (rad along rx, ry, rz)
-        As measured.
+    displacement : float, m (rad about rx, ry, rz)
+        The measured displacement.
     sd : float, m (rad)
-        Its standard deviation.
+        Standard deviation of the displacement.
     at : tuple of (place, direction), optional
-        Where it was measured; where the load acts if not given.
+        Place and direction of the displacement; by default those of the load.
     test : str, optional
-        Of several tests, the name of the one in which it was measured, and whose changes and parameters it has.
+        With several tests, the name of the test in which the displacement was measured. The displacement is
+        computed with the changes and parameters of that test.
 
     Raises
     ------
@@ -197,7 +201,7 @@ class StaticErrors(QuantityErrors):
                 raise ArgumentError(name, f"must be a finite number{', not 0' * (name == 'load')}", value)
 
     def at_places(self, places: Mapping[str, Any]) -> StaticErrors:
-        """Return the same with nodes of the model in place of the names that a file has for them."""
+        """Return the same settings with names of places replaced by nodes of the model."""
 
         def replace_name(place: tuple[int | str, str]) -> tuple[Any, str]:
             return places.get(str(place[0]), place[0]), place[1]
@@ -205,7 +209,7 @@ class StaticErrors(QuantityErrors):
         return replace(self, force=replace_name(self.force), at=None if self.at is None else replace_name(self.at))
 
     def bind_structure(self, model: SeparableModel, parameters: Sequence[Parameter]) -> QuantityTerm:
-        """Return the displacement of a structure, see `QuantityErrors`."""
+        """Return the static displacement of a structure, see `QuantityErrors`."""
         at = self.force if self.at is None else self.at
         for key, sensor in (("force", self.force), ("at", at)):
             if not model.sees(sensor):
@@ -214,7 +218,7 @@ class StaticErrors(QuantityErrors):
         lower, upper = (np.array([getattr(p, end) for p in parameters]) for end in ("lower", "upper"))
 
         def points(n: int) -> FloatArray:
-            """Draw from the prior, every other point moved to a corner of the bounds where these are finite."""
+            """Return n draws from the prior; every second draw is moved to a corner of the finite bounds."""
             drawn = prior.draw(rng, n)
             ends = np.where(rng.random(drawn.shape) < 0.5, lower, upper)
             corner = (np.arange(n) % 2 == 1)[:, None] & np.isfinite(ends)

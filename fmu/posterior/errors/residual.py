@@ -32,21 +32,21 @@ class ModalResidual(Likelihood):
     reference : ndarray, shape (n_parameters,)
         θ_ref, usually the parameters before updating.
     beta : float or array_like, shape (n_modes,)
-        Dimensionless: the residual is a force relative to the reference's elastic force.
+        Dimensionless, since the residual is a force divided by the elastic force at θ_ref.
 
     Raises
     ------
     ValueError
-        If no shapes were measured, a sensor is not a degree of freedom or is given twice, a β is not positive
-        and finite, or the model can move with its sensors fixed.
+        If no shapes were measured, a sensor is not a degree of freedom or is given twice, a β is not positive and
+        finite, or the model is a mechanism when the degrees of freedom at the sensors are fixed.
 
     Notes
     -----
-    This is a *pseudo*-likelihood: ε mixes data and model and is not the error of any measured quantity, and the
-    density grows as K and M both shrink, if the parameters allow it. The fixed scale makes modes of different
-    frequency comparable and β dimensionless; it does not cure this. No evidence may be computed
-    from it. It needs no pairing of modes and no eigenproblem, but one factorisation of the unmeasured part at
-    each theta.
+    This is a *pseudo*-likelihood: ε combines data and model and is not the error of any measured quantity, and the
+    density increases as K and M are scaled down together, if the parameters allow that. The fixed scale
+    ‖K_c(θ_ref) φ_i‖ makes modes of different frequency comparable and β dimensionless, but does not remove this
+    defect. No evidence may be computed from a pseudo-likelihood. The modal residual needs no pairing of modes and
+    no eigenproblem, but one factorisation of the stiffness at the unmeasured degrees of freedom for each theta.
     """
 
     terms_name = "residual"
@@ -87,7 +87,7 @@ class ModalResidual(Likelihood):
         return self.of_used(terms), self.of_used(slopes, 1)
 
     def why_not_finite(self, theta: FloatArray) -> str:
-        """Say why the terms are not finite at a theta, shape (n_parameters,)."""
+        """Return the reason why the terms are not finite at theta, shape (n_parameters,)."""
         try:
             self._at(theta[None])
         except SingularCondensationError:
@@ -95,11 +95,11 @@ class ModalResidual(Likelihood):
         return "the log-likelihood is not finite: the modal residual overflows"
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return name and settings."""
+        """Return a dict of the name and settings of the error model."""
         return {"error": "modal-residual", "beta": self.beta.tolist(), "reference": self._reference.tolist()}
 
     def _at(self, theta: FloatArray) -> tuple[Any, Any, StaticCondensation]:
-        """Return K and M at one theta, sensors first, and the condensation onto the sensors."""
+        """Return K and M at a single theta, with the sensors first, and the condensation onto the sensors."""
         K = sp.csc_array(self._K_sum(self._K_map(theta)[0]))
         M = sp.csc_array(self._M_sum(self._M_map(theta)[0]))
         return K, M, StaticCondensation(K, np.arange(self._n_sensors))
@@ -109,7 +109,7 @@ class ModalResidual(Likelihood):
         return 0.5 * self._n_sensors * np.log(self.beta / np.pi) - self.beta * size
 
     def _one(self, theta: FloatArray, gradient: bool = True) -> tuple[FloatArray, FloatArray]:
-        """Return the terms at one theta, and their gradients by adjoints; NaN where the condensation fails.
+        """Return the terms and their adjoint gradients at a single theta; NaN if the condensation fails.
 
         T is the static condensation, u = Tφ, r = Tᵀ(K − ω²M)u and w = Tr. From dT_s = −K_ss⁻¹ (dK T)_s follows
         rᵀdr = wᵀ(dK − ω²dM)u + ω²(aᵀdK w + bᵀdK u), where a and b are the displacements under the loads Mu and Mw
@@ -137,7 +137,7 @@ class ModalResidual(Likelihood):
 
 
 def _masters(rows: Any) -> NDArray[np.intp]:
-    """Return the degrees of freedom that the sensors are at, shape (n_sensors,)."""
+    """Return the indices of the degrees of freedom at the sensors, shape (n_sensors,)."""
     if not (np.all(np.diff(rows.indptr) == 1) and np.all(rows.data == 1.0)):
         raise ArgumentError(
             "sensors", "for the modal residual they must be degrees of freedom, without arms or signs"

@@ -1,4 +1,4 @@
-"""Errors of mode shapes at the sensors."""
+"""The error model of mode shapes at the sensors."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ from fmu.types import FloatArray, IntArray, Plain
 class ShapeErrors:
     """Gaussian errors of the mode shapes, scaled to unit length at the sensors.
 
-    With the measured shape u of unit length, the computed shape φ and the precisions Λ = diag(1/σ_s²) of the
-    sensors, ε = u − aφ with the scale a that fits best, and
+    The error is ε = u − aφ, with the measured shape u of unit length, the computed shape φ and the scale a that
+    fits best. With the precisions Λ = diag(1/σ_s²) of the q sensors,
 
     log p = −½ εᵀΛε + ½ log det Λ − ½ log(φᵀΛφ / φᵀφ) − ½ (q − 1) log 2π.
 
     This is the Gaussian density of the direction of u relative to that of φ: the component along φ, which depends
-    on the scale alone, is integrated out (cf. Vanik, Beck & Au 2000, *J. Eng. Mech.* 126, 738–745). It has q − 1
-    dimensions at q sensors. With one σ for all sensors εᵀΛε = (1 − MAC)/σ². The signs and scales of shapes have no
+    on the scale alone, is integrated out (cf. Vanik, Beck & Au 2000, *J. Eng. Mech.* 126, 738–745). The density
+    has q − 1 dimensions. With one σ for all sensors, εᵀΛε = (1 − MAC)/σ². The signs and scales of shapes have no
     effect.
 
     Attributes
     ----------
     sd : float, array_like of shape (n_modes,) or (n_sensors, n_modes), or Parameter, optional
-        Standard deviation of a component of a shape of unit length; that of the data if not given.
+        Standard deviation of a component of a shape of unit length; by default the standard deviation of the data.
     weights : array_like, shape (n_modes,), optional
-        Trust in each mode: its variances are sd²/w_i.
+        Weights w_i of the modes: the variances of mode i are sd²/w_i.
     discrepancy : Parameter, optional
-        Standard deviation of the model error, to be inferred; in the same unit.
+        Standard deviation of the model error of a component of a shape of unit length, to be inferred.
     """
 
     sd: ArrayLike | Parameter | None = None
@@ -51,7 +51,7 @@ class ShapeErrors:
         require_sizes(self.sd, self.weights)
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
-        """Return the error model of `data`, see `ErrorModel`.
+        """Return the error model bound to `data`, see `ErrorModel`.
 
         Raises
         ------
@@ -65,17 +65,17 @@ class ShapeErrors:
         return ShapeTerm(unit, spread("shape errors", sd, self.discrepancy, size, index))
 
     def n_errors(self, data: ModalData) -> int:
-        """Return the number of components of the shapes of all used modes."""
+        """Return the total number of shape components of all used modes."""
         return 0 if data.shapes is None else len(np.asarray(data.shapes)) * sum(data.use)
 
     def data_give_sd(self, data: ModalData) -> bool:
-        """Say whether `data` have standard deviations of the shapes."""
+        """Return True if `data` have standard deviations of the shapes."""
         return data.shapes_sd is not None
 
 
 @dataclass(frozen=True, eq=False)
 class ShapeTerm(ErrorTerm):
-    """Errors of shapes; `unit` holds the measured ones, shape (n_sensors, n_modes)."""
+    """Errors of shapes; `unit` holds the measured shapes of unit length, shape (n_sensors, n_modes)."""
 
     unit: FloatArray
     spread: Spread
@@ -85,10 +85,11 @@ class ShapeTerm(ErrorTerm):
 
     @property
     def n_data(self) -> int:
-        """How many independent numbers were measured of each mode: the scale of a shape is not one of them.
+        """Number of independent values measured of each mode: the number of sensors less one, for the scale.
 
-        With u = φ/‖φ‖ + ση the residuals are the part of η across φ, to first order in σ: εᵀΛε is chi-square with
-        q − 1 degrees of freedom at q sensors. With large errors it is smaller, at most that of MAC = 0.
+        With u = φ/‖φ‖ + ση the residuals are the component of η orthogonal to φ, to first order in σ. Therefore
+        εᵀΛε is chi-square distributed with q − 1 degrees of freedom at q sensors. For large errors εᵀΛε is
+        smaller, at most its value at MAC = 0.
         """
         return len(self.unit) - 1
 
@@ -122,7 +123,7 @@ class ShapeTerm(ErrorTerm):
         return Residuals(values, None, by_shape)
 
     def labels(self, modes: Sequence[str]) -> list[str]:
-        """Return a name for each residual, see `ErrorTerm`."""
+        """Return the list of names of the residuals, see `ErrorTerm`."""
         return [f"{mode}, sensor {k + 1}" for mode in modes for k in range(len(self.unit))]
 
     def information(self, noise: FloatArray, used: IntArray | None = None) -> FloatArray:
@@ -130,5 +131,5 @@ class ShapeTerm(ErrorTerm):
         return (1.0 - 1.0 / len(self.unit)) * self.spread.information(noise, used)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return name and settings."""
+        """Return a dict of the name and settings of the error model."""
         return {"error": "shape", "spread": self.spread.as_dict()}

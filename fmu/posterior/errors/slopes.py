@@ -1,4 +1,4 @@
-"""The chain rule of error models: from derivatives by frequencies and shapes to derivatives by parameters."""
+"""The chain rule of error models, from derivatives by frequencies and shapes to derivatives by parameters."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fmu.types import FloatArray, IntArray
 
 
 def chain_prediction(seen: ModalPrediction, chain: Chain, test: IntArray) -> ModalPrediction:
-    """Return a prediction, whose modes are of the tests `test` (n_modes,), with derivatives by all parameters."""
+    """Return a prediction with derivatives by the parameters of all tests; `test` has the test of each mode."""
     by_shape = seen.shape_slopes
     if by_shape is not None:
         by_shape = np.stack([chain(by_shape[:, s], test) for s in range(by_shape.shape[1])], axis=1)
@@ -23,7 +23,7 @@ def chain_prediction(seen: ModalPrediction, chain: Chain, test: IntArray) -> Mod
 def gradient_of_terms(part: Evaluated, seen: ModalPrediction, n_structural: int, n_noise: int) -> FloatArray:
     """Return the gradient of an error model's terms by all parameters, shape (n, n_modes, n_structural + n_noise).
 
-    Where the prediction has slopes, n_structural is the number of parameters that these are by.
+    If the prediction has slopes, the number of their parameters replaces n_structural.
     """
     n = n_structural if seen.frequency_slopes is None else seen.frequency_slopes.shape[-1]
     gradient = np.zeros((*part.terms.shape, n + n_noise))
@@ -31,7 +31,7 @@ def gradient_of_terms(part: Evaluated, seen: ModalPrediction, n_structural: int,
     if part.by_frequency is not None and seen.frequency_slopes is not None:
         leading += part.by_frequency[..., None] * seen.frequency_slopes
     if part.by_shape is not None and seen.shape_slopes is not None:
-        # a sum in one order, whatever the batch
+        # summed in the same order whatever the batch size
         leading += np.einsum("nsm,nsmk->nmk", part.by_shape, seen.shape_slopes)
     if part.by_frequency_variance is not None and seen.frequency_variance_slopes is not None:
         leading += part.by_frequency_variance[..., None] * seen.frequency_variance_slopes
@@ -45,7 +45,8 @@ def gradient_of_terms(part: Evaluated, seen: ModalPrediction, n_structural: int,
 def residuals_of_term(term: ErrorTerm, seen: ModalPrediction, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the residuals of an error model, (n, n_modes, q), and their derivatives by the model's parameters.
 
-    The latter are (n, n_modes, q, n_structural), with the inferred deviations `noise`, (n, n_noise), held fixed.
+    The derivatives have the shape (n, n_modes, q, n_structural). The inferred standard deviations `noise`,
+    (n, n_noise), are held fixed.
     """
     view = term.project(seen)
     r = term.residuals(view, noise)

@@ -1,4 +1,4 @@
-"""Errors of frequencies with heavy tails: a test or a mode that the others contradict has little weight."""
+"""Errors of frequencies with heavy tails, so that a mode that contradicts the other modes has little weight."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ LEAST_FREEDOM = 1.0
 class StudentErrors(FrequencyErrors):
     """Independent errors of the frequencies with Student's distribution in place of a Gaussian.
 
-    An error of many σ is then improbable but possible, as where a mode was misidentified: it moves the parameters
-    little (Lange, Little & Taylor 1989, *J. Am. Stat. Assoc.* 84, 881–896). The modes of a right test lose some
-    weight too: they count (ν + 1)/(ν + 3) of what they do with Gaussian errors.
+    An error of many σ, as of a misidentified mode, is then improbable but possible, and has little influence on
+    the parameters (Lange, Little & Taylor 1989, *J. Am. Stat. Assoc.* 84, 881–896). Correctly measured modes lose
+    some weight too: their information is (ν + 1)/(ν + 3) of that with Gaussian errors.
 
     Attributes
     ----------
     freedom : float or Parameter
-        Degrees of freedom ν, at least 1: known, or to be inferred. With 4, an error beyond 3σ has a probability of
-        4 %, one beyond 10σ of 0.06 %; from 30 on it is all but Gaussian.
+        Degrees of freedom ν, at least 1: known, or to be inferred. With ν = 4, an error beyond 3σ has a
+        probability of 4 %, and an error beyond 10σ of 0.06 %. From ν = 30 on the distribution is nearly Gaussian.
     kind, sd, weights, discrepancy
-        Of `fmu.FrequencyErrors`; σ is the scale, which is √((ν − 2)/ν) of the standard deviation.
+        As in `fmu.FrequencyErrors`; σ is the scale, which is √((ν − 2)/ν) times the standard deviation.
     """
 
     freedom: float | Parameter = 4.0
@@ -50,12 +50,13 @@ class StudentErrors(FrequencyErrors):
             require("freedom", self.freedom, Annotated[float, Ge(LEAST_FREEDOM)])
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
-        """Return the error model of `data`, see `ErrorModel`.
+        """Return the error model bound to `data`, see `ErrorModel`.
 
         Raises
         ------
         ValueError
-            If `freedom` may be below 1 or the data have a covariance, and as `fmu.FrequencyErrors` does.
+            If `freedom` may be below 1, the data have a covariance, or standard deviations or weights do not fit
+            the data.
         """
         least = self.freedom.lower if isinstance(self.freedom, Parameter) else self.freedom
         if not least >= LEAST_FREEDOM:
@@ -76,9 +77,9 @@ class StudentTerm(FrequencyTerm):
     gaussian : FrequencyTerm
         The same errors with a Gaussian distribution.
     freedom : float
-        ν, if it is known.
+        Degrees of freedom ν if known, else NaN.
     number : int, optional
-        Which of the inferred quantities ν is.
+        Index of ν among the inferred quantities, if ν is inferred.
     """
 
     is_least_squares = False
@@ -90,11 +91,11 @@ class StudentTerm(FrequencyTerm):
 
     @property
     def is_known(self) -> bool:
-        """Whether it is a Gaussian of known deviations: never."""
+        """Whether the errors are Gaussian with known standard deviations: always False."""
         return False
 
     def normal_scores(self, z: FloatArray, mode: int | None = None) -> FloatArray:
-        """Return errors over their scales as normal scores: Φ⁻¹ of Student's distribution function."""
+        """Return errors divided by their scales as normal scores: Φ⁻¹ of Student's distribution function."""
         return np.asarray(-np.sign(z) * ndtri(stdtr(self._freedom, -np.abs(z))))
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
@@ -116,16 +117,17 @@ class StudentTerm(FrequencyTerm):
         return Evaluated(terms, -weight * error / V * slope, None, by_noise)
 
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
-        """Return the residuals, see `ErrorTerm`; slopes are those whose squares are Fisher's information."""
+        """Return the residuals, see `ErrorTerm`, with slopes whose squares give Fisher's information."""
         error, slope = self._errors(seen.frequencies)
         root, nu = 1.0 / np.sqrt(self.spread.variance(noise)), self._nu(noise)
         slopes = np.sqrt((nu + 1.0) / (nu + 3.0)) * root * slope
         return Residuals((root * error)[..., None], np.broadcast_to(slopes, error.shape)[..., None])
 
     def information(self, noise: FloatArray, used: IntArray | None = None) -> FloatArray:
-        """Return Fisher's information of the `used` modes on what is inferred, (n, n_noise, n_noise).
+        """Return Fisher's information of the `used` modes on the inferred quantities, (n, n_noise, n_noise).
 
-        Lange, Little & Taylor (1989), section 5, without that between scales and degrees of freedom.
+        See Lange, Little & Taylor (1989), section 5. The terms that couple scales and degrees of freedom are
+        neglected.
         """
         nu = self._nu(noise)[:, 0]
         found = self.spread.information(noise, used) * (nu / (nu + 3.0))[:, None, None]
@@ -137,7 +139,7 @@ class StudentTerm(FrequencyTerm):
         return found
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return measured frequencies (n, n_modes) for computed ones, Hz."""
+        """Return simulated measured frequencies (n, n_modes), Hz, for computed frequencies."""
         nu = self._freedom if self._number is None else self._nu(noise)
         error = np.sqrt(self.spread.variance(noise)) * rng.standard_t(nu, frequencies.shape)
         if self.kind == "eigenvalue":
@@ -145,13 +147,13 @@ class StudentTerm(FrequencyTerm):
         return np.asarray(frequencies + error)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return name and settings."""
+        """Return a dict of the name and settings of the error model."""
         if self._number is None:
             return {**super().as_dict(), "freedom": self._freedom}
         return {**super().as_dict(), "freedom_inferred": self._number}
 
     def _nu(self, noise: FloatArray) -> FloatArray:
-        """Return ν, shape (n, 1)."""
+        """Return the degrees of freedom ν, shape (n, 1)."""
         if self._number is None:
             return np.full((len(noise), 1), self._freedom)
         return noise[:, self._number, None]

@@ -1,13 +1,13 @@
-"""The errors of a surrogate in the likelihood: its density is the mean over the predictions.
+"""The errors of a surrogate in the likelihood, as the mean of the density over the surrogate's distribution.
 
-Let t(x) be the log-density of an error model as a function of the frequency and the shape of a mode, x, of which
-the surrogate gives the expectation and variances v_j. With g = ∂t/∂x and h_j = Σ_r (∂r/∂x_j)² of the residuals r,
-both at the expectation,
+Let t(x) be the log-density of an error model as a function of the frequency and the shape components x of a mode,
+for which the surrogate predicts the expectation and the variances v_j. With g = ∂t/∂x and h_j = Σ_r (∂r/∂x_j)² of
+the residuals r, both at the expectation,
 
 log E[exp t] ≈ t + Σ_j [½ g_j² v_j/(1 + h_j v_j) − ½ log(1 + h_j v_j)].
 
-For independent Gaussian errors of frequencies that are linear in them, this is their density with the variance
-σ² + v in place of σ². For other errors it is right to first order in v.
+For independent Gaussian errors that are linear in the frequencies, this is their density with the variance σ² + v
+in place of σ². For other errors it is correct to first order in v.
 """
 
 from __future__ import annotations
@@ -27,10 +27,11 @@ _STEP = 1e-5  # of an inferred standard deviation, relative
 def evaluated_with_variance(
     term: ErrorTerm, seen: ModalPrediction, noise: FloatArray, gradient: bool
 ) -> Evaluated:
-    """Return the terms of an error model where the model has variances, see `ErrorTerm.evaluate`.
+    """Return the terms of an error model for a prediction with variances, see `ErrorTerm.evaluate`.
 
-    Derivatives by what is predicted take ∂g/∂x = −(∂r/∂x)ᵀ(∂r/∂x), and h as constant (Gauss–Newton); those by
-    inferred standard deviations are central differences of the correction.
+    The derivatives by the predicted frequencies and shapes use ∂g/∂x = −(∂r/∂x)ᵀ(∂r/∂x) and a constant h
+    (Gauss–Newton). For the derivatives by inferred standard deviations, the correction is differentiated by
+    central differences.
     """
     part, residuals = term.evaluate(seen, noise, True), term.residuals(seen, noise)
     terms = part.terms + _correction(part, residuals, seen)
@@ -56,7 +57,7 @@ def evaluated_with_variance(
 
 
 def residuals_with_variance(residuals: Residuals, seen: ModalPrediction) -> Residuals:
-    """Return residuals over their standard deviations, the model's errors included: √(1 + Σ_j (∂r/∂x_j)² v_j)."""
+    """Return residuals divided by √(1 + Σ_j (∂r/∂x_j)² v_j), their standard deviation with the model's errors."""
     variance = np.ones_like(residuals.values)
     if residuals.by_frequency is not None and seen.frequency_variance is not None:
         variance += residuals.by_frequency**2 * seen.frequency_variance[..., None]
@@ -71,23 +72,23 @@ def residuals_with_variance(residuals: Residuals, seen: ModalPrediction) -> Resi
 
 
 def sensitivity_to_model(term: ErrorTerm, seen: Any, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how the log-density changes with the model's errors, in terms of their variances.
+    """Return the sensitivity of the log-density to the variances of the model's errors.
 
     Parameters
     ----------
     term : ErrorTerm
     seen : ModalPrediction
-        With variances, not projected.
+        A prediction with variances, not projected.
     noise : ndarray, shape (n, n_noise)
 
     Returns
     -------
     of_frequency : ndarray, shape (n, n_modes), 1/Hz²
     of_shape : ndarray, shape (n, n_sensors, n_modes)
-        g_j² + ½ h_j² v_j: times v_j it is the variance of the log-density that v_j causes, to second order.
+        g_j² + ½ h_j² v_j. Multiplied by v_j, it is the variance of the log-density due to v_j, to second order.
     """
     n, m = seen.frequencies.shape
-    by_each = np.broadcast_to(np.eye(m), (n, m, m))  # the term of a mode may depend on the frequencies of others
+    by_each = np.broadcast_to(np.eye(m), (n, m, m))  # the term of a mode may depend on frequencies of other modes
     view: Any = term.project(replace(seen, frequency_slopes=by_each))
     part, residuals = term.evaluate(view, noise, True), term.residuals(view, noise)
     of_frequency, of_shape = np.zeros((n, m)), np.zeros(seen.shapes.shape)
@@ -102,7 +103,7 @@ def sensitivity_to_model(term: ErrorTerm, seen: Any, noise: FloatArray) -> tuple
 
 
 def _correction(part: Evaluated, residuals: Residuals, seen: Any) -> FloatArray:
-    """Return log E[exp t] − t, (n, n_modes)."""
+    """Return the correction log E[exp t] − t, shape (n, n_modes)."""
     total = np.zeros_like(part.terms)
     if part.by_frequency is not None and residuals.by_frequency is not None:
         h = np.sum(residuals.by_frequency**2, axis=2)

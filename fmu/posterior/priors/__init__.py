@@ -20,11 +20,14 @@ PRIORS: dict[str, tuple[Callable[..., Prior], ...]] = {
     "beta": (ScaledBeta, ScaledBeta.from_mean),
     "spike-and-slab": (SpikeAndSlab,),
 }
-"""By the value of ``distribution`` in a problem file: a table has the arguments of one of the constructors."""
+"""Constructors of priors by the value of ``distribution`` in a problem file.
+
+The other keys of a prior in the file are the arguments of one of these constructors.
+"""
 
 
 def prior_of(settings: Mapping[str, Any]) -> Prior | None:
-    """Return the prior that `Prior.as_dict` describes; None if that is not one of the above."""
+    """Return the prior that a dict of `Prior.as_dict` describes; None if its distribution is not in `PRIORS`."""
     classes = (one for one in PRIORS.get(str(settings["distribution"]), ()) if isinstance(one, type))
     arguments = {key: value for key, value in settings.items() if key != "distribution"}
     return next((one(**arguments) for one in classes), None)

@@ -1,4 +1,4 @@
-"""Priors of one parameter, truncated to its bounds: the interface, the Gaussian and the uniform.
+"""Priors of one parameter, truncated to its bounds: the interface, the Gaussian and the uniform prior.
 
 The truncated Gaussian agrees with `scipy.stats.truncnorm` to 4e-16 of a mass and the last bits of a draw, but does
 not need `scipy.stats`, which takes half a second or more to import. Its log-density takes 5 µs for one value
@@ -24,8 +24,8 @@ _ENDS = ndtr(np.array([-4.0, 4.0]))
 class GaussianForm(NamedTuple):
     """A density that is Gaussian in x or in log x, before truncation: log p(x) = log_factor + log N(x; mean, sd).
 
-    With `of_logarithm` N is the density of log x, and − log x is added. Those of all parameters are evaluated as
-    one array (`fmu.posterior.parameters.JointPrior`).
+    With `of_logarithm`, N is the density of log x, and − log x is added. The priors of all parameters that have
+    such a form are evaluated as one array (`fmu.posterior.priors.joint.JointPrior`).
     """
 
     mean: float
@@ -40,14 +40,14 @@ class Prior(ABC):
     Attributes
     ----------
     needs_bounds : bool
-        Whether it is a distribution between two finite bounds only.
+        Whether the distribution is defined only between two finite bounds.
     """
 
     needs_bounds: ClassVar[bool] = False
 
     @property
     def gaussian_form(self) -> GaussianForm | None:
-        """How it is a Gaussian; None if it is not, and `log_pdf` is evaluated by itself."""
+        """The prior in terms of a Gaussian; None if there is no such form, so that `log_pdf` is evaluated."""
         return None
 
     @property
@@ -61,7 +61,7 @@ class Prior(ABC):
 
     @abstractmethod
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
-        """Return its derivative; NaN outside the support, and where there is none."""
+        """Return the derivative of the log-density; NaN outside the support, and where it does not exist."""
 
     @abstractmethod
     def log_mass(self, lower: float, upper: float) -> float:
@@ -73,14 +73,14 @@ class Prior(ABC):
 
     @abstractmethod
     def as_dict(self) -> dict[str, Plain]:
-        """Return name and settings."""
+        """Return a dict of the name and settings of the prior."""
 
     def draw(self, rng: np.random.Generator, n: int, lower: float, upper: float) -> FloatArray:
-        """Draw from the distribution truncated to the bounds, by default by inversion."""
+        """Draw `n` values from the distribution truncated to the bounds, by default by inversion."""
         return self.quantile(rng.uniform(size=n), lower, upper)
 
     def scale(self, lower: float, upper: float) -> tuple[float, float]:
-        """Return offset and size of the affine coordinate in which the parameter is of order one.
+        """Return the offset and scale of the affine coordinate in which the parameter is of order one.
 
         By default the median, and half the interval from the 16th to the 84th percentile, within the bounds.
         """
@@ -90,8 +90,8 @@ class Prior(ABC):
     def box(self, lower: float, upper: float) -> tuple[float, float]:
         """Return the finite interval in which a reduced model must be accurate.
 
-        By default it holds all but 6e-5 of the probability, as four standard deviations do, and extends to a bound
-        where the density is not small: the posterior may be large there.
+        By default the interval contains all but 6e-5 of the probability, as four standard deviations do. It
+        extends to a bound at which the density is not small, since the posterior may be large there.
         """
         inner, bounds = self.quantile(_ENDS, lower, upper), np.array([lower, upper])
         dense = self.log_pdf(bounds) >= self.log_pdf(inner) - np.log(2.0)
@@ -109,7 +109,8 @@ class Normal(Prior):
     sd : float
         Standard deviation in the parameter's unit.
     mean : float
-        By name, since a mean is often given first. The paper's centre is 0.
+        Mean in the parameter's unit, 0 by default as in the paper. It must be given by keyword, so that it is not
+        confused with `sd`.
     """
 
     sd: Positive
@@ -123,7 +124,7 @@ class Normal(Prior):
 
     @property
     def gaussian_form(self) -> GaussianForm:
-        """Mean and standard deviation."""
+        """The Gaussian itself."""
         return GaussianForm(self.mean, self.sd)
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
@@ -133,20 +134,20 @@ class Normal(Prior):
             return -0.5 * z * z - np.log(self.sd) - 0.5 * np.log(2.0 * np.pi)
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
-        """Return −α (x − mean)."""
+        """Return the derivative of the log-density, −α (x − mean)."""
         with np.errstate(over="ignore"):
             return -(x - self.mean) / self.sd**2
 
     def log_mass(self, lower: float, upper: float) -> float:
-        """Return log(Φ(b) − Φ(a)) without cancellation in either tail."""
+        """Return the log-probability between two bounds, log(Φ(b) − Φ(a)), without cancellation in either tail."""
         a, b = (lower - self.mean) / self.sd, (upper - self.mean) / self.sd
         if a > 0:
             a, b = -b, -a
-        with np.errstate(divide="ignore", invalid="ignore"):  # bounds so far out or so close that nothing is left
+        with np.errstate(divide="ignore", invalid="ignore"):  # where the probability between the bounds underflows
             return float(log_ndtr(b) + np.log1p(-np.exp(log_ndtr(a) - log_ndtr(b))))
 
     def draw(self, rng: np.random.Generator, n: int, lower: float, upper: float) -> FloatArray:
-        """Draw by inversion of the truncated distribution function."""
+        """Draw `n` values by inversion of the truncated distribution function."""
         return self._invert_cdf(rng.uniform(size=n), lower, upper)
 
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
@@ -154,7 +155,7 @@ class Normal(Prior):
         return self._invert_cdf(1.0 - p if lower > self.mean else p, lower, upper)
 
     def _invert_cdf(self, u: FloatArray, lower: float, upper: float) -> FloatArray:
-        """Return quantiles of the lower tail, or of the upper one if both bounds are above the mean."""
+        """Return the quantiles at probabilities `u`, counted from above if both bounds lie above the mean."""
         a, b = (lower - self.mean) / self.sd, (upper - self.mean) / self.sd
         flip = a > 0
         if flip:
@@ -164,29 +165,29 @@ class Normal(Prior):
         return np.clip(self.mean + self.sd * (-z if flip else z), lower, upper)
 
     def scale(self, lower: float, upper: float) -> tuple[float, float]:
-        """Return lower bound and width if both bounds are finite, else mean and standard deviation."""
+        """Return the lower bound and the width if both bounds are finite, else the mean and standard deviation."""
         if np.isfinite(upper - lower):
             return lower, upper - lower
         return self.mean, self.sd
 
     def box(self, lower: float, upper: float) -> tuple[float, float]:
-        """Return the bounds, or four standard deviations from where the prior is densest if that is nearer."""
+        """Return four standard deviations to either side of the point of highest density, within the bounds."""
         densest = min(max(self.mean, lower), upper)
         return max(lower, densest - 4.0 * self.sd), min(upper, densest + 4.0 * self.sd)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return name and settings."""
+        """Return a dict of the name and settings of the prior."""
         return {"distribution": "normal", "mean": self.mean, "sd": self.sd}
 
 
 @dataclass(frozen=True)
 class Uniform(Prior):
-    """Constant between the bounds, which must both be finite."""
+    """The uniform prior, constant between the bounds, which must both be finite."""
 
     needs_bounds: ClassVar[bool] = True
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
-        """Return 0: `log_mass` carries the normalisation."""
+        """Return 0; the normalisation is in `log_mass`."""
         return np.zeros_like(x)
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
@@ -194,19 +195,19 @@ class Uniform(Prior):
         return np.zeros_like(x)
 
     def log_mass(self, lower: float, upper: float) -> float:
-        """Return the logarithm of the width."""
+        """Return the logarithm of the width, which normalises a density of 1 between the bounds."""
         return float(np.log(upper - lower))
 
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
-        """Return the quantiles `p`."""
+        """Return the quantiles `p` of the uniform distribution between the bounds."""
         return np.asarray(lower + (upper - lower) * p)
 
     def draw(self, rng: np.random.Generator, n: int, lower: float, upper: float) -> FloatArray:
-        """Draw uniformly."""
+        """Draw `n` values from the uniform distribution between the bounds."""
         return rng.uniform(lower, upper, size=n)
 
     def scale(self, lower: float, upper: float) -> tuple[float, float]:
-        """Return lower bound and width."""
+        """Return the lower bound and the width."""
         return lower, upper - lower
 
     def box(self, lower: float, upper: float) -> tuple[float, float]:
@@ -214,5 +215,5 @@ class Uniform(Prior):
         return lower, upper
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return the name."""
+        """Return a dict of the name of the prior."""
         return {"distribution": "uniform"}

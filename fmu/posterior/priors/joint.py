@@ -1,4 +1,4 @@
-"""The prior of all parameters together."""
+"""The joint prior of all parameters."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fmu.types import FloatArray
 
 
 class JointPrior:
-    """The product of the parameters' priors, truncated to the bounds and normalised over them.
+    """The product of the priors of the parameters, truncated to the bounds and normalised between them.
 
     Normal, half-normal and log-normal priors, the common ones, are evaluated together as one array.
 
@@ -21,7 +21,8 @@ class JointPrior:
     ----------
     parameters : sequence of Parameter
     layout : Layout, optional
-        Of several tests with populations, to which scores refer (`fmu.posterior.joint.layout.Layout.log_prior`).
+        The layout of several tests with populations, whose scores are not independent of the other parameters
+        (`fmu.posterior.joint.layout.Layout.log_prior`).
     """
 
     def __init__(self, parameters: Sequence[Parameter], layout: Layout | None = None) -> None:
@@ -32,7 +33,7 @@ class JointPrior:
         self._gaussian = np.array([j for j, _ in forms], dtype=int)
         self._n_logs = sum(form.of_logarithm for _, form in forms)
         self._n_direct = len(forms) - self._n_logs
-        # a row, like one theta, which spares it NumPy's broadcasting
+        # a row, as a single theta is, so that NumPy need not broadcast
         self._mean = np.array([form.mean for _, form in forms])[None]
         self._precision = np.array([form.sd for _, form in forms]) ** -2.0
         self._others = [(j, p.prior) for j, p in enumerate(parameters) if p.prior.gaussian_form is None]
@@ -43,8 +44,8 @@ class JointPrior:
 
     def log_pdf(self, theta: FloatArray) -> FloatArray:
         """Return the log-density, shape (n,), at theta (n, ndim) where every prior has a density."""
-        # `take` gives C order, in which a row is summed in the same order whatever the batch; einsum does not warn
-        # where it overflows
+        # `take` gives C order, in which a row is summed in the same order whatever the batch size; einsum does not
+        # warn of an overflow
         x = theta.take(self._gaussian, axis=1)
         constant: float | FloatArray = self._constant
         if self._n_logs:
@@ -57,7 +58,7 @@ class JointPrior:
         return value if self._layout is None else self._layout.log_prior(theta, value)
 
     def log_pdf_gradient(self, theta: FloatArray) -> FloatArray:
-        """Return its gradient, shape (n, ndim)."""
+        """Return the gradient of the log-density, shape (n, ndim), at theta (n, ndim)."""
         gradient = np.empty_like(theta)
         x = theta.take(self._gaussian, axis=1)
         with np.errstate(over="ignore"):
@@ -73,10 +74,10 @@ class JointPrior:
         return gradient if self._layout is None else self._layout.log_prior_gradient(theta, gradient)
 
     def quadratic(self, theta: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return slope (n, ndim) and curvature −∇² (n, ndim, ndim) of the log-density, in units of `scale`.
+        """Return the slope (n, ndim) and curvature −∇² (n, ndim, ndim) of the log-density, in units of `scale`.
 
-        The curvature by each parameter is a difference of slopes over 1e-4, and not negative; by scores it is the
-        curvature without bounds.
+        The curvature for each parameter is a central difference of slopes with a step of 1e-4 of its scale, and at
+        least zero. The curvature for scores is that of the density without bounds.
         """
         slope, curvature = np.empty_like(theta), np.zeros((*theta.shape, theta.shape[1]))
         for k, parameter in enumerate(self.parameters):

@@ -1,6 +1,6 @@
-"""Priors with a lower end: half-normal and log-normal.
+"""Priors bounded from below: the half-normal and the log-normal.
 
-Both use the Gaussian's distribution function, whose logarithm is accurate however far out the bounds are.
+Both use the Gaussian distribution function, whose logarithm is accurate even for bounds far out in the tails.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class HalfNormal(Prior):
     Raises
     ------
     ValueError
-        If `sd` is not positive and finite, or `at` not finite.
+        If `sd` is not positive and finite, or `at` is not finite.
     """
 
     sd: Positive
@@ -39,12 +39,12 @@ class HalfNormal(Prior):
 
     @property
     def gaussian_form(self) -> GaussianForm:
-        """Twice the Gaussian."""
+        """Twice the whole Gaussian."""
         return GaussianForm(self.at, self.sd, log_factor=float(np.log(2.0)))
 
     @property
     def support(self) -> tuple[float, float]:
-        """From `at` upwards."""
+        """The interval from `at` to infinity."""
         return self.at, np.inf
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
@@ -52,7 +52,7 @@ class HalfNormal(Prior):
         return np.where(x >= self.at, self.gaussian.log_pdf(x) + np.log(2.0), -np.inf)
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
-        """Return −(x − at)/sd²."""
+        """Return the derivative of the log-density, −(x − at)/sd²."""
         return np.where(x >= self.at, self.gaussian.log_pdf_gradient(x), np.nan)
 
     def log_mass(self, lower: float, upper: float) -> float:
@@ -64,7 +64,7 @@ class HalfNormal(Prior):
         return self.gaussian.quantile(p, max(lower, self.at), upper)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return name and settings."""
+        """Return a dict of the name and settings of the prior."""
         return {"distribution": "half-normal", "sd": self.sd, "at": self.at}
 
     @cached_property
@@ -76,19 +76,19 @@ class HalfNormal(Prior):
 @check_arguments
 @dataclass(frozen=True)
 class LogNormal(Prior):
-    """The logarithm is Gaussian: z = log(x/median)/sigma is a standard normal variable, x positive.
+    """The log-normal prior: for positive x, z = log(x/median)/sigma is a standard normal variable.
 
     Attributes
     ----------
     median : float
-        In the parameter's unit.
+        Median, in the parameter's unit.
     sigma : float
         Standard deviation of log x, without a unit.
 
     Raises
     ------
     ValueError
-        If one of them is not positive and finite.
+        If `median` or `sigma` is not positive and finite.
     """
 
     median: Positive
@@ -97,7 +97,7 @@ class LogNormal(Prior):
     @classmethod
     @check_arguments
     def from_mean(cls, mean: Positive, sd: Positive) -> LogNormal:
-        """Return the prior with a mean and a standard deviation, in the parameter's unit."""
+        """Return the prior with the given mean and standard deviation, in the parameter's unit."""
         variance = np.logaddexp(0.0, 2.0 * (np.log(sd) - np.log(mean)))
         _require_width("mean", mean, sd, variance)
         return cls(float(mean * np.exp(-0.5 * variance)), float(np.sqrt(variance)))
@@ -107,7 +107,8 @@ class LogNormal(Prior):
     def from_mode(cls, mode: Positive, sd: Positive) -> LogNormal:
         """Return the prior that is densest at `mode` and has the standard deviation `sd` (Beck & Au 2002).
 
-        With v = exp(sigma²) − 1 the variance is mode² v (1 + v)³, which has one positive root, sought in log v.
+        With v = exp(sigma²) − 1 the variance is mode² v (1 + v)³. This equation has one positive root v, which is
+        found in terms of log v.
         """
         from scipy.optimize import brentq
 
@@ -137,7 +138,7 @@ class LogNormal(Prior):
             return np.where(x > 0.0, self.gaussian.log_pdf(log_x) - log_x, -np.inf)
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
-        """Return −(1 + z/sigma)/x."""
+        """Return the derivative of the log-density, −(1 + z/sigma)/x."""
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             return np.where(x > 0.0, (self.gaussian.log_pdf_gradient(np.log(x)) - 1.0) / x, np.nan)
 
@@ -151,7 +152,7 @@ class LogNormal(Prior):
             return np.clip(np.exp(self.gaussian.quantile(p, _log(lower), _log(upper))), lower, upper)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return name and settings."""
+        """Return a dict of the name and settings of the prior."""
         return {"distribution": "log-normal", "median": self.median, "sigma": self.sigma}
 
     @cached_property
@@ -165,6 +166,6 @@ def _log(bound: float) -> float:
 
 
 def _require_width(name: str, value: float, sd: float, variance: float) -> None:
-    """Raise ValueError where a log-normal prior is narrower than rounding."""
+    """Raise ValueError if a log-normal prior is so narrow that its variance is lost in rounding."""
     if not variance > 0.0:
         raise ArgumentError("sd", f"must be at least 1e-8 of the {name} {typed(value)}", typed(sd))

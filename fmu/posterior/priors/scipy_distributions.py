@@ -1,6 +1,6 @@
-"""Priors that use the distribution functions of SciPy: the scaled beta, and any continuous one of ``scipy.stats``.
+"""Priors that use the distribution functions of SciPy: the scaled beta, and any continuous ``scipy.stats`` one.
 
-Probabilities are counted from the nearer tail, so that no digits are lost where the bounds are far out. The
+Probabilities are counted from the nearer tail, so that no digits are lost for bounds far out in a tail. The
 probability between the bounds must exceed the smallest double, about 1e-308.
 """
 
@@ -28,19 +28,19 @@ class InvertedPrior(Prior):
 
     @abstractmethod
     def cdf(self, x: ArrayLike) -> FloatArray:
-        """Return F."""
+        """Return the distribution function F at x."""
 
     @abstractmethod
     def sf(self, x: ArrayLike) -> FloatArray:
-        """Return 1 − F."""
+        """Return the survival function 1 − F at x."""
 
     @abstractmethod
     def ppf(self, p: FloatArray) -> FloatArray:
-        """Return the inverse of F."""
+        """Return the quantiles F⁻¹(p)."""
 
     @abstractmethod
     def isf(self, p: FloatArray) -> FloatArray:
-        """Return the inverse of 1 − F."""
+        """Return the upper quantiles, at which 1 − F equals p."""
 
     def log_mass(self, lower: float, upper: float) -> float:
         """Return the logarithm of the probability between two bounds, ``-inf`` where that underflows."""
@@ -71,14 +71,14 @@ class ScaledBeta(InvertedPrior):
     Attributes
     ----------
     a, b : float
-        Shapes, without a unit.
+        Shape parameters, dimensionless.
     low, high : float
         Ends of the interval, in the parameter's unit.
 
     Raises
     ------
     ValueError
-        If a shape is not positive and finite, or the ends are not finite and in order.
+        If a shape parameter is not positive and finite, or the ends are not finite with low < high.
     """
 
     a: Positive
@@ -92,12 +92,13 @@ class ScaledBeta(InvertedPrior):
     @classmethod
     @check_arguments
     def from_mean(cls, mean: float, sd: Positive, low: float = 0.0, high: float = 1.0) -> ScaledBeta:
-        """Return the prior on [low, high] with a mean and a standard deviation, all in the parameter's unit.
+        """Return the prior on [low, high] with the given mean and standard deviation, in the parameter's unit.
 
         Raises
         ------
         ValueError
-            If the mean is not between the ends, or the standard deviation is so large that no beta has it.
+            If the mean is not between the ends, or the standard deviation exceeds that of any beta distribution
+            with this mean.
         """
         _require_order(low, high)
         if not low < mean < high:
@@ -112,7 +113,7 @@ class ScaledBeta(InvertedPrior):
 
     @property
     def support(self) -> tuple[float, float]:
-        """From `low` to `high`."""
+        """The interval from `low` to `high`."""
         return self.low, self.high
 
     def log_pdf(self, x: FloatArray) -> FloatArray:
@@ -123,7 +124,7 @@ class ScaledBeta(InvertedPrior):
         return np.where((t >= 0.0) & (s >= 0.0) & (value < np.inf), value, -np.inf)
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
-        """Return (a − 1)/(x − low) − (b − 1)/(high − x)."""
+        """Return the derivative of the log-density, (a − 1)/(x − low) − (b − 1)/(high − x)."""
         t, s = self._parts(x)
         with np.errstate(all="ignore"):
             left = np.zeros_like(t) if self.a == 1.0 else (self.a - 1.0) / t
@@ -132,27 +133,27 @@ class ScaledBeta(InvertedPrior):
         return np.where((t >= 0.0) & (s >= 0.0) & np.isfinite(gradient), gradient, np.nan)
 
     def cdf(self, x: ArrayLike) -> FloatArray:
-        """Return F, the regularised incomplete beta function."""
+        """Return the distribution function F, the regularised incomplete beta function."""
         return betainc(self.a, self.b, np.clip(self._parts(x)[0], 0.0, 1.0))
 
     def sf(self, x: ArrayLike) -> FloatArray:
-        """Return 1 − F."""
+        """Return the survival function 1 − F at x."""
         return betainc(self.b, self.a, np.clip(self._parts(x)[1], 0.0, 1.0))
 
     def ppf(self, p: FloatArray) -> FloatArray:
-        """Return the inverse of F."""
+        """Return the quantiles F⁻¹(p)."""
         return np.asarray(self.low + (self.high - self.low) * betaincinv(self.a, self.b, p))
 
     def isf(self, p: FloatArray) -> FloatArray:
-        """Return the inverse of 1 − F."""
+        """Return the upper quantiles, at which 1 − F equals p."""
         return np.asarray(self.high - (self.high - self.low) * betaincinv(self.b, self.a, p))
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return name and settings."""
+        """Return a dict of the name and settings of the prior."""
         return {"distribution": "beta", "a": self.a, "b": self.b, "low": self.low, "high": self.high}
 
     def _parts(self, x: Any) -> tuple[FloatArray, FloatArray]:
-        """Return t and 1 − t, each without cancellation at its end."""
+        """Return t and 1 − t, each without cancellation near its zero."""
         width = self.high - self.low
         return np.asarray((x - self.low) / width), np.asarray((self.high - x) / width)
 
@@ -164,24 +165,24 @@ class ScaledBeta(InvertedPrior):
 @check_arguments
 @dataclass(frozen=True, repr=False)
 class ScipyPrior(InvertedPrior):
-    """Any continuous distribution of ``scipy.stats`` with its arguments: ``ScipyPrior(gumbel_r(loc=2.0))``.
+    """A prior from any continuous distribution of ``scipy.stats``, as in ``ScipyPrior(gumbel_r(loc=2.0))``.
 
     Attributes
     ----------
     distribution : scipy.stats distribution
-        With its arguments given ("frozen"), each a number.
+        The distribution with its arguments ("frozen"), each a number.
 
     Raises
     ------
     ValueError
-        If it is none, or its arguments are out of range.
+        If `distribution` is not a continuous distribution of ``scipy.stats``, or its arguments are out of range.
 
     Notes
     -----
     The gradient of the log-density is a five-point central difference, with an error of fourth order. Its step is
     1e-3 of the smaller of two lengths: the distance to the nearer end of the support, and the larger of the
-    distance to the median and half the central 68 % interval. The relative error is about 1e-9. Within 1e-6 of
-    half that interval from an end, the gradient at that distance is taken.
+    distance to the median and half the central 68 % interval. The relative error is about 1e-9. Closer to an end
+    than 1e-6 of half the central interval, the gradient at that distance is used.
     """
 
     distribution: Any
@@ -213,36 +214,36 @@ class ScipyPrior(InvertedPrior):
         return np.where(value < np.inf, value, -np.inf)
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
-        """Return its derivative by differences."""
+        """Return the derivative of the log-density by differences."""
         low, high = self.support
         with np.errstate(all="ignore"):
             centre = np.clip(x, low + _EDGE * self._spread, high - _EDGE * self._spread)
             spread = np.maximum(self._spread, np.abs(centre - self._central[1]))
             h = _STEP * np.minimum(spread, np.minimum(centre - low, high - centre))
-            h = (centre + h) - centre  # the step that rounding leaves
+            h = (centre + h) - centre  # the step after rounding
             steps = np.array([-2.0, -1.0, 1.0, 2.0]).reshape(4, *np.ones(np.ndim(x), dtype=int))
             f = self.distribution.logpdf(centre + steps * h)
             slope = (f[0] - 8.0 * f[1] + 8.0 * f[2] - f[3]) / (12.0 * h)
             return np.where(np.isfinite(slope) & np.isfinite(self.log_pdf(x)), slope, np.nan)
 
     def cdf(self, x: ArrayLike) -> FloatArray:
-        """Return F."""
+        """Return the distribution function F at x."""
         return self.distribution.cdf(x)
 
     def sf(self, x: ArrayLike) -> FloatArray:
-        """Return 1 − F."""
+        """Return the survival function 1 − F at x."""
         return self.distribution.sf(x)
 
     def ppf(self, p: FloatArray) -> FloatArray:
-        """Return the inverse of F."""
+        """Return the quantiles F⁻¹(p)."""
         return np.asarray(self.distribution.ppf(p))
 
     def isf(self, p: FloatArray) -> FloatArray:
-        """Return the inverse of 1 − F."""
+        """Return the upper quantiles, at which 1 − F equals p."""
         return np.asarray(self.distribution.isf(p))
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return the name, the arguments, and quantiles, which distinguish distributions of the same name."""
+        """Return a dict of the name, arguments and quantiles, which distinguish distributions of the same name."""
         arguments = {f"argument {i + 1}": _plain(value) for i, value in enumerate(self.distribution.args)}
         arguments |= {key: _plain(value) for key, value in sorted(self.distribution.kwds.items())}
         return {"distribution": f"scipy.stats.{self._name}", **arguments, "quantiles": _plain(self._central)}

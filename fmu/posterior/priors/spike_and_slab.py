@@ -1,4 +1,4 @@
-"""A prior for what is nearly zero, or not: two normal distributions about one centre."""
+"""A prior for a quantity that is either nearly zero or not: a mixture of two normal distributions."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _HALVINGS = 60
 @check_arguments
 @dataclass(frozen=True)
 class SpikeAndSlab(InvertedPrior):
-    """With the probability `share` the wide normal distribution, the slab; else the narrow one, the spike.
+    """A mixture of a wide normal distribution (the slab), of probability `share`, and a narrow one (the spike).
 
-    George & McCulloch 1993, *J. Am. Stat. Assoc.* 88, 881–889, with the choice between the two integrated out: the
-    density is smooth, and nothing but the quantity itself is inferred.
+    The prior is that of George & McCulloch 1993, *J. Am. Stat. Assoc.* 88, 881–889, with the indicator of the slab
+    integrated out: the density is smooth, and only the quantity itself is inferred.
 
     Attributes
     ----------
@@ -31,9 +31,9 @@ class SpikeAndSlab(InvertedPrior):
     sd : float
         Standard deviation of the slab, in the parameter's unit.
     spike : float
-        Standard deviation of the spike: a quantity of this size is as good as none.
+        Standard deviation of the spike, in the parameter's unit: a quantity of this size is practically zero.
     mean : float
-        Centre of both.
+        Mean of both distributions, in the parameter's unit.
 
     Raises
     ------
@@ -58,7 +58,7 @@ class SpikeAndSlab(InvertedPrior):
         return np.asarray(np.logaddexp(spike + np.log1p(-self.share), slab + np.log(self.share)))
 
     def log_pdf_gradient(self, x: FloatArray) -> FloatArray:
-        """Return its derivative."""
+        """Return the derivative of the log-density."""
         p = self.of_slab(x)
         return -(x - self.mean) * (p / self.sd**2 + (1.0 - p) / self.spike**2)
 
@@ -70,16 +70,16 @@ class SpikeAndSlab(InvertedPrior):
         return np.asarray(expit(ratio + np.log(self.spike / self.sd) + logit(self.share)))
 
     def cdf(self, x: ArrayLike) -> FloatArray:
-        """Return F."""
+        """Return the distribution function F at x."""
         z = np.asarray(x) - self.mean
         return self.share * ndtr(z / self.sd) + (1.0 - self.share) * ndtr(z / self.spike)
 
     def sf(self, x: ArrayLike) -> FloatArray:
-        """Return 1 − F."""
+        """Return the survival function 1 − F at x."""
         return self.cdf(2.0 * self.mean - np.asarray(x))
 
     def ppf(self, p: FloatArray) -> FloatArray:
-        """Return the inverse of F, by bisection between the quantiles of spike and slab."""
+        """Return the quantiles F⁻¹(p), by bisection between the quantiles of spike and slab."""
         ends = ndtri(np.asarray(p, dtype=float)) * np.array([self.spike, self.sd]).reshape(2, *[1] * np.ndim(p))
         low, high = ends.min(axis=0), ends.max(axis=0)
         target = logit(p)
@@ -90,16 +90,16 @@ class SpikeAndSlab(InvertedPrior):
         return np.asarray(self.mean + 0.5 * (low + high))
 
     def isf(self, p: FloatArray) -> FloatArray:
-        """Return the inverse of 1 − F."""
+        """Return the upper quantiles, at which 1 − F equals p."""
         return 2.0 * self.mean - self.ppf(p)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return name and settings."""
+        """Return a dict of the name and settings of the prior."""
         own = {"share": self.share, "sd": self.sd, "spike": self.spike, "mean": self.mean}
         return {"distribution": "spike-and-slab", **own}
 
     def _logit_cdf(self, z: FloatArray) -> FloatArray:
-        """Return log(F/(1 − F)) at mean + z, which keeps its digits in both tails."""
+        """Return log(F/(1 − F)) at mean + z, without loss of digits in either tail."""
         weights = np.log([1.0 - self.share, self.share])
         below, above = (
             np.logaddexp(weights[0] + log_ndtr(s * z / self.spike), weights[1] + log_ndtr(s * z / self.sd))

@@ -1,4 +1,4 @@
-"""Where a reduced model must be accurate: where prior and posterior have their mass."""
+"""The region in which a reduced model must be accurate, which holds most of the prior and the posterior."""
 
 from __future__ import annotations
 
@@ -11,21 +11,23 @@ from fmu.posterior.maxima import GaussNewton, local_maxima
 from fmu.posterior.parameters import Parameter, box
 from fmu.types import FloatArray
 
-# Log-probabilities lower than the maximum by more than this are neglected.
+# Points whose log-probability is lower than the maximum by more than this are neglected.
 PLAUSIBLE = 50.0
-_TRIED = 7  # steps along the way to a point
-# A box leaves out at most this share of the posterior, as draws at maxima this little below the highest tell.
+_TRIED = 7  # bisection steps along each direction
+# Largest share of the posterior outside a box; range of the log-probability below the highest maximum in which
+# maxima are considered; number of draws at each maximum.
 _OUTSIDE, _RELEVANT, _DRAWN = 0.02, 10.0, 512
-# A bound belongs to the box if it is at most this share of the width beyond, and the prior's log-density is no
-# further below that at the end of the box: of a normal prior, within six standard deviations.
+# The box is extended to a bound if the distance to the bound is at most the first value times the width of the
+# box, and the log-density of the prior decreases by no more than the second value up to the bound (for a normal
+# prior, within six standard deviations).
 _NEAR, _NOT_RARE = 0.5, 10.0
 
 
 def training_box(parameters: Sequence[Parameter]) -> tuple[FloatArray, FloatArray]:
-    """Return the limits of the box in which a reduced model is trained first, shape (n,) each.
+    """Return the lower and upper limits of the box in which a reduced model is trained first, shape (n,) each.
 
-    That of the priors (`fmu.posterior.parameters.box`), and up to a bound that is near: some draws in ten thousand
-    lie outside four standard deviations of a prior, and none outside the bounds.
+    The box of the priors (`fmu.posterior.parameters.box`) is extended to bounds that are near, since a few draws
+    in ten thousand lie outside four standard deviations of a prior, and none outside the bounds.
     """
     ends, bounds = np.array(box(parameters)), np.array([[p.lower, p.upper] for p in parameters]).T
     is_near = np.abs(bounds - ends) <= _NEAR * (ends[1] - ends[0])
@@ -40,13 +42,13 @@ def training_box(parameters: Sequence[Parameter]) -> tuple[FloatArray, FloatArra
 def plausible_points(problem: Posterior, n: int, rng: np.random.Generator, depth: float = PLAUSIBLE) -> FloatArray:
     """Return points inside the bounds at which the log-probability is within `depth` of its maximum.
 
-    From every plausible local maximum they lie along random directions of the Laplace approximation, where the
-    log-probability has decreased by a random amount, or at the bounds.
+    The points lie along random directions of the Laplace approximation from every plausible local maximum, at
+    distances where the log-probability has decreased by a random amount, or at the bounds.
 
     Parameters
     ----------
     n : int
-        Points per maximum.
+        Number of points per maximum.
 
     Returns
     -------
@@ -65,7 +67,7 @@ def plausible_points(problem: Posterior, n: int, rng: np.random.Generator, depth
                 np.where(direction > 0, problem.upper - maximum.theta, problem.lower - maximum.theta) / direction
             )
         near, far = np.zeros(n), np.minimum(np.min(np.where(direction == 0, np.inf, walls), axis=1), 100.0)
-        # first where the Laplace approximation reaches the floor
+        # the first step is where the Laplace approximation reaches the floor
         step = np.minimum(np.sqrt(2.0 * (maximum.log_prob - floor) / curvature), far)
         for _ in range(_TRIED):
             above = problem.log_prob(_along(problem, maximum.theta, direction, step)) >= floor
@@ -76,15 +78,16 @@ def plausible_points(problem: Posterior, n: int, rng: np.random.Generator, depth
 
 
 def is_narrower(problem: Posterior, trained: FloatArray) -> bool:
-    """Say whether a box (2, n) is smaller than the bounds of its parameters."""
+    """Return True if the box `trained` (2, n) differs from the bounds of its parameters, and is thus narrower."""
     n = trained.shape[1]
     return not (np.array_equal(trained[0], problem.lower[:n]) and np.array_equal(trained[1], problem.upper[:n]))
 
 
 def posterior_box(problem: Posterior, trained: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Return a box that holds the plausible points too, if more of the posterior than `_OUTSIDE` leaves `trained`.
+    """Return the limits of a box that contains all plausible points; None if the box `trained` is large enough.
 
-    How much leaves it is estimated by draws of the Laplace approximations at the maxima.
+    The box `trained` (2, n) is large enough if at most the share `_OUTSIDE` of the posterior lies outside, as
+    estimated by draws from the Laplace approximations at the maxima.
     """
     n, rng, quadratic = trained.shape[1], np.random.default_rng(0), GaussNewton(problem)
     maxima = local_maxima(problem, starts=8)
@@ -110,9 +113,9 @@ def _along(problem: Posterior, origin: FloatArray, direction: FloatArray, step: 
 def _laplace_directions(
     problem: Posterior, theta: FloatArray, n: int, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Return random directions with the covariance of the Gauss–Newton approximation, turned inwards at bounds.
+    """Return random directions (n, ndim) and the curvature of −log P along each direction, (n,).
 
-    Directions (n, ndim), and the curvature of −log P along each, (n,).
+    The directions have the covariance of the Gauss–Newton approximation. At a bound they point inwards.
     """
     information = problem.quadratic(theta[None])[2][0]
     precision = information * np.outer(problem.scale, problem.scale) + np.eye(problem.ndim)

@@ -1,4 +1,4 @@
-"""The errors that a reduced model may have."""
+"""The tolerance of a reduced model: the errors that its frequencies and log-probability may have."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ LOOSEST_FREQUENCY, LOOSEST_LOG_PROB = 1e-2, 0.1
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Errors that a reduced model may have.
+    """The errors that a reduced model may have.
 
     Attributes
     ----------
     frequency : float
         Largest relative error of a frequency, over the whole box.
     log_prob : float
-        Largest error of the log-probability, wherever that is within `PLAUSIBLE` of its maximum.
+        Largest error of the log-probability, wherever the log-probability is within `PLAUSIBLE` of its maximum.
     """
 
     frequency: float = FREQUENCY_TOLERANCE
@@ -33,15 +33,15 @@ class Tolerance:
         Raises
         ------
         ValueError
-            If it is neither true or false nor a number in (0, 0.01].
+            If `reduction` is neither a bool nor a number in (0, 0.01].
 
         Notes
         -----
         Errors δ_i f_i of the frequencies change the log-probability by Σ z_i δ_i f_i/σ_i to first order, where z_i
-        are the standardised errors. The tolerance of the log-probability is therefore proportional to that of the
-        frequencies: 1e-3 at 1e-6. An error ε(θ) of log P with |ε| ≤ t moves the posterior mean of g by Cov(g, ε) ≤
-        t sd(g) to first order, at most t posterior standard deviations. So t never exceeds 0.1, which is the Monte
-        Carlo error of 100 effective draws.
+        are the standardised errors. The tolerance of the log-probability is therefore proportional to the
+        tolerance of the frequencies: 1e-3 for a tolerance of 1e-6. An error ε(θ) of log P with |ε| ≤ t shifts the
+        posterior mean of a quantity g by Cov(g, ε) ≤ t sd(g) to first order, at most t posterior standard
+        deviations. For this reason t is at most 0.1, which is the Monte Carlo error of 100 effective draws.
         """
         if isinstance(reduction, bool | np.bool_):
             return cls() if reduction else None

@@ -1,4 +1,4 @@
-"""Training of a problem's reduced model: accurate in the box, and more so where the posterior has its mass."""
+"""Training of a problem's reduced model, accurate in the box and more so where the posterior has its mass."""
 
 from __future__ import annotations
 
@@ -34,50 +34,55 @@ from fmu.progress.phases import by_parts
 from fmu.types import BoolArray, FloatArray
 
 PATIENCE = 3
-_AT_ONCE = 16  # points
-# The share of the tolerance of the log-probability at the points that training looks at: others lie further out.
+_AT_ONCE = 16  # points solved at once
+# Share of the tolerance of the log-probability that training must meet at its points; other points may be worse.
 _TUNED = 0.7
-# By what factor errors are to be smaller there in the next round: more than the worst point asks for, as with many
-# parameters fresh points lie further out.
+# Safety factor on the reduction of the errors required in the next round, and limits of that reduction: with many
+# parameters, fresh points lie further out than the worst point so far.
 _SPARE, _TIMES = 2.0, (3.0, 30.0)
 _CHECKED, _CHECK_SEED = 32, 10_000
-# Points of the prior, and of the posterior, whose modes are a basis for wide bounds; the share of a Gaussian
-# posterior that may lie further out than the latter.
+# Number of points from the prior, and from the posterior, whose modes are a basis for wide bounds; share of a
+# Gaussian posterior that may lie further out than the points from the posterior.
 _SNAPSHOTS, _BEYOND = 60, 1e-3
 
 
 class ReductionWarning(UserWarning):
-    """Training ended before the reduced model met its tolerance, or met it in a part of the box only."""
+    """A warning that the reduced model does not meet its tolerance, or meets it in a part of the box only."""
 
 
 def reduced_model(
     problem: Posterior, tolerance: Tolerance, engine: Engine | None = None
 ) -> tuple[ModalModel, Tolerance | None]:
-    """Return a reduced model, trained or read from the cache, and the tolerance that it is to keep.
+    """Return a reduced model, trained or read from the cache, and the tolerance that it must meet.
 
-    At every point tested, frequencies meet their tolerance over the whole box, and the log-probability meets its
-    own wherever it is within `PLAUSIBLE` of its maximum. Points at a jump, where modes swap and the two models may
-    choose differently, are not counted. Training ends early where more points do not help, because only rounding
-    of the full model is left, or where a larger basis would not pay (`fmu.fem.reduced.points.affordable`). After
-    a run, the certificate tells whether the tolerances were met (`fmu.analysis.certificate`). Where the box is so
-    wide that a basis for it would not pay, frequencies keep 1e-3 in it, and their tolerance where the
-    log-probability is within `PLAUSIBLE` of its maximum, if that basis pays. If it does not pay either, a basis of
-    modes at draws of prior and posterior is taken, where errors of the log-probability stay below
-    `LOOSEST_LOG_PROB`; if they do not, the full model is returned, with None for the tolerance. A model that is
-    not given by its matrices is returned as it is. An engine solves the full
-    model at several points at once. What is compared with the full model counts against a budget
+    At every point tested in the box, the frequencies meet their tolerance. The log-probability meets its tolerance
+    wherever it is within `PLAUSIBLE` of its maximum. Points at a jump, where modes swap and the two models may
+    pair different modes, are not counted. Training ends early if more points do not help, because only rounding of
+    the full model remains, or if a larger basis would not save time (`fmu.fem.reduced.points.affordable`). After a
+    run, the certificate states whether the tolerances were met (`fmu.analysis.certificate`).
+
+    If the box is so wide that a basis for the tolerance would not save time, three alternatives are tried in turn:
+
+    - A basis with which the frequencies are accurate to 1e-3 in the box, and to their tolerance wherever the
+      log-probability is within `PLAUSIBLE` of its maximum, if this basis saves time.
+    - A basis of modes at draws from the prior and the posterior, if the errors of the log-probability are below
+      `LOOSEST_LOG_PROB`.
+    - The full model, which is returned with None for the tolerance.
+
+    A model that is not given by its matrices is returned unchanged, with None. An engine solves the full model at
+    several points at once. Comparisons with the full model count against a budget
     (`fmu.fem.reduced.training.BUDGET`).
 
     Raises
     ------
     ValueError
-        If it is to be trained and rounding exceeds the errors of the measurement, or if a motion has neither
-        stiffness nor mass where a parameter is zero.
+        If the model must be trained and rounding errors exceed the errors of the measurement, or if a displacement
+        has neither stiffness nor mass where a parameter is zero.
 
     Warns
     -----
     ReductionWarning
-        If training ended before the tolerances were met, from the cache too.
+        If training ended before the tolerances were met, also if the model is read from the cache.
     """
     structure = structure_of(problem.model)
     if structure is None:
@@ -99,7 +104,7 @@ def reduced_model(
     compared: list[int] = []
 
     def some_points(model: ReducedStructure) -> FloatArray:
-        """Return plausible points; of a large structure within the trained box, where no full model is needed."""
+        """Return plausible points; for a large structure inside the trained box, where no full model is needed."""
         if structure.solver == LAPACK:
             return plausible_points(problem.with_model(model), 64, rng)
         points = plausible_points(problem.with_model(model.extend(*bounds)), 64, rng)
@@ -114,13 +119,13 @@ def reduced_model(
     def inaccurate_points(model: ReducedStructure) -> tuple[FloatArray, float] | None:
         points = some_points(model)
         by_bound = structure.solver != LAPACK and not (structure.is_soft or likelihood.needs_shapes)
-        if by_bound and isinstance(likelihood, ModalLikelihood):  # cheaper than full solves, and blind to jumps
+        if by_bound and isinstance(likelihood, ModalLikelihood):  # cheaper than full solves, and ignores jumps
             difference = _log_prob_bound(model, likelihood, points)
         else:
             left = BUDGET - sum(compared)
             if left <= 0:
                 return None
-            points = points[:: -(-len(points) // left)]  # some of every maximum
+            points = points[:: -(-len(points) // left)]  # some points around every maximum
             compared.append(len(points))
             difference = _log_prob_errors(problem, model, points)
         wrong = ~(np.abs(difference) <= _TUNED * tolerance.log_prob)
@@ -129,7 +134,7 @@ def reduced_model(
         differences.append(np.max(np.abs(difference[wrong]), initial=0.0))
         if not wrong.any() or has_stalled(differences):
             return None
-        # errors of the log-probability are in proportion to those of the frequencies
+        # errors of the log-probability are proportional to errors of the frequencies
         times = _SPARE * differences[-1] / (_TUNED * tolerance.log_prob)
         return points[:, :n], float(np.clip(times, *_TIMES)) if np.isfinite(times) else _TIMES[1]
 
@@ -163,7 +168,7 @@ def reduced_model(
 def _find_tolerance(
     problem: Posterior, model: ModalModel, tolerance: Tolerance, state: dict[str, FloatArray]
 ) -> Tolerance | None:
-    """Return the tolerance that a reduced model keeps, None without one; warn where it is not what was asked."""
+    """Return the tolerance that a reduced model meets, None for a full model; warn if the request is missed."""
     if model is model.truth:
         return None
     _warn_if_missed(problem, model, tolerance, state)
@@ -173,13 +178,14 @@ def _find_tolerance(
 def _trained_at_draws(
     problem: Posterior, structure: PairedStructure, trained: FloatArray, frequency: float
 ) -> tuple[ReducedStructure, dict[str, FloatArray]] | None:
-    """Return a reduced model that is trained where prior and posterior have their mass, and its state.
+    """Return a reduced model trained at draws from the prior and the posterior, and its state.
 
-    None if the log-probability is off by more than `LOOSEST_LOG_PROB` at fresh points of the posterior. `trained`
-    (2, n_parameters) is the box, `frequency` the error that was asked for.
+    Return None if the errors of the log-probability or the frequencies at fresh points of the posterior are too
+    large (`LOOSEST_LOG_PROB`, `LOOSEST_FREQUENCY`), or if K is singular at a draw. `trained` (2, n_parameters) is
+    the box, `frequency` the relative error requested.
     """
     n, rng = structure.n_parameters, np.random.default_rng(0)
-    depth = 0.5 * float(chdtri(problem.ndim, _BEYOND))  # of all but that share of a Gaussian posterior
+    depth = 0.5 * float(chdtri(problem.ndim, _BEYOND))  # contains all but this share of a Gaussian posterior
 
     def within(points: FloatArray) -> FloatArray:
         return np.clip(points[:, :n], *trained)
@@ -191,7 +197,7 @@ def _trained_at_draws(
         points = rng.permutation(points)
         at = np.concatenate([prior[:_SNAPSHOTS], within(points[:_SNAPSHOTS])])
         model, state = train_at(structure, at, *trained)
-    except SingularAnchorError:  # at the draws a mechanism loses its stiffness
+    except SingularAnchorError:  # the stiffness is singular at a draw
         return None
     points = points[_SNAPSHOTS:][:_CHECKED]
     wrong = ~(np.abs(_log_prob_errors(problem, model, points)) <= _TUNED * LOOSEST_LOG_PROB)
@@ -213,9 +219,10 @@ def _log_prob_errors(problem: Posterior, model: ReducedStructure, points: FloatA
 
 
 def _log_prob_bound(model: ReducedStructure, likelihood: ModalLikelihood, points: FloatArray) -> FloatArray:
-    """Return how far the log-probability may be off at points (n, ndim), shape (n,), by bounds of the frequencies.
+    """Return bounds of the error of the log-probability at points (n, ndim), shape (n,), from frequency bounds.
 
-    The sum of what each frequency changes by itself: to first order no error of all of them changes more.
+    The bound is the sum of the changes due to the largest error of each frequency by itself. To first order, joint
+    errors of all frequencies cannot change the log-probability by more.
     """
     theta = points[:, : model.n_parameters]
     bound = np.concatenate(by_parts("training", model.frequency_bound, theta, _AT_ONCE, _AT_ONCE))
@@ -240,17 +247,17 @@ def _paired_error(model: ReducedStructure, lower: FloatArray, upper: FloatArray,
     theta = box_points(lower, upper, _CHECKED, _CHECK_SEED)
     if (
         model.truth.solver != LAPACK
-    ):  # where solves are dear, so many of the points inside, on faces and at corners
+    ):  # where solves are expensive, only about this number of the points inside, on faces and at corners
         theta = theta[:: -(-len(theta) // _CHECKED)]
     return _error_at(model, theta, tolerance)
 
 
 def _error_at(model: ReducedStructure, theta: FloatArray, tolerance: float) -> float:
-    """Return the largest relative error of the measured modes' frequencies at theta (n, p) but for jumps."""
+    """Return the largest relative error of the measured modes' frequencies at theta (n, p), without jumps."""
     full = model.truth.modes(theta)
     exact, reduced = full.eigenvalues, model.modes(theta).eigenvalues
     elastic = ~is_rigid(exact)
-    # of a frequency, half as much
+    # the relative error of a frequency is half that of its eigenvalue
     error = np.max(np.where(elastic, 0.5 * np.abs(reduced / np.where(elastic, exact, 1.0) - 1.0), 0.0), axis=1)
     wrong = ~(error <= tolerance) & np.isfinite(exact).all(axis=1)
     if wrong.any():
@@ -302,34 +309,34 @@ def _warn(said: str) -> None:
     warnings.warn(
         f"reduction: {said}",
         ReductionWarning,
-        skip_file_prefixes=(f"{Path(__file__).parents[1]}{os.sep}",),  # the line of the user
+        skip_file_prefixes=(f"{Path(__file__).parents[1]}{os.sep}",),  # point at the user's line
     )
 
 
 def _looser(tolerance: Tolerance, reached: float) -> float:
-    """Return the next power of ten above the error reached and above the tolerance."""
+    """Return the power of ten above both the error reached and the tolerance, at most `LOOSEST_FREQUENCY`."""
     wanted = max(reached, 10.0 * tolerance.frequency) if np.isfinite(reached) else LOOSEST_FREQUENCY
     return float(min(10.0 ** np.ceil(np.log10(wanted) - 1e-9), LOOSEST_FREQUENCY))
 
 
 def has_stalled(differences: Sequence[float]) -> bool:
-    """Say whether the last `PATIENCE` rounds of training did not halve the smallest of the earlier differences."""
+    """Return True if the last `PATIENCE` rounds of training did not halve the smallest earlier difference."""
     return len(differences) > PATIENCE and min(differences[-PATIENCE:]) > 0.5 * min(differences[:-PATIENCE])
 
 
 def on_a_jump(
     model: ReducedStructure, theta: FloatArray, tolerance: float, full: ModalSolution | None = None
 ) -> BoolArray:
-    """Return where the reduced model has the full model's modes but pairs others, as where two swap, shape (n,).
+    """Return a mask (n,) of the points where the two models have the same modes but pair different ones.
 
     Parameters
     ----------
     model : ReducedStructure
     theta : ndarray, shape (n, n_parameters)
     tolerance : float
-        Largest relative difference between frequencies that are the same.
+        Largest relative difference between frequencies that count as equal.
     full : ModalSolution, optional
-        The full model's modes there, if they are at hand.
+        The modes of the full model at theta, if they are already computed.
     """
     reduced, full = model.modes(theta), full or model.truth.modes(theta)
     answers = np.full(full.eigenvalues.shape, np.nan)
@@ -341,7 +348,7 @@ def on_a_jump(
         if known.any():
             lam = block.eigenvalues(theta, int(rank[known].max()) + 1)
             answers[row[known], column[known]] = lam[row[known], rank[known]]
-    # of an eigenvalue, twice as much
+    # the relative tolerance of an eigenvalue is twice that of its frequency
     same = np.abs(answers - full.eigenvalues) <= 2.0 * tolerance * np.abs(full.eigenvalues)
     others = (reduced.block != full.block) | (reduced.rank != full.rank)
     return np.asarray(others.any(axis=1) & same.all(axis=1))
