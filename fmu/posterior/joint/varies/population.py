@@ -1,13 +1,14 @@
-"""A parameter that scatters from test to test: its distribution over the tests, and scores that make it simple.
+"""A parameter that scatters from test to test: its distribution over the tests, and the scores that are sampled.
 
-The value in test t is θ_t = F⁻¹(Φ(z_t)), with a score z_t and the distribution function F of a normal distribution
-inside the bounds of the parameter. If F is that of the population, N(μ, σ²), the scores are standard normal and
-independent of μ and σ before the measurement: the non-centred form of a hierarchical model, easy to sample where a
-test tells little about its own value. If F is fixed, the scores are the values themselves in other units: the
-centred form, easy to sample where a test tells its value well. Each test is between them with a weight w: F has
-the mean w μ₀ + (1 − w) μ and the standard deviation σ₀^w σ^(1−w) (Papaspiliopoulos, Roberts & Sköld 2007,
-*Statistical Science* 22, 59–73; Gorinova, Moore & Hoffman 2020, *ICML*, PMLR 119). The posterior of the values is
-the same with any weights.
+The value in test t is θ_t = F⁻¹(Φ(z_t)), where z_t is the score of the test, Φ is the standard normal distribution
+function, and F is the distribution function of a normal distribution truncated to the bounds of the parameter. If
+F is the population's, N(μ, σ²), the scores are a priori standard normal and independent of μ and σ. This is the
+non-centred form of a hierarchical model, easy to sample where a test says little about its own value. If F is
+fixed, the scores are the values themselves in other units. This is the centred form, which is easy to sample
+where a test determines its own value well. A weight w per test interpolates between the two forms: F has the mean
+w μ₀ + (1 − w) μ and the standard deviation σ₀^w σ^(1−w) (Papaspiliopoulos, Roberts & Sköld 2007, *Statistical
+Science* 22, 59–73; Gorinova, Moore & Hoffman 2020, *ICML*, PMLR 119). The weights do not change the posterior of
+the values.
 """
 
 from __future__ import annotations
@@ -34,25 +35,26 @@ from fmu.types import BoolArray, FloatArray, IntArray, Plain
 Normals = tuple[FloatArray, FloatArray]
 
 _SCATTER = 0.2
-"""Standard deviation of the half-normal prior of a population's, relative to the start value."""
+"""Scale of the default half-normal prior of a population's standard deviation, relative to the start value."""
 _FAR = 4.0
-"""Standard deviations of a population about its mean within which a reduced model is trained."""
+"""Half-width of the range in which a reduced model is trained, in standard deviations of the population."""
 
 
 @check_arguments
 @dataclass(frozen=True)
 class Population(Varies):
-    """The values of a parameter in different tests are draws from one distribution, which is inferred.
+    """A parameter whose values in the tests are draws from one distribution, which is inferred.
 
     Attributes
     ----------
     distribution : {"normal", "log-normal"}
-        Of the values over the tests, truncated to the bounds of the parameter. Of the normal one, mean and
-        standard deviation (in the parameter's unit) are inferred; of the log-normal one the median, and the
-        standard deviation of the logarithm. Mean or median has the parameter's own prior and bounds.
+        Distribution of the values over the tests, truncated to the bounds of the parameter. For ``"normal"``, the
+        mean and the standard deviation (in the parameter's unit) are inferred. For ``"log-normal"``, the median
+        and the standard deviation of the logarithm are inferred. The mean or median has the parameter's own prior
+        and bounds.
     sd : Prior, optional
-        Prior of that standard deviation. By default half-normal: its own standard deviation is a fifth of the
-        parameter's start value, or 0.2 for a logarithm.
+        Prior of the inferred standard deviation. Default: half-normal, with a scale of a fifth of the parameter's
+        start value, or of 0.2 for ``"log-normal"``.
 
     Raises
     ------
@@ -71,11 +73,11 @@ class Population(Varies):
 
     @property
     def of_logarithm(self) -> bool:
-        """Whether the logarithm is normal."""
+        """Whether the logarithm of the parameter is normally distributed over the tests."""
         return self.distribution == "log-normal"
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> Drawn:
-        """Add centre and width of the population, and a score for each test."""
+        """Add centre, width and a score for each test in `here` to theta; return the values in the tests."""
         mean, sd = self.parameters(p)
         centre, width = theta.add(mean, "mean", of), theta.add(sd, "sd", of)
         n, columns = len(theta.tests), np.zeros(len(theta.tests), dtype=np.int64)
@@ -86,13 +88,13 @@ class Population(Varies):
         return Drawn(self, centre, width, columns, scored, p.lower, p.upper, np.zeros(n), start)
 
     def parameters(self, of: Parameter) -> tuple[Parameter, Parameter]:
-        """Return the inferred parameters of the distribution: its centre and its width.
+        """Return the two inferred parameters of the distribution: centre and width.
 
         Raises
         ------
         ValueError
-            If the parameter may be negative and the distribution is log-normal, or the default width has no size
-            because the parameter starts at zero.
+            If the parameter may be zero or negative and the distribution is log-normal, or if `sd` is not given
+            and the parameter starts at zero, so that the default prior would have the scale zero.
         """
         if self.of_logarithm and of.lowest <= 0.0:
             raise ValueError(f"{of.name}.lower: must be positive for a log-normal population (got {of.lower})")
@@ -109,11 +111,12 @@ class Population(Varies):
     def values(
         self, z: FloatArray, centre: FloatArray, sd: FloatArray, lower: float, upper: float
     ) -> tuple[FloatArray, Slopes]:
-        """Return the values whose scores are z, and their derivatives by score, centre and sd; all of one shape.
+        """Return the values with the scores z, and their derivatives with respect to score, centre and sd.
 
         Parameters
         ----------
         z, centre, sd : ndarray, broadcastable
+            The values and all derivatives have the broadcast shape.
         lower, upper : float
             Bounds of the values.
         """
@@ -128,13 +131,13 @@ class Population(Varies):
     def log_ratio(
         self, value: FloatArray, one: Normals, other: Normals, lower: float, upper: float
     ) -> tuple[FloatArray, Slopes, Slopes]:
-        """Return the logarithm of the density of values in one population over that in another.
+        """Return the log ratio of the densities of two populations at some values, with derivatives.
 
         Parameters
         ----------
         value : ndarray
         one, other : tuple of (ndarray, ndarray)
-            Centre and sd of each.
+            Centre and standard deviation of the population in the numerator, and of that in the denominator.
         lower, upper : float
             Bounds of the values.
 
@@ -142,7 +145,8 @@ class Population(Varies):
         -------
         ratio : ndarray
         by_one, by_other : tuple of three ndarray
-            Derivatives of the two log-densities by value, centre and sd; those of the second to be subtracted.
+            Derivatives of the two log-densities with respect to value, centre and standard deviation.
+            ``by_other`` has to be subtracted.
         """
         if not self.of_logarithm:
             (p, by_p), (q, by_q) = (truncated_normal_log_pdf(value, *of, lower, upper) for of in (one, other))
@@ -158,7 +162,7 @@ class Population(Varies):
     def scores(
         self, value: FloatArray, centre: FloatArray, sd: FloatArray, lower: float, upper: float
     ) -> FloatArray:
-        """Return the scores of values: the inverse of `values`."""
+        """Return the scores of the values, the inverse of `values`."""
         if not self.of_logarithm:
             return truncated_normal_scores(value, centre, sd, lower, upper)
         with np.errstate(divide="ignore"):
