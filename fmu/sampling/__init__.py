@@ -183,8 +183,8 @@ def sample(
 def default_sampler(problem: LogDensity) -> str:
     """Return the name of the default sampler for a problem.
 
-    For a hierarchical posterior the name is ``"hmc"``: such a posterior has a parameter for every test, which is too
-    many for fitting a mixture.
+    For a hierarchical posterior the name is ``"hmc"``: such a posterior has a parameter for every test, too many
+    parameters for fitting a mixture.
     """
     from fmu.analysis.maxima.search import is_searchable
 

@@ -56,7 +56,7 @@ class Damage(Varies):
         return Parameter(f"{of.name} loss [{state}]", start, _LOWEST, _HIGHEST, prior)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return the settings in plain Python types."""
+        """Return a dict of the settings, in plain Python types."""
         return {"prior": None if self.prior is None else self.prior.as_dict()}
 
 
@@ -79,7 +79,7 @@ class Lost(InTests):
     is_lost: BoolArray
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the values in every test, shape (n, n_tests), and their derivatives."""
+        """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
         loss = np.where(self.is_lost, theta[:, self.losses], 0.0)
         columns = np.full_like(self.losses, self.column)
         base = theta[:, columns]
@@ -87,11 +87,11 @@ class Lost(InTests):
         return base * (1.0 - loss), [Slope(columns, 1.0 - loss), Slope(self.losses, by_loss)]
 
     def identity(self, test: int) -> Hashable:
-        """Return an object that is equal in two tests if the value always is."""
+        """Return a key that is equal for two tests if the value in them is equal at every theta."""
         return int(self.losses[test])
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return limits of the values in every test, for limits of theta (n_parameters,)."""
+        """Return lower and upper limits of the values, (n_tests,) each, for limits of theta (n_parameters,)."""
         ends = np.array([lower[self.column], upper[self.column]])
         kept = np.where(self.is_lost, 1.0 - np.stack([lower[self.losses], upper[self.losses]]), 1.0)
         corners = ends[:, None, None] * kept

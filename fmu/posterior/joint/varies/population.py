@@ -170,7 +170,7 @@ class Population(Varies):
         return truncated_normal_scores(np.log(value), np.log(centre), sd, *ends)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return the settings in plain Python types."""
+        """Return a dict of the settings, in plain Python types."""
         return {
             "distribution": self.distribution,
             "sd": None if self.sd is None else self.sd.as_dict(),
@@ -178,14 +178,14 @@ class Population(Varies):
 
 
 class LastTheta:
-    """Quantities at the last theta that they were computed at, which several callers need."""
+    """A cache of quantities computed at the last theta, for several callers."""
 
     def __init__(self) -> None:
         self._theta: FloatArray | None = None
         self._known: dict[str, Any] = {}
 
     def remember(self, what: str, theta: FloatArray, compute: Callable[[FloatArray], Any]) -> Any:
-        """Return ``compute(theta)``, which is kept until there is another theta."""
+        """Return ``compute(theta)`` and cache it under the name `what` until another theta is passed."""
         if self._theta is None or not np.array_equal(self._theta, theta):
             self._theta, self._known = theta.copy(), {}
         if what not in self._known:
@@ -195,25 +195,25 @@ class LastTheta:
 
 @dataclass(eq=False)
 class Drawn(InTests):
-    """A parameter of the structure that scatters over the tests.
+    """A structural parameter that scatters over the tests.
 
     Attributes
     ----------
     population : Population
     centre, width : int
-        Numbers in theta of mean and standard deviation.
+        Indices in theta of the population's mean or median, and of its standard deviation.
     columns : ndarray of int, shape (n_tests,)
-        The scores.
+        For each test, the index in theta of the score.
     scored : ndarray of bool, shape (n_tests,)
-        Which tests have one; in the others the value is known.
+        Whether the test has a score. In a test without a score the value is known.
     lower, upper : float
         Bounds of the values.
     centring : ndarray, shape (n_tests,)
-        w of this module: 0 for standard normal scores, 1 for the values in other units.
+        The weight w of the module docstring: 0 for standard normal scores, 1 for the values in other units.
     reference : tuple of float
-        Centre and width, μ₀ and σ₀.
+        The reference centre μ₀ and the reference width σ₀.
     last : LastTheta
-        Remembers the values at the last theta: likelihood and prior both need them.
+        Cache of the values at the last theta, which both the likelihood and the prior need.
     """
 
     population: Population
@@ -228,27 +228,30 @@ class Drawn(InTests):
     last: LastTheta = field(default_factory=LastTheta, init=False, repr=False)
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the values in every test, shape (n, n_tests), and their derivatives."""
+        """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
         return self.last.remember("evaluated", theta, self._compute)[0]
 
     def identity(self, test: int) -> Hashable:
-        """Return an object that is equal in two tests if the value always is."""
+        """Return a key that is equal for two tests if the value in them is equal at every theta."""
         return int(self.columns[test])
 
     def log_prior(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the log-density of the scores over the standard normal density, (n, n_tests), and derivatives.
+        """Return the log ratio of the scores' density to the standard normal, (n, n_tests), and its derivatives.
 
-        It is zero where the centring is: the scores are then standard normal.
+        The log ratio is zero where the centring is zero, because the scores are then standard normal.
         """
         return self.last.remember("evaluated", theta, self._compute)[1]
 
     def curvature(self, theta: FloatArray) -> FloatArray:
-        """Return −∂² of the scores' log-density by each of them, shape (n, n_tests), where bounds are far away."""
+        """Return −∂² log p/∂z² of each score z, shape (n, n_tests), in the limit of distant bounds."""
         _, (_, width), (_, blend), _ = self._at(theta)
         return np.asarray((blend / width) ** 2)
 
     def population_scores(self, theta: FloatArray) -> tuple[FloatArray, Slopes]:
-        """Return the scores in the population, (n, n_tests), and their derivatives by score, centre and width."""
+        """Return the scores relative to the population, (n, n_tests), and their derivatives.
+
+        The derivatives are with respect to the score in theta, the centre and the width, shape (n, n_tests) each.
+        """
         return self.last.remember("scores", theta, self._computed_scores)
 
     def _computed_scores(self, theta: FloatArray) -> tuple[FloatArray, Slopes]:
@@ -262,7 +265,7 @@ class Drawn(InTests):
         return z, tuple(np.where(is_other, *pair) for pair in zip(slopes, plain, strict=True))  # type: ignore[return-value]
 
     def drawn(self, theta: FloatArray) -> FloatArray:
-        """Return theta with its standard normal scores replaced by the scores of draws from the population."""
+        """Return a copy of theta whose standard normal scores are replaced by the scores of the same values."""
         theta = theta.copy()
         z, (centre, width), blend, _ = self._parts(theta)
         value = self.population.values(z, centre, width, self.lower, self.upper)[0]
@@ -285,12 +288,12 @@ class Drawn(InTests):
         return (value, self._slopes(by_z, by_centre, by_width)), prior
 
     def scores_of(self, value: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return the scores that give these values in the tests that have any, at one theta (ndim,)."""
+        """Return the scores of the values in the tests with scores, shape (n_scored,), at one theta (ndim,)."""
         centre, width = (part[0, self.scored] for part in self._parts(theta[None])[2])
         return self.population.scores(value, centre, width, self.lower, self.upper)
 
     def _parts(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, FloatArray]:
-        """Return the scores, the population, their reference, and ∂ of its centre by the population's."""
+        """Return the scores, the population, the distribution F, and ∂(centre of F)/∂(population centre)."""
         n_tests = len(self.columns)
         centre, width = (theta[:, [k] * n_tests] for k in (self.centre, self.width))
         w = self.centring
@@ -308,7 +311,7 @@ class Drawn(InTests):
         )
 
     def _at(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, Slopes]:
-        """Return the values, the population, what the scores refer to, and the values' derivatives."""
+        """Return the values, the population, the distribution F of the scores, and the values' derivatives."""
         found: tuple[FloatArray, Normals, Normals, Slopes] = self.last.remember("values", theta, self._at_scores)
         return found
 
@@ -323,21 +326,21 @@ class Drawn(InTests):
         return [Slope(*pair) for pair in zip(columns, (by_z, by_centre, by_width), strict=True)]
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return limits of the values in every test, for limits of theta (n_parameters,)."""
+        """Return lower and upper limits of the values, (n_tests,) each, for limits of theta (n_parameters,)."""
         z, width, ends = np.array([-_FAR, _FAR]), upper[self.width], [lower[self.centre], upper[self.centre]]
         found = self.population.values(z, np.array(ends), width, self.lower, self.upper)[0]
         return tuple(np.full(len(self.columns), value) for value in found)  # type: ignore[return-value]
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the values (n,) in one more test, drawn from the population."""
+        """Return the values (n,) in a further test, drawn from the population."""
         ends = theta[:, self.centre], theta[:, self.width]
         return self.population.values(future.scores[self.centre], *ends, self.lower, self.upper)[0]
 
     def after(self, n: int) -> Self:
-        """Return the parameter with its scores behind `n` parameters of theta."""
+        """Return the parameter with the indices of its scores increased by `n`."""
         return replace(self, columns=self.columns + n)
 
     def refer_to(self, references: Mapping[int, tuple[FloatArray, tuple[float, float]]]) -> Self:
-        """Return the parameter with scores that refer to others."""
+        """Return the parameter with another centring and reference of its scores."""
         centring, reference = references[self.centre]
         return replace(self, centring=centring, reference=reference)
