@@ -68,7 +68,7 @@ def _covariance(data: ModalData) -> FloatArray:
 def find_configurations(
     model: Model, tests: Sequence[Test], layout: Layout, options: Mapping[str, Any]
 ) -> tuple[list[Configuration], Any]:
-    """Return a list of configurations, each with its trained reduced model; and the tolerance of the reduction."""
+    """Return a list of configurations, each with its trained model; and the tolerance of the model reduction."""
     keys = [test.configuration for test in tests]
     first_mode = np.cumsum([0, *(test.data.n_modes for test in tests)])
     found, tolerance = [], None

@@ -164,7 +164,10 @@ class ModelInTests(ModalModel):
         return None
 
     def failed_tests(self, theta: FloatArray) -> Iterator[tuple[str, ModalModel, FloatArray]]:
-        """Yield name, model and model parameters of each test whose solve fails at a theta (n_parameters,)."""
+        """Yield name, model and model parameters of each test without frequencies at a theta (n_parameters,).
+
+        With a user's function every solved test is yielded, because the function is not called again.
+        """
         for part in self.configurations:
             points = part.points(self._in_tests(theta[None]))
             if part.model.functions:  # a user's function is not called again
