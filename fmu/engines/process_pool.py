@@ -62,7 +62,7 @@ class WorkerProcess:
             self.connection.send(("task", packed))
 
     def message(self) -> tuple[str, Any]:
-        """Return the next message; ``("died", how)`` if the process died, ``("nothing", None)`` if there is none."""
+        """Return a message: ``("nothing", None)`` if there is none, ``("died", how)`` if the worker died."""
         try:
             if self.connection.poll():
                 kind, content = self.connection.recv()

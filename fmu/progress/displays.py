@@ -65,7 +65,7 @@ def terminal_bars(console: Console | None = None) -> Iterator[Report]:
 
 
 class SuccessiveBars:
-    """Bars on the terminal that can be ended before text is printed; later reports draw new bars below the text."""
+    """Bars on the terminal that can be ended before text is printed; later reports draw new bars below it."""
 
     def __init__(self) -> None:
         self._stack = ExitStack()
@@ -136,8 +136,8 @@ class JSONLines:
 
     A line is ``{"time": "2026-03-01T12:00:00.125Z", "label": "hmc", "phase": "draws", "done": 120, "total": 1000,
     "remaining_s": 41.2, "accept": 0.83, "rhat": 1.031, "ess": 212.0}``. The time is in UTC. `label` is present if
-    the report has a label. `remaining_s` is the remaining time in s at the present pace, or null if the pace is not
-    known. The items of ``info`` follow under their own names; numbers that are not finite are null.
+    the report has a label. `remaining_s` is the remaining time in s at the present pace, or null if the pace is
+    not known. The items of ``info`` follow under their own names; numbers that are not finite are null.
 
     At most one line per second is written for a phase, or for each ``group`` of chains in the phase, and the last
     report is always written. The last line of a phase that ends early is written by `close`. If the stream breaks,

@@ -25,7 +25,7 @@ _PART_S = 0.1
 _FIRST_ROWS = 16
 
 Note = Callable[[str, int, int], None]
-"""Called as ``note(phase, done, total)`` from the start of a phase on; with an empty name when no phase is open."""
+"""Called as ``note(phase, done, total)`` from the start of a phase on; with an empty name after the last phase."""
 
 
 class _Count:
@@ -120,7 +120,7 @@ def tell_fact(fact: str) -> None:
 
 @contextmanager
 def phase(name: str, total: int = 0) -> Iterator[Phase]:
-    """Open a phase for a block. An inner phase is reported separately; its solves count for the outer phase too."""
+    """Open a phase for a block. An inner phase is reported separately; its solves count for both phases."""
     outer, (report, notes) = _phase.get(), _listeners.get()
     if report is None and in_notebook():
         from fmu.progress.displays import NotebookBars
