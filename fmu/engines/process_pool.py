@@ -62,7 +62,7 @@ class WorkerProcess:
             self.connection.send(("task", packed))
 
     def message(self) -> tuple[str, Any]:
-        """Return a message: ``("nothing", None)`` if there is none, ``("died", how)`` if the worker died."""
+        """Return the next message; ``("nothing", None)`` without one, ``("died", how)`` if the worker died."""
         try:
             if self.connection.poll():
                 kind, content = self.connection.recv()
@@ -77,7 +77,7 @@ class WorkerProcess:
         return "died", f"exit code {code}" if code >= 0 else _name_of_signal(-code)
 
     def stop(self) -> None:
-        """Stop the process, whatever it is doing, and wait until it has ended."""
+        """Stop the process, even if it is busy, and wait until it has ended."""
         self.connection.close()
         self.process.terminate()
         self.process.join(_STOP_TIMEOUT_S)
@@ -111,7 +111,7 @@ class ProcessPool(RemoteEngine):
         return self._workers
 
     def close(self) -> None:
-        """Stop the workers, whatever they are doing."""
+        """Stop all workers, even those that are busy."""
         self._shared = None
         processes, self._processes = self._processes, []
         for process in processes:

@@ -1,4 +1,4 @@
-"""Run a user's program with a time limit, and end the program whenever the calling process ends."""
+"""Execution of a user's program with a time limit. The program always ends with the calling process."""
 
 from __future__ import annotations
 

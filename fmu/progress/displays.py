@@ -162,7 +162,7 @@ class JSONLines:
         self.close()
 
     def __call__(self, phase: str, done: int, total: int, info: Info) -> None:
-        """Display that `done` of `total` steps of a phase are done."""
+        """Write a line with `done` of `total` steps of a phase; hold it back if the last line is too recent."""
         name, now = bar_name(phase, info), time.monotonic()
         self._paces[name].add(now, done, total)
         left = self._paces[name].remaining(now)

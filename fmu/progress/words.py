@@ -46,7 +46,7 @@ def duration(seconds: float | None) -> str:
 
 
 def number(value: float) -> str:
-    """Return a number as short text, with thousands as ``1.2k``; ``–`` if the number is not finite."""
+    """Return a number as text of about three digits, with thousands as ``1.2k``; ``–`` if it is not finite."""
     if not math.isfinite(value):
         return MISSING
     for size, prefix in _PREFIXES:
@@ -84,7 +84,7 @@ class LineStream:
         self._stream: TextIO | None = stream
 
     def write(self, line: str) -> None:
-        """Write a line."""
+        """Write a line and flush the stream."""
         if self._stream is None:
             return
         try:

@@ -182,7 +182,10 @@ class _GroupFiles:
         self._intact: list[Path] = []
 
     def last_intact(self, configuration: str) -> SavedState | None:
-        """Return the newest state that is undamaged, with all its files of steps, and append to it; else None."""
+        """Return the newest state that is undamaged, as are its files of steps; None if there is no such state.
+
+        Later calls of `append` continue from this state.
+        """
         states = numbered_files(self.directory, "state")
         self._number = states[-1][0] if states else 0
         for _, path in reversed(states):

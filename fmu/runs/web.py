@@ -158,7 +158,7 @@ class WatchServer(ThreadingHTTPServer):
             self.shutdown_request(request)
 
     def process_request_thread(self, request: Request, client_address: tuple[str, int]) -> None:
-        """Answer a connection, then free its place among the open connections."""
+        """Answer a connection, and then no longer count it as an open connection."""
         try:
             super().process_request_thread(request, client_address)
         finally:
@@ -181,7 +181,7 @@ def why_not_to_stop(reading: RunReading) -> str:
 
 
 def page_content(reading: RunReading) -> dict[str, object]:
-    """Return a dict of the page's content: the reading, as ``fmu watch --json`` prints it, and its text."""
+    """Return a dict of the page's content: the reading as ``fmu watch --json`` prints it, and the state as text."""
     return {
         "reading": asdict(reading),
         "runs": reading.state == RUNNING,

@@ -41,7 +41,7 @@ def rows(reading: RunReading) -> list[tuple[str, ...]]:
 
 
 def to_resume(reading: RunReading) -> str:
-    """Return the words that say how to resume a stopped or killed run; empty for any other run."""
+    """Return the instruction for resuming a stopped or killed run; empty for any other run."""
     if reading.state not in (STOPPED, KILLED):
         return ""
     if reading.is_of_command:

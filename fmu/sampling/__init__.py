@@ -225,7 +225,7 @@ def _check(
     groups: Any,
     seed: Any,
 ) -> dict[str, int]:
-    """Return a dict of the numbers that determine a run; raise ValueError if an argument is wrong by itself."""
+    """Return a dict of the numbers that determine a run; raise ValueError if an argument is invalid."""
     import numpy as np
 
     from fmu.analysis.trace.densities import names_of

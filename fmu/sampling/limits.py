@@ -52,7 +52,9 @@ class Limits(NamedTuple):
         return cls(draws, until_ess, max_draws, max_solves)
 
     def shorten(self, warmup: int, costs: tuple[float, float]) -> tuple[int, Limits]:
-        """Return the steps of warm-up and the limits, both shortened by the same factor to fit within `solves`.
+        """Return the steps of warm-up and the limits, with both numbers of steps reduced to fit within `solves`.
+
+        The steps of warm-up and `first` are reduced by the same factor.
 
         Parameters
         ----------
@@ -96,7 +98,7 @@ class Limits(NamedTuple):
         return steps, "" if steps else limit
 
     def describe_excess(self, result: RunResult, planned_warmup: int) -> str:
-        """Return words on a shortened warm-up, and on an excess of more than 1 % over the limit of solves.
+        """Return a text on a shortened warm-up, and on an excess of more than 1 % over the limit of solves.
 
         The string is empty if neither occurred.
         """

@@ -1,4 +1,4 @@
-"""The sorting of tests into configurations: tests with the same matrices and sensors are solved in one batch."""
+"""The configurations of several tests. Tests with the same matrices and sensors are solved in one batch."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def find_configurations(
 
 
 def _together(tests: Sequence[Test]) -> tuple[ModalData, list[Any]]:
-    """Return a `ModalData` with every mode of some tests, and for each test the indices of its modes in it.
+    """Return one `ModalData` with all modes that occur in the tests, and for each test the indices of its modes.
 
     Frequencies and shapes are means over the tests. Standard deviations are the smallest of the tests.
     """

@@ -49,7 +49,7 @@ class Correlation:
         return self._factors(theta)[0]
 
     def log_density(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the sum of log c over the tests, and its derivatives.
+        """Return the log-density of the copula, summed over the tests, and its derivatives.
 
         Parameters
         ----------
@@ -75,9 +75,9 @@ class Correlation:
         return value, by_score, np.einsum("nij,nkij->nk", by_L, slopes)
 
     def precision(self, theta: FloatArray) -> FloatArray:
-        """Return R⁻¹ − I of the scores of each test, (n, n_tests, p, p), with R restricted to these scores.
+        """Return the inverse correlation matrix minus I for each test, shape (n, n_tests, p, p).
 
-        Entries of scores that a test does not have are zero.
+        The matrix is that of the scores that the test has. Entries for missing scores are zero.
         """
         n_tests, p = self.scored.shape
         found = np.zeros((len(theta), n_tests, p, p))
@@ -94,9 +94,9 @@ class Correlation:
         return np.clip(found, -_START, _START)
 
     def _blocks(self, L: FloatArray) -> Iterator[Any]:
-        """Yield, for each set of tests with scores in the same populations, the part of R that they need.
+        """Yield the block of the correlation matrix for each set of tests with scores in the same populations.
 
-        Each item has the indices of the populations, the indices of the tests, the index of the block of R, the
+        Each item consists of the indices of the populations, the indices of the tests, the index of the block, the
         inverse of the block and the logarithm of its determinant. Tests with fewer than two scores are skipped.
         """
         R = L @ np.swapaxes(L, 1, 2)
@@ -107,7 +107,9 @@ class Correlation:
                 yield here, tests, block, np.linalg.inv(R[block]), np.linalg.slogdet(R[block])[1]
 
     def _factors(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the Cholesky factor L, (n, p, p), and ∂L/∂ρ, (n, p (p - 1) / 2, p, p).
+        """Return the Cholesky factor of the correlation matrix, and its derivatives by the partial correlations.
+
+        The factor L has the shape (n, p, p), and its derivatives have the shape (n, p (p - 1) / 2, p, p).
 
         L_ji = ρ_ij √(1 − ρ_1j²) … √(1 − ρ_(i−1)j²), with ρ_jj = 1.
         """

@@ -1,4 +1,4 @@
-"""Updating with several tests of one structure at once."""
+"""The joint updating problem of several tests of one structure."""
 
 from __future__ import annotations
 

@@ -126,7 +126,7 @@ class Layout:
         return np.stack(found, axis=2)
 
     def correlations(self, theta: FloatArray) -> FloatArray:
-        """Return the correlation matrix of the populations, shape (n, n_populations, n_populations)."""
+        """Return the correlation matrices of the populations, (n, n_populations, n_populations), at n theta."""
         if self.correlation is None:
             return np.tile(np.eye(len(self.drawn)), (len(theta), 1, 1))
         factor = self.correlation.factor(theta)
@@ -156,7 +156,7 @@ class Layout:
         return np.stack([value_of(theta)[0] for value_of in self.values_of], axis=2)
 
     def distinct(self, tests: Sequence[int], parameters: Sequence[int]) -> tuple[IntArray, IntArray]:
-        """Group the tests in which some structural parameters have equal values at every theta.
+        """Return the groups of tests in which some structural parameters have equal values at every theta.
 
         Parameters
         ----------
@@ -288,7 +288,10 @@ class Layout:
         return gradient
 
     def log_prior_curvature(self, theta: FloatArray, independent: FloatArray, scale: FloatArray) -> FloatArray:
-        """Return −∇² of `log_prior`, (n, ndim, ndim), in units of `scale`, given it for independent parameters."""
+        """Return −∇² of `log_prior`, (n, ndim, ndim), in units of `scale`.
+
+        `independent` is −∇² of the log-density of independent parameters, in the same units.
+        """
         curvature = independent
         for one in self._centred:
             columns = one.columns[one.scored]

@@ -18,7 +18,7 @@ from fmu.types import FloatArray, IntArray, Plain
 
 @dataclass(frozen=True, eq=False)
 class Configuration:
-    """Tests with the same matrices and sensors, which are therefore solved in one batch.
+    """A group of tests with the same matrices and sensors, which are therefore solved in one batch.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Configuration:
     mode: IntArray
 
     def points(self, values: FloatArray) -> FloatArray:
-        """Return the model's parameters, (n · n_distinct, p), from `values` in all tests, (n, n_tests, P)."""
+        """Return the model's parameters, (n · n_distinct, p), from structural `values` (n, n_tests, n_structural)."""
         own = values[:, self.distinct[:, None], self.parameters]
         return own.reshape(-1, len(self.parameters))
 
@@ -194,13 +194,16 @@ class ModelInTests(ModalModel):
         return self.of_modes(theta, lambda model, points: model.frequencies(points))
 
     def frequencies_of_test(self, test: int, values: FloatArray) -> FloatArray:
-        """Return the frequencies in Hz of a test's measured modes, from the parameters in this test, (n, P)."""
+        """Return the frequencies in Hz of a test's measured modes at the parameters in it, (n, n_structural)."""
         part = next(one for one in self.configurations if test in one.tests)
         modes = part.mode[part.tests[part.test] == test]
         return part.model.frequencies(values[:, part.parameters])[:, modes]
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies (n, n_modes) in Hz, and derivatives (n, n_modes, P) by the parameters in the test."""
+        """Return frequencies in Hz, (n, n_modes), and their derivatives, (n, n_modes, n_structural).
+
+        The derivatives of a mode are with respect to the structural parameters in the test of this mode.
+        """
         values = self._in_tests(theta)
         frequencies = np.empty((len(theta), self.n_modes))
         slopes = np.zeros((len(theta), self.n_modes, self.n_structural))
@@ -211,7 +214,7 @@ class ModelInTests(ModalModel):
         return frequencies, slopes
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies and shapes at the sensors; with `gradient`, also derivatives (…, n_modes, P)."""
+        """Return frequencies and shapes at the sensors, with derivatives as in `frequencies_and_gradient`."""
         values = self._in_tests(theta)
         n, m, p = len(theta), self.n_modes, self.n_structural
         seen = [part.model.observed(part.points(values), gradient) for part in self.configurations]
@@ -239,5 +242,5 @@ class ModelInTests(ModalModel):
         }
 
     def _in_tests(self, theta: FloatArray) -> FloatArray:
-        """Return the structural parameters in each test, (n, n_tests, P), from theta (n, ≥ n_parameters)."""
+        """Return the parameters in each test, (n, n_tests, n_structural), from theta (n, n_parameters or more)."""
         return theta[:, : self.n_parameters].reshape(len(theta), self.n_tests, self.n_structural)

@@ -62,7 +62,7 @@ class Damage(Varies):
 
 @dataclass(frozen=True)
 class Lost(InTests):
-    """A parameter of the structure with relative losses: θ = θ₀ in the reference, else θ = θ₀ (1 − d).
+    """A structural parameter with relative losses: θ = θ₀ in the reference, otherwise θ = θ₀ (1 − d).
 
     Attributes
     ----------

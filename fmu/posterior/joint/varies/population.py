@@ -243,7 +243,7 @@ class Drawn(InTests):
         return self.last.remember("evaluated", theta, self._compute)[1]
 
     def curvature(self, theta: FloatArray) -> FloatArray:
-        """Return −∂² log p/∂z² of each score z, shape (n, n_tests), in the limit of distant bounds."""
+        """Return minus the second derivative of each score's log-density, (n, n_tests), for distant bounds."""
         _, (_, width), (_, blend), _ = self._at(theta)
         return np.asarray((blend / width) ** 2)
 
@@ -265,7 +265,7 @@ class Drawn(InTests):
         return z, tuple(np.where(is_other, *pair) for pair in zip(slopes, plain, strict=True))  # type: ignore[return-value]
 
     def drawn(self, theta: FloatArray) -> FloatArray:
-        """Return a copy of theta whose standard normal scores are replaced by the scores of the same values."""
+        """Return a copy of theta with the standard normal scores converted to scores with the present centring."""
         theta = theta.copy()
         z, (centre, width), blend, _ = self._parts(theta)
         value = self.population.values(z, centre, width, self.lower, self.upper)[0]

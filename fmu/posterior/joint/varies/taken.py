@@ -52,7 +52,7 @@ class Taken(InTests):
 
 
 class Shared(Varies):
-    """One value for all tests."""
+    """The variation ``"shared"``: one value for all tests."""
 
     kind: ClassVar[str] = SHARED
 
@@ -77,7 +77,7 @@ class Shared(Varies):
 
 
 class ByTest(Shared):
-    """A separate value in each test."""
+    """The variation ``"test"``: a separate value in each test."""
 
     kind = "test"
     by_test = True
@@ -92,7 +92,7 @@ class ByTest(Shared):
 
 
 class ByGroup(Shared):
-    """A separate value in each group of tests."""
+    """The variation ``"group"``: a separate value in each group of tests."""
 
     kind = "group"
     by_group = True

@@ -47,7 +47,7 @@ def truncated_normal_values(
 def truncated_normal_log_pdf(
     x: FloatArray, mean: FloatArray, sd: FloatArray, lower: float, upper: float
 ) -> tuple[FloatArray, Slopes]:
-    """Return the log-density of the normal distribution truncated to the bounds, and ∂/∂x, ∂/∂mean, ∂/∂sd.
+    """Return the log-density of the truncated normal distribution, and its derivatives by x, mean and sd.
 
     Parameters
     ----------
