@@ -181,7 +181,7 @@ def why_not_to_stop(reading: RunReading) -> str:
 
 
 def page_content(reading: RunReading) -> dict[str, object]:
-    """Return a dict of the page's content: the reading as ``fmu watch --json`` prints it, and the state as text."""
+    """Return a dict of the page's content: the reading, as ``fmu watch --json`` prints it, and its text."""
     return {
         "reading": asdict(reading),
         "runs": reading.state == RUNNING,

@@ -47,7 +47,7 @@ class Configuration:
     mode: IntArray
 
     def points(self, values: FloatArray) -> FloatArray:
-        """Return the model's parameters, (n · n_distinct, p), from structural `values` (n, n_tests, n_structural)."""
+        """Return the model's parameters, (n · n_distinct, p), from `values`, (n, n_tests, n_structural)."""
         own = values[:, self.distinct[:, None], self.parameters]
         return own.reshape(-1, len(self.parameters))
 
