@@ -1,6 +1,6 @@
-"""Where tasks run: in this process, in processes of this machine or on a Dask cluster, with the same results.
+"""Engines that run tasks in this process, in processes on this machine or on a Dask cluster, with equal results.
 
-Read `base` (the interface) first, then `remote` (what both engines with worker processes share).
+Read `base` (the interface) first, then `remote` (the common part of the two engines with worker processes).
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from fmu.engines.base import Engine, InProcess
 def engine(
     workers: Annotated[Workers, "the address of a cluster is given as cluster="] = 1, cluster: str | None = None
 ) -> Engine:
-    """Return an engine, which runs tasks side by side; it is a context manager.
+    """Return an engine that runs tasks in parallel, to be used as a context manager.
 
     Parameters
     ----------
     workers : int
-        Number of processes on this machine; 1 runs everything in this process.
+        Number of processes on this machine. With 1, all tasks run in this process.
     cluster : str, optional
-        Address of the scheduler of a Dask cluster to use instead, ``"tcp://host:port"``.
+        Address of the scheduler of a Dask cluster, ``"tcp://host:port"``. If given, the cluster runs the tasks.
 
     Returns
     -------

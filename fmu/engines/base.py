@@ -1,6 +1,6 @@
-"""The interface of an engine, which runs tasks side by side, and the engine that runs them in this process.
+"""The interface of an engine, which runs tasks in parallel, and the engine that runs the tasks in this process.
 
-The results depend neither on the engine nor on the number of its workers, provided that the work itself does not.
+The results depend neither on the engine nor on the number of workers, provided that the tasks themselves do not.
 """
 
 from __future__ import annotations
@@ -12,27 +12,27 @@ from typing import Protocol, Self, runtime_checkable
 from fmu.progress import Report
 
 type Work[Shared, Task, Result] = Callable[[Shared, Task, Report | None], Result]
-"""``work(shared, task, report)``, a function of a module."""
+"""``work(shared, task, report)``, a function defined at module level."""
 type Follow[Task, Result] = Callable[[int, Result], Task | None]
 """``follow(i, result)`` returns the next task of sequence i, or None if the sequence has ended."""
 
 MAX_DEATHS = 3
-"""Worker deaths at which a task is given up."""
+"""Number of worker deaths after which a task is given up."""
 
 
 class RunFailedError(RuntimeError):
-    """A run failed for a reason outside fmu, such as a model that fails too often or workers that die."""
+    """Error of a run for a reason outside fmu, such as a model that fails too often or workers that die."""
 
 
 class LostTaskError(RunFailedError):
-    """Every worker that tried a task died.
+    """Error of a task on which every worker that ran it died.
 
     Attributes
     ----------
     sequence : int
         Index of the sequence that the task belongs to.
     how : str
-        How the last worker died.
+        The way in which the last worker died, in words.
     """
 
     def __init__(self, sequence: int, how: str) -> None:
@@ -46,11 +46,11 @@ class LostTaskError(RunFailedError):
 
 @runtime_checkable
 class Engine(Protocol):
-    """Runs tasks side by side; a context manager that stops its workers at the end of the block."""
+    """An engine that runs tasks in parallel. As a context manager it stops its workers at the end of the block."""
 
     @property
     def workers(self) -> int:
-        """Number of tasks that run at once."""
+        """Number of tasks that run at the same time."""
         ...
 
     def run_tasks[Shared, Task, Result](
@@ -63,23 +63,23 @@ class Engine(Protocol):
     ) -> list[Result]:
         """Run ``work(shared, task, report)`` for every task, and for every task that follows from a result.
 
-        A sequence of tasks, in which each follows from the result of the one before, runs one after the other;
-        the sequences run side by side.
+        In a sequence, each task follows from the result of the previous task. The tasks of a sequence run one
+        after the other; different sequences run in parallel.
 
         Parameters
         ----------
         work : callable
-            A function of a module.
+            A function defined at module level.
         shared : object
-            Data that all tasks need. A worker receives it once, and again only if it is a different object.
+            Data that all tasks need. A worker receives the object once, and then only if another object is passed.
         tasks : sequence
-            The first task of every sequence, none of them None.
+            The first task of every sequence. No task may be None.
         follow : callable, optional
             Called in this process for every result. It returns the next task of the sequence, or None if the
-            sequence has ended. Without it, every sequence is a single task.
+            sequence has ended. Without `follow`, every sequence is a single task.
         report : callable, optional
-            Called in this process with the progress that the work reports, at most about ten times a second for
-            each worker. Without it, the work gets None.
+            Called in this process with the progress that `work` reports, at most about ten times a second for
+            each worker. Without `report`, `work` gets None in its place.
 
         Returns
         -------
@@ -89,7 +89,7 @@ class Engine(Protocol):
         Raises
         ------
         Exception
-            The exception of the first task that failed. The other tasks are abandoned.
+            The exception of the first task that failed. The remaining tasks are abandoned.
         LostTaskError
             If the worker of a task died `MAX_DEATHS` times.
         """
@@ -107,7 +107,7 @@ class Engine(Protocol):
 
 
 class InProcess(Engine):
-    """Runs one task of each sequence in turn in this process, with one BLAS thread, as in every worker."""
+    """An engine that runs all tasks in this process, one after the other, with one BLAS thread as in a worker."""
 
     workers = 1
 
@@ -122,7 +122,7 @@ class InProcess(Engine):
         follow: Follow[Task, Result] | None = None,
         report: Report | None = None,
     ) -> list[Result]:
-        """Run the tasks, see `Engine.run_tasks`; `shared` is passed as it is."""
+        """Run the tasks, see `Engine.run_tasks`, without copying `shared`."""
         from threadpoolctl import threadpool_limits
 
         results: dict[int, Result] = {}
@@ -137,4 +137,4 @@ class InProcess(Engine):
         return [results[i] for i in range(len(tasks))]
 
     def close(self) -> None:
-        """Do nothing: there are no workers to stop."""
+        """Do nothing, because there are no workers to stop."""

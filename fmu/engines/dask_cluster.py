@@ -1,6 +1,6 @@
-"""Tasks on the workers of a Dask cluster.
+"""An engine that runs tasks on the workers of a Dask cluster.
 
-The workers need fmu, and whatever else the tasks import, in the versions of the calling process.
+The workers need fmu, and all other packages that the tasks import, in the versions of the calling process.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ _limit_blas_threads_once = cache(limit_blas_threads)
 
 
 class DaskCluster(RemoteEngine):
-    """The workers of a Dask cluster, with one task for each of their threads.
+    """An engine on a Dask cluster, with one task for each thread of the workers.
 
-    Workers may come and go; while there are none, tasks wait for them.
+    Workers may join and leave the cluster. While there are no workers, the tasks wait.
 
     Parameters
     ----------
     address : str
         Address of the scheduler, ``"tcp://host:port"``.
     answer_s : float
-        Seconds in which it must answer.
+        Time in s within which the scheduler must answer.
 
     Raises
     ------
@@ -50,8 +50,8 @@ class DaskCluster(RemoteEngine):
 
     Notes
     -----
-    Workers finish the tasks that are abandoned, and new tasks may wait for them. How often the scheduler itself
-    runs a task again after its worker died is a setting of its own (``distributed.scheduler.allowed-failures``).
+    Workers finish abandoned tasks, and new tasks may have to wait for this. If a worker dies, the scheduler itself
+    runs its task again, as often as the setting ``distributed.scheduler.allowed-failures`` of Dask allows.
     """
 
     def __init__(self, address: str, answer_s: float = 10.0) -> None:
@@ -67,9 +67,9 @@ class DaskCluster(RemoteEngine):
         except BaseException:
             _set_levels(self._levels)
             raise
-        self._shared: tuple[object, distributed.Future] | None = None  # for all tasks, and its task
+        self._shared: tuple[object, distributed.Future] | None = None  # the object for all tasks, and its future
         self._running: dict[str, tuple[distributed.Future, Task]] = {}  # by key: the future and the task
-        self._last_report: dict[str, int] = {}  # by key: the number of the last report that was passed on
+        self._last_report: dict[str, int] = {}  # by key: the number of the last report passed on
         self._n_threads = self.workers
         self._inbox: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()  # reports have no key
         self._topic = f"fmu-{self._client.id}"
@@ -80,7 +80,7 @@ class DaskCluster(RemoteEngine):
 
     @property
     def workers(self) -> int:
-        """Number of threads of the workers that are there now, at least 1."""
+        """Number of threads of all present workers, at least 1."""
         return max(1, sum(self._client.nthreads().values()))
 
     def close(self) -> None:
@@ -90,10 +90,10 @@ class DaskCluster(RemoteEngine):
         _set_levels(self._levels)
 
     def _start(self, waiting: deque[Task], shared: object) -> bool:
-        """Submit as many tasks as there are threads: a task queued at a worker would be lost with that worker.
+        """Submit no more tasks than there are threads: a task queued at a worker would be lost with this worker.
 
-        A task can also be lost through the death of another task's worker. So a task that was lost is run again
-        alone: if a worker dies then, this task killed it.
+        A task can also be lost because a worker dies of another task. A lost task is therefore run again alone: if
+        a worker dies then, this task is the cause.
         """
         while waiting and len(self._running) < self._n_threads:
             if self._running and (waiting[0].deaths or any(task.deaths for _, task in self._running.values())):
@@ -107,10 +107,10 @@ class DaskCluster(RemoteEngine):
         return bool(self._running)
 
     def _future(self, shared: object) -> distributed.Future:
-        """Return `shared` as the future of a task of its own, which workers copy from each other.
+        """Return `shared` as the future of a separate task, whose result the workers copy from each other.
 
-        If it is lost with a worker, the scheduler runs that task again. Scattered data would be lost, and a
-        broadcast waits for ever for a worker that has just died.
+        If the result is lost with a worker, the scheduler runs the task again. Scattered data would be lost, and a
+        broadcast would wait for ever for a worker that has just died.
         """
         if (
             self._shared is None
@@ -140,7 +140,7 @@ class DaskCluster(RemoteEngine):
                 return
             ended = [key]
         for key in ended:
-            if key in self._running:  # not a task that was abandoned
+            if key in self._running:  # false for an abandoned task
                 outcome = self._outcome(key, report)
                 self._last_report.pop(key, None)
                 yield self._running.pop(key)[1], outcome
@@ -149,7 +149,7 @@ class DaskCluster(RemoteEngine):
         how = f"on the Dask cluster {self.address}"
         try:
             outcome, number, message = cloudpickle.loads(self._running[key][0].result().content)
-        except CancelledError:  # lost together with something it needs
+        except CancelledError:  # the task was lost together with data that it needs
             return Outcome(deaths=1, how=how)
         except distributed.KilledWorker as error:
             return Outcome(deaths=error.allowed_failures + 1, how=how)
@@ -170,7 +170,7 @@ class DaskCluster(RemoteEngine):
 
 
 class _Thread(threading.local):
-    """The object that a thread of a worker unpickled last: threads may not be able to share one copy."""
+    """The shared object that this thread of a worker unpickled last. Every thread has its own copy."""
 
     name = ""
     shared = Shared(b"")
@@ -180,7 +180,7 @@ _thread = _Thread()
 
 
 class Bytes:
-    """Bytes that Dask does not look into.
+    """A wrapper of bytes whose content Dask does not inspect.
 
     Parameters
     ----------
@@ -192,15 +192,16 @@ class Bytes:
 
 
 def return_argument(packed: Bytes) -> Bytes:
-    """Return the argument."""
+    """Return the argument unchanged."""
     return packed
 
 
 def run_on_worker(shared: Bytes, name: str, key: str, task: Bytes, topic: str) -> Bytes:
-    """Run a task on a worker; its reports are events of `topic`: (key of the task, number of the report, report).
+    """Run a task on a worker; return the pickled outcome, the number of the last report and the last report.
 
-    The `name` of what tasks share tells a worker whether it has unpickled it before. The last report is sent with
-    the outcome too, because an event may arrive after the result.
+    Each report is an event of `topic` with the key of the task, the number of the report and the report. The
+    `name` of the shared object shows whether this thread has already unpickled the object. The last report is also
+    sent with the outcome, because an event may arrive after the result.
     """
     _limit_blas_threads_once()
     number = 0
@@ -223,9 +224,9 @@ def _set_levels(levels: Mapping[str, int]) -> None:
 
 
 def _check_scheduler(address: str, answer_s: float) -> None:
-    """Raise a ValueError if no scheduler answers at an address in so many seconds.
+    """Raise a ValueError if no scheduler answers at `address` within `answer_s` seconds.
 
-    A client that cannot connect prints a second error when it is garbage-collected, so it is not created then.
+    This check comes first because a client that cannot connect prints a second error when it is garbage-collected.
     """
 
     async def identity() -> dict[str, object]:

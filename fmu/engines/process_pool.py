@@ -1,11 +1,11 @@
-"""Tasks in processes of this machine, each connected to this one by a pipe of its own.
+"""An engine that runs tasks in processes on this machine, each connected to the calling process by its own pipe.
 
-Nothing is shared between workers: no queue, no lock that a dying worker could keep, and no thread in the calling
-process. So it is known which task a worker died of, and only that task is run again.
+The workers share nothing: no queue, no lock that a dying worker could keep, and no thread in the calling process.
+The task on which a worker died is therefore known, and only this task is run again.
 
-On a two-core machine a pool of two processes starts in 0.6 to 0.9 s and needs 0.2 ms for an empty task; two local
-processes of Dask 2026.8 start in 1.6 to 2.5 s and need 12 to 16 ms. Dask also fails to start processes in a script
-without ``if __name__ == "__main__":`` and inside a worker, and adds 38 MB of packages to an installation.
+On a two-core machine, a pool of two processes starts in 0.6 to 0.9 s and needs 0.2 ms for an empty task. Two local
+processes of Dask 2026.8 start in 1.6 to 2.5 s and need 12 to 16 ms. Dask also cannot start processes in a script
+without ``if __name__ == "__main__":`` or inside a worker, and adds 38 MB of packages to an installation.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ import cloudpickle
 from fmu.engines.remote import Outcome, RemoteEngine, Shared, Task, carry_out, limit_blas_threads
 from fmu.progress import Report
 
-# How often workers are checked: processes that a worker started itself may keep its pipe open after its death.
+# Interval at which workers are checked: processes that a worker started may keep its pipe open after its death.
 _CHECK_INTERVAL_S = 0.5
 _STOP_TIMEOUT_S = 2.0
 _MASKS = os.name == "posix"
@@ -39,7 +39,7 @@ _pools: weakref.WeakSet[ProcessPool] = weakref.WeakSet()
 
 
 class WorkerProcess:
-    """A process, this end of the pipe to it, and the task that it is running."""
+    """A worker process, the calling process's end of the pipe to it, and the task that the worker is running."""
 
     def __init__(self) -> None:
         context = multiprocessing.get_context("spawn")  # a fork of a process with threads may hang
@@ -49,20 +49,20 @@ class WorkerProcess:
             self.process.start()
         theirs.close()
         self.task: Task | None = None
-        self._has: bytes | None = None  # what tasks share, as last sent
+        self._has: bytes | None = None  # the shared data that were sent last
 
     def give(self, task: Task, shared: bytes) -> None:
-        """Send a task and, unless the worker has it, what all tasks share."""
+        """Send a task to the worker and, unless the worker has them already, the data that all tasks share."""
         packed = task.pack()
         self.task = task
-        with suppress(OSError):  # it has died, and `message` will say so
+        with suppress(OSError):  # the worker has died; `message` will return this
             if self._has is not shared:
                 self._has = shared
                 self.connection.send(("shared", shared))
             self.connection.send(("task", packed))
 
     def message(self) -> tuple[str, Any]:
-        """Return the next message; ``("died", how)`` if the process died, ``("nothing", None)`` if it is busy."""
+        """Return the next message; ``("nothing", None)`` without one, ``("died", how)`` if the worker died."""
         try:
             if self.connection.poll():
                 kind, content = self.connection.recv()
@@ -77,7 +77,7 @@ class WorkerProcess:
         return "died", f"exit code {code}" if code >= 0 else _name_of_signal(-code)
 
     def stop(self) -> None:
-        """Stop the process, whatever it is doing, and wait until it has ended."""
+        """Stop the process, even if it is busy, and wait until it has ended."""
         self.connection.close()
         self.process.terminate()
         self.process.join(_STOP_TIMEOUT_S)
@@ -88,7 +88,7 @@ class WorkerProcess:
 
 
 class ProcessPool(RemoteEngine):
-    """Worker processes that start when they are first needed and stay until the pool is closed.
+    """An engine with worker processes that start when they are first needed and run until the pool is closed.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ class ProcessPool(RemoteEngine):
         return self._workers
 
     def close(self) -> None:
-        """Stop the workers, whatever they are doing."""
+        """Stop all workers, even those that are busy."""
         self._shared = None
         processes, self._processes = self._processes, []
         for process in processes:
@@ -142,7 +142,7 @@ class ProcessPool(RemoteEngine):
                 yield task, Outcome(content)
 
     def _abandon(self) -> None:
-        """Stop the workers that are running a task; the others stay."""
+        """Stop the workers that are running a task; idle workers keep running."""
         for process in [process for process in self._processes if process.task is not None]:
             self._stop(process)
 
@@ -151,21 +151,21 @@ class ProcessPool(RemoteEngine):
         process.stop()
 
     def _pack_shared(self, shared: object) -> bytes:
-        """Return `shared` pickled: the same bytes as last time if it is the same object."""
+        """Return `shared` pickled; the same bytes object as in the last call if `shared` is the same object."""
         if self._shared is None or self._shared[0] is not shared:
             self._shared = shared, cloudpickle.dumps(shared)
         return self._shared[1]
 
 
 def serve(connection: Connection, path: list[str], folder: str) -> None:
-    """Run the tasks that come over a connection, in a worker, until its other end is closed.
+    """Run, in a worker, the tasks that arrive over a connection, until the other end is closed.
 
-    It receives ``("shared", bytes)`` and ``("task", bytes)``, pickled. For a task it sends
+    The worker receives ``("shared", bytes)`` and ``("task", bytes)``, pickled. For each task it sends
     ``("report", arguments)`` any number of times, then ``("outcome", bytes)``.
     """
     # A terminal sends an interrupt to every process; only the calling process answers it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if _MASKS:  # it was blocked while the process started
+    if _MASKS:  # the signal was blocked while the process started
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     threading.Thread(target=_exit_with_parent, daemon=True).start()
     sys.path[:] = path
@@ -180,7 +180,7 @@ def serve(connection: Connection, path: list[str], folder: str) -> None:
             else:
                 outcome = carry_out(content, shared, lambda report: connection.send(("report", report)))
                 connection.send(("outcome", outcome))
-        except (EOFError, OSError):  # the calling process has gone
+        except (EOFError, OSError):  # the calling process has ended
             return
 
 
@@ -200,10 +200,11 @@ def _name_of_signal(number: int) -> str:
 
 @contextmanager
 def _quiet_start() -> Iterator[None]:
-    """Start a process with interrupts blocked and without running the calling program in it.
+    """Block interrupts and hide the main module while a process starts.
 
-    A spawned process imports the program's main module, which without ``if __name__ == "__main__":`` would start
-    processes in its turn. Functions of that module are pickled by value here, so no worker has to import it.
+    A spawned process imports the program's main module, which would itself start processes if it lacks
+    ``if __name__ == "__main__":``. Functions of the main module are pickled by value here, so that no worker has
+    to import this module.
     """
     with _starting:
         main = sys.modules["__main__"]

@@ -1,4 +1,4 @@
-"""A program of the user's, run with a time limit; it ends with the process that runs it, however that ends."""
+"""Execution of a user's program with a time limit. The program always ends with the calling process."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from fmu.numbers import typed
 TOO_LONG = "took longer than the time limit"
 _TOLD, _LINES, _TAIL = 300, 5, 2**13
 
-# Runs between fmu and the program, on POSIX. It kills the program when the pipe that is its own standard input is
-# closed, which the system does even if fmu is killed. It starts no shell, and imports little: 20 ms.
+# This script runs between fmu and the program, on POSIX. It kills the program when its own standard input, a pipe
+# from fmu, is closed. The system closes the pipe even if fmu is killed. The script starts no shell and imports
+# little, so that it needs only 20 ms.
 _ENDED_WITH_ITS_PARENT = """
 import _thread, os, signal, sys
 def wait_for_the_end():
@@ -44,18 +45,18 @@ def run_program(
     output: Path,
     timeout_s: float,
 ) -> str:
-    """Run a program to its end; return why it failed, or an empty string.
+    """Run a program to its end; return the reason why it failed, or an empty string if it succeeded.
 
     Parameters
     ----------
     command : sequence of str
         The path of the program and its arguments. No shell reads them.
     folder : Path
-        Where it runs.
+        Working directory of the program.
     output : Path
-        File of what it prints.
+        File to which standard output and standard error are written.
     timeout_s : float
-        Then it is killed, with the processes that it started.
+        Time limit in s, after which the program is killed with the processes that it started.
     """
     watched = [sys.executable, "-I", "-S", "-c", _ENDED_WITH_ITS_PARENT] if os.name == "posix" else []
     with open(output, "wb") as file:
@@ -95,7 +96,7 @@ def run_program(
 
 
 def last_lines(output: Path) -> str:
-    """Return the last lines that a program printed, in one line; empty if it printed nothing."""
+    """Return the last lines that a program printed, joined to one line; empty if it printed nothing."""
     try:
         with open(output, "rb") as file:
             file.seek(max(0, output.stat().st_size - _TAIL))

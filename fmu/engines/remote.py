@@ -1,4 +1,4 @@
-"""The common part of engines with worker processes: tasks and outcomes as bytes, and the loop over the tasks.
+"""The common part of the engines with worker processes: pickled tasks and outcomes, and the loop over the tasks.
 
 `RemoteEngine` and `unpack_outcome` run in the calling process, `carry_out` and `limit_blas_threads` in a worker.
 """
@@ -33,15 +33,18 @@ class Task(NamedTuple):
     argument: object
     reports: bool
     deaths: int = 0
-    """How many workers have died while they ran it."""
+    """Number of workers that died while they ran this task."""
 
     def pack(self) -> bytes:
-        """Return the work, its argument and whether it reports, pickled for a worker."""
+        """Return `work`, `argument` and `reports` as bytes, pickled for a worker."""
         return bytes(cloudpickle.dumps((self.work, self.argument, self.reports)))
 
 
 class Outcome(NamedTuple):
-    """How a task ended: with what `carry_out` returned, or with the death of one or several workers in a row."""
+    """The outcome of a task: the bytes that `carry_out` returned, or the number of successive worker deaths.
+
+    `how` is the way in which the last worker died, in words.
+    """
 
     packed: bytes = b""
     deaths: int = 0
@@ -49,7 +52,7 @@ class Outcome(NamedTuple):
 
 
 class RemoteError(Exception):
-    """The traceback of an exception in a worker, given as the cause when it is raised in the calling process."""
+    """The traceback in a worker, set as the cause of the exception that is raised in the calling process."""
 
     def __str__(self) -> str:
         return f"\n{self.args[0]}"
@@ -58,7 +61,7 @@ class RemoteError(Exception):
 class RemoteEngine(Engine):
     """An engine with workers in other processes.
 
-    While it is busy, calls from `follow` and from other threads are run in the calling process.
+    While the engine is busy, calls of `run_tasks` from `follow` and from other threads run in the calling process.
     """
 
     def __init__(self) -> None:
@@ -97,19 +100,19 @@ class RemoteEngine(Engine):
 
     @abstractmethod
     def _start(self, waiting: deque[Task], shared: object) -> bool:
-        """Start as many of the waiting tasks as there are idle workers; return whether any task is running."""
+        """Start as many waiting tasks as there are idle workers; return True if any task is running."""
 
     @abstractmethod
     def _take_ended(self, report: Report | None) -> Iterator[tuple[Task, Outcome]]:
-        """Wait for the workers, pass their reports on, and yield the tasks that have ended since the last call."""
+        """Wait for the workers, pass on their reports, and yield each task that has ended, with its outcome."""
 
     @abstractmethod
     def _abandon(self) -> None:
-        """Drop the tasks that are running."""
+        """Abandon the running tasks."""
 
 
 class Shared:
-    """Data for all tasks, unpickled when a task first asks for it, so that an error counts as that task's."""
+    """Data for all tasks, unpickled when a task first needs them, so that an error is raised in this task."""
 
     def __init__(self, packed: bytes) -> None:
         self._packed: bytes | None = packed
@@ -126,7 +129,7 @@ class Shared:
 def carry_out(task: bytes, shared: Callable[[], object], send: Callable[[Message], None]) -> bytes:
     """Run a pickled task and return its pickled outcome: (result, exception or None, traceback).
 
-    Its reports go to `send`, at most ten a second.
+    The reports of the task are passed to `send`, at most ten per second.
     """
     try:
         work, argument, reports = cloudpickle.loads(task)
@@ -144,7 +147,7 @@ def carry_out(task: bytes, shared: Callable[[], object], send: Callable[[Message
 
 
 def unpack_outcome(outcome: bytes) -> Any:
-    """Return the result of a task, or raise its exception."""
+    """Return the result of a task, or raise the exception that ended it."""
     result, error, where = cloudpickle.loads(outcome)
     if error is not None:
         raise error from RemoteError(where)
@@ -152,7 +155,10 @@ def unpack_outcome(outcome: bytes) -> Any:
 
 
 def limit_blas_threads() -> None:
-    """Limit BLAS to one thread in this process; libraries loaded later too, unless the user has set a number."""
+    """Limit BLAS to one thread in this process.
+
+    The limit also holds for libraries that are loaded later, unless the user has set a number of threads.
+    """
     import numpy.linalg  # noqa: F401
     import scipy.linalg  # noqa: F401
     from threadpoolctl import threadpool_limits
@@ -163,7 +169,7 @@ def limit_blas_threads() -> None:
 
 
 def _again(task: Task, outcome: Outcome) -> Task:
-    """Return a task to be run again; LostTaskError if too many workers have died of it."""
+    """Return a task that is to be run again; raise LostTaskError if too many workers have died on it."""
     deaths = task.deaths + outcome.deaths
     if deaths >= MAX_DEATHS:
         raise LostTaskError(task.sequence, outcome.how)

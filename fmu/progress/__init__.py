@@ -1,6 +1,6 @@
-"""Progress: bars at a terminal or in a notebook, JSON lines for programs, otherwise lines of a log.
+"""Displays of progress: bars on a terminal or in a notebook, JSON lines for programs, otherwise log lines.
 
-Reading order: this file, `phases` (where reports come from), `displays`, `lines`; then `pace` and `words`.
+Reading order: this file, `phases` (the source of the reports), `displays`, `lines`; then `pace` and `words`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def progress_bars() -> Iterator[Report | None]:
-    """Give a callback that draws one bar per phase; None where there is neither a notebook nor a terminal."""
+    """Yield a callback that draws one bar per phase; None if there is neither a notebook nor a terminal."""
     from fmu.progress.displays import NotebookBars, SuccessiveBars
 
     if in_notebook():
@@ -34,7 +34,7 @@ def progress_bars() -> Iterator[Report | None]:
 def json_lines(stream: TextIO) -> JSONLines:
     """Return a callback that writes JSON lines, see `fmu.progress.displays.JSONLines`.
 
-    Use it as a context manager, or close it, so that the last line of a phase that ends early is written too.
+    Use the callback as a context manager, or close it; otherwise the last line of a phase that ends early is lost.
     """
     from fmu.progress.displays import JSONLines
 
@@ -43,9 +43,10 @@ def json_lines(stream: TextIO) -> JSONLines:
 
 @contextmanager
 def reporting(progress: Report | bool | None, label: str) -> Iterator[Report | None]:
-    """Give the callback of an argument `progress`: itself; bars if True; bars in a notebook only if None.
+    """Yield the callback for an argument `progress`, or None for no display.
 
-    The bars show the `label` before the name of the phase.
+    A callable is yielded unchanged. True stands for bars, None for bars in a notebook only, and False for no
+    display. The bars show the `label` before the name of the phase.
     """
     if callable(progress):
         yield progress
@@ -57,7 +58,7 @@ def reporting(progress: Report | bool | None, label: str) -> Iterator[Report | N
 
 
 def end_bars(report: Report | None) -> None:
-    """End the bars of a callback, if it draws some that can, so that text is printed below them."""
+    """End the bars that a callback draws, so that text is printed below them; other callbacks are unaffected."""
     getattr(report, "end", lambda: None)()
 
 
@@ -71,11 +72,11 @@ def add_label(report: Report, label: str) -> Report:
 
 
 def in_notebook() -> bool:
-    """Return whether the code runs in the kernel of a Jupyter notebook."""
+    """Return True if the code runs in the kernel of a Jupyter notebook."""
     shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
     return getattr(shell, "kernel", None) is not None
 
 
 def on_terminal() -> bool:
-    """Return whether the standard output is a terminal."""
+    """Return True if the standard output is a terminal."""
     return sys.stdout.isatty()

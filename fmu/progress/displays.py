@@ -1,4 +1,4 @@
-"""Displays of progress: bars at a terminal and in a notebook, one per phase and group of chains; JSON lines."""
+"""Displays of progress: bars on a terminal or in a notebook, one per phase and group of chains; JSON lines."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _REDRAW_S = 0.05
 _BAR_WIDTH = 8
 _NARROW = 100
 _ROWS_SPARED = 2
-"""Rows of a terminal that are left for what is written below the bars."""
+"""Number of rows of a terminal kept free for output below the bars."""
 
 
 @contextmanager
 def terminal_bars(console: Console | None = None) -> Iterator[Report]:
-    """Give a callback that draws bars on the terminal; where there are many, the finished ones are hidden."""
+    """Yield a callback that draws bars on the terminal; finished bars are hidden if there are too many bars."""
     from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
     from rich.table import Column
     from rich.text import Text
@@ -65,7 +65,7 @@ def terminal_bars(console: Console | None = None) -> Iterator[Report]:
 
 
 class SuccessiveBars:
-    """Bars on the terminal that end where text is printed, and begin anew below it."""
+    """Bars on the terminal that can be ended before text is printed; later reports draw new bars below it."""
 
     def __init__(self) -> None:
         self._stack = ExitStack()
@@ -78,26 +78,26 @@ class SuccessiveBars:
         self.end()
 
     def __call__(self, phase: str, done: int, total: int, info: Info) -> None:
-        """Report steps done of a phase."""
+        """Display that `done` of `total` steps of a phase are done."""
         if self._report is None:
             self._report = self._stack.enter_context(terminal_bars())
         self._report(phase, done, total, info)
 
     def end(self) -> None:
-        """Leave the bars as they are; the next report begins others."""
+        """Leave the bars as they are; the next report draws new bars."""
         self._stack.close()
         self._report = None
 
 
 def _make_room(bars: Progress) -> None:
-    """Hide the first finished bars if they do not all fit on the terminal."""
+    """Hide the first finished bars if not all bars fit on the terminal."""
     shown = [task for task in bars.tasks if task.visible]
     for task in shown[: max(len(shown) - (bars.console.size.height - _ROWS_SPARED), 0)]:
         bars.update(task.id, visible=not task.finished)
 
 
 class NotebookBars:
-    """Bars in HTML, which every front end shows; a saved notebook keeps their last state."""
+    """Bars in a notebook as HTML, which every front end shows and a saved notebook keeps in their last state."""
 
     def __init__(self) -> None:
         self._lines: dict[str, str] = {}
@@ -107,7 +107,7 @@ class NotebookBars:
         self._handle: DisplayHandle | None = None
 
     def report(self, phase: str, done: int, total: int, info: Info) -> None:
-        """Report steps done of a phase."""
+        """Display that `done` of `total` steps of a phase are done."""
         name, now = bar_name(phase, info), time.monotonic()
         began = self._began.setdefault(name, now)
         self._paces[name].add(now, done, total)
@@ -132,21 +132,21 @@ class NotebookBars:
 
 
 class JSONLines:
-    """Writes every report as a JSON object on a line of its own, and flushes it.
+    """A callback that writes reports as JSON objects, one per line, and flushes the stream after each line.
 
-    ``{"time": "2026-03-01T12:00:00.125Z", "label": "hmc", "phase": "draws", "done": 120, "total": 1000,
-    "remaining_s": 41.2, "accept": 0.83, "rhat": 1.031, "ess": 212.0}``: the time is in UTC; `label` is there if
-    one was given; `remaining_s` is the time left at the present pace, null if that is not known; the items of
-    ``info`` follow under their own names, null if they are not finite.
+    A line is ``{"time": "2026-03-01T12:00:00.125Z", "label": "hmc", "phase": "draws", "done": 120, "total": 1000,
+    "remaining_s": 41.2, "accept": 0.83, "rhat": 1.031, "ess": 212.0}``. The time is in UTC. `label` is present if
+    the report has a label. `remaining_s` is the remaining time in s at the present pace, or null if the pace is
+    not known. The items of ``info`` follow under their own names; numbers that are not finite are null.
 
-    A phase, or each ``group`` of chains in it, has at most one line per second, and always its last one. The last
-    line of a phase that ends early is written when this is closed. If the stream breaks, nothing more is written,
-    and the run goes on.
+    At most one line per second is written for a phase, or for each ``group`` of chains in the phase, and the last
+    report is always written. The last line of a phase that ends early is written by `close`. If the stream breaks,
+    nothing more is written, and the run goes on.
 
     Parameters
     ----------
     stream : text stream
-        Standard error, for a command that prints tables on standard output.
+        For example standard error, if a command prints tables on standard output.
     """
 
     def __init__(self, stream: TextIO) -> None:
@@ -162,7 +162,7 @@ class JSONLines:
         self.close()
 
     def __call__(self, phase: str, done: int, total: int, info: Info) -> None:
-        """Report steps done of a phase."""
+        """Write a line with `done` of `total` steps of a phase; hold it back if the last line is too recent."""
         name, now = bar_name(phase, info), time.monotonic()
         self._paces[name].add(now, done, total)
         left = self._paces[name].remaining(now)
@@ -183,7 +183,7 @@ class JSONLines:
             self._held_back[name] = line
 
     def close(self) -> None:
-        """Write the lines that were held back; the stream stays open."""
+        """Write the lines that were held back; leave the stream open."""
         for line in self._held_back.values():
             self._lines.write(as_json(line))
         self._held_back.clear()

@@ -1,4 +1,4 @@
-"""Progress as lines of a log, where there is no terminal: one for every stage, and one every 30 s."""
+"""Progress as log lines where there is no terminal: one line for every stage, then one line every 30 s."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from fmu.progress.phases import told_to
 from fmu.progress.words import Info, LineStream, Report, bar_name, duration, in_words
 
 FIRST_S = 0.5
-"""A stage has its first line after so long: most stages take no time."""
+"""Time in s after which a stage gets its first line. Most stages end earlier."""
 EVERY_S = 30.0
 
 
 class ProgressLines:
-    """Writes what is being done, how large it is, how long it has taken and how long it will take.
+    """A writer of log lines with the present stage, its steps, the elapsed time and the remaining time.
 
-    A line is ``training: 120 of 400, 0:12 so far, 0:28 to go``. A thread writes it, so that a stage that reports
-    nothing is not silent. If the stream breaks, nothing more is written, and the work goes on.
+    A line is ``training: 120 of 400, 0:12 so far, 0:28 to go``. A thread writes the lines, so that a stage without
+    reports also gets lines. If the stream breaks, nothing more is written, and the work goes on.
 
     Parameters
     ----------
     stream : text stream
     stage : str
-        What is done until a phase begins.
+        Name of the stage before the first phase and between phases.
     look_s : float
-        Seconds between two looks at the clock.
+        Interval in s at which the thread checks whether a line is due.
     """
 
     def __init__(self, stream: TextIO, stage: str, look_s: float = 0.1) -> None:
@@ -59,18 +59,18 @@ class ProgressLines:
         self._thread.join()
 
     def report(self, phase: str, done: int, total: int, info: Info) -> None:
-        """Take a report of steps done of a phase, see `fmu.progress.words.Report`."""
+        """Record a report on a phase, see `fmu.progress.words.Report`."""
         with self._lock:
             self._step(bar_name(phase, info), done, total)
             self._words = in_words(info)
 
     def note(self, phase: str, done: int, total: int) -> None:
-        """Take a note of the phase under way, from its first step; an empty name after it."""
+        """Record the steps of the present phase, see `fmu.progress.phases.Note`; an empty name ends the phase."""
         with self._lock:
             self._step(phase or self._outer, done, total)
 
     def tell(self, fact: str) -> None:
-        """Have a fact written before the next line, such as how large the model is."""
+        """Queue a fact, such as the size of the model, to be written before the next line."""
         with self._lock:
             self._waiting.append(fact)
 
@@ -109,7 +109,10 @@ class ProgressLines:
 
 @contextmanager
 def progress_lines(stage: str) -> Iterator[Report | None]:
-    """Write lines on standard error about what a block does; none where that is a terminal."""
+    """Write log lines on standard error while a block runs, and yield their callback.
+
+    If standard error is a terminal, nothing is written, and None is yielded.
+    """
     if sys.stderr.isatty():
         yield None
         return

@@ -1,4 +1,4 @@
-"""How fast a phase advances, and how often a display of it changes."""
+"""The pace of a phase, and the throttling of its reports."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ _SAMPLES = 50
 
 
 class Pace:
-    """The pace of a phase over its last seconds, so that a slow warm-up before it does not count.
+    """The pace of a phase over the last seconds, so that a slow beginning does not count.
 
     Parameters
     ----------
     window_s : float
-        Length of the window. If reports are rarer, the last two of them are used.
+        Length of the window in s. If reports are rarer, the last two reports are used.
     """
 
     def __init__(self, window_s: float = WINDOW_S) -> None:
@@ -25,25 +25,25 @@ class Pace:
         self._steps: deque[tuple[float, int]] = deque()
 
     def add(self, now: float, done: int, total: int) -> None:
-        """Note that at `now`, in seconds of any clock, `done` of `total` steps are done."""
+        """Record that `done` of `total` steps are done at the time `now`, in s of any clock."""
         if self._steps and done < self._steps[-1][1]:  # the phase has started again
             self._steps.clear()
         self.total = total
         if len(self._steps) > 1 and now - self._steps[-2][0] < self.window_s / _SAMPLES:
-            self._steps.pop()  # there may be thousands of reports
+            self._steps.pop()  # limits the memory if there are thousands of reports
         self._steps.append((now, done))
         while len(self._steps) > 2 and self._steps[1][0] <= now - self.window_s:
             self._steps.popleft()
 
     def per_s(self) -> float | None:
-        """Return the steps per second; None if too little is known."""
+        """Return the number of steps per second; None if there are too few reports."""
         if len(self._steps) < 2:
             return None
         (began, before), (ended, done) = self._steps[0], self._steps[-1]
         return (done - before) / (ended - began) if ended > began else None
 
     def remaining(self, now: float) -> float | None:
-        """Return the seconds left at `now`; None if too little is known or nothing moves."""
+        """Return the remaining time in s at the time `now`; None if the pace is zero or not known."""
         if not self._steps:
             return None
         at, done = self._steps[-1]
@@ -54,11 +54,12 @@ class Pace:
 
 
 class Throttle:
-    """Lets reports through at most once per interval, but always the last one.
+    """A filter that lets reports through at most once per interval, but always lets through the last report.
 
     Parameters
     ----------
     interval_s : float
+        Shortest time in s between two reports.
     """
 
     def __init__(self, interval_s: float) -> None:
@@ -66,7 +67,7 @@ class Throttle:
         self._shown: dict[Hashable, float] = {}
 
     def lets(self, what: Hashable, *, ends: bool) -> bool:
-        """Return whether a report on `what` may be shown now; `ends` marks the last one."""
+        """Return True if a report on `what` may be shown now; `ends` marks the last report."""
         now = time.monotonic()
         if not ends and what in self._shown and now < self._shown[what] + self.interval_s:
             return False

@@ -1,7 +1,7 @@
-"""The phases of a run besides its draws: how far each has got, and how often the model was solved in it.
+"""The phases of a run other than the draws: their progress, and the number of solves of the model in each phase.
 
-Code that may take long opens a `phase` and calls `Phase.advance`, models call `count_solves`, and `told_to` sets
-who hears of it, so that no function between them has to pass a callback on.
+Code that may take long opens a `phase` and calls `Phase.advance`. Models call `count_solves`. `told_to` sets the
+callbacks that receive the reports, so that no function in between has to pass a callback on.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 AT_ONCE_S = 0.5
-"""A phase is reported only after it has taken this long: most take no time."""
+"""Time in s after which a phase is first reported. Most phases end earlier."""
 
 _PART_S = 0.1
 _FIRST_ROWS = 16
 
 Note = Callable[[str, int, int], None]
-"""Called as ``note(phase, done, total)`` during a phase, from its first step; with an empty name after it."""
+"""Called as ``note(phase, done, total)`` from the start of a phase on; with an empty name after the last phase."""
 
 
 class _Count:
@@ -33,20 +33,20 @@ class _Count:
 
 
 class Phase:
-    """A phase under way.
+    """An open phase of a run.
 
     Parameters
     ----------
     name : str
     total : int
-        Number of steps, as far as it is known.
+        Number of steps known so far.
     report : Report or None
     notes : tuple of Note
 
     Attributes
     ----------
     said : dict of str to float
-        Further numbers that a report tells.
+        Further numbers that are added to the information of a report, by their names.
     """
 
     def __init__(self, name: str, total: int, report: Report | None, notes: tuple[Note, ...] = ()) -> None:
@@ -59,22 +59,22 @@ class Phase:
         self.tell()
 
     def advance(self, steps: int = 1) -> None:
-        """Count steps that are done."""
+        """Add `steps` to the number of steps done, and report."""
         self.done += steps
         self.total = max(self.total, self.done)
         self.tell()
 
     def expect(self, steps: int) -> None:
-        """Count steps that are to be done beyond those known so far."""
+        """Add `steps` to the total number of steps."""
         self.total += steps
 
     def count_solves(self, n: int) -> None:
-        """Count solves of the model at `n` theta."""
+        """Add `n` to the number of solves of the model, and report."""
         self.solves += n
         self.tell()
 
     def tell(self) -> None:
-        """Report the state of the phase, if it has taken long enough."""
+        """Call the notes, and call the report if the phase has lasted at least `AT_ONCE_S`."""
         for note in self._notes:
             note(self.name, self.done, self.total)
         if self._report is not None and (self._is_told or time.monotonic() - self._began >= AT_ONCE_S):
@@ -82,7 +82,7 @@ class Phase:
             self._report(self.name, self.done, self.total, {"solves": self.solves, **self.said})
 
     def end(self) -> None:
-        """Report the end of the phase, if the phase was reported at all."""
+        """Report a phase that ends before its last step as complete, if the phase has been reported before."""
         if self._is_told and self.done < self.total:
             self.total = self.done
             self.tell()
@@ -97,9 +97,9 @@ _teller: ContextVar[Callable[[str], None] | None] = ContextVar("teller", default
 def told_to(
     report: Report | None, note: Note | None = None, tell: Callable[[str], None] | None = None
 ) -> Iterator[None]:
-    """Report the phases of a block to callbacks too; None leaves the callbacks that are set.
+    """Set the callbacks for the phases of a block; an argument None leaves the present callback.
 
-    Every `note` that is set is called, and the last `report` and `tell`.
+    Of nested blocks, every `note` is called, but only the innermost `report` and `tell`.
     """
     outer_report, notes = _listeners.get()
     token = _listeners.set((report or outer_report, (*notes, note) if note else notes))
@@ -112,7 +112,7 @@ def told_to(
 
 
 def tell_fact(fact: str) -> None:
-    """Tell a log what is known by now, such as how large a model is; nothing happens where there is none."""
+    """Pass a fact, such as the size of the model, to the log; do nothing if there is no log."""
     tell = _teller.get()
     if tell is not None:
         tell(fact)
@@ -120,7 +120,7 @@ def tell_fact(fact: str) -> None:
 
 @contextmanager
 def phase(name: str, total: int = 0) -> Iterator[Phase]:
-    """Open a phase. One inside another is reported separately; its solves count for both."""
+    """Open a phase for a block. An inner phase is reported separately; its solves count for both phases."""
     outer, (report, notes) = _phase.get(), _listeners.get()
     if report is None and in_notebook():
         from fmu.progress.displays import NotebookBars
@@ -140,7 +140,7 @@ def phase(name: str, total: int = 0) -> Iterator[Phase]:
 
 
 def advance_phase(steps: int = 1) -> None:
-    """Count steps that are done in the phase under way, if there is one."""
+    """Add `steps` to the number of steps done in the open phase, if there is one."""
     under_way = _phase.get()
     if under_way is not None:
         under_way.advance(steps)
@@ -153,9 +153,10 @@ def by_parts[Found](
     most: int = 4096,
     least: int = 1,
 ) -> list[Found]:
-    """Apply a function to points (n, ...) in batches, as a phase, and return the results of the batches.
+    """Apply a function to points, (n, ...), in batches as a phase; return the list of the batches' results.
 
-    A batch takes some tenths of a second where possible, and has at least `least` rows and at most `most`.
+    The batches are sized to take some tenths of a second. They have at least `least` and at most `most` rows; the
+    last batch may have fewer.
     """
     found: list[Found] = []
     first, rows = 0, max(min(_FIRST_ROWS, most), least)
@@ -171,7 +172,7 @@ def by_parts[Found](
 
 
 def count_solves(n: int = 1, *, with_gradients: bool = False) -> None:
-    """Count solves of the model at `n` theta, for this process and for the phase under way."""
+    """Count `n` solves of the model, for this process and for the open phase."""
     _Count.solves += n
     _Count.gradients += n if with_gradients else 0
     under_way = _phase.get()
@@ -185,5 +186,5 @@ def solves() -> int:
 
 
 def gradients() -> int:
-    """Return how many of the solves that this process has counted gave an exact gradient too."""
+    """Return the number of solves that this process has counted and that also gave an exact gradient."""
     return _Count.gradients

@@ -1,4 +1,4 @@
-"""Reports of progress in words and as JSON: short numbers that keep their place; and the stream of their lines."""
+"""Text and JSON for reports of progress, with short numbers, and the stream to which lines are written."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import TextIO
 from fmu.numbers import MISSING, fixed, significant
 
 Info = Mapping[str, str | int | float]
-"""More about a report, by name: ``accept``, ``rhat``, ``ess``, ``solves_per_s``; the ``group``; the ``label``."""
+"""Further items of a report, by name: ``accept``, ``rhat``, ``ess``, ``solves_per_s``, ``group``, ``label``."""
 Report = Callable[[str, int, int, Info], None]
-"""Called as ``report(phase, done, total, info)``: steps done of a phase, and a few numbers or words by name."""
+"""Called as ``report(phase, done, total, info)``: steps done and total steps of a phase, and further items."""
 HIDDEN = ("label", "group", "lp", "solves")
-"""Items that a bar does not list; the first two are part of its name."""
+"""Items that are not listed beside a bar. The first two are part of the bar's name."""
 
 _RATE = "_per_s"
 _DIGITS = {"accept": 2, "rhat": 3}
@@ -23,21 +23,21 @@ _PREFIXES = ((1e12, "T"), (1e9, "G"), (1e6, "M"), (1e3, "k"))
 
 
 def bar_name(phase: str, info: Info) -> str:
-    """Return the name of a bar, such as ``hmc draws 1/2``: label, phase and group of chains, as far as given."""
+    """Return the name of a bar, such as ``hmc draws 1/2``: the label if any, the phase, the group if any."""
     return " ".join(str(part) for part in (info.get("label"), phase, info.get("group")) if part)
 
 
 def in_words(info: Info, brief: bool = False) -> str:
     """Return the text beside a progress bar: ``accept 0.83 rhat 1.012 ess 1.2k 5.3k solves/s``.
 
-    Rates come last; if `brief`, without saying of what: ``5.3k/s``.
+    Rates come last. If `brief`, a rate has no name: ``5.3k/s``.
     """
     names = sorted((name for name in info if name not in HIDDEN), key=lambda name: name.endswith(_RATE))
     return " ".join(_item(name, info[name], brief) for name in names)
 
 
 def duration(seconds: float | None) -> str:
-    """Return a time as ``0:04`` (4 s) or ``1:02:03``; ``-:--`` if it is not known."""
+    """Return a time in s as text, ``0:04`` (4 s) or ``1:02:03``; ``-:--`` if the time is not known."""
     if seconds is None or not math.isfinite(seconds):
         return "-:--"
     minutes, s = divmod(math.ceil(seconds), 60)
@@ -46,7 +46,7 @@ def duration(seconds: float | None) -> str:
 
 
 def number(value: float) -> str:
-    """Return a number in three digits, thousands as ``1.2k``; ``–`` if it is not finite."""
+    """Return a number as text of about three digits, with thousands as ``1.2k``; ``–`` if it is not finite."""
     if not math.isfinite(value):
         return MISSING
     for size, prefix in _PREFIXES:
@@ -57,7 +57,7 @@ def number(value: float) -> str:
 
 
 def as_json(value: object) -> str:
-    """Return a value as JSON: NumPy's numbers as numbers, non-finite values as null, other objects as text."""
+    """Return a value as JSON text: NumPy numbers as numbers, non-finite values as null, other objects as text."""
     return json.dumps(json.loads(json.dumps(value, default=_plain), parse_constant=lambda name: None))
 
 
@@ -78,13 +78,13 @@ def _item(name: str, value: str | int | float, brief: bool) -> str:
 
 
 class LineStream:
-    """Writes lines, and flushes each; once the stream has broken, nothing more is written."""
+    """A writer of lines that flushes after each line, and writes nothing more once the stream has broken."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream: TextIO | None = stream
 
     def write(self, line: str) -> None:
-        """Write a line."""
+        """Write a line and flush the stream."""
         if self._stream is None:
             return
         try:

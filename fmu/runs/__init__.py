@@ -1,4 +1,4 @@
-"""Runs on disk: the draws and the state of the chains are saved during a run, so that it can be resumed.
+"""Runs on disk: the draws and the state of the chains are saved during a run, so that the run can be resumed.
 
 Reading order: content (files), store, identity, lock; run_directory for ``fmu run``; status, words and web for
 ``fmu watch``.
@@ -19,16 +19,17 @@ from fmu.arguments import Count, check_arguments
 @check_arguments
 @dataclass(frozen=True)
 class Checkpoint:
-    """Where a run is kept while it goes on, and how much of it may be lost when it is killed.
+    """The directory in which a run is saved while it goes on, and how often it is saved.
 
     Parameters
     ----------
     directory : path-like
-        A directory of the run's own; made if there is none.
+        A directory for this run only. It is created if it does not exist.
     draws : int
-        A group of chains loses at most as many steps.
+        Largest number of steps that a group of chains loses if the run is killed.
     seconds : float
-        It loses at most what it has drawn in as many seconds, or in a single step that takes longer.
+        Largest time of sampling that a group of chains loses if the run is killed, in s. If a single step takes
+        longer, the group loses this step.
 
     Raises
     ------

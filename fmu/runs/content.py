@@ -1,4 +1,4 @@
-"""The files of a checkpoint: steps as HDF5; the state of a group of chains as NumPy arrays and a JSON outline."""
+"""The files of a checkpoint: steps as HDF5, the state of a group of chains as NumPy arrays and a JSON outline."""
 
 from __future__ import annotations
 
@@ -23,18 +23,19 @@ _EARLIER = (b"fmu state 1\n", b"fmu state 2\n")
 
 
 class Segment(NamedTuple):
-    """A file of steps, as a saved state describes it.
+    """The entry of a saved state on one file of steps.
 
     Attributes
     ----------
     name : str
+        Name of the file.
     sha256 : str
-        Checksum of its content.
+        Checksum of the file's content.
     phase : str
     first, steps : int
-        Number of the first step in the phase, and number of steps.
+        Index of the first step in the phase, and number of steps.
     solves, failed : int
-        Solves that the steps took, and how many of them gave no finite log-density.
+        Number of solves for the steps, and number of failed solves, which gave no finite log-density.
     """
 
     name: str
@@ -52,16 +53,16 @@ class SavedState(NamedTuple):
     Attributes
     ----------
     configuration : str
-        Hash of what determines the draws.
+        Hash of the data that determine the draws.
     arithmetic : str
-        Processor and BLAS, on which the last bits of the draws depend.
+        Kind of CPU and BLAS, on which the last bits of the draws depend.
     group_state : GroupState
     elapsed_s : mapping of str to float
-        Time that each phase of the run has taken.
+        Time in s that each phase of the run has taken.
     segments : list of Segment
         The files of all steps so far.
     total : int
-        Steps of the present phase, for ``fmu watch``.
+        Total number of steps of the present phase, for ``fmu watch``.
     """
 
     configuration: str
@@ -73,7 +74,7 @@ class SavedState(NamedTuple):
 
 
 def packed_steps(steps: Steps, failures: Sequence[Failure]) -> bytes:
-    """Return steps as the bytes of an HDF5 file, with the points at which the model failed meanwhile."""
+    """Return the bytes of an HDF5 file with steps and the points at which the model failed during these steps."""
     import h5py
 
     buffer = io.BytesIO()
@@ -88,12 +89,12 @@ def packed_steps(steps: Steps, failures: Sequence[Failure]) -> bytes:
 
 
 def writable(text: str) -> str:
-    """Return a text that HDF5 can store: messages of a user's program may be invalid Unicode or contain a NUL."""
+    """Return the text with NUL and invalid Unicode, which a user's message may have, escaped for HDF5."""
     return text.replace("\0", "\\0").encode("utf-8", "backslashreplace").decode()
 
 
 def unpacked_steps(content: bytes) -> Steps:
-    """Return the steps in the bytes of such a file."""
+    """Return the steps in the bytes that `packed_steps` returned."""
     import h5py
 
     with h5py.File(io.BytesIO(content), "r") as file:
@@ -101,7 +102,7 @@ def unpacked_steps(content: bytes) -> Steps:
 
 
 def unpacked_failures(content: bytes) -> list[Failure]:
-    """Return the failed points in the bytes of such a file."""
+    """Return the list of failures in the bytes that `packed_steps` returned."""
     import h5py
 
     with h5py.File(io.BytesIO(content), "r") as file:
@@ -112,12 +113,12 @@ def unpacked_failures(content: bytes) -> list[Failure]:
 
 
 def packed_state(state: SavedState) -> bytes:
-    """Return a state as bytes: NumPy arrays in a zip file, one of them everything else as JSON.
+    """Return a state as the bytes of a zip file of NumPy arrays, one of which holds the remaining data as JSON.
 
     Raises
     ------
     ValueError
-        If the sampler knows something that is neither array, number nor text.
+        If the state of the sampler contains an object that is not an array, a number or a string.
     """
     outline = state._asdict()
     outline["group_state"], arrays = _apart(state.group_state.tree())
@@ -133,7 +134,7 @@ def packed_state(state: SavedState) -> bytes:
 
 
 def unpacked_state(payload: bytes) -> SavedState:
-    """Return the state in such bytes; DamagedError if they hold none."""
+    """Return the state in the bytes that `packed_state` returned; raise DamagedError for any other bytes."""
     try:
         with np.load(io.BytesIO(payload), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
@@ -162,11 +163,11 @@ def read_state(path: Path) -> SavedState:
     Raises
     ------
     DamagedError
-        If it is not as it was written.
+        If the content has changed since the file was written.
     OSError
-        If it cannot be read.
+        If the file cannot be read.
     ValueError
-        If an earlier version of fmu wrote it.
+        If an earlier version of fmu wrote the file.
     """
     content = path.read_bytes()
     if content.startswith(_EARLIER):
@@ -178,7 +179,7 @@ def read_state(path: Path) -> SavedState:
 
 
 def read_segment(directory: Path, segment: Segment) -> bytes:
-    """Return the content of a file of steps; DamagedError if it is missing or not as it was written."""
+    """Return the content of a file of steps; raise DamagedError if the file is missing or has been changed."""
     try:
         content = (directory / segment.name).read_bytes()
     except OSError as error:
@@ -204,7 +205,7 @@ def _apart(tree: Mapping[str, object], path: str = "") -> tuple[dict[str, object
 
 
 def _together(plain: dict[str, Any], arrays: Mapping[str, AnyArray]) -> dict[str, Any]:
-    """Return the tree that `_apart` took apart."""
+    """Return the tree from the two results of `_apart`."""
     for path, array in arrays.items():
         *folders, name = path.split("/")
         tree = plain

@@ -21,7 +21,7 @@ _SHOWN = 3
 
 @dataclass(frozen=True)
 class Identity:
-    """The configuration of a run, in plain Python types, and the versions it runs with."""
+    """The configuration of a run, in plain Python types, and the versions of packages that affect the draws."""
 
     configuration: Mapping[str, Any]
     versions: Mapping[str, str]
@@ -34,7 +34,7 @@ class Identity:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of configuration and versions."""
+        """SHA-256 hash of the configuration and the versions."""
         return configuration_hash({"configuration": self.configuration, "versions": self.versions})
 
     def write(self, directory: Path) -> None:
@@ -44,7 +44,7 @@ class Identity:
 
     @classmethod
     def read(cls, directory: Path) -> Identity | None:
-        """Return the identity of the run in a directory, None if there is none; DamagedError if it is damaged."""
+        """Return the identity of the run in a directory, or None without one; raise DamagedError if damaged."""
         path = directory / FILE
         if not path.is_file():
             return None
@@ -54,7 +54,7 @@ class Identity:
     def check(self, directory: Path) -> None:
         """Raise ValueError if the directory holds another run.
 
-        A damaged file is ignored: every state has the hash of its run, too.
+        A damaged file is ignored, because every state also has the hash of its run.
         """
         try:
             found = Identity.read(directory)
@@ -79,7 +79,7 @@ class Identity:
 
 @cache
 def arithmetic() -> str:
-    """Return the kind of CPU and the BLAS, on which the last bits of results depend besides the versions."""
+    """Return the kind of CPU and BLAS in words; the last bits of results depend on them besides the versions."""
     from threadpoolctl import threadpool_info
 
     blas = (lib for lib in threadpool_info() if lib["user_api"] == "blas")
@@ -94,7 +94,7 @@ def _differences(there: object, here: object, where: str = "") -> Iterator[str]:
     if isinstance(there, Mapping) and isinstance(here, Mapping):
         for key in dict.fromkeys((*there, *here)):
             yield from _differences(there.get(key), here.get(key), f"{where}.{key}" if where else str(key))
-    elif json.dumps(there) != json.dumps(here):  # NaN is NaN
+    elif json.dumps(there) != json.dumps(here):  # as JSON, NaN equals NaN
         yield f"{where} {_short(there)} there, {_short(here)} here"
 
 

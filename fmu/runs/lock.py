@@ -1,4 +1,4 @@
-"""The lock of a directory, which one process has at a time, and notes for ``fmu watch``, which takes no lock."""
+"""The lock of a directory, which one process holds at a time, and notes for ``fmu watch``, which needs no lock."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fmu.durable_files import write_durably
 
 FILE, LOCK, PHASE = "at-work.json", "lock", "phase.json"
 _NOTED_S = 0.5
-# fields of /proc/PID/stat, counted behind the number and the name
+# fields of /proc/PID/stat, counted from the field after the process name
 _SINCE_BOOT = 22 - 3
 _ENDED = "ZX"
 
@@ -30,9 +30,9 @@ class ProcessInfo:
     host : str
     pid : int
     began : float
-        When it began there, in seconds since 1970.
+        Time at which the process began to run in the directory, in s since 1970.
     birth : str
-        When the process was started, to tell it from a later one with the same number; empty if not known.
+        Start time of the process, which distinguishes it from a later process with the same pid; empty if unknown.
     """
 
     host: str
@@ -41,31 +41,31 @@ class ProcessInfo:
     birth: str
 
     def is_alive(self) -> bool | None:
-        """Return whether the process still exists; None if that cannot be known from here."""
+        """Return True if the process still exists, else False; None if this cannot be known on this machine."""
         if self.host != socket.gethostname() or os.name != "posix":
             return None
         try:
             os.kill(self.pid, 0)
         except ProcessLookupError:
             return False
-        except PermissionError:  # of another user
+        except PermissionError:  # the process belongs to another user
             pass
         return not self.birth or self.birth == _birth(self.pid)
 
 
 class DirectoryLock:
-    """The lock of a directory, which the system releases when its process dies.
+    """The lock of a directory, which the system releases when the process that holds the lock dies.
 
     Parameters
     ----------
     directory : Path
     refusal : str
-        Message of the error if another process has the lock.
+        Message of the ValueError.
 
     Raises
     ------
     ValueError
-        If another process has it.
+        If another process holds the lock.
     """
 
     def __init__(self, directory: Path, refusal: str) -> None:
@@ -84,7 +84,7 @@ class DirectoryLock:
 
 
 def announce(directory: Path) -> None:
-    """Note that this process runs in a directory; if the disk is full, there is no note."""
+    """Write a note that this process runs in a directory; if the disk is full, write no note."""
     pid = os.getpid()
     here = ProcessInfo(socket.gethostname(), pid, time.time(), _birth(pid))
     with suppress(OSError):
@@ -92,14 +92,14 @@ def announce(directory: Path) -> None:
 
 
 def leave(directory: Path) -> None:
-    """Remove the note of this process; a note that stays behind is of a process that was killed."""
+    """Remove the notes of this process from a directory. Only a killed process leaves its notes behind."""
     with suppress(OSError):
         for name in (PHASE, FILE):
             (directory / name).unlink(missing_ok=True)
 
 
 def present(directory: Path) -> ProcessInfo | None:
-    """Return the process that runs in a directory or was killed there; None if there is no (readable) note."""
+    """Return the process that runs in a directory, or was killed in it; None without a readable note."""
     with suppress(OSError, ValueError, KeyError, TypeError):
         held = json.loads((directory / FILE).read_text(encoding="utf-8"))
         return ProcessInfo(str(held["host"]), int(held["pid"]), float(held["began"]), str(held["birth"]))
@@ -107,7 +107,7 @@ def present(directory: Path) -> ProcessInfo | None:
 
 
 class PhaseNote:
-    """A note of the phase under way; there is none between two phases.
+    """A note of the present phase in a directory. Between two phases there is no note.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class PhaseNote:
         self._noted = ("", 0.0)
 
     def note(self, phase: str, done: int, total: int) -> None:
-        """Note how far a phase has got, at most twice a second; an empty name means no phase."""
+        """Write the progress of a phase, at most twice a second; remove the note if the name is empty."""
         now = time.monotonic()
         name, at = self._noted
         if name == phase and now < at + _NOTED_S:
@@ -135,7 +135,7 @@ class PhaseNote:
 
 
 def noted_phase(directory: Path) -> tuple[str, int, int] | None:
-    """Return the phase under way, its steps done and in all; None if there is no (readable) note."""
+    """Return the present phase, its steps done and its total steps; None without a readable note."""
     with suppress(OSError, ValueError, KeyError, TypeError):
         held = json.loads((directory / PHASE).read_text(encoding="utf-8"))
         return str(held["phase"]), int(held["done"]), int(held["total"])
@@ -143,7 +143,7 @@ def noted_phase(directory: Path) -> tuple[str, int, int] | None:
 
 
 def _birth(pid: int) -> str:
-    """Return when the system and the process were started; empty without /proc, or if the process has ended."""
+    """Return an identifier of the boot and the start time of a process; empty without /proc or if it has ended."""
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
         behind_name = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2]

@@ -1,4 +1,4 @@
-"""The maxima of a posterior, saved with a run so that they are not searched for again when it is resumed."""
+"""The maxima of a posterior, saved with a run so that a resumed run need not search for them again."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def keep_maxima(directory: Path, maxima: Maxima, problem: UpdatingProblem) -> No
 
 
 def kept_maxima(directory: str | os.PathLike[str], problem: UpdatingProblem | None = None) -> Maxima | None:
-    """Return the saved maxima; None if they are missing, damaged, or not of the problem, if one is given."""
+    """Return the saved maxima; None if they are missing, damaged or, given a problem, of another posterior."""
     from fmu.analysis.convergence.diagnosis import maxima_of
     from fmu.analysis.trace.netcdf import from_netcdf
 
@@ -37,12 +37,12 @@ def kept_maxima(directory: str | os.PathLike[str], problem: UpdatingProblem | No
         tree = from_netcdf(path)
         is_other = problem is not None and tree.attrs["posterior"] != _posterior(problem)
         return None if is_other else maxima_of(tree)
-    except (OSError, ValueError, KeyError):  # damaged
+    except (OSError, ValueError, KeyError):  # the file is damaged
         return None
 
 
 def _posterior(problem: UpdatingProblem) -> str:
-    """Return a hash of what defines the posterior."""
+    """Return a hash of the data that define the posterior."""
     from fmu.analysis.trace.provenance import configuration_hash, describe_inputs
 
     return configuration_hash(describe_inputs(problem, "", {}, {})["problem"])

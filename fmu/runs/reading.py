@@ -1,4 +1,4 @@
-"""How far a sampler has got: from the files of its groups of chains, or from its trace if it has finished."""
+"""The progress of a sampler, from the files of its groups of chains or, if it has finished, from its trace."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from fmu.runs.content import SavedState, Segment, numbered_files, read_segment, 
 from fmu.samplers.loop.group import DRAWS, WARMUP
 from fmu.types import FloatArray
 
-_FEWEST = 20  # draws, before which their diagnostics mean nothing
+_FEWEST = 20  # smallest number of draws for meaningful diagnostics
 _TRIES = 5
-"""How often the files of a group are listed again: states are removed while others appear."""
+"""Number of attempts to list the files of a group, because states are removed while new states appear."""
 
 
 @dataclass(frozen=True)
@@ -27,25 +27,27 @@ class Progress:
     Attributes
     ----------
     group : str
-        Such as ``2/4``; empty for all groups together.
+        Number of the group and number of groups, such as ``2/4``; empty for all groups together.
     phase : str
         "warmup", "draws", or empty if nothing has been saved yet.
     done : int
-        Steps of the phase; for all groups together, those of the group that is furthest behind.
+        Number of steps done in the phase; for all groups together, the smallest number of any group.
     total : int or None
+        Total number of steps of the phase.
     kept_s : float or None
-        Seconds since the last save.
+        Time in s since the last save.
     accept : float
         Fraction of the moves in the phase that were accepted.
     rhat, ess : float
-        The worst of the parameters, from the draws of all groups; NaN for a single group.
+        Largest R-hat and smallest effective sample size of any parameter, from the draws of all groups; NaN in
+        the progress of a single group.
     solves, failed : int
-        Warm-up included.
+        Number of solves and of failed solves, including warm-up.
     solves_per_s : float
     remaining_s : float or None
-        Seconds left at the pace so far.
+        Remaining time in s at the pace so far.
     chains : int
-        Number of chains; for an ensemble sampler, of ensembles. 0 if not known.
+        Number of chains or, for an ensemble sampler, of ensembles; 0 if not known.
     """
 
     group: str = ""
@@ -64,7 +66,7 @@ class Progress:
 
 
 class KeptGroup(NamedTuple):
-    """A group of chains as it was last saved.
+    """A group of chains in its last saved state.
 
     Attributes
     ----------
@@ -72,11 +74,11 @@ class KeptGroup(NamedTuple):
     phase : {"warmup", "draws"}
         Phase of the last step.
     at : float
-        When it was saved, in seconds since 1970.
+        Time of the save, in s since 1970.
     accept : float
         Fraction of the moves in the phase that were accepted.
     draws : ndarray, shape (chains, steps, walkers, ndim), or None
-        None if there are none, or a file of them is damaged.
+        None if there are no draws, or if a file of draws is damaged.
     """
 
     state: SavedState
@@ -87,7 +89,7 @@ class KeptGroup(NamedTuple):
 
     @property
     def done(self) -> dict[str, int]:
-        """Steps of each phase."""
+        """Mapping from the name of each phase to the number of steps done."""
         return dict(self.state.group_state.done)
 
     @property
@@ -99,11 +101,11 @@ class KeptGroup(NamedTuple):
 
     @property
     def elapsed_s(self) -> float:
-        """Time that the run had taken."""
+        """Time in s that the run had taken when the group was saved."""
         return sum(self.state.elapsed_s.values())
 
     def seconds_left(self, warmup: int, draws: int | None) -> float | None:
-        """Return the seconds left when it was saved, at the pace of its phase; None if that is not known."""
+        """Return the remaining time in s at the time of the save, at the pace of the phase; None if not known."""
         done = self.done
         if draws is None or done[self.phase] == 0:
             return None
@@ -111,22 +113,23 @@ class KeptGroup(NamedTuple):
         return max(left, 0) * self.state.elapsed_s[self.phase] / done[self.phase]
 
     def progress(self, label: str, warmup: int, draws: int | None, now: float, runs: bool) -> Progress:
-        """Return how far the group has got.
+        """Return the progress of the group.
 
         Parameters
         ----------
         label : str
+            The label of the group, such as ``2/4``.
         warmup : int
-            Steps of the warm-up.
+            Number of steps of the warm-up.
         draws : int or None
-            Steps asked for after it, if that is known.
+            Number of steps requested after the warm-up, if it is known.
         now : float
-            Seconds since 1970.
+            Present time, in s since 1970.
         runs : bool
-            Whether the group has been running since it was saved.
+            Whether the group has been running since the save.
         """
         phase = WARMUP if self.done[WARMUP] < warmup else DRAWS
-        if self.phase == DRAWS:  # more draws may have been asked for meanwhile
+        if self.phase == DRAWS:  # more draws may have been requested since
             draws = max(self.state.total, draws or 0)
         solves = sum(segment.solves for segment in self.state.segments)
         kept_s, left_s = max(now - self.at, 0.0), self.seconds_left(warmup, draws)
@@ -146,7 +149,7 @@ class KeptGroup(NamedTuple):
 
 
 class _Steps(NamedTuple):
-    """The content of a file of steps that diagnostics need: moves, accepted moves, and the draws."""
+    """The data of a file of steps for diagnostics: accepted moves, all moves, and draws (None in warm-up)."""
 
     accepted: int
     moves: int
@@ -154,7 +157,7 @@ class _Steps(NamedTuple):
 
 
 class GroupReader:
-    """Reads a group of chains, again and again; a file of steps, which never changes, is read only once.
+    """A reader of the files of a group of chains, to be called repeatedly; each file of steps is read only once.
 
     Parameters
     ----------
@@ -167,7 +170,7 @@ class GroupReader:
         self._read: dict[tuple[str, str], _Steps] = {}
 
     def read(self) -> tuple[KeptGroup | None, list[str]]:
-        """Return the group, None if no undamaged state of it is saved; and what is damaged, in words."""
+        """Return the group, or None without an undamaged state, and a list of messages on damaged files."""
         damaged: list[str] = []
         found = self._last_state(damaged)
         if found is None:
@@ -189,17 +192,17 @@ class GroupReader:
         return KeptGroup(state, phase, at, accept, draws), damaged
 
     def _last_state(self, damaged: list[str]) -> tuple[SavedState, float] | None:
-        """Return the newest undamaged state, and when it was written; say which are damaged."""
+        """Return the newest undamaged state and the time of its save; add messages on damage to `damaged`."""
         for _ in range(_TRIES):
             damaged.clear()
             for _, path in reversed(numbered_files(self.directory, "state")):
                 try:
                     return read_state(path), path.stat().st_mtime
-                except FileNotFoundError:  # removed, because two newer ones have appeared
+                except FileNotFoundError:  # the state was removed after two newer states appeared
                     break
                 except (DamagedError, OSError) as error:
                     damaged.append(f"{self.directory.name}/{path.name} is damaged: {why(error)}")
-                except ValueError as error:  # of an earlier version, like those before it
+                except ValueError as error:  # written by an earlier version, as are all older states
                     damaged.append(str(error))
                     return None
             else:
@@ -217,7 +220,7 @@ class GroupReader:
 
 
 def together(groups: Sequence[Progress], kept: Sequence[KeptGroup | None]) -> Progress:
-    """Return how far all groups of a sampler have got together."""
+    """Return the progress of all groups of a sampler together."""
     begun = [group for group in groups if group.phase]
     if not begun:
         return Progress()
@@ -282,7 +285,7 @@ def _per_s(solves: int, seconds: float) -> float:
 
 
 def _diagnostics(kept: Sequence[KeptGroup | None]) -> dict[str, float]:
-    """Return R-hat and effective sample size of the draws that all groups have; empty if they are too few."""
+    """Return a dict of R-hat and effective sample size of the draws that all groups have; empty if too few."""
     draws = [one.draws for one in kept if one is not None and one.draws is not None]
     steps = min((x.shape[1] for x in draws), default=0)
     if len(draws) < len(kept) or steps < _FEWEST:

@@ -1,4 +1,4 @@
-"""The directory of ``fmu run`` during the run: its lock, and what is needed to resume it."""
+"""The output directory of ``fmu run`` during the run: the lock, and the files needed to resume the run."""
 
 from __future__ import annotations
 
@@ -15,21 +15,22 @@ FOLDER = "checkpoints"
 
 
 class RunDirectory:
-    """The directory of a run, for one process at a time.
+    """The output directory of a run, which only one process can use at a time.
 
-    The folder ``checkpoints`` in it holds a directory for each sampler (`fmu.runs.store.Store`), the problem and
-    the options of the run, and the maxima that were found. It is removed when the run has ended, and when a
-    ValueError, or an OSError while the problem is built, shows before the first draw that the run cannot be made.
+    Its folder ``checkpoints`` holds a directory for each sampler (`fmu.runs.store.Store`), the problem and the
+    options of the run, and the maxima that were found. The folder is removed when the run has ended. It is also
+    removed if the run fails with a ValueError, or with an OSError while the problem is built, before the first
+    draw.
 
     Parameters
     ----------
     path : Path
-        It exists.
+        An existing directory.
 
     Raises
     ------
     ValueError
-        If another process is running in it.
+        If another process is running in the directory.
     """
 
     def __init__(self, path: Path) -> None:
@@ -48,16 +49,16 @@ class RunDirectory:
         self._lock.release()
 
     def abandon(self) -> None:
-        """Remove everything if nothing has been drawn: the run cannot be made."""
+        """Remove the folder ``checkpoints`` if nothing has been drawn, because the run cannot be performed."""
         if not any(self.folder.glob("*/*/state-*")):
             self.end_run()
 
     def begin(self, problem: KeptProblem) -> None:
-        """Remove what an earlier run has left to resume it, and save the problem and the options of this one."""
+        """Remove the files for resuming an earlier run, and save the problem and the options of this run."""
         for path in self.folder.iterdir():
             if path.is_dir():
                 shutil.rmtree(path)
-            elif path.name not in (LOCK, PRESENCE, FILE, ORIGIN):  # the last two are replaced
+            elif path.name not in (LOCK, PRESENCE, FILE, ORIGIN):  # the last two are replaced below
                 path.unlink()
         problem.save(self.folder)
 
@@ -74,14 +75,14 @@ class RunDirectory:
             to.unlink(missing_ok=True)
 
     def finish_sampler(self, sampler: str, problem: KeptProblem) -> None:
-        """Note that the trace of a sampler is written, and remove the sampler's checkpoint."""
+        """Record that the trace of a sampler has been written, and remove the sampler's checkpoint."""
         for directory in (self.path, self.folder):
             problem.save(directory)
         shutil.rmtree(self.of_sampler(sampler), ignore_errors=True)
 
     def end_run(self) -> None:
         """Remove the files that only a resumed run needs, and release the lock."""
-        (self.folder / ORIGIN).unlink(missing_ok=True)  # first: without it, the rest counts for nothing
+        (self.folder / ORIGIN).unlink(missing_ok=True)  # removed first: without it the folder is ignored
         self._lock.release()
         shutil.rmtree(self.folder, ignore_errors=True)
 

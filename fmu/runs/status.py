@@ -1,4 +1,4 @@
-"""How far a run has got, from the files in its directory alone: no lock is taken, and nothing is written."""
+"""The state of a run, read from the files in its directory without a lock and without writing anything."""
 
 from __future__ import annotations
 
@@ -21,22 +21,23 @@ WAITING, RUNNING, STOPPED, KILLED, SILENT, FINISHED = (
     "waiting", "running", "stopped", "killed", "silent", "finished",
 )  # fmt: skip
 SILENT_S = 600.0
-"""A run on another machine is silent if none of its files is younger than this: its process cannot be asked."""
+"""Age in s of the newest file above which a run on another machine, whose process cannot be checked, is silent."""
 _BEGINS_S = 2.0
 _TRIES = 5
 
 
 @dataclass(frozen=True)
 class SamplerReading:
-    """How far a sampler has got.
+    """The state and progress of a sampler.
 
     Attributes
     ----------
     name : str
     state : {"waiting", "running", "stopped", "killed", "silent", "finished"}
     together : Progress
+        Progress of all groups together.
     groups : tuple of Progress
-        Empty if there is only one group, or the sampler has finished.
+        Progress of each group; empty if there is only one group, or if the sampler has finished.
     verdict : str
         Verdict on a finished sampler; empty until the whole run has finished.
     """
@@ -50,19 +51,19 @@ class SamplerReading:
 
 @dataclass(frozen=True)
 class RunReading:
-    """How far a run has got.
+    """The state and progress of a run.
 
     Attributes
     ----------
     directory : Path
     state : {"running", "stopped", "killed", "silent", "finished"}
     at_work : ProcessInfo or None
-        The process that runs it, or was killed.
+        The process that runs in the directory, or was killed in it.
     samplers : tuple of SamplerReading
     is_of_command : bool
-        Whether it is a run of ``fmu run``, which can resume it.
+        Whether the run was started by ``fmu run``, which can then resume it.
     phase : str
-        The phase under way if it is not one of a sampler, such as ``certificate 32/64``; empty if there is none.
+        The present phase outside the samplers, such as ``certificate 32/64``; empty if there is none.
     notes : tuple of str
         Messages about files that could not be read.
     """
@@ -77,7 +78,7 @@ class RunReading:
 
 
 class RunReader:
-    """Reads the state of a run as often as wanted; files that do not change are read only once.
+    """A reader of the state of a run, to be called repeatedly; files that do not change are read only once.
 
     Parameters
     ----------
@@ -93,7 +94,7 @@ class RunReader:
         self._notes: dict[str, None] = {}
 
     def read(self) -> RunReading:
-        """Return how far the run has got.
+        """Return the state of the run.
 
         Raises
         ------
@@ -105,12 +106,12 @@ class RunReader:
             where = folder_of_order(self.directory)
             is_store = any((self.directory / name).exists() for name in (IDENTITY, PRESENCE, LOCK, "group-1"))
             reading = self._of_python() if is_store else self._of_command(where)
-            if folder_of_order(self.directory) == where:  # otherwise it has begun or ended meanwhile
+            if folder_of_order(self.directory) == where:  # otherwise the run began or ended during the reading
                 break
         return reading
 
     def _of_python(self) -> RunReading:
-        """Return how far a run of `fmu.sample` has got, whose checkpoint the directory is."""
+        """Return the state of a run of `fmu.sample` with the directory as its checkpoint."""
         at_work = present(self.directory)
         sampler = self._read_sampler("", self.directory, _state(at_work, self.directory), {})
         groups = sampler.groups or (sampler.together,)
@@ -119,7 +120,7 @@ class RunReader:
         return RunReading(self.directory, sampler.state, at_work, (sampler,), False, "", tuple(self._notes))
 
     def _of_command(self, where: Path) -> RunReading:
-        """Return how far a run of ``fmu run`` has got; its problem and options are in `where`."""
+        """Return the state of a run of ``fmu run``, whose problem and options are in the folder `where`."""
         folder = self.directory / FOLDER
         at_work = present(folder)
         traces = sorted(path.stem for path in self.directory.glob("*.nc"))
@@ -146,7 +147,7 @@ class RunReader:
         return RunReading(self.directory, now, at_work, tuple(samplers), True, under_way, tuple(self._notes))
 
     def _read_order(self, where: Path) -> tuple[Orders, tuple[str, ...]]:
-        """Return the options of the run and the samplers that have finished, as far as they can be read."""
+        """Return the options of the run and the names of the finished samplers; both empty if not readable."""
         if not (where / ORIGIN).is_file():
             return {}, ()
         try:
@@ -184,7 +185,7 @@ class RunReader:
         return found
 
     def _trace(self, path: Path) -> Progress:
-        """Return the progress of a finished sampler, from its trace; empty if that cannot be read."""
+        """Return the progress of a finished sampler from its trace; an empty `Progress` if it cannot be read."""
         try:
             key = (path, path.stat().st_mtime_ns)
             if key not in self._traces:
@@ -200,7 +201,7 @@ class RunReader:
 
 def _state(at_work: ProcessInfo | None, directory: Path) -> str:
     """Return the state of a run that has not finished."""
-    if at_work is None:  # or it has just made the directory
+    if at_work is None:  # stopped, unless a process has just created the directory
         return RUNNING if _begins(directory) else STOPPED
     alive = at_work.is_alive()
     if alive is not None:
@@ -209,7 +210,7 @@ def _state(at_work: ProcessInfo | None, directory: Path) -> str:
 
 
 def _begins(directory: Path) -> bool:
-    """Return whether a directory has just been made, and holds nothing yet."""
+    """Return True if a directory was created less than `_BEGINS_S` ago and holds no more than a lock."""
     try:
         held = {path.name for path in directory.iterdir() if not path.name.startswith(".")}
         return held <= {LOCK} and time.time() - directory.stat().st_mtime < _BEGINS_S
@@ -218,18 +219,18 @@ def _begins(directory: Path) -> bool:
 
 
 def _youngest(directory: Path) -> float:
-    """Return when a file in the directory was last written, in seconds since 1970."""
+    """Return the time at which any file in the directory was last written, in s since 1970; 0 without files."""
     times = [0.0]
     for path in directory.rglob("*"):
         try:
             times.append(path.stat().st_mtime)
-        except OSError:  # it has gone
+        except OSError:  # the file has been removed
             continue
     return max(times)
 
 
 def _verdicts(directory: Path) -> dict[str, str]:
-    """Return the verdicts of the comparison, by sampler; none if its file is missing or damaged."""
+    """Return a dict of the verdicts in ``comparison.csv`` by sampler; empty if it is missing or damaged."""
     try:
         with open(directory / "comparison.csv", encoding="utf-8", newline="") as file:
             return {str(row["sampler"]): str(row["verdict"]) for row in csv.DictReader(file)}

@@ -1,4 +1,4 @@
-"""The checkpoint of a run: draws are appended as files that never change again; states replace each other."""
+"""The checkpoint of a run: draws are added in files that never change, and new states replace old states."""
 
 from __future__ import annotations
 
@@ -34,25 +34,25 @@ from fmu.samplers.loop.run import LIVE_S
 from fmu.samplers.loop.saving import PendingGroup, SavedGroup
 
 LEDGER = "failures.csv"
-_STATES = 2  # kept at a time: should the last one be damaged, there is the one before it
+_STATES = 2  # number of states that are kept: if the last state is damaged, the previous state is used
 
 
 class CheckpointWarning(UserWarning):
-    """A file of a checkpoint is damaged: some draws have to be drawn again."""
+    """Warning of a damaged file in a checkpoint: some draws have to be drawn again."""
 
 
 class OtherArithmeticWarning(UserWarning):
-    """A run is resumed with another kind of CPU or BLAS: its draws are as good, but differ in their last bits."""
+    """Warning of a run resumed with another CPU or BLAS: the draws are valid, but differ in their last bits."""
 
 
 class Store:
-    """Saves the groups of chains of a run in a directory, and restores them.
+    """The checkpoint of a run in a directory, which saves and restores the groups of chains.
 
-    Each group has a directory of its own, ``group-1`` for the first. Its files ``steps-000001.h5``, … hold the
-    draws, in HDF5; ``state-000007`` holds what the sampler needs to continue after them, and the list of these
-    files with their checksums. A file appears complete or not at all, so the directory can be read at any time.
-    Files that no state lists do not count; their steps are drawn again. ``failures.csv`` lists the failed solves,
-    if there are any.
+    Each group has a directory of its own; the first is ``group-1``. Its files ``steps-000001.h5``, … hold the
+    draws in HDF5. A file such as ``state-000007`` holds the data that the sampler needs to continue after these
+    draws, and the list of the files of steps with their checksums. Files are written atomically, so the directory
+    can be read at any time. Files of steps that no state lists are ignored, and their steps are drawn again.
+    ``failures.csv`` lists the failed solves, if there are any.
 
     Parameters
     ----------
@@ -64,9 +64,9 @@ class Store:
     Raises
     ------
     ValueError
-        If the directory holds another run, or another process is running this one.
+        If the directory holds another run, or another process is running in it.
     OSError
-        If the directory cannot be made or written to.
+        If the directory cannot be created or written to.
     """
 
     def __init__(
@@ -90,14 +90,14 @@ class Store:
             raise
 
     def kept(self, group: int) -> SavedGroup | None:
-        """Return the newest saved state of a group that is undamaged, None if there is none.
+        """Return a group in its newest undamaged state; None if no undamaged state is saved.
 
         Warns
         -----
         CheckpointWarning
-            If something is damaged.
+            If a file is damaged.
         OtherArithmeticWarning
-            If it was saved by another kind of machine.
+            If the state was saved on a machine with another kind of CPU or BLAS.
         """
         self._saved_at[group] = time.monotonic()
         files = self._files(group)
@@ -115,22 +115,22 @@ class Store:
         return SavedGroup(state.group_state, state.elapsed_s, files.steps())
 
     def is_due(self, group: int, steps: int) -> bool:
-        """Return whether to save a group again that has taken this many steps since it was last saved."""
+        """Return True if a group that has taken `steps` steps since its last save is to be saved again."""
         waited = time.monotonic() - self._saved_at[group]
         return steps >= self.most_steps or waited >= self.most_seconds - LIVE_S
 
     def keep(self, group: int, pending: PendingGroup) -> None:
-        """Save the new steps of a group, and its state after them.
+        """Save the new steps of a group, and the group's state after these steps.
 
         Raises
         ------
         OSError
-            If the disk is full, or gone. What was saved before is intact.
+            If the directory cannot be written to, for example because the disk is full. Earlier saves are intact.
         """
         failures = [Failure(failure.theta, writable(failure.reason)) for failure in pending.failures]
         pending = pending._replace(failures=failures)
         try:
-            if not self._is_named:  # only once there are draws: a call that fails leaves the directory to another
+            if not self._is_named:  # first with draws, so that a call that fails before leaves the directory free
                 self.identity.write(self.directory)
                 self._is_named = True
             segment = self._files(group).append(self.identity.hash, pending)
@@ -144,7 +144,7 @@ class Store:
         self._saved_at[group] = time.monotonic()
 
     def close(self) -> None:
-        """Release the directory."""
+        """Release the lock of the directory."""
         self._lock.release()
 
     def __enter__(self) -> Self:
@@ -154,9 +154,9 @@ class Store:
         self.close()
 
     def _tidy(self) -> None:
-        """Remove the unfinished files of killed processes, and the ledger, which is made again from the steps."""
+        """Remove unfinished files of killed processes, and the ledger, which is rebuilt from the steps."""
         for leftover in (*self.directory.rglob(".*.part"), self.directory / LEDGER):
-            with suppress(OSError):  # it does no harm
+            with suppress(OSError):  # a remaining file does no harm
                 leftover.unlink(missing_ok=True)
 
     def _note(self, failed: list[FailedSolves]) -> None:
@@ -173,7 +173,7 @@ class Store:
 
 
 class _GroupFiles:
-    """The files of one group: its steps so far, and its last states."""
+    """The files of one group: the files of steps so far, and the last states."""
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
@@ -182,7 +182,10 @@ class _GroupFiles:
         self._intact: list[Path] = []
 
     def last_intact(self, configuration: str) -> SavedState | None:
-        """Return the newest state that is undamaged, like all steps it lists; what is appended follows it."""
+        """Return the newest state that is undamaged, as are its files of steps; None if there is no such state.
+
+        Later calls of `append` continue from this state.
+        """
         states = numbered_files(self.directory, "state")
         self._number = states[-1][0] if states else 0
         for _, path in reversed(states):
@@ -201,12 +204,12 @@ class _GroupFiles:
         return None
 
     def steps(self) -> Iterator[tuple[str, int, Steps]]:
-        """Read all steps, one file after the other."""
+        """Yield phase, index of the first step, and steps of each file, in order."""
         for segment in self.segments:
             yield segment.phase, segment.first, unpacked_steps(read_segment(self.directory, segment))
 
     def failures(self, group: int) -> list[FailedSolves]:
-        """Return the failed solves of all steps."""
+        """Return the list of failed solves, with one entry for each file of steps with failures."""
         return [
             _failed_solves(group, segment, unpacked_failures(read_segment(self.directory, segment)))
             for segment in self.segments
@@ -239,7 +242,7 @@ class _GroupFiles:
         self._intact = [*self._intact, path][-_STATES:]
         for _, old in numbered_files(self.directory, "state"):
             if old not in self._intact:
-                with suppress(OSError):  # it does no harm
+                with suppress(OSError):  # a remaining file does no harm
                     old.unlink()
         return segment
 

@@ -1,8 +1,8 @@
-"""A page that follows a run, for browsers on this machine or at the other end of an SSH tunnel.
+"""A web page that follows a run, for browsers on this machine or at the other end of an SSH tunnel.
 
-Whoever knows the address may read and stop the run: a random token is part of it, and every request without it is
-refused. So is one whose Host names another machine, as that of a page elsewhere does whose name was made to lead
-here (DNS rebinding).
+Everyone who knows the address may watch and stop the run. The address contains a random token, and every request
+without the token is refused. A request whose Host header names another machine is also refused. This protects
+against DNS rebinding, in which another site's host name is made to point to this machine.
 """
 
 from __future__ import annotations
@@ -30,28 +30,28 @@ LOOPBACK = "127.0.0.1"
 _PAGE = Path(__file__).with_name("page.html")
 Request = socket.socket | tuple[bytes, socket.socket]
 _IDLE_S = 10.0
-"""How long a connection may be silent within its request."""
+"""Time in s for which a connection may be silent during its request."""
 _PATIENCE = 0.5
-"""Seconds that a stop waits for a reading under way."""
+"""Time in s for which stopping and closing wait until the reading of the directory has ended."""
 
 
 class WatchServer(ThreadingHTTPServer):
-    """Serves the page of a run until it is closed; what happens to it or its readers never touches the run.
+    """A server of the page of a run. Failures of the server or of its clients never affect the run.
 
     Parameters
     ----------
     directory : Path
-        As for `fmu.runs.status.RunReader`.
+        The directory of the run, as for `fmu.runs.status.RunReader`.
     every : float
-        Seconds between two readings of the directory.
+        Time in s between two readings of the directory.
     host : str
-        Address to listen at.
+        Address at which the server listens.
     port : int
-        0 for any that is free.
+        Port at which the server listens; 0 for any free port.
     most_connections : int
-        Further ones are closed.
+        Largest number of open connections. Further connections are closed.
     request_s : float
-        Seconds for the headers of a request.
+        Time limit in s for the headers of a request.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class WatchServer(ThreadingHTTPServer):
     Raises
     ------
     ValueError
-        If the directory holds no run, or nothing can listen at host and port.
+        If the directory holds no run, or the server cannot listen at host and port.
     """
 
     daemon_threads = True
@@ -93,7 +93,7 @@ class WatchServer(ThreadingHTTPServer):
         self.address = f"http://{shown}:{self.server_port}/{self._token}/"
 
     def reading(self) -> RunReading:
-        """Return how far the run has got, not older than `every`; ValueError if its directory has gone."""
+        """Return the state of the run, at most `every` seconds old; raise ValueError if the directory has gone."""
         with self._lock:
             if not self.closing.is_set() and time.monotonic() - self._read_at >= self.every:
                 self._reading = self._reader.read()
@@ -101,9 +101,10 @@ class WatchServer(ThreadingHTTPServer):
             return self._reading
 
     def stop_run(self) -> str:
-        """Send the process of the run SIGTERM; return why that is not possible, or nothing.
+        """Send SIGTERM to the process of the run; return the reason why this failed, or an empty string.
 
-        It waits only briefly for a reading under way; otherwise the reading before it tells the process.
+        The process is known from a new reading of the directory, or from the last reading if a reading by another
+        thread does not end within `_PATIENCE` seconds.
         """
         reading = self._reading
         if self._lock.acquire(timeout=_PATIENCE):
@@ -120,13 +121,13 @@ class WatchServer(ThreadingHTTPServer):
         return why
 
     def admits(self, host: str | None, path: str) -> bool:
-        """Return whether a request to a host with a path comes from somebody who was given the address."""
+        """Return True if the path of a request contains the token and the Host header `host` is accepted."""
         token = path.split("/")[1] if "/" in path else ""
         known = hmac.compare_digest(token.encode("utf-8", "replace"), self._token.encode())
         return known and self._is_own(host or "")
 
     def _is_own(self, host: str) -> bool:
-        """Return whether the value of a Host header names this machine: by its number, or by a name of its own."""
+        """Return True if the value of a Host header is an IP address or one of this machine's names."""
         try:
             name = urlsplit(f"//{host}").hostname or ""
         except ValueError:
@@ -138,10 +139,10 @@ class WatchServer(ThreadingHTTPServer):
         return True
 
     def server_close(self) -> None:
-        """Close the page, where it is open too.
+        """Close the server, and end the events of every open page.
 
-        A reading under way is waited for, but not for long: a thread that Python ends within HDF5 keeps its lock,
-        and the process would not end.
+        The server waits up to `_PATIENCE` seconds for a reading to end: a thread that Python ends inside HDF5
+        keeps the lock of HDF5, so that the process would not end.
         """
         self.closing.set()
         waited = self._lock.acquire(timeout=_PATIENCE)
@@ -150,27 +151,27 @@ class WatchServer(ThreadingHTTPServer):
             self._lock.release()
 
     def process_request(self, request: Request, client_address: tuple[str, int]) -> None:
-        """Answer in a thread of its own, or not at all where there are too many."""
+        """Answer a connection in a new thread, or close the connection if there are too many."""
         if self._open.acquire(blocking=False):
             super().process_request(request, client_address)
         else:
             self.shutdown_request(request)
 
     def process_request_thread(self, request: Request, client_address: tuple[str, int]) -> None:
-        """Answer a connection, and count it no longer."""
+        """Answer a connection, and then no longer count it as an open connection."""
         try:
             super().process_request_thread(request, client_address)
         finally:
             self._open.release()
 
     def finish_request(self, request: Request, client_address: tuple[str, int]) -> None:
-        """Answer a request; nothing is said of a reader that has gone."""
+        """Answer a request; ignore the error of a client that has closed the connection."""
         with suppress(ConnectionError, TimeoutError):
             super().finish_request(request, client_address)
 
 
 def why_not_to_stop(reading: RunReading) -> str:
-    """Return why a run cannot be stopped from here, as a sentence; empty if it can."""
+    """Return the sentence that says why a run cannot be stopped on this machine; empty if it can be stopped."""
     who = reading.at_work
     if who is None or reading.state != RUNNING:
         return "It is not running."
@@ -180,7 +181,7 @@ def why_not_to_stop(reading: RunReading) -> str:
 
 
 def page_content(reading: RunReading) -> dict[str, object]:
-    """Return the content of the page: the reading, as ``fmu watch --json`` prints it, and the same in words."""
+    """Return a dict of the page's content: the reading, as ``fmu watch --json`` prints it, and its text."""
     return {
         "reading": asdict(reading),
         "runs": reading.state == RUNNING,
@@ -197,37 +198,37 @@ def page_content(reading: RunReading) -> dict[str, object]:
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers one connection."""
+    """A handler of one connection."""
 
     server: WatchServer
     server_version, sys_version = "fmu", ""
     timeout = _IDLE_S
 
     def setup(self) -> None:
-        """Close the connection unless its request is complete in time, however slowly it comes in."""
+        """Start the time limit after which the connection is closed unless its headers are complete."""
         super().setup()
         self._deadline = threading.Timer(self.server.request_s, self._close)
         self._deadline.daemon = True
         self._deadline.start()
 
     def parse_request(self) -> bool:
-        """Read the headers; from here on the connection may stay open."""
+        """Read the headers, and end the time limit."""
         try:
             return super().parse_request()
         finally:
             self._deadline.cancel()
 
     def finish(self) -> None:
-        """End the connection."""
+        """End the time limit and the connection."""
         self._deadline.cancel()
         super().finish()
 
     def _close(self) -> None:
-        with suppress(OSError):  # it is closed already
+        with suppress(OSError):  # the connection is already closed
             self.connection.shutdown(socket.SHUT_RDWR)
 
     def do_GET(self) -> None:
-        """Send the page, or the events of the run for as long as the page is open."""
+        """Send the page, or the events of the run until the server is closed."""
         if not self._is_admitted():
             return
         what = self.path.split("/", 2)[2] if self.path.count("/") > 1 else None
@@ -241,7 +242,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(HTTPStatus.NOT_FOUND, "There is no such page.")
 
     def do_POST(self) -> None:
-        """Stop the run."""
+        """Stop the run, unless the request comes from another page."""
         origin = self.headers.get("Origin")
         if not self._is_admitted() or (origin is not None and not self._is_from_here(origin)):
             return
@@ -252,7 +253,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(HTTPStatus.CONFLICT if why else HTTPStatus.ACCEPTED, why)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Log nothing: the address is secret."""
+        """Log nothing, because the address is secret."""
 
     def _is_admitted(self) -> bool:
         admitted = self.server.admits(self.headers.get("Host"), self.path)
@@ -263,7 +264,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _is_from_here(self, origin: str) -> bool:
         try:
             same = urlsplit(origin).netloc == self.headers.get("Host")
-        except ValueError:  # it is no address
+        except ValueError:  # the origin is not an address
             same = False
         if not same:
             self._send(HTTPStatus.FORBIDDEN, "Only the page itself may stop the run.")
@@ -287,7 +288,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("X-Content-Type-Options", "nosniff")
 
     def _events(self) -> None:
-        """Send a server-sent event for every reading, until the page is closed."""
+        """Send a server-sent event for every reading, until the server is closed."""
         self.send_response(HTTPStatus.OK)
         self._headers("text/event-stream")
         self.end_headers()

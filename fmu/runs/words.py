@@ -1,4 +1,4 @@
-"""A reading of a run in words: its state, a table of samplers and groups, and how to resume it."""
+"""Text on the state of a run: a description, a table of samplers and groups, and how to resume the run."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from fmu.runs.status import FINISHED, KILLED, RUNNING, SILENT, STOPPED, RunReade
 HEADER = ("sampler", "group", "state", "phase", "chains", "steps", "save age", "accept", "R-hat", "ESS", "solves",
           "per s", "failed", "left")  # fmt: skip
 WORDS = HEADER[:4]
-"""Columns that hold words."""
+"""Columns with words instead of numbers."""
 _PHASES = {"warmup": "warm-up", "draws": "draws"}
-_EXACT = 99_999  # the most steps that are written in full
-_LONG_S = 36_000.0  # a time from which on hours are given
+_EXACT = 99_999  # largest number of steps that is written in full
+_LONG_S = 36_000.0  # time in s from which on only hours are given
 
 
 def state_of(reading: RunReading) -> str:
-    """Return the state of a run, with the process that runs it."""
+    """Return the state of a run in words, with the process that runs it if there is one."""
     who = reading.at_work
     if who is None or reading.state in (STOPPED, FINISHED):
         return reading.state
@@ -36,12 +36,12 @@ def state_of(reading: RunReading) -> str:
 
 
 def rows(reading: RunReading) -> list[tuple[str, ...]]:
-    """Return the rows below `HEADER`: of each sampler all groups together, then each group."""
+    """Return the table rows below `HEADER`: for each sampler, a row for all groups, then one row per group."""
     return [row for sampler in reading.samplers for row in _rows(sampler)]
 
 
 def to_resume(reading: RunReading) -> str:
-    """Return how to resume a run that has stopped or was killed; empty if it has not."""
+    """Return the instruction for resuming a stopped or killed run; empty for any other run."""
     if reading.state not in (STOPPED, KILLED):
         return ""
     if reading.is_of_command:
@@ -50,7 +50,7 @@ def to_resume(reading: RunReading) -> str:
 
 
 def why_no_traces(directory: Path) -> str:
-    """Say why a directory has no traces: a run in it goes on, or was interrupted and can be resumed."""
+    """Return a message on a directory without traces, which says if its run goes on or can be resumed."""
     try:
         reading = RunReader(directory).read()
     except (ValueError, OSError):
@@ -102,7 +102,7 @@ def _format_number(value: float, digits: int) -> str:
 
 
 def _age(seconds: float) -> str:
-    """Return a time in one unit."""
+    """Return a time as a whole number of its largest unit: d, h, min or s."""
     for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= size:
             return f"{fixed(seconds / size, 0)} {unit}"

@@ -1,4 +1,4 @@
-"""Sampling a problem, from the sampler's name to the trace."""
+"""`fmu.sample`, which draws from the posterior of a problem and returns the trace."""
 
 from __future__ import annotations
 
@@ -27,16 +27,17 @@ if TYPE_CHECKING:
     from fmu.types import LogDensity, Positive
 
 INITS = ("maxima", "prior", "start")
-"""Words for where the chains start."""
+"""Values of `init` that name where the chains start."""
 DEFAULT_SAMPLER = "mixture"
-"""The sampler that gave most on every density that it was compared on, with gradients and without.
+"""The sampler with the most effective draws per evaluation in all comparisons, with and without gradients.
 
-Smallest bulk ESS per evaluation after a warm-up of 1000 steps, a gradient as 1.9 of them, of the mixture and of
-HMC: 0.54 and 0.05 on cantilever-young, 0.77 and 0.05 on cantilever-section by number, 0.59 and 0.02 on
-shear-2dof, 0.06 and 0.06 on shear-10dof, which took 20 000 and 35 000 evaluations to converge. Smallest of bulk
-and tail ESS per evaluation on plain densities without known maxima, such as a banana, two modes and a funnel:
-0.20 to 0.75, and 0.03 to 0.20 by HMC; on four of them with gradients hidden 0.26 to 0.76, and 0.05 to 0.14 by
-Metropolis–Hastings. On a Python function of two parameters 0.35, and 0.22 by Metropolis–Hastings.
+Smallest bulk ESS per evaluation after a warm-up of 1000 steps, where a gradient counts as 1.9 evaluations, for the
+mixture and for HMC: 0.54 and 0.05 on cantilever-young, 0.77 and 0.05 on cantilever-section paired by number, 0.59
+and 0.02 on shear-2dof, 0.06 and 0.06 on shear-10dof, where the samplers needed 20 000 and 35 000 evaluations to
+converge. Smallest of the bulk and tail ESS per evaluation on densities without known maxima, such as a banana, two
+modes and a funnel: 0.20 to 0.75 for the mixture and 0.03 to 0.20 for HMC. On four of these densities with hidden
+gradients: 0.26 to 0.76 for the mixture and 0.05 to 0.14 for Metropolis–Hastings. On a Python function of two
+parameters: 0.35 for the mixture and 0.22 for Metropolis–Hastings.
 """
 
 
@@ -64,79 +65,82 @@ def sample(
 ) -> xr.DataTree:
     """Draw from the posterior of a problem, or from any log-density.
 
-    The same problem, sampler, numbers and seed give the same draws, bit for bit, with any number of workers and
-    however often the run was interrupted.
+    The same problem, sampler, settings and seed give the same draws, bit for bit, whatever the number of workers
+    and however often the run was interrupted.
 
     Parameters
     ----------
     problem : LogDensity
-        An `UpdatingProblem`, or anything with ``ndim``, ``lower``, ``upper``, ``log_prob`` and
+        An `UpdatingProblem`, or any object with ``ndim``, ``lower``, ``upper``, ``log_prob`` and
         ``log_prob_and_grad``.
     sampler : str or Sampler, optional
         ``"mh"``, ``"slice"``, ``"hmc"``, ``"emcee"``, ``"mixture"`` or ``"tempering"`` with default settings,
         or a settings object such as ``fmu.HamiltonianMonteCarlo(gradient="central-difference")``. The default is
-        the mixture, which has given the most effective draws per evaluation on all posteriors and densities that
-        it was compared on; for a hierarchical posterior (`fmu.JointProblem`) it is HMC.
+        the mixture, which gave the most effective draws per evaluation on all posteriors and densities compared.
+        For a hierarchical posterior (`fmu.JointProblem`) the default is HMC.
     draws, warmup : int
-        Steps kept, and steps before them. An ensemble draws as many vectors per step as it has walkers.
+        Number of steps kept, and number of warm-up steps before them. At each step kept, an ensemble gives as many
+        draws as it has walkers.
     chains : int
-        Number of independent chains; for an ensemble sampler, of independent ensembles.
+        Number of independent chains or, for an ensemble sampler, of independent ensembles.
     seed : int
         Seed of the random numbers.
     init : {"maxima", "prior", "start"} or array_like, shape (chains, ndim) or (chains, walkers, ndim)
         Where the chains start. ``"maxima"``: around the maxima of the posterior, in proportion to their
-        probability (`fmu.analysis.maxima.starts`); chains on a log-density that is no `UpdatingProblem` start
-        from its prior, if it has one and not several maxima. ``"prior"``: at draws from the prior. ``"start"``:
-        at ``problem.start``. An array: there (SI units).
+        probability (`fmu.analysis.maxima.starts`); on a log-density that is not an `UpdatingProblem`, the chains
+        start from its prior if it has a prior and does not have several maxima. ``"prior"``: at draws from the
+        prior. ``"start"``: at ``problem.start``. An array: at these points (SI units).
     jumps : bool, optional
-        Whether every other step of ``"mh"``, ``"slice"`` or ``"hmc"`` is an independent candidate from a mixture
-        that warm-up fits to the posterior, so that chains cross between separated maxima
-        (`fmu.samplers.mixture.mixture.with_jumps`). By default where two maxima or more have 1 % of the
-        probability each; or are known at all, if the chains do not start at them.
+        Whether every other step of ``"mh"``, ``"slice"`` or ``"hmc"`` is an independent proposal from a mixture
+        that is fitted to the posterior in warm-up, so that chains cross between separated maxima
+        (`fmu.samplers.mixture.mixture.with_jumps`). By default True if at least two maxima have 1 % of the
+        probability each, or if several maxima are known and the chains do not start at them.
     groups : int, optional
         Number of groups that the chains are divided into, for several workers. The chains of a group advance and
-        adapt together, so the draws depend on this number. By default all chains are one group, and every ensemble
+        adapt together, so the draws depend on this number. By default all chains form one group, and each ensemble
         is a group of its own.
     until_ess : float, optional
-        Continue after `draws`, with the settings learnt in warm-up, until the verdict of `fmu.diagnose` is good
-        and the bulk and tail ESS of every parameter are at least this. The number of missing draws is predicted
-        from those so far (`fmu.analysis.convergence.remedies.draws_to_come`). The draws are, bit for bit, those
-        of a run with as many `draws`. An ensemble needs 50 autocorrelation times of steps whatever is asked for:
-        four of 32 walkers then have an ESS of at least 6400.
+        If given, sampling continues after `draws`, with the settings adapted in warm-up, until the verdict of
+        `fmu.diagnose` is good and the bulk and tail ESS of every parameter are at least this. The number of
+        missing draws is predicted from the draws so far (`fmu.analysis.convergence.remedies.draws_to_come`). The
+        draws are, bit for bit, the same as in a run with `draws` set to the final number. An ensemble sampler
+        always needs at least 50 autocorrelation times of steps; four ensembles of 32 walkers then have an ESS of
+        at least 6400.
     max_draws : int, optional
-        The most steps kept, whatever the verdict. Default: 32 times `draws`, or no limit if there is `max_solves`.
+        Largest number of steps kept, whatever the verdict. Default: 32 times `draws`, or no limit if `max_solves`
+        is given.
     max_solves : int, optional
-        No more is drawn than about so many solves allow, warm-up included. Where `warmup` and `draws` usually take
-        more with the sampler, both are shortened. The verdict says so, and what took more nevertheless.
+        Approximate largest number of solves, including warm-up. If the sampler usually needs more solves for
+        `warmup` and `draws`, both are shortened. The verdict reports this, and any excess over the limit.
     maxima : Maxima, optional
         The result of `fmu.find_map`. It is stored in the trace, and every verdict on the trace uses it. By default
-        the maxima are searched for, wherever the chains start, but not in a hierarchical posterior.
+        the maxima are searched for, wherever the chains start, except in a hierarchical posterior.
     checkpoint : path-like or Checkpoint, optional
-        A directory in which draws and state are saved during the run. The same call with the same directory
-        resumes a run that was stopped or killed; a run that has finished is read, not repeated.
+        A directory in which the draws and the sampler's state are saved during the run. The same call with the
+        same directory resumes a run that was stopped or killed. A finished run is read from it, not repeated.
     workers : int, str or Engine
         Number of processes on this machine that advance the groups; or the address of the scheduler of a Dask
         cluster, ``"tcp://host:port"``; or an engine from `fmu.engine`.
     max_failure_rate : float
-        The run stops when more than this fraction of the solves has failed; 1 for never.
+        The run stops when more than this fraction of the solves has failed. With 1 it never stops for failures.
     progress : bool or callable, optional
-        Whether to draw progress bars on a terminal or in a notebook; by default in a notebook only. A callable is
-        called after every step as ``progress(phase, done, total, info)`` instead, see `fmu.samplers.Run`; and in
-        the phases before and after the draws that take long, such as ``"search"`` and ``"predictions"``, with the
-        number of solves in the phase in ``info["solves"]``.
+        Whether to draw progress bars on a terminal or in a notebook. By default only in a notebook. A callable
+        replaces the bars: it is called after every step as ``progress(phase, done, total, info)``, see
+        `fmu.samplers.Run`. It is also called in the long phases before and after the draws, such as ``"search"``
+        and ``"predictions"``, with the number of solves in the phase in ``info["solves"]``.
     on_draws : callable, optional
-        Called with the trace once all draws are there, before what takes further solves: the certificate, the
-        modes' shapes and the modes left out. Convergence can be judged by then (`fmu.diagnose`).
+        Called with the trace when all draws have been made, before the analyses that need further solves: the
+        certificate, the mode shapes and leave-one-out. `fmu.diagnose` can already judge the trace.
 
     Returns
     -------
     xarray.DataTree
         The trace, see `fmu.analysis.trace.conversion.to_trace`. Its attributes include ``after_n_solves``, the
-        solves after the last draw (for predictions and the like); ``gradient_cost``, how many times as long as a
-        log-probability its exact gradient took, if the sampler takes some; and the certificate of the reduced
-        model, if there is one (`fmu.analysis.certificate.certify`); and ``limit``, at which a run with `until_ess`
-        ended before its verdict was good, in words. The trace of an updating problem also has the
-        groups ``modes`` (`fmu.analysis.trace.modal_states`), ``pairing`` (`fmu.analysis.pairing_changes`),
+        number of solves after the last draw (for example for predictions); ``gradient_cost``, the time of an exact
+        gradient relative to that of a log-probability, if the sampler uses exact gradients; the certificate of the
+        reduced model, if there is one (`fmu.analysis.certificate.certify`); and ``limit``, the limit in words at
+        which a run with `until_ess` ended before its verdict was good. The trace of an updating problem also has
+        the groups ``modes`` (`fmu.analysis.trace.modal_states`), ``pairing`` (`fmu.analysis.pairing_changes`),
         ``identifiability`` (`fmu.analysis.identifiability`) and ``leave_one_out`` (`fmu.analysis.held_out.modes`).
 
     Raises
@@ -145,15 +149,15 @@ def sample(
         If the sampler's name is unknown, `jumps` is True for a sampler without local steps, a trace cannot store a
         parameter's name, a number is out of range, `max_draws` or `max_solves` is given without `until_ess`, a
         chain would start outside the bounds or where the log-probability is not finite, or `checkpoint` holds
-        another run, or one that is running.
+        another run or a run that is still going on.
     OSError
         If `checkpoint` cannot be written to.
     StoppedRun
-        If Ctrl-C or SIGTERM stopped the draws of a run with a checkpoint: a KeyboardInterrupt with the trace so
-        far, without what takes further solves. After the draws, a stop is a plain KeyboardInterrupt; the draws are
-        saved.
+        If Ctrl-C or SIGTERM stopped the draws of a run with a checkpoint. This KeyboardInterrupt has the trace so
+        far, without the analyses that need further solves. A stop after the draws raises a plain
+        KeyboardInterrupt; the draws are saved.
     TooManyFailuresError
-        If too large a share of the solves failed.
+        If the fraction of failed solves exceeds `max_failure_rate`.
     """
     from fmu.progress import reporting
     from fmu.progress.phases import solves, told_to
@@ -177,9 +181,10 @@ def sample(
 
 
 def default_sampler(problem: LogDensity) -> str:
-    """Return the name of the sampler that is taken where none is named.
+    """Return the name of the default sampler for a problem.
 
-    HMC for a hierarchical posterior: it has a parameter for every test, too many for a mixture to learn.
+    For a hierarchical posterior the name is ``"hmc"``: such a posterior has a parameter for every test, too many
+    parameters for fitting a mixture.
     """
     from fmu.analysis.maxima.search import is_searchable
 
@@ -191,11 +196,11 @@ DEFAULTS: Mapping[str, Any] = {
     for name, argument in inspect.signature(sample).parameters.items()
     if argument.kind is argument.KEYWORD_ONLY
 }
-"""The keyword arguments of `sample` and their default values, which ``fmu run`` has, too."""
+"""The keyword arguments of `sample` and their default values, which ``fmu run`` uses too."""
 
 
 def _settings_of(sampler: str | Sampler) -> Sampler:
-    """Return the settings of a sampler; ValueError if it is neither a name nor a settings object."""
+    """Return the settings of a sampler; raise ValueError unless `sampler` is a known name or a settings object."""
     from fmu.samplers.kernel import Sampler
     from fmu.samplers.registry import make_sampler
 
@@ -220,7 +225,7 @@ def _check(
     groups: Any,
     seed: Any,
 ) -> dict[str, int]:
-    """Return the numbers that determine a run; ValueError if one or another argument is wrong by itself."""
+    """Return a dict of the numbers that determine a run; raise ValueError if an argument is invalid."""
     import numpy as np
 
     from fmu.analysis.trace.densities import names_of

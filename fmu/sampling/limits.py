@@ -1,4 +1,4 @@
-"""How long a run goes on: draws, solves, and the effective draws that are wanted."""
+"""The limits of a run: the number of draws, the number of solves, and the effective sample size to be reached."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ if TYPE_CHECKING:
     from fmu.samplers.loop.record import RunResult
 
 GROWTH_LIMIT = 32
-"""`max_draws` over `draws`, unless given."""
+"""Default ratio of `max_draws` to `draws`."""
 
 
 class Limits(NamedTuple):
-    """When `fmu.sample` stops.
+    """The conditions under which `fmu.sample` stops.
 
     Attributes
     ----------
     first : int
-        Steps after which the draws are first judged.
+        Number of steps after which convergence is first judged.
     until_ess : float or None
-        Effective draws with which a run ends, None if it ends with the first steps.
+        Effective sample size at which the run ends. If it is None, the run ends after `first` steps.
     draws, solves : int or None
-        The most steps, and solves.
+        Largest number of steps, and largest number of solves; None for no limit.
     """
 
     first: int
@@ -33,7 +33,7 @@ class Limits(NamedTuple):
 
     @classmethod
     def of(cls, draws: int, until_ess: float | None, max_draws: int | None, max_solves: int | None) -> Limits:
-        """Return the limits of a run; ValueError if the numbers contradict each other."""
+        """Return the limits of a run; raise ValueError if a number is out of range or contradicts another."""
         from fmu.samplers.settings import positive_number, whole_number
 
         draws = whole_number("draws", draws, 1)
@@ -52,14 +52,16 @@ class Limits(NamedTuple):
         return cls(draws, until_ess, max_draws, max_solves)
 
     def shorten(self, warmup: int, costs: tuple[float, float]) -> tuple[int, Limits]:
-        """Return a warm-up and limits whose first draws fit into the solves, both shortened alike.
+        """Return the steps of warm-up and the limits, with both numbers of steps reduced to fit within `solves`.
+
+        The steps of warm-up and `first` are reduced by the same factor.
 
         Parameters
         ----------
         warmup : int
             Planned steps of warm-up.
         costs : tuple of two float
-            Solves of a step of warm-up and of one after it, see `fmu.samplers.settings.usual_costs`.
+            Solves per step in warm-up, and after it, see `fmu.samplers.settings.usual_costs`.
         """
         planned = warmup * costs[0] + self.first * costs[1]
         if self.solves is None or planned <= self.solves:
@@ -68,9 +70,10 @@ class Limits(NamedTuple):
         return int(part * warmup), self._replace(first=max(int(part * self.first), 1))
 
     def first_after(self, warmup: int, solves: int, costs: tuple[float, float]) -> int:
-        """Return how many draws to make at first, after a warm-up of so many steps and solves.
+        """Return the number of steps to draw first, after a warm-up of `warmup` steps with `solves` solves.
 
-        A draw is taken to cost as many times the usual solves as a step of this warm-up did, if that is more.
+        If a step of this warm-up cost more solves than usual, a step after it is assumed to cost more by the same
+        factor.
         """
         if self.solves is None:
             return self.first
@@ -78,9 +81,10 @@ class Limits(NamedTuple):
         return max(min(self.first, int((self.solves - solves) / (dearer * costs[1]))), 1)
 
     def allow(self, result: RunResult) -> tuple[int, str]:
-        """Return how many further steps a run may take; if none, which limit it has reached, else nothing.
+        """Return the number of further steps allowed, and the limit reached in words (empty if steps are allowed).
 
-        A step is taken to need as many solves as those so far. Less than one in a hundred more is not worth it.
+        Each further step is assumed to need as many solves as the steps so far on average. If the remaining solves
+        suffice for at most 1 % more steps, no further step is allowed.
         """
         allowed = []
         if self.draws is not None:
@@ -94,9 +98,9 @@ class Limits(NamedTuple):
         return steps, "" if steps else limit
 
     def describe_excess(self, result: RunResult, planned_warmup: int) -> str:
-        """Describe how the limit shortened the warm-up, and how a run took more than 1 % more solves.
+        """Return a text on a shortened warm-up, and on an excess of more than 1 % over the limit of solves.
 
-        An empty string if neither happened.
+        The string is empty if neither occurred.
         """
         if self.solves is None:
             return ""

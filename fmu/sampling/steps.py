@@ -1,4 +1,4 @@
-"""The steps of `fmu.sample`: where the chains start, the draws, their trace, and what the model says at them."""
+"""The steps of `fmu.sample`: choose where the chains start, draw, convert to a trace, and analyse the draws."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _SHORTENED = "warmup_shortened_to"
 
 
 class StoppedRun(KeyboardInterrupt):
-    """A run was stopped on request, and can be resumed from its checkpoint.
+    """Exception for a run that was stopped on request and can be resumed from its checkpoint.
 
     Attributes
     ----------
     trace : xarray.DataTree or None
-        The draws so far, None if the run was in warm-up.
+        The trace of the draws so far; None if the run was in warm-up.
     where : str
-        Where it was stopped, in words.
+        The point at which the run was stopped, in words.
     """
 
     def __init__(self, where: str, trace: xr.DataTree | None) -> None:
@@ -42,22 +42,22 @@ class StoppedRun(KeyboardInterrupt):
 
 
 class Task(NamedTuple):
-    """What is to be sampled.
+    """The problem to be sampled and the settings of the run.
 
     Attributes
     ----------
     problem : LogDensity
     numbers : dict
-        Warm-up as asked for, chains, groups and seed, which determine a run.
+        The numbers that determine a run: steps of warm-up as requested, chains, groups and seed.
     limits : Limits
     saved : Checkpoint or None
     max_failure_rate : float
     full_solves : int
-        Points that the full model has answered before, where there is a reduced one.
+        Number of points at which the full model was solved before the run, if there is a reduced model.
     warmup : int
-        Steps of warm-up, as the limits allow.
+        Steps of warm-up that the limits allow.
     costs : tuple of two float
-        Usual solves of a step of all chains in warm-up, and after it.
+        Usual number of solves for one step of all chains, in warm-up and after it.
     """
 
     problem: Any
@@ -79,10 +79,9 @@ class Task(NamedTuple):
         checkpoint: Any,
         max_failure_rate: float,
     ) -> Task:
-        """Return the task; failures of the problem before it are forgotten.
+        """Return the task, and discard the failures that the problem has recorded so far.
 
-        The warm-up and the first draws are shortened to fit into the limits; a run that is resumed keeps its
-        warm-up.
+        The warm-up and the first draws are shortened to fit within the limits. A resumed run keeps its warm-up.
         """
         from fmu.analysis.trace.densities import is_updating
         from fmu.analysis.trace.failure_ledger import failure_rate_exceeded
@@ -90,7 +89,7 @@ class Task(NamedTuple):
         from fmu.samplers.kernel import Target
         from fmu.samplers.settings import usual_costs
 
-        failure_rate_exceeded(0, 0, max_failure_rate)  # which says if it is no rate
+        failure_rate_exceeded(0, 0, max_failure_rate)  # raises if the rate is invalid
         getattr(problem, "take_failures", list)()
         saved = checkpoint if checkpoint is None or isinstance(checkpoint, Checkpoint) else Checkpoint(checkpoint)
         full_solves = problem.model.full_solves if is_updating(problem) else 0
@@ -102,7 +101,7 @@ class Task(NamedTuple):
 
 
 class Beginning(NamedTuple):
-    """Where the chains start, and with which settings; `is_new` says that a search has just found the maxima."""
+    """The chains' starting points and the sampler's settings; `is_new` is True if the maxima were just found."""
 
     settings: Sampler
     starts: Starts
@@ -113,7 +112,7 @@ class Beginning(NamedTuple):
 def begin(
     task: Task, settings: Sampler, init: str | ArrayLike, jumps: bool | None, maxima: Maxima | None
 ) -> Beginning:
-    """Search for the maxima, unless they are known, and choose where the chains start."""
+    """Search for the maxima unless they are known, and return the starting points and settings of the chains."""
     from fmu.analysis.maxima.results import NEGLIGIBLE
     from fmu.analysis.maxima.search import find_map, is_searchable
     from fmu.analysis.maxima.starts import choose_starts, components, worth_starting_from
@@ -129,7 +128,7 @@ def begin(
     begin_at = maxima if is_updating(problem) else maxima and worth_starting_from(problem, maxima)
     chains, seed = task.numbers["chains"], task.numbers["seed"]
     starts = choose_starts(problem, init, begin_at, chains, settings.walkers, seed)
-    if begin_at is not None:  # chains that start elsewhere may be caught at any of them
+    if begin_at is not None:  # chains that start elsewhere may be caught at any maximum
         caught_at = [m for m in begin_at if m.starting_share > NEGLIGIBLE or starts.word != "maxima"]
         if jumps is None and len(caught_at) > 1 and settings.is_local:
             settings = with_jumps(settings)
@@ -141,14 +140,20 @@ def begin(
 def draw(
     task: Task, beginning: Beginning, report: Report | None, workers: int | str | Engine
 ) -> tuple[RunResult, str]:
-    """Draw until the limits or the verdict end it, saved in the checkpoint meanwhile; also return which limit did.
+    """Draw, and save to the checkpoint, until the verdict or a limit ends the run.
+
+    Returns
+    -------
+    result : RunResult
+    limit : str
+        The limit that ended the run, in words; empty if no limit did.
 
     Raises
     ------
     StoppedRun
-        If it was stopped, with the trace so far.
+        If the run was stopped; the exception has the trace so far.
     KeyboardInterrupt
-        If that was asked for with the last draw.
+        If the stop was requested during the last draw.
     """
     from fmu.analysis.convergence.diagnosis import draws_missing, with_maxima
     from fmu.analysis.convergence.effective import live_diagnostics
@@ -159,7 +164,7 @@ def draw(
     from fmu.samplers.loop.saving import Interrupted
 
     problem, settings, maxima, limits = task.problem, beginning.settings, beginning.maxima, task.limits
-    with ExitStack() as stack:  # closed before what follows the draws
+    with ExitStack() as stack:  # closed before the analyses that follow the draws
         store = stop = None
         if task.saved is not None:
             store = stack.enter_context(_store(task, beginning, task.saved))
@@ -206,7 +211,7 @@ def draw(
 
 
 def convert(task: Task, beginning: Beginning, result: RunResult, limit: str) -> xr.DataTree:
-    """Return the trace of all draws, with what their verdict needs."""
+    """Return the trace of all draws, with the attributes and groups that the verdict needs."""
     from fmu.analysis.convergence.diagnosis import with_maxima
     from fmu.analysis.estimate import gradient_cost
     from fmu.analysis.trace.densities import is_updating
@@ -228,7 +233,10 @@ def convert(task: Task, beginning: Beginning, result: RunResult, limit: str) -> 
 
 
 def examine(task: Task, beginning: Beginning, trace: xr.DataTree) -> xr.DataTree:
-    """Return a trace with what the model says at the draws, and without single modes."""
+    """Return the trace with the certificate, the modes, their pairing, identifiability and leave-one-out added.
+
+    The trace of a problem that is not an updating problem is returned unchanged.
+    """
     from fmu.analysis.certificate import certify
     from fmu.analysis.held_out.modes import with_left_out
     from fmu.analysis.identifiability import with_identifiability
@@ -255,7 +263,7 @@ def _as_trace(task: Task, beginning: Beginning, result: RunResult, *, prediction
 
 
 def _store(task: Task, beginning: Beginning, saved: Checkpoint) -> Store:
-    """Return the checkpoint of a run, open."""
+    """Return the open checkpoint of a run."""
     from fmu.analysis.trace.densities import names_of, units_of
     from fmu.analysis.trace.provenance import describe_inputs
     from fmu.runs.identity import Identity
@@ -271,7 +279,7 @@ def _store(task: Task, beginning: Beginning, saved: Checkpoint) -> Store:
 
 
 def _saved_warmup(saved: Checkpoint, asked: int, warmup: int) -> int:
-    """Return the steps of warm-up of the run in a checkpoint, if it was asked for the same; else `warmup`."""
+    """Return the steps of warm-up of the run in a checkpoint if `asked` is the same there; else `warmup`."""
     from fmu.durable_files import DamagedError
     from fmu.runs.identity import Identity
 
@@ -284,7 +292,7 @@ def _saved_warmup(saved: Checkpoint, asked: int, warmup: int) -> int:
 
 
 def _engine(workers: int | str | Engine, stack: ExitStack) -> Engine:
-    """Return the engine that does the work; one that is created here is closed with the stack."""
+    """Return the engine that runs the tasks; an engine that is created here is closed with the stack."""
     from fmu.engines import engine
     from fmu.engines.base import Engine
 
@@ -294,9 +302,9 @@ def _engine(workers: int | str | Engine, stack: ExitStack) -> Engine:
 
 
 def _takes_exact_gradients(trace: xr.DataTree, problem: LogDensity, settings: Sampler) -> bool:
-    """Return whether gradients were taken that cost more than the solves counted for them.
+    """Return True if the run used exact gradients whose cost exceeds the solves counted for them.
 
-    Differences consist of solves that are counted, and a user's function returns value and gradient in one call.
+    Finite differences consist of counted solves, and a user's function returns value and gradient in one call.
     """
     from fmu.analysis.trace.densities import is_updating
 

@@ -1,4 +1,4 @@
-"""The layout of the parameters of several tests, from what varies between them."""
+"""The layout of the parameters of several tests, built from how each structural parameter varies."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def build_layout(
     reference: str,
     eta: float | None,
 ) -> Layout:
-    """Return the layout of several tests; `fmu.JointProblem` explains the arguments, and has checked them.
+    """Return the layout of several tests. The arguments are as in `fmu.JointProblem`, which has checked them.
 
-    Every parameter of the structure is in `varies`.
+    `varies` has an entry for every structural parameter. `eta` is the argument `correlation`.
     """
     theta, values_of = Theta(tests, reference), []
     for j, p in enumerate(structural):

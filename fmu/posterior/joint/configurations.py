@@ -1,4 +1,4 @@
-"""Tests that share the matrices and the sensors, and are therefore solved in one batch."""
+"""The configurations of several tests. Tests with the same matrices and sensors are solved in one batch."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from fmu.types import FloatArray
 
 
 def stack_tests(tests: Sequence[Test]) -> ModalData:
-    """Return the modes of all tests as the modes of one test, with the labels ``"test: mode"``.
+    """Return one `ModalData` with the modes of all tests, labelled ``"test: mode"``.
 
     Raises
     ------
     ValueError
-        If some tests have an uncertainty of their frequencies or shapes, and others do not.
+        If some tests have standard deviations or a covariance matrix of their frequencies, and other tests do not.
     """
     every = [test.data for test in tests]
     trusts = [data.sd_hz is not None or data.covariance_hz2 is not None for data in every]
@@ -68,7 +68,7 @@ def _covariance(data: ModalData) -> FloatArray:
 def find_configurations(
     model: Model, tests: Sequence[Test], layout: Layout, options: Mapping[str, Any]
 ) -> tuple[list[Configuration], Any]:
-    """Return the configurations of tests that share matrices, each with its trained model; and their tolerance."""
+    """Return a list of configurations, each with its trained model; and the tolerance of the model reduction."""
     keys = [test.configuration for test in tests]
     first_mode = np.cumsum([0, *(test.data.n_modes for test in tests)])
     found, tolerance = [], None
@@ -113,9 +113,9 @@ def find_configurations(
 
 
 def _together(tests: Sequence[Test]) -> tuple[ModalData, list[Any]]:
-    """Return the modes that any of the tests has, and for each test which of them it has.
+    """Return one `ModalData` with all modes that occur in the tests, and for each test the indices of its modes.
 
-    Frequencies and shapes are means over the tests, and standard deviations the smallest.
+    Frequencies and shapes are means over the tests. Standard deviations are the smallest of the tests.
     """
     labels = list(dict.fromkeys(label for test in tests for label in test.data.labels))
     modes = [np.array([labels.index(label) for label in test.data.labels]) for test in tests]

@@ -1,13 +1,14 @@
-"""Correlation of several parameters' populations: a Gaussian copula.
+"""Correlation of the populations of several parameters by a Gaussian copula.
 
-The scores z_t of all populations in test t, standard normal each, have the correlation matrix R between them:
+The scores z_t of all populations in test t are standard normal with the correlation matrix R. The logarithm of the
+copula density,
 
-    log c(z_t) = −½ log det R − ½ z_tᵀ (R⁻¹ − I) z_t
+    log c(z_t) = −½ log det R − ½ z_tᵀ (R⁻¹ − I) z_t,
 
-is added to the log-density of a test's values. Each parameter keeps its own distribution and bounds. In the order
-of the parameters, R is built from partial correlations ρ_ij, each given those before i; with independent beta
-distributions of these, the density of R is proportional to (det R)^(η − 1) (Lewandowski, Kurowicka & Joe 2009, *J.
-Multivar. Anal.* 100, 1989–2001, section 2.4).
+is added to the log-density of the test's values. Each parameter keeps its own distribution and bounds. R is built
+from the partial correlations ρ_ij of the parameters i < j given the parameters before i. If the partial
+correlations have certain independent beta distributions, the density of R is proportional to (det R)^(η − 1)
+(Lewandowski, Kurowicka & Joe 2009, *J. Multivar. Anal.* 100, 1989–2001, section 2.4).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from fmu.types import BoolArray, FloatArray
 MOST = 0.999
 """The largest absolute value of a partial correlation."""
 _START = 0.95
-"""The largest absolute value of one where sampling starts."""
+"""The largest absolute value of a partial correlation at the start of sampling."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +36,9 @@ class Correlation:
     Attributes
     ----------
     columns : tuple of int
-        Numbers in theta of the partial correlations, ρ_12, ρ_13, ρ_23, ρ_14, …
+        Indices in theta of the partial correlations ρ_12, ρ_13, ρ_23, ρ_14, …
     scored : ndarray of bool, shape (n_tests, p)
-        Where a test has a score; one whose value is known is integrated out.
+        Whether a test has a score in a population. Missing scores are integrated out.
     """
 
     columns: tuple[int, ...]
@@ -48,7 +49,7 @@ class Correlation:
         return self._factors(theta)[0]
 
     def log_density(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the sum of log c over the tests, and its derivatives.
+        """Return the log-density of the copula, summed over the tests, and its derivatives.
 
         Parameters
         ----------
@@ -60,7 +61,7 @@ class Correlation:
         value : ndarray, shape (n,)
         by_score : ndarray, shape (n, n_tests, p)
         by_correlation : ndarray, shape (n, p (p - 1) / 2)
-            By the partial correlations.
+            Derivatives with respect to the partial correlations.
         """
         L, slopes = self._factors(theta)
         value, by_score, by_R = np.zeros(len(z)), np.zeros_like(z), np.zeros_like(L)
@@ -74,7 +75,10 @@ class Correlation:
         return value, by_score, np.einsum("nij,nkij->nk", by_L, slopes)
 
     def precision(self, theta: FloatArray) -> FloatArray:
-        """Return R⁻¹ − I between the scores that each test has, zero for the others; shape (n, n_tests, p, p)."""
+        """Return the inverse correlation matrix minus I for each test, shape (n, n_tests, p, p).
+
+        The matrix is that of the scores that the test has. Entries for missing scores are zero.
+        """
         n_tests, p = self.scored.shape
         found = np.zeros((len(theta), n_tests, p, p))
         for here, tests, _, inverse, _ in self._blocks(self.factor(theta)):
@@ -82,7 +86,7 @@ class Correlation:
         return found
 
     def of_scores(self, second_moments: FloatArray) -> FloatArray:
-        """Return the partial correlations of scores with the second moments (p, p)."""
+        """Return the partial correlations, (p (p − 1) / 2,), of scores with the second moments (p, p)."""
         size = np.sqrt(np.diag(second_moments))
         L = np.linalg.cholesky(second_moments / np.outer(size, size))
         left = np.sqrt(np.cumsum(L[:, ::-1] ** 2, axis=1)[:, ::-1])
@@ -90,7 +94,11 @@ class Correlation:
         return np.clip(found, -_START, _START)
 
     def _blocks(self, L: FloatArray) -> Iterator[Any]:
-        """For the tests with the same scores: which, in which tests, where in R; the inverse of R, log det R."""
+        """Yield the block of the correlation matrix for each set of tests with scores in the same populations.
+
+        Each item consists of the indices of the populations, the indices of the tests, the index of the block, the
+        inverse of the block and the logarithm of its determinant. Tests with fewer than two scores are skipped.
+        """
         R = L @ np.swapaxes(L, 1, 2)
         for pattern in np.unique(self.scored, axis=0):
             here, tests = np.flatnonzero(pattern), np.flatnonzero((self.scored == pattern).all(axis=1))
@@ -99,7 +107,9 @@ class Correlation:
                 yield here, tests, block, np.linalg.inv(R[block]), np.linalg.slogdet(R[block])[1]
 
     def _factors(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return L (n, p, p) and its derivatives by the partial correlations, (n, p (p - 1) / 2, p, p).
+        """Return the Cholesky factor of the correlation matrix, and its derivatives by the partial correlations.
+
+        The factor L has the shape (n, p, p), and its derivatives have the shape (n, p (p - 1) / 2, p, p).
 
         L_ji = ρ_ij √(1 − ρ_1j²) … √(1 − ρ_(i−1)j²), with ρ_jj = 1.
         """
@@ -121,7 +131,7 @@ class Correlation:
 
 
 def correlations(names: Sequence[str], eta: float) -> list[Parameter]:
-    """Return the partial correlations of the populations of some parameters, with the prior LKJ(η)."""
+    """Return the list of partial correlations between the populations `names`, with the prior LKJ(η)."""
     found, p = [], len(names)
     for j in range(1, p):
         for i in range(j):

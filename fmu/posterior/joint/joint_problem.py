@@ -1,4 +1,4 @@
-"""Updating with several tests of one structure at once."""
+"""The joint updating problem of several tests of one structure."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from fmu.types import FloatArray, Positive
 
 
 @check_arguments
-def JointProblem(  # it is the constructor of a problem
+def JointProblem(  # capitalised because it constructs a problem
     model: Annotated[Model, OwnRule()],
     tests: Sequence[Test],
     parameters: Sequence[Parameter],
@@ -46,50 +46,52 @@ def JointProblem(  # it is the constructor of a problem
     engine: Engine | None = None,
     name: str = "problem",
 ) -> UpdatingProblem:
-    """Return the posterior of all tests of a structure together.
+    """Return the joint posterior of all tests of a structure.
 
-    Its modes are the modes of every test, named ``"test: mode"``. Its parameters are the shared ones and those of
-    each test, group or population (`fmu.posterior.joint.layout`). Everything that takes a problem takes it. One
-    evaluation answers all tests: those that share the matrices are one batch, and one reduced model serves them.
+    The modes of the problem are the modes of all tests, named ``"test: mode"``. Its parameters are the shared
+    parameters and the parameters of each test, group or population (`fmu.posterior.joint.layout`). Every function
+    that accepts an `UpdatingProblem` accepts the result. One evaluation computes all tests: tests with the same
+    matrices are solved in one batch with one reduced model.
 
     Parameters
     ----------
     model : SeparableModel, BlackBoxModel or ModalModel
-        The structure as it is without the changes of any test. A `ModalModel`, or a map of the user's own, gives
-        all modes that the tests have between them, in the order in which the tests name them.
+        The structure without the changes of any test. A `ModalModel` or a user's function returns every mode that
+        at least one test contains, in the order in which the labels first occur in the tests.
     tests : sequence of Test
     parameters : sequence of Parameter
-        Parameters of the model, in the order of theta for a single test.
+        Parameters of the model, in the same order as for a single test.
     varies : mapping of str to {"shared", "test", "group"}, Population or Damage
-        By the name of the parameter; shared if it is not named. ``"test"`` and ``"group"``: each test, or group of
-        tests, has a value of its own, with the parameter's prior. A `Population`: the values of the tests scatter
-        about a common mean (hierarchical updating; Behmanesh, Moaveni, Lombaert & Papadimitriou 2015, *Mech.
-        Syst. Signal Process.* 64–65, 360–376). `Damage`: groups other than the reference have lost a share of it.
+        How each parameter varies between the tests, by the parameter's name. Parameters without an entry are
+        ``"shared"``. ``"test"`` or ``"group"``: each test, or each group of tests, has its own value, with the
+        parameter's prior. `Population`: the values in the tests scatter about a common mean (hierarchical
+        updating; Behmanesh, Moaveni, Lombaert & Papadimitriou 2015, *Mech. Syst. Signal Process.* 64–65,
+        360–376). `Damage`: in groups other than the reference, the parameter is reduced by a relative loss.
     slopes : mapping of str to mapping of str to Prior
-        By the names of parameter and covariate: the prior of the relative slope b, with which the value in a test
-        is multiplied by 1 + b (x − x₀), where x₀ is the mean of the covariate over the tests.
+        Prior of the relative slope b, by the names of the parameter and the covariate. The value in a test is
+        multiplied by 1 + b (x − x₀), where x₀ is the mean of the covariate over the tests.
     reference : str, optional
-        The group of tests that losses refer to; that of the first test by default.
+        The group of tests that losses refer to. Default: the group of the first test.
     correlation : float, optional
-        The populations are correlated (`fmu.posterior.joint.correlation`), and this is the shape η of the prior of
-        their correlation matrix, LKJ(η): 1 is flat, and the larger it is, the smaller are the correlations.
-        Independent by default.
+        Shape parameter η of the LKJ(η) prior of the populations' correlation matrix
+        (`fmu.posterior.joint.correlation`). 1 is a flat prior; larger values favour smaller correlations. By
+        default the populations are independent.
     pairing, beta, error, reduction, engine, name
-        See `UpdatingProblem` and `UpdatingProblem.reduced`. ``"soft"`` pairing and the modal residual are for
-        single tests. `fmu.MassErrors` and `fmu.StaticErrors` name the test in which the mass was weighed, or the
-        displacement measured: ``fmu.MassErrors(32.5e3, sd=300.0, test="autumn")``.
+        See `UpdatingProblem` and `UpdatingProblem.reduced`. ``"soft"`` pairing and the modal residual are only for
+        a single test. `fmu.MassErrors` and `fmu.StaticErrors` must name the test in which the mass was weighed or
+        the displacement was measured: ``fmu.MassErrors(32.5e3, sd=300.0, test="autumn")``.
 
     Returns
     -------
     UpdatingProblem
-        See its `tests`, `layout` and `values`.
+        Its `tests`, `layout` and `values` relate the inferred parameters to the single tests.
 
     Raises
     ------
     TestsError
-        Lists what is wrong in the tests, in `varies` and in `slopes`.
+        If the tests or another argument are wrong, or contradict each other; the error lists every fault.
     ValueError
-        As `UpdatingProblem` does.
+        If soft pairing or the modal residual is asked for, or as `UpdatingProblem` raises it.
     """
     tests = tuple(tests)
     slopes = {key: dict(value) for key, value in (slopes or {}).items()}
@@ -127,28 +129,29 @@ def simulate_next_test(
     like: str | None = None,
     covariates: Mapping[str, float] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the frequencies of one more test of the structure, Hz: computed, and with the errors of a test.
+    """Simulate the frequencies of one further test of the structure, in Hz, without and with measurement errors.
 
     Parameters
     ----------
     problem : UpdatingProblem
-        Of several tests.
+        A problem of several tests.
     rng : Generator
     theta : ndarray, shape (n, ndim)
-        Draws: values that scatter over the tests are drawn anew from the population of each.
+        Posterior draws. For each draw, a parameter with a population gets a new value from that population.
     like : str, optional
-        Name of the test that it resembles in configuration, group, modes and errors; the first by default.
+        Name of the test whose configuration, group, modes and errors the further test has. Default: the first.
     covariates : mapping of str to float, optional
-        Those not named are at their means over the tests.
+        Covariates in the further test. Covariates without an entry have their means over the tests.
 
     Returns
     -------
-    computed, measured : ndarray, shape (n, n_modes of that test)
+    computed, measured : ndarray, shape (n, n_modes)
+        Frequencies without and with errors, in Hz, of the modes of the test `like`.
 
     Raises
     ------
     ValueError
-        If there is no such test or covariate, or the error models give no distribution of the frequencies.
+        If `like` or a covariate is unknown, or the error models give no distribution of the frequencies.
     """
     tests = problem.tests
     names = [test.name for test in tests]
@@ -174,7 +177,7 @@ def find_mistakes(
     reference: str,
     correlation: float | None = None,
 ) -> list[str]:
-    """Return the contradictions between tests and parameters, each with its place."""
+    """Return a list of messages on contradictions between tests and parameters, each naming the argument."""
     names = [p.name for p in parameters]
     found = ["tests: must be at least 2 (got 1)"] if len(tests) == 1 else []
     found = found or ([] if tests else ["tests: must be at least 2 (got none)"])
@@ -220,7 +223,7 @@ def find_mistakes(
 
 
 def mistakes_of_shapes(tests: Sequence[Test]) -> list[str]:
-    """Return the obstacles to a comparison of shapes, each with its place."""
+    """Return a list of messages on tests whose shapes cannot be compared, each naming the argument."""
     found = []
     for t, test in enumerate(tests):
         if test.data.shapes is None:

@@ -1,4 +1,4 @@
-"""From the parameters of all tests together to the parameters of the structure in each test."""
+"""The mapping from the inferred parameters of all tests to the parameters of the structure in each test."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ from fmu.types import FloatArray, IntArray, Plain
 
 @dataclass(frozen=True)
 class Layout:
-    """The parameters of all tests together, and their meaning for each test.
+    """The inferred parameters of all tests, and the structural parameters in each test as functions of them.
 
-    Of a single test it is the identity.
+    For a single test the layout is the identity.
 
     Attributes
     ----------
     structural : tuple of Parameter
-        Those of the structure, as in a single test.
+        The structural parameters, as for a single test.
     parameters : tuple of Parameter
-        What is inferred: shared parameters, those of each test or group, means, standard deviations and slopes;
-        then the scores.
+        The inferred parameters: shared parameters, parameters of each test or group, means, standard deviations,
+        losses, slopes and correlations; then the scores.
     tests : tuple of Test
     values_of : tuple of InTests
-        One per parameter of the structure.
+        For each structural parameter, its values in all tests as a function of theta.
     populations : mapping of str to Varies
-        How parameters that scatter over the tests do so, by their names.
+        The populations, by the names of the structural parameters that scatter over the tests.
     by_state : tuple of str
-        Parameters that have a value of their own in each group of tests.
+        Names of the structural parameters that vary between groups of tests.
     correlation : Correlation, optional
-        Of the populations; they are independent without one.
+        Correlation of the populations. If it is None, the populations are independent.
     roles : tuple of Role
-        What each of `parameters` is for.
+        The meaning of each parameter in `parameters`.
     reference : str
         The group of tests that losses refer to.
     """
@@ -59,7 +59,7 @@ class Layout:
 
     @classmethod
     def of_one(cls, parameters: Sequence[Parameter], data: ModalData) -> Layout:
-        """Return the layout of a single test, in which theta has the parameters of the structure themselves."""
+        """Return the layout of a single test, in which theta consists of the structural parameters."""
         numbers = range(len(parameters))
         return cls(
             tuple(parameters),
@@ -71,13 +71,13 @@ class Layout:
 
     @cached_property
     def is_identity(self) -> bool:
-        """Whether theta has the parameters of the structure in one test, and nothing else."""
+        """Whether there is only one test, so that theta consists of the structural parameters."""
         return len(self.tests) == 1
 
     def of_model(self, theta: FloatArray) -> FloatArray:
-        """Return the parameters of the model and the inferred standard deviations, at theta (n, ndim).
+        """Return the parameters of the model, followed by the inferred standard deviations, at theta (n, ndim).
 
-        Those of the model are the structure's in every test, one test after the other
+        The parameters of the model are the structural parameters in every test, one test after the other
         (`fmu.posterior.joint.model_in_tests.ModelInTests`).
         """
         if self.is_identity:
@@ -87,12 +87,12 @@ class Layout:
 
     @property
     def states(self) -> tuple[str, ...]:
-        """The groups of tests other than the reference, where a parameter varies between groups; else none."""
+        """The groups of tests other than the reference; empty if no parameter varies between groups."""
         groups = dict.fromkeys(test.group for test in self.tests if test.group != self.reference)
         return tuple(groups) if self.by_state else ()
 
     def configuration(self) -> dict[str, Plain]:
-        """Return the data that define it, in plain Python types."""
+        """Return a dict of the data that define the layout, in plain Python types."""
         return {
             "tests": [test.as_dict() for test in self.tests],
             "populations": {name: one.as_dict() for name, one in self.populations.items()},
@@ -101,9 +101,9 @@ class Layout:
         }
 
     def losses(self, theta: FloatArray) -> FloatArray:
-        """Return 1 − θ/θ_reference of the parameters of `by_state`, shape (n, n_states, n_by_state).
+        """Return the losses 1 − θ/θ_reference of the parameters in `by_state`, shape (n, n_states, n_by_state).
 
-        Without the effects of covariates.
+        The losses do not include trends with covariates.
 
         Parameters
         ----------
@@ -126,7 +126,7 @@ class Layout:
         return np.stack(found, axis=2)
 
     def correlations(self, theta: FloatArray) -> FloatArray:
-        """Return the correlation matrix of the populations, shape (n, n_populations, n_populations)."""
+        """Return the correlation matrices of the populations, (n, n_populations, n_populations), at n theta."""
         if self.correlation is None:
             return np.tile(np.eye(len(self.drawn)), (len(theta), 1, 1))
         factor = self.correlation.factor(theta)
@@ -134,41 +134,41 @@ class Layout:
 
     @property
     def drawn(self) -> list[Drawn]:
-        """The parameters that scatter over the tests."""
+        """The structural parameters that scatter over the tests, without their trends."""
         return [one.base for one in self.values_of if isinstance(one.base, Drawn)]
 
     @property
     def scales(self) -> list[int]:
-        """Numbers in theta of what tells how others scatter: of populations and their correlations."""
+        """Sorted indices in theta of the populations' centres, widths and correlations."""
         found = [k for one in self.drawn for k in (one.centre, one.width)]
         return sorted([*found, *(self.correlation.columns if self.correlation else ())])
 
     def uncentred(self) -> Layout:
-        """Return the layout with standard normal scores, whatever the population is."""
+        """Return the layout in the non-centred form, with a centring of zero for all scores."""
         references = {one.centre: (np.zeros_like(one.centring), one.reference) for one in self.drawn}
         return replace(self, values_of=tuple(one.refer_to(references) for one in self.values_of))
 
     def values(self, theta: FloatArray) -> FloatArray:
-        """Return the parameters of the structure, shape (n, n_tests, n_structural), at theta (n, n_parameters).
+        """Return the structural parameters in all tests, (n, n_tests, n_structural), at theta (n, n_parameters).
 
-        Without meaning where a parameter is known in a test.
+        Values of parameters that are known in a test have no meaning.
         """
         return np.stack([value_of(theta)[0] for value_of in self.values_of], axis=2)
 
     def distinct(self, tests: Sequence[int], parameters: Sequence[int]) -> tuple[IntArray, IntArray]:
-        """Return the first of the tests that always have the same values of these parameters of the structure.
+        """Return the groups of tests in which some structural parameters have equal values at every theta.
 
         Parameters
         ----------
         tests, parameters : sequence of int
-            No parameter is known in one of the tests.
+            Indices of the tests and of the structural parameters. None of the parameters is known in these tests.
 
         Returns
         -------
         first : ndarray of int, shape (n_distinct,)
-            Tests with different values.
+            Index of the first test of each group.
         row : ndarray of int, shape (len(tests),)
-            The row of `first` with the values of each test.
+            For each test, the index into `first` of its group.
         """
         numbers: dict[Any, int] = {}
         identities = (tuple(self.values_of[j].identity(t) for j in parameters) for t in tests)
@@ -178,16 +178,16 @@ class Layout:
     def of_next_test(
         self, theta: FloatArray, rng: np.random.Generator, like: int, covariates: Mapping[str, float]
     ) -> FloatArray:
-        """Return the structure's parameters in one more test, drawn from what varies, shape (n, n_structural).
+        """Return draws of the structural parameters in a further test, shape (n, n_structural).
 
         Parameters
         ----------
         theta : ndarray, shape (n, n_parameters)
         rng : Generator
         like : int
-            The test whose group it belongs to.
+            Index of the test whose group the further test belongs to.
         covariates : mapping of str to float
-            Where they are not at their means over the tests.
+            Values of the covariates. Covariates without an entry have their means over the tests.
         """
         scores = np.moveaxis(self.draw_scores(theta, rng, 1), 2, 0)[:, :, 0]
         future = Future(rng, {one.centre: z for one, z in zip(self.drawn, scores, strict=True)}, covariates)
@@ -199,19 +199,20 @@ class Layout:
         return z if self.correlation is None else np.einsum("nij,ntj->nti", self.correlation.factor(theta), z)
 
     def box(self) -> tuple[FloatArray, FloatArray]:
-        """Return limits within which the values lie as a rule, shape (n_tests, n_structural) each."""
+        """Return lower and upper limits that the values rarely exceed, shape (n_tests, n_structural) each."""
         ends = [value_of.box(*box(self.parameters)) for value_of in self.values_of]
         return tuple(np.stack(end, axis=1) for end in zip(*ends, strict=True))  # type: ignore[return-value]
 
     def chain_slopes(self, theta: FloatArray, slopes: FloatArray, test: IntArray) -> FloatArray:
-        """Return derivatives by theta of quantities that each belong to one test.
+        """Return the derivatives with respect to theta of m quantities, each of which belongs to one test.
 
         Parameters
         ----------
         theta : ndarray, shape (n, n_parameters)
         slopes : ndarray, shape (n, m, n_structural)
-            By the structure's parameters; zero for those known in the test.
+            Derivatives with respect to the structural parameters in the test; zero for parameters known there.
         test : ndarray of int, shape (m,)
+            For each quantity, the index of its test.
 
         Returns
         -------
@@ -221,20 +222,21 @@ class Layout:
         rows = np.arange(slopes.shape[1])
         for j, value_of in enumerate(self.values_of):
             for columns, values in value_of(theta)[1]:
-                # no parameter is twice in one row here, so that nothing is lost
+                # no parameter occurs twice in a row, so += adds every term
                 found[:, rows, columns[test]] += slopes[:, :, j] * values[:, test]
         return found
 
     def gradient(self, theta: FloatArray, slopes: FloatArray, test: IntArray) -> FloatArray:
-        """Return the gradient (n, ndim) of a sum of terms that each belong to one test of several.
+        """Return the gradient (n, ndim) of a sum of m terms, each of which belongs to one of several tests.
 
         Parameters
         ----------
         theta : ndarray, shape (n, ndim)
         slopes : ndarray, shape (n, m, n_structural + n_noise)
-            Derivatives of each term by the structure's parameters in its test, and by the standard deviations.
+            Derivatives of each term with respect to the structural parameters in its test, followed by those with
+            respect to the inferred standard deviations.
         test : ndarray of int, shape (m,)
-            The test of each term.
+            For each term, the index of its test.
         """
         n, P = len(self.parameters), len(self.structural)
         order = np.argsort(test, kind="stable")
@@ -252,10 +254,10 @@ class Layout:
         return found
 
     def log_prior(self, theta: FloatArray, independent: FloatArray) -> FloatArray:
-        """Return the log-density of the prior (n,), given the log-density of independent parameters.
+        """Return the log-density of the prior, (n,), given the log-density of independent parameters.
 
-        Independent scores are standard normal. Centred scores refer to a population, and those of several
-        populations may be correlated.
+        Independent scores are standard normal. Corrections are added for centred scores, whose density depends on
+        the population, and for the correlation of the populations.
         """
         value = independent
         for one in self._centred:
@@ -266,7 +268,7 @@ class Layout:
         return value
 
     def log_prior_gradient(self, theta: FloatArray, independent: FloatArray) -> FloatArray:
-        """Return the gradient of `log_prior` (n, ndim), given the gradient for independent parameters."""
+        """Return the gradient of `log_prior`, (n, ndim), given the gradient for independent parameters."""
         gradient = independent
         for one in self._centred:
             by_score, by_centre, by_width = one.log_prior(theta)[1]
@@ -286,7 +288,10 @@ class Layout:
         return gradient
 
     def log_prior_curvature(self, theta: FloatArray, independent: FloatArray, scale: FloatArray) -> FloatArray:
-        """Return −∇² of `log_prior` (n, ndim, ndim), in units of `scale`, given it for independent parameters."""
+        """Return −∇² of `log_prior`, (n, ndim, ndim), in units of `scale`.
+
+        `independent` is −∇² of the log-density of independent parameters, in the same units.
+        """
         curvature = independent
         for one in self._centred:
             columns = one.columns[one.scored]
@@ -303,7 +308,7 @@ class Layout:
         return curvature
 
     def draw_from_prior(self, theta: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return draws from the prior (n, ndim), given draws of independent parameters."""
+        """Return draws from the prior, (n, ndim), given draws of independent parameters in `theta`."""
         if self.correlation is not None:
             z = self.draw_scores(theta, rng, len(self.tests))
             for j, one in enumerate(self.drawn):

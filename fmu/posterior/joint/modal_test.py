@@ -1,4 +1,4 @@
-"""One modal test among several: its modes, and what is known to differ in it."""
+"""One modal test of several: the measured modes, and the known changes of the structure in this test."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from fmu.types import Plain
 
 
 class TestsError(ValueError):
-    """Tests, and what varies between them, do not fit together.
+    """Error in the tests, or in the parameters that vary between the tests.
 
     Attributes
     ----------
     mistakes : tuple of str
-        Each with its place: ``tests.2.name: …``.
+        One message per error, each preceded by the argument that is wrong: ``tests.2.name: …``.
     """
 
     __test__ = False
@@ -31,25 +31,25 @@ class TestsError(ValueError):
 @check_arguments
 @dataclass(frozen=True, eq=False)
 class Test:
-    """A modal test of a structure that was tested several times, see `fmu.JointProblem`.
+    """One modal test of a structure that was tested several times, see `fmu.JointProblem`.
 
     Attributes
     ----------
     name : str
-        For tables and figures; no two tests have the same.
+        Name for tables and figures, different for every test.
     data : ModalData
-        What was measured. Modes of different tests that have the same label are the same mode of the structure; a
-        test may lack some.
+        The measured modes. Modes with the same label in different tests are the same mode of the structure. A test
+        need not contain every mode.
     group : str
-        State, place or season of the structure that several tests share, such as ``"before repair"``.
+        State, location or season that several tests share, such as ``"before repair"``.
     covariates : mapping of str to float
-        What may have changed the structure from test to test, such as ``{"temperature": 12.5}``.
-    masses : mapping of place to float, kg
-        Point masses that were added for this test; a negative one was taken away.
-    springs : mapping of (place, direction) to float, N/m or N·m/rad
-        Springs to the ground that were added for this test; a negative one was taken away.
+        Quantities that may have changed the structure from test to test, such as ``{"temperature": 12.5}``.
+    masses : mapping of node or rigid arm to float, kg
+        Point masses that were added for this test. A negative value is a mass that was removed.
+    springs : mapping of (node or rigid arm, direction) to float, N/m or N·m/rad
+        Springs to the ground that were added for this test. A negative value is a spring that was removed.
     known : mapping of str to float
-        Parameters whose values are known in this test, such as the stiffness 0 of a support that was removed.
+        Known values of parameters in this test, such as the stiffness 0 of a support that was removed.
 
     Raises
     ------
@@ -57,7 +57,7 @@ class Test:
         If a name is not allowed, or a value is not finite.
     """
 
-    __test__ = False  # not a test of pytest's
+    __test__ = False  # pytest must not collect this class
 
     name: str
     data: ModalData
@@ -74,12 +74,12 @@ class Test:
 
     @property
     def configuration(self) -> tuple[Any, ...]:
-        """What the matrices and the sensors of this test are made of; equal for tests that share them."""
+        """Known changes and sensors of this test; equal for tests with the same matrices and sensors."""
         changes = (tuple(sorted(part.items(), key=str)) for part in (self.masses, self.springs, self.known))
         return (*changes, tuple(self.data.sensors))
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return the known differences of the test, in plain Python types."""
+        """Return a dict of the test's name, group, covariates and known changes, in plain Python types."""
         springs: list[list[Plain]] = [
             [str(place), direction, float(k)] for (place, direction), k in self.springs.items()
         ]

@@ -1,4 +1,4 @@
-"""The structure in several tests as one model of its parameters in each of them."""
+"""One model of a structure in several tests, as a function of the structure's parameters in each test."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ from fmu.types import FloatArray, IntArray, Plain
 
 @dataclass(frozen=True, eq=False)
 class Configuration:
-    """Tests that share the matrices and the sensors, and are therefore solved in one batch.
+    """A group of tests with the same matrices and sensors, which are therefore solved in one batch.
 
     Attributes
     ----------
     model : ModalModel
-        Paired with every mode that one of these tests has measured.
+        The model, paired with every mode that was measured in at least one of these tests.
     tests : ndarray of int, shape (n_here,)
-        Which tests.
+        Indices of the tests.
     distinct : ndarray of int, shape (n_distinct,)
-        Those of them that are solved: the others always have the parameters of one of these.
+        Indices of the tests that are solved. Every other test always has the same parameters as one of them.
     parameters : ndarray of int, shape (p,)
-        Which parameters of the structure the model takes; the others are known.
+        Indices of the structural parameters that the model takes. The remaining structural parameters are known.
     columns : ndarray of int, shape (m,)
-        Their modes among those of all tests.
+        Indices of the measured modes of these tests among the modes of all tests.
     test, row, mode : ndarray of int, shape (m,)
-        Of each: the row in `tests`, the row in `distinct`, and the mode of `model`.
+        For each of these measured modes, the index into `tests`, the index into `distinct`, and the index among
+        the modes of `model`.
     """
 
     model: ModalModel
@@ -46,36 +47,37 @@ class Configuration:
     mode: IntArray
 
     def points(self, values: FloatArray) -> FloatArray:
-        """Return the model's parameters, (n · n_distinct, p), from those in all tests, (n, n_tests, P)."""
+        """Return the model's parameters, (n · n_distinct, p), from `values`, (n, n_tests, n_structural)."""
         own = values[:, self.distinct[:, None], self.parameters]
         return own.reshape(-1, len(self.parameters))
 
     def pick(self, found: FloatArray) -> FloatArray:
-        """Return the measured modes, shape (n, m, …), from all modes at `points`, (n · n_distinct, modes, …)."""
+        """Return the entries of the measured modes, (n, m, …), from all modes, (n · n_distinct, n_modes, …)."""
         return found.reshape(-1, len(self.distinct), *found.shape[1:])[:, self.row, self.mode]
 
 
 class ModelInTests(ModalModel):
-    """The modes of a structure in all tests, as a function of its parameters in each of them.
+    """The modes of a structure in all tests, as a function of the structure's parameters in each test.
 
-    An evaluation of all tests is counted as one solve. Derivatives are by the parameters of the structure in the
-    test that a mode is of: by all parameters of all tests most of them would be zero.
+    An evaluation of all tests counts as one solve. The derivatives of a mode are with respect to the P structural
+    parameters in the test of this mode only, because the derivatives with respect to other tests' parameters are
+    zero.
 
     Parameters
     ----------
     configurations : sequence of Configuration
-        Every test is in one of them.
+        Every test belongs to exactly one configuration.
     tests : sequence of str
-        Names.
+        Names of the tests.
     n_structural : int
         P, the number of parameters of the structure.
     n_modes : int
-        Number of measured modes of all tests.
+        Number of measured modes of all tests together.
 
     Attributes
     ----------
     n_parameters : int
-        n_tests P: the parameters of the first test, then those of the second, and so on.
+        The product n_tests P. The parameters in the first test come first, then those in the second test, etc.
     """
 
     name = "ModelInTests"
@@ -102,7 +104,7 @@ class ModelInTests(ModalModel):
 
     @property
     def test_of_modes(self) -> IntArray:
-        """The test that each measured mode is of, shape (n_modes,)."""
+        """For each measured mode, the index of its test, shape (n_modes,)."""
         found = np.empty(self.n_modes, dtype=np.int64)
         for part in self.configurations:
             found[part.columns] = part.tests[part.test]
@@ -110,31 +112,31 @@ class ModelInTests(ModalModel):
 
     @property
     def truth(self) -> ModelInTests:
-        """The true model of each configuration."""
+        """The model with the true model of each configuration, instead of an approximation."""
         return self._with([model.truth for model in self.parts])
 
     @property
     def full_solves(self) -> int:  # type: ignore[override]
-        """How often a full model had to answer where there is a reduced one."""
+        """The number of points at which a full model was solved although there is a reduced model."""
         return sum(model.full_solves for model in self.parts)
 
     @property
     def sizes(self) -> tuple[int, ...]:  # type: ignore[override]
-        """Unknowns of each block of the reduced models."""
+        """The number of unknowns of each block of the reduced models."""
         return tuple(size for model in self.parts for size in model.sizes)
 
     @property
     def reasons(self) -> Sequence[Failure]:
-        """The first points at which a user's function failed, and why."""
+        """The first points at which a user's function failed, with the reasons."""
         return tuple(reason for model in self.parts for reason in model.reasons)
 
     @property
     def functions(self) -> tuple[BlackBoxModel, ...]:  # type: ignore[override]
-        """Return the users' functions that answer, each once."""
+        """The users' functions that the configurations' models call, without repetition."""
         return tuple(dict.fromkeys(function for model in self.parts for function in model.functions))
 
     def seconds_at(self, theta: FloatArray) -> float | None:
-        """Return the seconds that users' functions take at a theta (n_parameters,), None without any."""
+        """Return the time in s that users' functions take at a theta (n_parameters,); None without functions."""
         found = []
         for part in self.configurations:
             points = part.points(self._in_tests(theta[None]))
@@ -142,7 +144,7 @@ class ModelInTests(ModalModel):
         return sum(one * n for one, n in found if one is not None) if self.functions else None
 
     def coarser(self, share: float) -> Self:
-        """Return the model with a coarser one of each configuration; itself if there is none."""
+        """Return the model with a coarser model of each configuration; itself if no coarser model exists."""
         return self._with([model.coarser(share) for model in self.parts])
 
     def _with(self, models: Sequence[ModalModel]) -> Self:
@@ -152,17 +154,23 @@ class ModelInTests(ModalModel):
         return type(self)(both, self.tests, self.n_structural, self.n_modes)
 
     def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
-        """Return the first matrices that parameter `k` of the structure changes, and its number there, or None."""
+        """Return the first matrices that depend on structural parameter `k`, and the index of `k` in their model.
+
+        The result is None if no matrices depend on it.
+        """
         for part in self.configurations:
             if k in part.parameters:
                 return part.model.matrices_of(int(np.flatnonzero(part.parameters == k)[0]))
         return None
 
     def failed_tests(self, theta: FloatArray) -> Iterator[tuple[str, ModalModel, FloatArray]]:
-        """Yield the tests without frequencies at a theta (n_parameters,): name, model, and its own parameters."""
+        """Yield name, model and model parameters of each test without frequencies at a theta (n_parameters,).
+
+        With a user's function every solved test is yielded, because the function is not called again.
+        """
         for part in self.configurations:
             points = part.points(self._in_tests(theta[None]))
-            if part.model.functions:  # not called again
+            if part.model.functions:  # a user's function is not called again
                 failed = np.ones(len(points), dtype=bool)
             else:
                 failed = ~np.isfinite(part.model.frequencies(points)).all(axis=1)
@@ -170,7 +178,10 @@ class ModelInTests(ModalModel):
                 yield self.tests[part.distinct[row]], part.model, points[row]
 
     def of_modes(self, theta: FloatArray, of: Callable[[Any, FloatArray], FloatArray]) -> FloatArray:
-        """Apply `of` to each configuration's model and parameters; return its values for every measured mode."""
+        """Return the results of `of` for all measured modes, shape (n, n_modes, …).
+
+        `of` is called with the model and the parameters of each configuration.
+        """
         values = self._in_tests(theta)
         seen = [part.pick(of(part.model, part.points(values))) for part in self.configurations]
         found = np.empty((len(theta), self.n_modes, *seen[0].shape[2:]))
@@ -183,13 +194,16 @@ class ModelInTests(ModalModel):
         return self.of_modes(theta, lambda model, points: model.frequencies(points))
 
     def frequencies_of_test(self, test: int, values: FloatArray) -> FloatArray:
-        """Return frequencies in Hz of the measured modes of a test, at the parameters in it, (n, P)."""
+        """Return the frequencies in Hz of a test's measured modes at the parameters in it, (n, n_structural)."""
         part = next(one for one in self.configurations if test in one.tests)
         modes = part.mode[part.tests[part.test] == test]
         return part.model.frequencies(values[:, part.parameters])[:, modes]
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies (n, n_modes), and derivatives by the parameters of their tests, (n, n_modes, P)."""
+        """Return frequencies in Hz, (n, n_modes), and their derivatives, (n, n_modes, n_structural).
+
+        The derivatives of a mode are with respect to the structural parameters in the test of this mode.
+        """
         values = self._in_tests(theta)
         frequencies = np.empty((len(theta), self.n_modes))
         slopes = np.zeros((len(theta), self.n_modes, self.n_structural))
@@ -200,7 +214,7 @@ class ModelInTests(ModalModel):
         return frequencies, slopes
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies and shapes at the sensors, with derivatives as of `frequencies_and_gradient`."""
+        """Return frequencies and shapes at the sensors, with derivatives as in `frequencies_and_gradient`."""
         values = self._in_tests(theta)
         n, m, p = len(theta), self.n_modes, self.n_structural
         seen = [part.model.observed(part.points(values), gradient) for part in self.configurations]
@@ -220,7 +234,7 @@ class ModelInTests(ModalModel):
         return ModalPrediction(frequencies, shapes, by_frequency, by_shape)
 
     def configuration(self) -> dict[str, Plain]:
-        """Return the data that identify the model, in plain Python types."""
+        """Return a dict of the data that identify the model, in plain Python types."""
         return {
             "configurations": [
                 {"tests": part.tests.tolist(), "model": part.model.configuration()} for part in self.configurations
@@ -228,5 +242,5 @@ class ModelInTests(ModalModel):
         }
 
     def _in_tests(self, theta: FloatArray) -> FloatArray:
-        """Return the parameters in each test, shape (n, n_tests, P), of theta (n, n_parameters or more)."""
+        """Return the parameters in each test, (n, n_tests, n_structural), from theta (n, n_parameters or more)."""
         return theta[:, : self.n_parameters].reshape(len(theta), self.n_tests, self.n_structural)

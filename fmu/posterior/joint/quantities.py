@@ -1,4 +1,4 @@
-"""Weighed masses and static displacements of single tests among several."""
+"""Weighed masses and static displacements, each measured in one of several tests."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from fmu.types import FloatArray, IntArray
 
 
 class Errors(NamedTuple):
-    """Error models of several tests.
+    """The error models of several tests, divided into those of modes and those of other quantities.
 
     Attributes
     ----------
     of_modes : str or sequence of ErrorModel
-        Those of all tests; by default as of a single one.
+        Error models of the modes of all tests; ``"frequency"`` if none is given.
     of_quantities : mapping of int to QuantityErrors
-        Those of one test each, by their place in the order given.
+        Error models of masses and displacements, by their index in the argument `error`.
     """
 
     of_modes: Any
@@ -36,7 +36,7 @@ class Errors(NamedTuple):
 
     @classmethod
     def of(cls, error: str | ErrorModel | Sequence[ErrorModel]) -> Errors:
-        """Return the error models apart."""
+        """Divide the error models that the user gives; return them as `Errors`."""
         given: Any = error if isinstance(error, Sequence) and not isinstance(error, str) else [error]
         quantities = {i: one for i, one in enumerate(given) if isinstance(one, QuantityErrors)}
         if not quantities:
@@ -44,7 +44,7 @@ class Errors(NamedTuple):
         return cls([one for i, one in enumerate(given) if i not in quantities] or "frequency", quantities)
 
     def find_mistakes(self, model: Any, tests: Sequence[str]) -> list[str]:
-        """Return a sentence for each contradiction between errors, model and tests, with its place."""
+        """Return a list of messages on contradictions between error models, model and tests."""
         rule = f"must be the test in which it was measured, one of {names_shown(tests)}"
         found = [
             f"error.{i}.test: {rule} (got {'none' if one.test is None else shown(one.test)})"
@@ -60,12 +60,14 @@ class Errors(NamedTuple):
         return found
 
     def bound(self, joint: ModelInTests, layout: Layout) -> tuple[QuantityTerm, ...]:
-        """Return the quantities as functions of the parameters in all tests, with the test in their labels.
+        """Return one term per error model of quantities, as a function of the parameters in all tests.
+
+        The labels of a term begin with the name of its test.
 
         Raises
         ------
         ValueError
-            If the structure, as it was in that test, cannot give one; with its place.
+            If a quantity cannot be computed for the structure in its test.
         """
         lower, upper = layout.box()
         found = []
@@ -87,16 +89,17 @@ class Errors(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class InOneTest:
-    """A quantity of the structure in one test, as a function of the parameters in all tests.
+    """Quantities of the structure in one test, as a function of the parameters in all tests.
 
     Attributes
     ----------
     computed : callable
-        Of the structure's parameters in the test, see `fmu.posterior.errors.quantities.QuantityTerm`.
+        The quantities as a function of p structural parameters in the test, see
+        `fmu.posterior.errors.quantities.QuantityTerm`.
     columns : ndarray of int, shape (p,)
-        The parameters that it takes, by their numbers among those in all tests.
+        Indices of the p parameters among the parameters in all tests.
     parameters : ndarray of int, shape (p,)
-        The same by their numbers in the structure.
+        Indices of the p parameters among the structural parameters.
     n_structural : int
         Number of parameters of the structure.
     """
@@ -107,7 +110,10 @@ class InOneTest:
     n_structural: int
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> tuple[FloatArray, FloatArray | None]:
-        """Return the values, (n, q), at the parameters in all tests, and derivatives by those in its own."""
+        """Return the values, (n, q), and derivatives by the structural parameters in the test, or None.
+
+        The derivatives have the shape (n, q, n_structural); they are None without `gradient`.
+        """
         values, by_own = self.computed(theta[:, self.columns], gradient)
         if by_own is None:
             return values, None
@@ -117,14 +123,14 @@ class InOneTest:
 
 
 def over(p: Parameter, lower: float, upper: float) -> Parameter:
-    """Return a parameter for the box in which the values of some tests lie."""
+    """Return `p` if its bounds contain the interval, else `p` with the interval as bounds and a uniform prior."""
     if p.lower <= lower and upper <= p.upper:
         return p
     return replace(p, lower=lower, upper=upper, prior=Uniform(), start=float(np.clip(p.start, lower, upper)))
 
 
 def _close_box(p: Parameter, lower: float, upper: float) -> Parameter:
-    """Return a parameter for the box of its values in a test, which also bounds it where it had no bound."""
+    """Return `p` with finite bounds: as `over`, with the interval's limits in place of infinite bounds."""
     found = over(p, lower, upper)
     low = found.lower if np.isfinite(found.lower) else float(lower)
     high = found.upper if np.isfinite(found.upper) else float(upper)

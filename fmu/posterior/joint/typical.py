@@ -1,4 +1,4 @@
-"""A point in the middle of a hierarchical posterior, whose maximum lies far from its mass."""
+"""A typical point of a hierarchical posterior, for which the maximum lies far from most of the probability."""
 
 from __future__ import annotations
 
@@ -18,30 +18,31 @@ _MOST_ROUNDS, _SETTLED = 50, 0.01
 _ROUGH = 0.01
 _STEP = 1e-4
 _MAY_VANISH = 0.1
-"""The smallest probable variance of a population, relative to the typical one, if it cannot be zero."""
+"""A population may have zero variance if its smallest probable variance is below this, relative to the typical."""
 _LEAST_SD = 1e-3
-"""Of a population, relative to the middle of its prior."""
+"""Smallest standard deviation of a population in the search, relative to its start value."""
 
 
 def typical_point(problem: UpdatingProblem) -> tuple[FloatArray, FloatArray]:
-    """Return a theta where most of the posterior is, and −∇² log P there, both in scaled coordinates.
+    """Return a point in the bulk of a hierarchical posterior, and −∇² log P there, both in scaled coordinates.
 
-    The highest density of a hierarchical posterior says nothing: it depends on the coordinates, and lies where the
-    populations are far too wide or far too narrow. Here their means and standard deviations have the most probable
-    values after the tests' own values are integrated out, approximately (expectation–maximisation with Gaussian
-    values; Dempster, Laird & Rubin 1977, *J. R. Stat. Soc. B* 39, 1–38); everything else is most probable given
-    those.
+    The maximum of a hierarchical posterior density is not meaningful: it depends on the coordinates, and lies
+    where the populations are far too wide or too narrow. At the typical point, the means, standard deviations and
+    correlations of the populations approximately maximise the posterior after the tests' own values are integrated
+    out (expectation–maximisation with Gaussian values; Dempster, Laird & Rubin 1977, *J. R. Stat. Soc. B* 39,
+    1–38). All other parameters have their most probable values given these.
 
     Parameters
     ----------
     problem : UpdatingProblem
-        With a population.
+        A problem with at least one population.
 
     Returns
     -------
     position : ndarray, shape (ndim,)
     hessian : ndarray, shape (ndim, ndim)
-        By Gauss–Newton; by differences of the gradient for means and standard deviations.
+        Gauss–Newton Hessian. The rows and columns of the populations' means, standard deviations and correlations
+        are computed by finite differences of the gradient.
     """
     u, _ = _search(problem)
     scaled = ScaledDensity(problem)
@@ -55,17 +56,17 @@ def typical_point(problem: UpdatingProblem) -> tuple[FloatArray, FloatArray]:
 
 
 def centre_scores(problem: UpdatingProblem) -> Layout:
-    """Return the layout in which every score refers to what is easiest to sample.
+    """Return the layout with the centring of each score that makes the posterior easiest to sample.
 
-    With the variance C that a test alone leaves to its value, the best weight of the centred form is σ²/(σ² + C)
-    where the population has the variance σ². That must hold for the smallest σ that is probable, where a centred
-    form has its funnel: σ exp(−2/√(2 Σ w²)), as log σ has the information 2 Σ w² with the weights there.
-    If σ may vanish, nothing is centred.
+    If the variance of a value given its test alone is C, and the population has the variance σ², the best weight
+    of the centred form is w = σ²/(σ² + C). The weight has to suit the smallest probable σ, where a centred form
+    has its funnel. The smallest probable σ is σ exp(−2/√(2 Σ w²)), because log σ has the information 2 Σ w². If σ
+    may be zero, no score is centred.
 
     Parameters
     ----------
     problem : UpdatingProblem
-        Its scores are not centred yet.
+        A problem whose scores are not centred yet.
     """
     u, variance = _search(problem)
     theta = ScaledDensity(problem).to_theta(u)
@@ -73,7 +74,7 @@ def centre_scores(problem: UpdatingProblem) -> Layout:
     for one in problem.layout.drawn:
         # a standard normal score keeps the variance C/(σ² + C) after the measurement
         w = np.where(one.scored, 1.0 - np.clip(variance[one.columns], 0.0, 1.0), 0.0)
-        smallest = np.exp(-4.0 / np.sqrt(2.0 * max(np.sum(w**2), np.finfo(float).tiny)))  # of σ², relative
+        smallest = np.exp(-4.0 / np.sqrt(2.0 * max(np.sum(w**2), np.finfo(float).tiny)))  # relative to σ²
         if smallest < _MAY_VANISH:
             smallest = 0.0
         reference = (float(theta[one.centre]), float(theta[one.width]))
@@ -84,7 +85,10 @@ def centre_scores(problem: UpdatingProblem) -> Layout:
 
 
 def _search(problem: UpdatingProblem) -> tuple[FloatArray, FloatArray]:
-    """Return the typical point, scaled, and what the tests leave of the scores' variances, (ndim,)."""
+    """Return the typical point in scaled coordinates, (ndim,), and the variances of theta around it, (ndim,).
+
+    The variances hold for fixed means, standard deviations and correlations of the populations.
+    """
     quadratic, scaled = GaussNewton(problem), ScaledDensity(problem)
     held = np.array(problem.layout.scales)
     theta = problem.start.copy()
@@ -108,7 +112,7 @@ def _search(problem: UpdatingProblem) -> tuple[FloatArray, FloatArray]:
 
 
 def _variances(hessian: FloatArray) -> FloatArray:
-    """Return the variances of a Gaussian, (ndim,); a direction that nothing informs is as wide as its bounds."""
+    """Return the variances of a Gaussian with this Hessian, (ndim,); if singular, of Hessian plus identity."""
     try:
         return np.diag(np.linalg.inv(hessian))
     except np.linalg.LinAlgError:
@@ -118,7 +122,7 @@ def _variances(hessian: FloatArray) -> FloatArray:
 def _holding(
     found: tuple[FloatArray, FloatArray, FloatArray], columns: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return value, gradient and Hessian with some coordinates held."""
+    """Return value, gradient and Hessian with the coordinates `columns` held fixed."""
     value, gradient, hessian = found
     gradient[:, columns] = 0.0
     hessian[:, columns] = 0.0
@@ -128,7 +132,7 @@ def _holding(
 
 
 def _correlate(layout: Layout, theta: FloatArray, variance: FloatArray) -> None:
-    """Give the populations the correlation that the scores now have, and what the tests leave uncertain in it."""
+    """Set the populations' correlations in `theta` from the second moments of the scores, with their variances."""
     correlation: Any = layout.correlation
     found = [one.population_scores(theta[None]) for one in layout.drawn]
     z = np.stack([z[0] for z, _ in found], axis=1)
@@ -142,7 +146,7 @@ def _correlate(layout: Layout, theta: FloatArray, variance: FloatArray) -> None:
 
 
 def _most_probable(problem: UpdatingProblem, one: Drawn, theta: FloatArray, variance: FloatArray) -> float:
-    """Give a population the centre and width that its values now have; return how far they moved, in widths."""
+    """Set a population's centre and width in `theta` from its values; return the larger change, in widths."""
     columns = one.columns[one.scored]
     value, by_score = one(theta[None])[0][0, one.scored], one(theta[None])[1][0].values[0, one.scored]
     x, spread = (np.log(value), by_score / value) if one.population.of_logarithm else (value, by_score)

@@ -1,4 +1,4 @@
-"""How a parameter of the structure varies between tests, a module for each way."""
+"""The kinds of variation of a structural parameter between tests, with one module per kind."""
 
 from collections.abc import Sequence
 from typing import get_args
@@ -10,23 +10,23 @@ from fmu.posterior.joint.varies.population import Population
 from fmu.posterior.joint.varies.taken import SHARED, ByGroup, ByTest, Shared
 
 VARIES: dict[str, Varies] = {SHARED: Shared(), "test": ByTest(), "group": ByGroup()}
-"""The ways that have no settings, by their names."""
+"""Mapping from the name to the kind of variation, for the kinds without settings."""
 Variation = Population | Damage
-"""The ways that have settings."""
+"""The kinds of variation with settings."""
 
 
 class Unknown(Varies):
-    """A name of no way to vary."""
+    """Placeholder for a name that is no kind of variation."""
 
     def __init__(self, name: str) -> None:
         self.name = name
 
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
-        """Return a mistake that lists the ways."""
+        """Return a list with one message, which names the possible kinds of variation."""
         kinds = " or ".join(kind.__name__ for kind in get_args(Variation))
         return [f"varies.{name}: must be one of {', '.join(VARIES)}, a {kinds} (got {self.name!r})"]
 
 
 def way_of(how: str | Variation) -> Varies:
-    """Return how a parameter varies, given by name or as an object."""
+    """Return the variation that is given by name or as an object; an `Unknown` for an unknown name."""
     return VARIES.get(how, Unknown(how)) if isinstance(how, str) else how

@@ -1,7 +1,7 @@
-"""A parameter of the structure in every test, as a function of theta, and the choice how it varies.
+"""Base classes: `Varies`, a kind of variation between tests, and `InTests`, a parameter as a function of theta.
 
-A new way to vary is a module of this folder, with a `Varies` and the `InTests` that it gives, and a line in the
-`__init__`.
+To add a kind of variation, write a module in this folder with a subclass of `Varies` and the subclass of `InTests`
+that it returns, and add a line to the `__init__`.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from fmu.types import FloatArray, IntArray, Plain
 
 
 class Role(NamedTuple):
-    """What a parameter of theta is for.
+    """The meaning of a parameter of theta.
 
     Attributes
     ----------
     kind : {"shared", "test", "group", "mean", "sd", "score", "loss", "slope", "correlation", "noise"}
-        The value in all tests, in one, or in a group of them; mean or standard deviation of a population, or a
-        test's score in it; a share that a group has lost; a slope by a covariate; an inferred standard deviation
-        of the errors.
+        The value in all tests, in one test or in a group of tests; the mean or standard deviation of a population,
+        or the score of a test in a population; the relative loss of a group; the slope with a covariate; a partial
+        correlation of two populations; an inferred standard deviation of the errors.
     of : int or None
-        The parameter of the structure, by its number in ``layout.structural``; None for correlations.
+        Index into ``layout.structural`` of the parameter of the structure; None for correlations.
     where : str
-        The test, group or covariate that it is of; else empty.
+        Name of the test, group or covariate, if the role refers to one; otherwise empty.
     """
 
     kind: str
@@ -37,13 +37,14 @@ class Role(NamedTuple):
 
 
 class Slope(NamedTuple):
-    """The derivative of a value in every test by one parameter of each.
+    """The derivatives of the values in the tests, each with respect to one parameter of theta.
 
     Attributes
     ----------
     columns : ndarray of int, shape (n_tests,)
-        The parameter, by its number in theta.
+        For each test, the index in theta of the parameter.
     values : ndarray, shape (n, n_tests)
+        The derivative of the value in each test.
     """
 
     columns: IntArray
@@ -51,51 +52,51 @@ class Slope(NamedTuple):
 
 
 class InTests:
-    """A parameter of the structure in every test, as a function of theta."""
+    """The values of a structural parameter in all tests, as a function of theta."""
 
     @property
     def base(self) -> InTests:
-        """The parameter without trends: itself, unless it has some."""
+        """The parameter without its trends; the parameter itself if it has no trends."""
         return self
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the values in every test, shape (n, n_tests), and their derivatives."""
+        """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
         raise NotImplementedError
 
     def identity(self, test: int) -> Hashable:
-        """Return an object that is equal in two tests if the value always is."""
+        """Return a key that is equal for two tests if the value in them is equal at every theta."""
         raise NotImplementedError
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return limits of the values in every test, for limits of theta (n_parameters,)."""
+        """Return lower and upper limits of the values, (n_tests,) each, for limits of theta (n_parameters,)."""
         raise NotImplementedError
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the values (n,) in one more test that resembles test `like`."""
+        """Return the values (n,) at theta (n, n_parameters) in a further test that resembles test `like`."""
         return self(theta)[0][:, like]
 
     def refer_to(self, references: Mapping[int, tuple[FloatArray, tuple[float, float]]]) -> InTests:
-        """Return the parameter with scores that refer to others; itself if it has no scores.
+        """Return the parameter with another centring and reference of its scores; itself if it has no scores.
 
-        `references` has centring and reference, see `Drawn`, by the number of the centre.
+        `references` maps the index of the centre in theta to the centring and the reference, see `Drawn`.
         """
         return self
 
     def after(self, n: int) -> InTests:
-        """Return the parameter with its scores behind `n` parameters of theta; itself if it has none."""
+        """Return the parameter with the indices of its scores increased by `n`; itself if it has no scores."""
         return self
 
 
 class Future(NamedTuple):
-    """The conditions of one more test.
+    """The conditions of a further test that has not been measured.
 
     Attributes
     ----------
     rng : Generator
     scores : mapping of int to ndarray, shape (n,)
-        Standard normal scores of each population, by the number of its centre in theta.
+        Standard normal scores in each population, by the index of the population's centre in theta.
     covariates : mapping of str to float
-        Where they are not at their means over the tests.
+        Values of the covariates. Covariates without an entry have their means over the tests.
     """
 
     rng: np.random.Generator
@@ -104,7 +105,7 @@ class Future(NamedTuple):
 
 
 class Theta:
-    """The parameters of theta while a layout is built: scores come after all others.
+    """The parameters of theta, collected while a layout is built. Scores follow all other parameters.
 
     Parameters
     ----------
@@ -115,7 +116,9 @@ class Theta:
     Attributes
     ----------
     main, scores : list of Parameter
+        The parameters other than scores, and the scores.
     roles, roles_of_scores : list of Role
+        The role of each parameter in `main`, and in `scores`.
     """
 
     def __init__(self, tests: Sequence[Test], reference: str) -> None:
@@ -126,29 +129,29 @@ class Theta:
         self.roles_of_scores: list[Role] = []
 
     def add(self, parameter: Parameter, kind: str, of: int | None, where: str = "") -> int:
-        """Add a parameter and its role, see `Role`; return its number in theta."""
+        """Add a parameter and its role, see `Role`; return the index of the parameter in theta."""
         self.main.append(parameter)
         self.roles.append(Role(kind, of, where))
         return len(self.main) - 1
 
     def add_score(self, parameter: Parameter, of: int, where: str) -> int:
-        """Add the score of a test; return its number among the scores."""
+        """Add the score of a test; return the index of the score among the scores."""
         self.scores.append(parameter)
         self.roles_of_scores.append(Role("score", of, where))
         return len(self.scores) - 1
 
 
 class Varies:
-    """How a parameter of the structure varies between tests.
+    """A kind of variation of a structural parameter between tests.
 
     Attributes
     ----------
     scatters : bool
-        Whether its values are draws from a population, which may be correlated with others.
+        Whether the values are draws from a population, which may be correlated with other populations.
     by_test : bool
-        Whether its values differ from test to test, so that there must be two.
+        Whether the values differ from test to test, so that at least two tests are needed.
     by_group : bool
-        Whether its values differ between groups of tests, so that later groups have losses.
+        Whether the values differ between groups of tests, so that groups other than the reference have losses.
     """
 
     scatters: ClassVar[bool] = False
@@ -156,7 +159,7 @@ class Varies:
     by_group: ClassVar[bool] = False
 
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
-        """Return what these tests lack for a parameter of this name to vary so, each with its place."""
+        """Return a list of messages that say what the tests lack for the parameter `name` to vary in this way."""
         here = [test for test in tests if name not in test.known]
         found = []
         if self.by_test and len(here) < 2:
@@ -169,24 +172,26 @@ class Varies:
         return found
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> InTests:
-        """Add the parameters of theta that stand for a parameter of the structure; return its values in tests.
+        """Add the parameters of theta that a structural parameter needs; return its values in the tests.
 
         Parameters
         ----------
         p : Parameter
+            The structural parameter.
         of : int
-            Its number in the structure.
+            Index of `p` among the parameters of the structure.
         theta : Theta
+            The new parameters are added to it.
         here : sequence of int
-            The tests in which its value is not known.
+            Indices of the tests in which the value of `p` is not known.
 
         Raises
         ------
         ValueError
-            If the parameter cannot vary so.
+            If the parameter cannot vary in this way.
         """
         raise NotImplementedError
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return the settings in plain Python types."""
+        """Return a dict of the settings, in plain Python types."""
         return {}

@@ -1,4 +1,4 @@
-"""Losses of stiffness between a reference state and later ones."""
+"""Relative losses of a parameter, such as a stiffness, between a reference state and later states."""
 
 from __future__ import annotations
 
@@ -21,25 +21,27 @@ _SD = 0.3
 @check_arguments
 @dataclass(frozen=True)
 class Damage(Varies):
-    """A parameter that each later group of tests has lost a share d of: θ = θ_reference (1 − d).
+    """A parameter that is reduced by a relative loss d in every group but the reference: θ = θ_reference (1 − d).
 
-    The first test's group is the reference, unless the problem says otherwise. A negative loss is a gain: noise
-    gives it where there is no damage, so that losses are not biased upwards.
+    The reference is the group of the first test, unless the problem names another group. A negative loss is a
+    gain. Negative losses are allowed because noise produces them where there is no damage; without them the losses
+    would be biased upwards.
 
     Attributes
     ----------
     prior : Prior, optional
-        Of each loss, between −0.5 and 0.95; normal about 0 with a standard deviation of 0.3 by default. Where few
-        parameters are expected to be damaged, `fmu.SpikeAndSlab(share)` with the probability that one is: it pulls
-        small losses to nothing and leaves large ones alone. (A horseshoe prior does the same with scales that are
-        inferred. Precise tests tie them to the losses so closely that HMC did not converge.)
+        Prior of each loss, between −0.5 and 0.95. Default: normal with mean 0 and standard deviation 0.3. If few
+        parameters are expected to be damaged, use `fmu.SpikeAndSlab(share)`, where ``share`` is the probability
+        that a parameter is damaged: this prior shrinks small losses to zero and hardly changes large losses. (A
+        horseshoe prior also does this, with inferred scales. With precise tests the scales depend so strongly on
+        the losses that HMC did not converge.)
     """
 
     prior: Prior | None = None
     by_group: ClassVar[bool] = True
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> Lost:
-        """Add the value in the reference, and a loss for each later group."""
+        """Add the reference value and one loss per other group to theta; return the values in the tests."""
         column = theta.add(p, "group", of, theta.reference)
         groups = [test.group for test in theta.tests]
         states = dict.fromkeys(group for group in groups if group != theta.reference)
@@ -48,28 +50,28 @@ class Damage(Varies):
         return Lost(column, losses, np.array([group != theta.reference for group in groups]))
 
     def loss(self, of: Parameter, state: str) -> Parameter:
-        """Return the loss of a parameter in a state."""
+        """Return the parameter of theta that is the loss of the parameter `of` in a state."""
         prior = Normal(_SD) if self.prior is None else self.prior
         start = float(np.clip(0.0, max(_LOWEST, prior.support[0]), min(_HIGHEST, prior.support[1])))
         return Parameter(f"{of.name} loss [{state}]", start, _LOWEST, _HIGHEST, prior)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return the settings in plain Python types."""
+        """Return a dict of the settings, in plain Python types."""
         return {"prior": None if self.prior is None else self.prior.as_dict()}
 
 
 @dataclass(frozen=True)
 class Lost(InTests):
-    """A parameter of the structure that later states have lost a share of: θ = θ₀ (1 − d).
+    """A structural parameter with relative losses: θ = θ₀ in the reference, otherwise θ = θ₀ (1 − d).
 
     Attributes
     ----------
     column : int
-        Number in theta of θ₀, the value in the reference.
+        Index in theta of θ₀, the reference value.
     losses : ndarray of int, shape (n_tests,)
-        Numbers in theta of d in every test.
+        Index in theta of the loss d in each test; `column` for a test in the reference.
     is_lost : ndarray of bool, shape (n_tests,)
-        False in the reference.
+        Whether the test has a loss; False in the reference.
     """
 
     column: int
@@ -77,7 +79,7 @@ class Lost(InTests):
     is_lost: BoolArray
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the values in every test, shape (n, n_tests), and their derivatives."""
+        """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
         loss = np.where(self.is_lost, theta[:, self.losses], 0.0)
         columns = np.full_like(self.losses, self.column)
         base = theta[:, columns]
@@ -85,11 +87,11 @@ class Lost(InTests):
         return base * (1.0 - loss), [Slope(columns, 1.0 - loss), Slope(self.losses, by_loss)]
 
     def identity(self, test: int) -> Hashable:
-        """Return an object that is equal in two tests if the value always is."""
+        """Return a key that is equal for two tests if the value in them is equal at every theta."""
         return int(self.losses[test])
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return limits of the values in every test, for limits of theta (n_parameters,)."""
+        """Return lower and upper limits of the values, (n_tests,) each, for limits of theta (n_parameters,)."""
         ends = np.array([lower[self.column], upper[self.column]])
         kept = np.where(self.is_lost, 1.0 - np.stack([lower[self.losses], upper[self.losses]]), 1.0)
         corners = ends[:, None, None] * kept

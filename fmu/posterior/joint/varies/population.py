@@ -1,13 +1,14 @@
-"""A parameter that scatters from test to test: its distribution over the tests, and scores that make it simple.
+"""A parameter that scatters from test to test: its distribution over the tests, and the scores that are sampled.
 
-The value in test t is θ_t = F⁻¹(Φ(z_t)), with a score z_t and the distribution function F of a normal distribution
-inside the bounds of the parameter. If F is that of the population, N(μ, σ²), the scores are standard normal and
-independent of μ and σ before the measurement: the non-centred form of a hierarchical model, easy to sample where a
-test tells little about its own value. If F is fixed, the scores are the values themselves in other units: the
-centred form, easy to sample where a test tells its value well. Each test is between them with a weight w: F has
-the mean w μ₀ + (1 − w) μ and the standard deviation σ₀^w σ^(1−w) (Papaspiliopoulos, Roberts & Sköld 2007,
-*Statistical Science* 22, 59–73; Gorinova, Moore & Hoffman 2020, *ICML*, PMLR 119). The posterior of the values is
-the same with any weights.
+The value in test t is θ_t = F⁻¹(Φ(z_t)), where z_t is the score of the test, Φ is the standard normal distribution
+function, and F is the distribution function of a normal distribution truncated to the bounds of the parameter. If
+F is the population's, N(μ, σ²), the scores are a priori standard normal and independent of μ and σ. This is the
+non-centred form of a hierarchical model, easy to sample where a test says little about its own value. If F is
+fixed, the scores are the values themselves in other units. This is the centred form, which is easy to sample
+where a test determines its own value well. A weight w per test interpolates between the two forms: F has the mean
+w μ₀ + (1 − w) μ and the standard deviation σ₀^w σ^(1−w) (Papaspiliopoulos, Roberts & Sköld 2007, *Statistical
+Science* 22, 59–73; Gorinova, Moore & Hoffman 2020, *ICML*, PMLR 119). The weights do not change the posterior of
+the values.
 """
 
 from __future__ import annotations
@@ -34,25 +35,26 @@ from fmu.types import BoolArray, FloatArray, IntArray, Plain
 Normals = tuple[FloatArray, FloatArray]
 
 _SCATTER = 0.2
-"""Standard deviation of the half-normal prior of a population's, relative to the start value."""
+"""Scale of the default half-normal prior of a population's standard deviation, relative to the start value."""
 _FAR = 4.0
-"""Standard deviations of a population about its mean within which a reduced model is trained."""
+"""Half-width of the range in which a reduced model is trained, in standard deviations of the population."""
 
 
 @check_arguments
 @dataclass(frozen=True)
 class Population(Varies):
-    """The values of a parameter in different tests are draws from one distribution, which is inferred.
+    """A parameter whose values in the tests are draws from one distribution, which is inferred.
 
     Attributes
     ----------
     distribution : {"normal", "log-normal"}
-        Of the values over the tests, truncated to the bounds of the parameter. Of the normal one, mean and
-        standard deviation (in the parameter's unit) are inferred; of the log-normal one the median, and the
-        standard deviation of the logarithm. Mean or median has the parameter's own prior and bounds.
+        Distribution of the values over the tests, truncated to the bounds of the parameter. For ``"normal"``, the
+        mean and the standard deviation (in the parameter's unit) are inferred. For ``"log-normal"``, the median
+        and the standard deviation of the logarithm are inferred. The mean or median has the parameter's own prior
+        and bounds.
     sd : Prior, optional
-        Prior of that standard deviation. By default half-normal: its own standard deviation is a fifth of the
-        parameter's start value, or 0.2 for a logarithm.
+        Prior of the inferred standard deviation. Default: half-normal, with a scale of a fifth of the parameter's
+        start value, or of 0.2 for ``"log-normal"``.
 
     Raises
     ------
@@ -71,11 +73,11 @@ class Population(Varies):
 
     @property
     def of_logarithm(self) -> bool:
-        """Whether the logarithm is normal."""
+        """Whether the logarithm of the parameter is normally distributed over the tests."""
         return self.distribution == "log-normal"
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> Drawn:
-        """Add centre and width of the population, and a score for each test."""
+        """Add centre, width and a score for each test in `here` to theta; return the values in the tests."""
         mean, sd = self.parameters(p)
         centre, width = theta.add(mean, "mean", of), theta.add(sd, "sd", of)
         n, columns = len(theta.tests), np.zeros(len(theta.tests), dtype=np.int64)
@@ -86,13 +88,13 @@ class Population(Varies):
         return Drawn(self, centre, width, columns, scored, p.lower, p.upper, np.zeros(n), start)
 
     def parameters(self, of: Parameter) -> tuple[Parameter, Parameter]:
-        """Return the inferred parameters of the distribution: its centre and its width.
+        """Return the two inferred parameters of the distribution: centre and width.
 
         Raises
         ------
         ValueError
-            If the parameter may be negative and the distribution is log-normal, or the default width has no size
-            because the parameter starts at zero.
+            If the parameter may be zero or negative and the distribution is log-normal, or if `sd` is not given
+            and the parameter starts at zero, so that the default prior would have the scale zero.
         """
         if self.of_logarithm and of.lowest <= 0.0:
             raise ValueError(f"{of.name}.lower: must be positive for a log-normal population (got {of.lower})")
@@ -109,11 +111,12 @@ class Population(Varies):
     def values(
         self, z: FloatArray, centre: FloatArray, sd: FloatArray, lower: float, upper: float
     ) -> tuple[FloatArray, Slopes]:
-        """Return the values whose scores are z, and their derivatives by score, centre and sd; all of one shape.
+        """Return the values with the scores z, and their derivatives with respect to score, centre and sd.
 
         Parameters
         ----------
         z, centre, sd : ndarray, broadcastable
+            The values and all derivatives have the broadcast shape.
         lower, upper : float
             Bounds of the values.
         """
@@ -128,13 +131,13 @@ class Population(Varies):
     def log_ratio(
         self, value: FloatArray, one: Normals, other: Normals, lower: float, upper: float
     ) -> tuple[FloatArray, Slopes, Slopes]:
-        """Return the logarithm of the density of values in one population over that in another.
+        """Return the log ratio of the densities of two populations at some values, with derivatives.
 
         Parameters
         ----------
         value : ndarray
         one, other : tuple of (ndarray, ndarray)
-            Centre and sd of each.
+            Centre and standard deviation of the population in the numerator, and of that in the denominator.
         lower, upper : float
             Bounds of the values.
 
@@ -142,7 +145,8 @@ class Population(Varies):
         -------
         ratio : ndarray
         by_one, by_other : tuple of three ndarray
-            Derivatives of the two log-densities by value, centre and sd; those of the second to be subtracted.
+            Derivatives of the two log-densities with respect to value, centre and standard deviation.
+            ``by_other`` has to be subtracted.
         """
         if not self.of_logarithm:
             (p, by_p), (q, by_q) = (truncated_normal_log_pdf(value, *of, lower, upper) for of in (one, other))
@@ -158,7 +162,7 @@ class Population(Varies):
     def scores(
         self, value: FloatArray, centre: FloatArray, sd: FloatArray, lower: float, upper: float
     ) -> FloatArray:
-        """Return the scores of values: the inverse of `values`."""
+        """Return the scores of the values, the inverse of `values`."""
         if not self.of_logarithm:
             return truncated_normal_scores(value, centre, sd, lower, upper)
         with np.errstate(divide="ignore"):
@@ -166,7 +170,7 @@ class Population(Varies):
         return truncated_normal_scores(np.log(value), np.log(centre), sd, *ends)
 
     def as_dict(self) -> dict[str, Plain]:
-        """Return the settings in plain Python types."""
+        """Return a dict of the settings, in plain Python types."""
         return {
             "distribution": self.distribution,
             "sd": None if self.sd is None else self.sd.as_dict(),
@@ -174,14 +178,14 @@ class Population(Varies):
 
 
 class LastTheta:
-    """Quantities at the last theta that they were computed at, which several callers need."""
+    """A cache of quantities computed at the last theta, for several callers."""
 
     def __init__(self) -> None:
         self._theta: FloatArray | None = None
         self._known: dict[str, Any] = {}
 
     def remember(self, what: str, theta: FloatArray, compute: Callable[[FloatArray], Any]) -> Any:
-        """Return ``compute(theta)``, which is kept until there is another theta."""
+        """Return ``compute(theta)`` and cache it under the name `what` until another theta is passed."""
         if self._theta is None or not np.array_equal(self._theta, theta):
             self._theta, self._known = theta.copy(), {}
         if what not in self._known:
@@ -191,25 +195,25 @@ class LastTheta:
 
 @dataclass(eq=False)
 class Drawn(InTests):
-    """A parameter of the structure that scatters over the tests.
+    """A structural parameter that scatters over the tests.
 
     Attributes
     ----------
     population : Population
     centre, width : int
-        Numbers in theta of mean and standard deviation.
+        Indices in theta of the population's mean or median, and of its standard deviation.
     columns : ndarray of int, shape (n_tests,)
-        The scores.
+        For each test, the index in theta of the score.
     scored : ndarray of bool, shape (n_tests,)
-        Which tests have one; in the others the value is known.
+        Whether the test has a score. In a test without a score the value is known.
     lower, upper : float
         Bounds of the values.
     centring : ndarray, shape (n_tests,)
-        w of this module: 0 for standard normal scores, 1 for the values in other units.
+        The weight w of the module docstring: 0 for standard normal scores, 1 for the values in other units.
     reference : tuple of float
-        Centre and width, μ₀ and σ₀.
+        The reference centre μ₀ and the reference width σ₀.
     last : LastTheta
-        Remembers the values at the last theta: likelihood and prior both need them.
+        Cache of the values at the last theta, which both the likelihood and the prior need.
     """
 
     population: Population
@@ -224,27 +228,30 @@ class Drawn(InTests):
     last: LastTheta = field(default_factory=LastTheta, init=False, repr=False)
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the values in every test, shape (n, n_tests), and their derivatives."""
+        """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
         return self.last.remember("evaluated", theta, self._compute)[0]
 
     def identity(self, test: int) -> Hashable:
-        """Return an object that is equal in two tests if the value always is."""
+        """Return a key that is equal for two tests if the value in them is equal at every theta."""
         return int(self.columns[test])
 
     def log_prior(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the log-density of the scores over the standard normal density, (n, n_tests), and derivatives.
+        """Return the log ratio of the scores' density to the standard normal, (n, n_tests), and its derivatives.
 
-        It is zero where the centring is: the scores are then standard normal.
+        The log ratio is zero where the centring is zero, because the scores are then standard normal.
         """
         return self.last.remember("evaluated", theta, self._compute)[1]
 
     def curvature(self, theta: FloatArray) -> FloatArray:
-        """Return −∂² of the scores' log-density by each of them, shape (n, n_tests), where bounds are far away."""
+        """Return minus the second derivative of each score's log-density, (n, n_tests), for distant bounds."""
         _, (_, width), (_, blend), _ = self._at(theta)
         return np.asarray((blend / width) ** 2)
 
     def population_scores(self, theta: FloatArray) -> tuple[FloatArray, Slopes]:
-        """Return the scores in the population, (n, n_tests), and their derivatives by score, centre and width."""
+        """Return the scores relative to the population, (n, n_tests), and their derivatives.
+
+        The derivatives are with respect to the score in theta, the centre and the width, shape (n, n_tests) each.
+        """
         return self.last.remember("scores", theta, self._computed_scores)
 
     def _computed_scores(self, theta: FloatArray) -> tuple[FloatArray, Slopes]:
@@ -258,7 +265,7 @@ class Drawn(InTests):
         return z, tuple(np.where(is_other, *pair) for pair in zip(slopes, plain, strict=True))  # type: ignore[return-value]
 
     def drawn(self, theta: FloatArray) -> FloatArray:
-        """Return theta with its standard normal scores replaced by the scores of draws from the population."""
+        """Return a copy of theta with the standard normal scores converted to scores with the present centring."""
         theta = theta.copy()
         z, (centre, width), blend, _ = self._parts(theta)
         value = self.population.values(z, centre, width, self.lower, self.upper)[0]
@@ -281,12 +288,12 @@ class Drawn(InTests):
         return (value, self._slopes(by_z, by_centre, by_width)), prior
 
     def scores_of(self, value: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return the scores that give these values in the tests that have any, at one theta (ndim,)."""
+        """Return the scores of the values in the tests with scores, shape (n_scored,), at one theta (ndim,)."""
         centre, width = (part[0, self.scored] for part in self._parts(theta[None])[2])
         return self.population.scores(value, centre, width, self.lower, self.upper)
 
     def _parts(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, FloatArray]:
-        """Return the scores, the population, their reference, and ∂ of its centre by the population's."""
+        """Return the scores, the population, the distribution F, and ∂(centre of F)/∂(population centre)."""
         n_tests = len(self.columns)
         centre, width = (theta[:, [k] * n_tests] for k in (self.centre, self.width))
         w = self.centring
@@ -304,7 +311,7 @@ class Drawn(InTests):
         )
 
     def _at(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, Slopes]:
-        """Return the values, the population, what the scores refer to, and the values' derivatives."""
+        """Return the values, the population, the distribution F of the scores, and the values' derivatives."""
         found: tuple[FloatArray, Normals, Normals, Slopes] = self.last.remember("values", theta, self._at_scores)
         return found
 
@@ -319,21 +326,21 @@ class Drawn(InTests):
         return [Slope(*pair) for pair in zip(columns, (by_z, by_centre, by_width), strict=True)]
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return limits of the values in every test, for limits of theta (n_parameters,)."""
+        """Return lower and upper limits of the values, (n_tests,) each, for limits of theta (n_parameters,)."""
         z, width, ends = np.array([-_FAR, _FAR]), upper[self.width], [lower[self.centre], upper[self.centre]]
         found = self.population.values(z, np.array(ends), width, self.lower, self.upper)[0]
         return tuple(np.full(len(self.columns), value) for value in found)  # type: ignore[return-value]
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the values (n,) in one more test, drawn from the population."""
+        """Return the values (n,) in a further test, drawn from the population."""
         ends = theta[:, self.centre], theta[:, self.width]
         return self.population.values(future.scores[self.centre], *ends, self.lower, self.upper)[0]
 
     def after(self, n: int) -> Self:
-        """Return the parameter with its scores behind `n` parameters of theta."""
+        """Return the parameter with the indices of its scores increased by `n`."""
         return replace(self, columns=self.columns + n)
 
     def refer_to(self, references: Mapping[int, tuple[FloatArray, tuple[float, float]]]) -> Self:
-        """Return the parameter with scores that refer to others."""
+        """Return the parameter with another centring and reference of its scores."""
         centring, reference = references[self.centre]
         return replace(self, centring=centring, reference=reference)

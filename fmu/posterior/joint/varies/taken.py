@@ -1,4 +1,4 @@
-"""A parameter of the structure that theta has itself: one value for all tests, or one for each test or group."""
+"""Structural parameters that theta contains directly: one value for all tests, or one per test or group."""
 
 from __future__ import annotations
 
@@ -18,52 +18,54 @@ SHARED = "shared"
 
 @dataclass(frozen=True)
 class Taken(InTests):
-    """A parameter of the structure that is one of theta in each test.
+    """A structural parameter whose value in each test is itself a parameter of theta.
 
     Attributes
     ----------
     columns : ndarray of int, shape (n_tests,)
+        For each test, the index in theta of the value.
     own : Parameter or None
-        Where each test has a value of its own: the parameter, whose prior a further test draws from.
+        The parameter if each test has its own value, else None. The value in a further test is drawn from its
+        prior.
     """
 
     columns: IntArray
     own: Parameter | None = None
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the values in every test, shape (n, n_tests), and their derivatives."""
+        """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
         return theta[:, self.columns], [Slope(self.columns, np.ones((len(theta), len(self.columns))))]
 
     def identity(self, test: int) -> Hashable:
-        """Return an object that is equal in two tests if the value always is."""
+        """Return a key that is equal for two tests if the value in them is equal at every theta."""
         return int(self.columns[test])
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return limits of the values in every test, for limits of theta (n_parameters,)."""
+        """Return lower and upper limits of the values, (n_tests,) each, for limits of theta (n_parameters,)."""
         return lower[self.columns], upper[self.columns]
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the values (n,) in one more test."""
+        """Return the values (n,) in a further test, drawn from the prior if each test has its own value."""
         if self.own is None:
             return super().next_test(theta, like, future)
         return self.own.prior.draw(future.rng, len(theta), self.own.lower, self.own.upper)
 
 
 class Shared(Varies):
-    """One value for all tests."""
+    """The variation ``"shared"``: one value for all tests."""
 
     kind: ClassVar[str] = SHARED
 
     def place_of(self, test: Test) -> str:
-        """Return the test or group that has a value of its own; empty where all share it."""
+        """Return the name of the test or group with a value of its own; empty if all tests share one value."""
         return ""
 
     def own(self, p: Parameter) -> Parameter | None:
-        """Return the parameter, whose prior a further test draws from, if every test has a value of its own."""
+        """Return the parameter with the prior of a further test's value; None unless each test has its own."""
         return None
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> Taken:
-        """Add one parameter for each place with a value of its own."""
+        """Add one parameter to theta per test or group with its own value; return the values in the tests."""
         places = [self.place_of(test) for test in theta.tests]
         number = {
             place: theta.add(replace(p, name=f"{p.name} [{place}]") if place else p, self.kind, of, place)
@@ -75,26 +77,26 @@ class Shared(Varies):
 
 
 class ByTest(Shared):
-    """A value of its own in each test."""
+    """The variation ``"test"``: a separate value in each test."""
 
     kind = "test"
     by_test = True
 
     def place_of(self, test: Test) -> str:
-        """Return the test."""
+        """Return the name of the test."""
         return test.name
 
     def own(self, p: Parameter) -> Parameter:
-        """Return the parameter."""
+        """Return the parameter `p`."""
         return p
 
 
 class ByGroup(Shared):
-    """A value of its own in each group of tests."""
+    """The variation ``"group"``: a separate value in each group of tests."""
 
     kind = "group"
     by_group = True
 
     def place_of(self, test: Test) -> str:
-        """Return the group."""
+        """Return the name of the test's group."""
         return test.group

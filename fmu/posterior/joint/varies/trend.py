@@ -1,4 +1,4 @@
-"""A parameter of the structure that depends on covariates of the tests, however it varies otherwise."""
+"""Trends of a structural parameter with covariates of the tests, in addition to any other variation."""
 
 from __future__ import annotations
 
@@ -16,19 +16,20 @@ from fmu.types import FloatArray
 
 @dataclass(frozen=True)
 class Trend(InTests):
-    """A parameter of the structure that depends on covariates too: θ = θ₀ Π (1 + b (x − x₀)).
+    """A structural parameter that also depends on covariates x: θ = θ₀ Π (1 + b (x − x₀)).
 
     Attributes
     ----------
     of : InTests
-        θ₀, the value where every covariate is at its mean over the tests.
+        θ₀, the value if every covariate has its mean over the tests.
     columns : tuple of int
-        Number in theta of the relative slope b of each covariate.
+        For each covariate, the index in theta of the relative slope b.
     covariates : ndarray, shape (n_covariates, n_tests)
-        x − x₀.
+        The differences x − x₀.
     names : tuple of str
+        Names of the covariates.
     means : tuple of float
-        x₀ of each.
+        For each covariate, the mean x₀ over the tests.
     """
 
     of: InTests
@@ -39,17 +40,20 @@ class Trend(InTests):
 
     @classmethod
     def of_covariates(cls, of: InTests, p: Parameter, number: int, theta: Theta, by: Mapping[str, Prior]) -> Trend:
-        """Add the slope of a parameter of the structure by each covariate; return its values with them.
+        """Add one slope per covariate to theta; return the structural parameter with these trends.
 
         Parameters
         ----------
         of : InTests
+            The structural parameter without trends.
         p : Parameter
+            The same parameter as for a single test.
         number : int
-            Its number in the structure.
+            Index of `p` among the parameters of the structure.
         theta : Theta
+            The slopes are added to it.
         by : mapping of str to Prior
-            The prior of the slope by each covariate.
+            The prior of the slope, by the name of the covariate.
         """
         columns, away, means = [], [], []
         for covariate, prior in by.items():
@@ -63,11 +67,11 @@ class Trend(InTests):
 
     @property
     def base(self) -> InTests:
-        """The parameter where every covariate is at its mean over the tests."""
+        """The parameter without trends: its value if every covariate has its mean over the tests."""
         return self.of
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the values in every test, shape (n, n_tests), and their derivatives."""
+        """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
         value, slopes = self.of(theta)
         factors = 1.0 + theta[:, self.columns, None] * self.covariates
         product = np.prod(factors, axis=1)
@@ -79,11 +83,11 @@ class Trend(InTests):
         return value * product, found
 
     def identity(self, test: int) -> Hashable:
-        """Return an object that is equal in two tests if the value always is."""
+        """Return a key that is equal for two tests if the value in them is equal at every theta."""
         return self.of.identity(test), *self.covariates[:, test].tolist()
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return limits of the values in every test, for limits of theta (n_parameters,)."""
+        """Return lower and upper limits of the values, (n_tests,) each, for limits of theta (n_parameters,)."""
         low, high = self.of.box(lower, upper)
         for k, x in zip(self.columns, self.covariates, strict=True):
             factors = 1.0 + np.stack([lower[k] * x, upper[k] * x])
@@ -92,16 +96,16 @@ class Trend(InTests):
         return low, high
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the values (n,) in one more test."""
+        """Return the values (n,) in a further test, with its covariates."""
         value = self.of.next_test(theta, like, future)
         for name, mean, column in zip(self.names, self.means, self.columns, strict=True):
             value = value * (1.0 + theta[:, column] * (future.covariates.get(name, mean) - mean))
         return value
 
     def after(self, n: int) -> Self:
-        """Return the parameter with its scores behind `n` parameters of theta."""
+        """Return the parameter with the indices of its scores increased by `n`."""
         return replace(self, of=self.of.after(n))
 
     def refer_to(self, references: Mapping[int, tuple[FloatArray, tuple[float, float]]]) -> Self:
-        """Return the parameter with scores that refer to others."""
+        """Return the parameter with another centring and reference of its scores."""
         return replace(self, of=self.of.refer_to(references))

@@ -1,4 +1,4 @@
-"""Values, scores and density of a normal distribution that is truncated to bounds, with derivatives."""
+"""Values, scores and log-density of a normal distribution truncated to bounds, with derivatives."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ def truncated_normal_values(
 ) -> tuple[FloatArray, Slopes]:
     """Return x = F⁻¹(Φ(z)) for the normal distribution F truncated to the bounds, and ∂x/∂z, ∂x/∂mean, ∂x/∂sd.
 
-    With α = (lower − mean)/sd and β = (upper − mean)/sd it is x = mean + sd q, where
-    Φ(q) = Φ(α) Φ(−z) + Φ(β) Φ(z).
+    x = mean + sd q, where Φ(q) = Φ(α) Φ(−z) + Φ(β) Φ(z), α = (lower − mean)/sd and β = (upper − mean)/sd.
 
     Parameters
     ----------
@@ -30,7 +29,7 @@ def truncated_normal_values(
         return mean + sd * z, tuple(np.broadcast_to(x, shape) for x in (sd, np.ones(1), z))  # type: ignore[return-value]
     with np.errstate(over="ignore", divide="ignore", invalid="ignore", under="ignore"):
         alpha, beta = (lower - mean) / sd, (upper - mean) / sd
-        # from the nearer tail, where the probability is not rounded to 1
+        # computed in the nearer tail, where the probability is not rounded to 1
         turned = z > 0.0
         a, b, t = np.where(turned, -beta, alpha), np.where(turned, -alpha, beta), -np.abs(z)
         log_p = np.logaddexp(log_ndtr(a) + log_ndtr(-t), log_ndtr(b) + log_ndtr(t))
@@ -48,12 +47,12 @@ def truncated_normal_values(
 def truncated_normal_log_pdf(
     x: FloatArray, mean: FloatArray, sd: FloatArray, lower: float, upper: float
 ) -> tuple[FloatArray, Slopes]:
-    """Return the log-density of the normal distribution truncated to the bounds, and ∂/∂x, ∂/∂mean, ∂/∂sd.
+    """Return the log-density of the truncated normal distribution, and its derivatives by x, mean and sd.
 
     Parameters
     ----------
     x : ndarray
-        Within the bounds.
+        Values within the bounds.
     mean, sd : ndarray, broadcastable
     lower, upper : float
     """
@@ -76,7 +75,7 @@ def truncated_normal_log_pdf(
 def truncated_normal_scores(
     x: FloatArray, mean: FloatArray, sd: FloatArray, lower: float, upper: float
 ) -> FloatArray:
-    """Return z = Φ⁻¹(F(x)) for the normal distribution F truncated to the bounds: the inverse of its values."""
+    """Return z = Φ⁻¹(F(x)) for the truncated normal distribution F, the inverse of `truncated_normal_values`."""
     with np.errstate(over="ignore", invalid="ignore", under="ignore", divide="ignore"):
         a, alpha, beta = (x - mean) / sd, (lower - mean) / sd, (upper - mean) / sd
         total = _log_mass(alpha, beta)
@@ -85,7 +84,7 @@ def truncated_normal_scores(
 
 
 def _log_mass(alpha: FloatArray, beta: FloatArray) -> FloatArray:
-    """Return log(Φ(β) − Φ(α)), from the nearer tail."""
+    """Return log(Φ(β) − Φ(α)), computed in the nearer tail."""
     turned = alpha > 0.0
     a, b = np.where(turned, -beta, alpha), np.where(turned, -alpha, beta)
     return np.asarray(log_ndtr(b) + np.log(-np.expm1(np.minimum(log_ndtr(a) - log_ndtr(b), 0.0))))
