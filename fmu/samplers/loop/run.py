@@ -350,7 +350,7 @@ def _merge_learnt(learnt: list[dict[str, object]]) -> dict[str, object]:
 
 
 class _Watch:
-    """Forwards progress reports, together with live diagnostics of the draws of all groups."""
+    """Forwarder of progress reports, which adds live diagnostics of the draws of all groups."""
 
     def __init__(self, progress: Report, live: Callable[..., Mapping[str, float]] | None) -> None:
         self._progress, self._live = progress, live
