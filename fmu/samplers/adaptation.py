@@ -83,7 +83,7 @@ class Schedule:
 
 @dataclass
 class DualAveraging:
-    """Nesterov's dual averaging: adapts the logarithm x of a step size until the acceptance rate is δ.
+    """Nesterov's dual averaging, which adapts the logarithm x of a step size to an acceptance rate δ.
 
     Hoffman & Gelman (2014), JMLR 15, 1593-1623, equation (6), with their constants. The arrays have one entry for
     pooled chains, or one entry per chain. x is kept between `lowest` and `highest`, for densities on which the
@@ -143,7 +143,7 @@ class Learner:
     Attributes
     ----------
     covariance : ndarray, shape (ndim, ndim), or None
-        Covariance from the last window; None before the first one has closed.
+        Covariance from the last window; None before the first window has closed.
     """
 
     def __init__(self, schedule: Schedule, ndim: int) -> None:

@@ -117,7 +117,7 @@ class LogNormalWalk:
         object.__setattr__(self, "origin", vector("origin", origin) if origin.ndim else float(origin))
 
     def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:
-        """Return candidates whose distance from the origin is that of the position times a log-normal factor."""
+        """Return candidates: the positions, with their distances from the origin times log-normal factors."""
         ndim = position.shape[-1]
         scale, origin = fits("scale", self.scale, ndim), fits("origin", self.origin, ndim)
         if np.any(position <= origin):
@@ -127,7 +127,7 @@ class LogNormalWalk:
     def log_ratio(self, candidate: FloatArray, position: FloatArray) -> FloatArray:
         """Return Σ log((candidate − origin)/(position − origin))."""
         origin = np.asarray(self.origin)
-        with np.errstate(divide="ignore"):  # a factor that underflows: candidate at the origin, never accepted
+        with np.errstate(divide="ignore"):  # if a factor underflows, the candidate at the origin is rejected
             return np.sum(np.log(candidate - origin) - np.log(position - origin), axis=-1)
 
 
@@ -282,7 +282,7 @@ class MetropolisTuner:
         searching = learner.searching
         self.search.update(state, info)
         if not searching:
-            # log s ← log s + γ_t (α_t − α*), with γ_t ~ t^−0.6: the steps add up to infinity, their squares do not
+            # log s ← log s + γ_t (α_t − α*), with γ_t ~ t^−0.6: the sum of γ_t is infinite, that of γ_t² finite
             self.count += 1
             rate = float(learner.average_arrived(info.extra["acceptance_rate"]))
             self.log_scale += 3.0 / (self.count + 10) ** 0.6 * (rate - self.target)

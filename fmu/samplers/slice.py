@@ -1,4 +1,4 @@
-"""Slice sampling (Neal 2003): the hyperrectangle method and the coordinate-wise one."""
+"""Slice sampling (Neal 2003) by the hyperrectangle method or the coordinate-wise method."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ACCOUNT = ("n_solves", "n_nonfinite", "n_steps_out", "n_shrinks")
 @check_arguments
 @dataclass(frozen=True)
 class Slice(LocalSampler):
-    """Slice sampling: draw a level Y under the density, then a point from the slice {E : P(E) ≥ Y}.
+    """Slice sampler: draws a level Y under the density P, then a point from the slice {E : P(E) ≥ Y}.
 
     Parameters
     ----------

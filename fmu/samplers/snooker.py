@@ -9,7 +9,7 @@ from fmu.types import FloatArray
 
 
 class SnookerMove(RedBlueMove):
-    """Jump along the line through another walker z: x* = x + γ e (z₁ − z₂)·e with e = (x − z)/|x − z|.
+    """Move along the line through another walker z: x* = x + γ e (z₁ − z₂)·e with e = (x − z)/|x − z|.
 
     z₁ and z₂ are two further walkers. The acceptance factor is (|x* − z|/|x − z|)^(ndim−1). emcee's own
     ``DESnookerMove`` (up to 3.1.6) divides by the square root of |x − z| and takes half the exponent, which does
@@ -40,7 +40,7 @@ class SnookerMove(RedBlueMove):
         n, ndim = s.shape
         z, z1, z2 = rest[np.argsort(random.rand(n, len(rest)), axis=1)[:, :3].T]
         before = np.linalg.norm(s - z, axis=1)
-        apart = before > 0  # two walkers at one point span no line: they stay
+        apart = before > 0  # two walkers at the same point define no line: no move
         e = (s - z) / np.where(apart, before, 1.0)[:, None]
         q = s + self.gamma * e * np.sum((z1 - z2) * e, axis=1, keepdims=True)
         after = np.linalg.norm(q - z, axis=1)

@@ -12,7 +12,7 @@ from fmu.types import AnyArray, FloatArray
 
 @dataclass(frozen=True)
 class Draws:
-    """The draws of one phase.
+    """The draws of one phase of a run.
 
     Attributes
     ----------

@@ -35,7 +35,7 @@ MOST_STEPS = 1000
 """Largest number of steps in a chunk of work; these steps are copied into the record of the run."""
 LIVE_S = 1.0
 """Seconds within which every group is advanced if there is progress to show, a checkpointer, or a `stop`."""
-_ENOUGH = 20  # steps below which diagnostics mean nothing
+_ENOUGH = 20  # number of steps below which diagnostics are not reliable
 
 
 class _RunningGroup:

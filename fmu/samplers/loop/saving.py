@@ -84,7 +84,7 @@ class PendingGroup(NamedTuple):
 
 
 class Checkpointer(Protocol):
-    """Saves draws and the states of the groups, so that a run that dies can be resumed.
+    """Saver of the draws and the states of the groups, from which a run that dies can be resumed.
 
     Attributes
     ----------

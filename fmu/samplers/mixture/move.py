@@ -28,7 +28,7 @@ _FAR = 10.0
 
 @check_arguments
 class MixtureMove(Move):
-    """Independent candidates from a mixture of truncated Gaussians that is fitted to the walkers.
+    """Move of emcee with independent candidates from a mixture of truncated Gaussians fitted to the walkers.
 
     As in other moves of emcee, the walkers are divided at random into two halves that are moved in turn. The
     mixture q for one half is fitted to the positions and log-probabilities of the other half alone. Given the
@@ -90,7 +90,7 @@ class MixtureMove(Move):
             s, log_prob = state.coords[moved], state.log_prob[moved]
             q, factor = self.candidates(s, state.coords[~moved], state.log_prob[~moved], model.random)
             reached, blobs = model.compute_log_prob_fn(q)
-            with np.errstate(invalid="ignore"):  # a walker may have started where it is -inf
+            with np.errstate(invalid="ignore"):  # a walker may have started at log-probability -inf
                 gain = np.where(np.isfinite(reached), reached - log_prob + factor, -np.inf)
             accepted[moved] = accept(model.random, gain)
             state = self.update(state, State(q, log_prob=reached, blobs=blobs), accepted, moved)
@@ -115,7 +115,7 @@ class MixtureMove(Move):
         factor : ndarray, shape (n,)
         """
         proposal = self.frozen or Proposal.fit_points(c, log_prob, self.lower, self.upper)
-        if proposal is None:  # the other half spans no ellipsoid
+        if proposal is None:  # the other half does not span the space
             found: tuple[FloatArray, FloatArray] = self._otherwise.get_proposal(s, [c], random)
             return found
         rng = np.random.default_rng(random.randint(2**32, size=8, dtype=np.uint32))

@@ -1,4 +1,4 @@
-"""Draws close to those of a Gaussian truncated to a box, with the exact density of the draws."""
+"""Approximate draws from a Gaussian truncated to a box, with the exact density of the draws."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ class Warp:
         return np.asarray(np.sum(np.log(self.stretch(u)), axis=1))
 
     def quadratic(self, of_u: Quadratic) -> Quadratic:
-        """Return the second-order log-density of x at the point of `of_u`, the log-density of u."""
+        """Return the second-order log-density of x at the same point, given `of_u` for u."""
         away = self.stretch(of_u.position)
         bent = self.bent.astype(float)
         return Quadratic(
@@ -65,7 +65,7 @@ class Warp:
         )
 
     def straighten(self, of_x: Quadratic) -> Quadratic:
-        """Return the second-order log-density of u from `of_x`, that of x: the inverse of `quadratic`."""
+        """Return the second-order log-density of u, given `of_x` for x: the inverse of `quadratic`."""
         u = self.to_u(of_x.position)
         away = self.stretch(u)
         slope = of_x.gradient - self.bent

@@ -31,7 +31,7 @@ FIRST = 12
 _POWER = 5.0
 """Exponent of the first ladder, with rungs at (k/K)⁵ (Friel & Pettitt 2008): posteriors are far narrower than
 priors."""
-_SHORTEST = 20  # steps of a stage of warm-up
+_SHORTEST = 20  # fewest steps of a stage of the warm-up
 _LEAST = 1e-3  # smallest rejection probability that the interpolation uses, so that the barrier increases
 
 

@@ -15,7 +15,7 @@ FAR = 10.0
 """Points with a log-density this far below the median, plus one per coordinate, are not yet near a maximum."""
 _APART = 3.0
 """Distance between the means of two separated chains, in standard deviations along the line between the means."""
-_LEAST_MOVE = 1e-8  # in scaled units
+_LEAST_MOVE = 1e-8  # smallest extent of draws that have moved, in scaled units
 
 
 class Evaluated(NamedTuple):

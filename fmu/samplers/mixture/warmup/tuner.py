@@ -78,7 +78,7 @@ class MixtureTuner:
         self.target = Target(density)
         self.stages: list[Mixture | CurvedMixture] = []  # mixture of each fit; the last one is in use
         self.counts: list[int] = []  # evaluated candidates of each mixture
-        self.drawn = self.visited = self.walked = Evaluated.none(density.ndim)  # walked: while these prevail
+        self.drawn = self.visited = self.walked = Evaluated.none(density.ndim)  # walked: if local steps prevail
         self.accepted, self.jumped = np.zeros(chains), 0  # sums over candidates since the last fit
         self.switched = -1  # step at which local steps began to prevail; -1 if they do not
         self.walk = 0, 0.0  # local steps without a mixture or while they prevail, and their solves per chain
