@@ -44,8 +44,8 @@ class HamiltonianMonteCarlo(LocalSampler):
     Parameters
     ----------
     step_size : float, optional
-        Step size δt, in scaled units. If it is not given, warm-up learns the step size, and also `n_steps` and
-        `inverse_mass` unless these are given. If it is given, nothing is learnt.
+        Step size δt, in scaled units. Without a step size, warm-up learns the step size, and also `n_steps` and
+        `inverse_mass` unless these are given. With a step size, nothing is learnt.
     n_steps : int, optional
         Number of leapfrog steps per trajectory.
     jitter : float

@@ -102,13 +102,13 @@ class Sampler(ABC):
     title, colour : str
         Title and colour of the sampler in figures and reports.
     cost : tuple of three float
-        Means over the built-in cases, per step of a chain or walker: evaluations in warm-up, evaluations after it,
-        and distinct draws.
+        Means over the built-in cases, per step of a chain or walker: evaluations in warm-up, evaluations after the
+        warm-up, and distinct draws.
     first : tuple of two int
         For a run that ends when it has converged: the number of warm-up steps, and the number of draws after
         which convergence is first checked.
     is_local : bool
-        Whether the sampler takes local steps, see `LocalSampler`: the mixture and tempering can then use them.
+        Whether the sampler takes local steps, see `LocalSampler`: the mixture and tempering can then use these.
     learns_together : bool
         Whether all chains must be in one group.
     walkers : int

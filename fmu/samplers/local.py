@@ -64,7 +64,8 @@ class LocalKernel(ABC):
         kernels : sequence of kernels of this kind
             The first is this kernel. The settings of the kernels may differ; their targets do not matter.
         chains : int
-            Number of chains of each kernel. In the array, the chains of one kernel follow those of another.
+            Number of chains of each kernel. The array contains the chains of the first kernel, then of the second
+            kernel, etc.
         """
 
 

@@ -16,7 +16,7 @@ SAMPLERS = {
     "mixture": "mixture.mixture.MixtureSampler",
     "tempering": "tempering.tempering.Tempering",
 }
-"""Module and class of each sampler's settings, imported when they are first used."""
+"""Module and class of each sampler's settings, by name; a module is imported when it is first used."""
 COMPARED = ("mh", "slice", "hmc", "emcee", "mixture")
 """Names of the samplers that are compared on one problem."""
 BASELINE = "emcee"
@@ -38,9 +38,9 @@ def local_samplers() -> tuple[str, ...]:
 
 
 def plan_steps(name: str, warmup: int | None, draws: int | None) -> tuple[int, int]:
-    """Return the numbers of warm-up steps and draws of a run, with defaults for those that are None.
+    """Return the numbers of warm-up steps and draws of a run, with a default for each number that is None.
 
-    Without `draws`, the defaults are those of the sampler, after which convergence is first checked.
+    Without `draws`, the defaults are the sampler's own: after these draws convergence is first checked.
     """
     from fmu.samplers.kernel import Sampler
 

@@ -133,7 +133,7 @@ def _as_floats(name: str, value: ArrayLike) -> FloatArray:
 
 
 def usual_costs(settings: Sampler, chains: int, solves_per_gradient: int) -> tuple[float, float]:
-    """Return the usual numbers of solves per step of all chains, in warm-up and after it.
+    """Return the usual numbers of solves per step of all chains, in the warm-up and after the warm-up.
 
     The numbers are means over the built-in cases.
     """

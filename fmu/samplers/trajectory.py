@@ -280,7 +280,7 @@ class HamiltonianKernel(LocalKernel):
     """Hamiltonian Monte Carlo kernel bound to a density with gradients.
 
     `step_size` has shape () if all chains share one step size, else (chains,); `metric` may also hold one matrix
-    per chain. The other fields are those of `HamiltonianMonteCarlo`.
+    per chain. The other fields are as in `HamiltonianMonteCarlo`.
     """
 
     target: WithGradient
@@ -325,7 +325,7 @@ class HamiltonianKernel(LocalKernel):
         )
 
     def _energy(self, end: Trajectory) -> FloatArray:
-        """Return the energy H at the end of each trajectory, shape (chains,); infinite if it has overflowed."""
+        """Return the energy H at the end of each trajectory, shape (chains,); infinite after an overflow."""
         with np.errstate(over="ignore", invalid="ignore"):
             return np.nan_to_num(self.metric.kinetic(end.momentum) - end.log_prob, nan=np.inf, posinf=np.inf)
 

@@ -101,7 +101,8 @@ class Chunk:
         The group before the chunk.
     phase : {"warmup", "draws"}
     steps, seconds : int, float
-        The chunk ends after so many steps or seconds, or when a stop is asked for, but not before one step.
+        The chunk ends after `steps` steps or `seconds` seconds, or when a stop is asked for, but takes at least
+        one step.
     total : int
         Planned number of steps of the phase, for progress reports.
     label : str

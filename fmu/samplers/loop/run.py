@@ -83,8 +83,8 @@ class Run:
     checkpointer : Checkpointer, optional
         Saves draws and states. Steps that were saved are not drawn again.
     stop : callable, optional
-        Called between two chunks of work, at least once a second unless a step takes longer. The run stops if it
-        returns True.
+        Called between two chunks of work, at least once a second unless a step takes longer. The run stops if
+        `stop` returns True.
     too_many_failed : callable, optional
         ``too_many_failed(n_failed, n_solves, failures)`` returns a message if too large a share of the solves
         failed, else None.
@@ -316,7 +316,7 @@ def n_groups(groups: int | None, chains: int, sampler: Sampler) -> int:
     Raises
     ------
     ValueError
-        If the chains cannot be divided into so many groups, or the sampler does not allow this number of groups.
+        If `groups` does not divide the number of chains, or the sampler does not allow this number of groups.
     """
     if groups is None:
         return chains if sampler.walkers > 1 else 1

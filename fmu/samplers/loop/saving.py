@@ -102,9 +102,9 @@ class Checkpointer(Protocol):
         ...
 
     def is_due(self, group: int, steps: int) -> bool:
-        """Return True if a group is to be saved that has taken `steps` steps since it was last saved."""
+        """Return True if a group is to be saved after `steps` steps since the last save of the group."""
         ...
 
     def keep(self, group: int, pending: PendingGroup) -> None:
-        """Save the data of a group since it was last saved."""
+        """Save the data of a group since the last save of the group."""
         ...

@@ -190,8 +190,8 @@ def _bend(z: FloatArray, k: int, others: BoolArray, weight: FloatArray) -> tuple
     """Return the gain of log-likelihood per point from bending coordinate k, and the coefficients of m_k and s_k.
 
     m_k and s_k depend on the coordinates `others`. The gain is relative to a linear m_k and a constant s_k, less
-    the gain expected from as many useless coefficients; it is -inf if there are too few points. m_k is fitted by
-    weighted least squares and s_k by scoring, in turn (Harvey 1976, Econometrica 44, 461-465).
+    the expected gain of equally many useless coefficients. It is -inf if there are too few points. m_k is fitted
+    by weighted least squares and s_k by scoring, in turn (Harvey 1976, Econometrica 44, 461-465).
     """
     phi, y = features(z), z[:, k]
     in_m, in_s = select_features(others), select_features(others, linear=True)

@@ -28,7 +28,7 @@ def draw_mixture(
 ) -> tuple[FloatArray, FloatArray]:
     """Return `counts` draws from the proposals, (n, ndim), and the mixture's log-densities at the draws, (n,).
 
-    Every draw is weighted by the mixture, not by the proposal that it comes from: the balance heuristic (Veach &
+    Every draw is weighted by the mixture, not by the draw's own proposal: the balance heuristic (Veach &
     Guibas 1995, SIGGRAPH; Owen & Zhou 2000, JASA 95, 135-143).
     """
     u = np.concatenate([proposal.draw(rng, count) for proposal, count in zip(proposals, counts, strict=True)])

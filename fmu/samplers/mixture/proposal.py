@@ -97,7 +97,7 @@ class Mixture:
 
     @property
     def gaussians(self) -> Mixture:
-        """The mixture itself, as further fits can improve it."""
+        """The mixture itself, as further fits can improve a mixture of Gaussians."""
         return self
 
     def with_wide(self, wide: float) -> Mixture:

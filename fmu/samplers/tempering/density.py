@@ -131,8 +131,8 @@ class TemperedTarget(ExactGradient):
         """Return the replicas at their positions after the step, and the number of solves per replica.
 
         Usually no solves are needed, as a replica ends at its start or at the point that was evaluated last. The
-        exception is the coordinate-wise slice: if it gives up an interval, the replica stays at the position that
-        it reached along the previous axis.
+        exception is the coordinate-wise slice: if an interval is given up, the replica stays at the position
+        reached along the previous axis.
         """
         n_solves = np.zeros(len(position), dtype=np.int64)
         points = self.last.each(np.copy)

@@ -64,7 +64,7 @@ class Tempering(Sampler):
     Raises
     ------
     ValueError
-        If a setting is out of range or does not fit the others.
+        If a setting is out of range or does not fit the other settings.
 
     References
     ----------
