@@ -1,8 +1,8 @@
-"""Markov-chain samplers, which see a log-density and nothing of finite elements.
+"""Markov-chain samplers of a log-density; they are independent of the finite-element model.
 
 Reading order: kernel, local, metropolis, slice, trajectory, hmc, ensemble, adaptation, tempering/, loop/;
-`registry` has the samplers by name. The public names are listed in ``__init__.pyi``; each is imported when it is
-first used.
+`registry` lists the samplers by name. The public names are listed in ``__init__.pyi``; each name is imported when
+it is first used.
 """
 
 import lazy_loader

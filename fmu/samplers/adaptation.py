@@ -1,7 +1,7 @@
-"""What all tuners share: the schedule of the warm-up, dual averaging of a step size, moments of the draws.
+"""Shared parts of the tuners: the schedule of the warm-up, dual averaging of a step size, moments of the draws.
 
-Adaptation uses the draws of all chains of a group, and is frozen at the end of the warm-up: the draws that follow
-come from one fixed, valid kernel, and no warm-up draw is kept among them.
+Adaptation uses the draws of all chains of a group, and stops at the end of the warm-up: the draws that follow come
+from one fixed, valid kernel, and do not include warm-up draws.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from fmu.samplers.kernel import Info, State, Tree
 from fmu.types import BoolArray, FloatArray
 
 LAG = 10.0
-"""A chain whose log-density is this much below most chains', plus one per coordinate, has not arrived yet."""
+"""Largest difference in log-density from that of most chains, plus one per coordinate, of a chain in the bulk."""
 WINDOW_LAG = 3.0
-"""The same for the mean over a window, plus half per coordinate: a mean scatters less than a single draw."""
+"""`LAG` for means over a window, plus half per coordinate: a mean scatters less than a single draw."""
 STUCK = 0.3
-"""A chain that accepts less than this fraction of what the median chain accepts does not fit the settings."""
+"""Smallest acceptance rate, as a fraction of the median over the chains, of a chain that the settings fit."""
 SHRINKAGE = 5.0
 """Weight, in draws, of the diagonal in a regularised covariance."""
 _HISTORY = ("position", "log_prob", "acceptance")
@@ -28,18 +28,18 @@ _MEMORY = 0.9  # weight of the past in the smoothed log-density of a chain
 
 @dataclass(frozen=True)
 class Schedule:
-    """Warm-up in three parts, as in Stan (Carpenter et al. 2017, reference manual, "HMC algorithm parameters").
+    """Schedule of a warm-up in three parts, as in Stan (Carpenter et al. 2017).
 
-    The first finds the bulk of the distribution; the second learns the shape, in windows; the last settles the
-    scale under the final shape.
+    The first part finds the bulk of the distribution; the second part learns the covariance, in windows; the last
+    part adapts the scale under the final covariance. See the Stan reference manual, "HMC algorithm parameters".
 
     Attributes
     ----------
     steps, first, last : int
-        Steps in all, in the first part, and in the last.
+        Numbers of steps in total, in the first part, and in the last part.
     windows : tuple of (int, int)
-        First step (from 0) of each window and the step before which it closes: what is learnt there comes from
-        these steps alone.
+        Index of the first step of each window (from 0), and of the step before which the window closes. A
+        covariance is learnt from the steps of one window alone.
     """
 
     steps: int
@@ -49,15 +49,15 @@ class Schedule:
 
     @classmethod
     def doubling(cls, steps: int) -> Schedule:
-        """Return windows one after the other, each twice as long as the one before; none in a short warm-up.
+        """Return a schedule of consecutive windows, each twice as long as the last; none in a short warm-up.
 
-        For a sampler that must settle again in every window.
+        This schedule suits a sampler that must adapt its scale again in every window.
         """
         first = last = int(0.15 * steps)
         windows: list[tuple[int, int]] = []
         start, size, stop = first, 25, steps - last
         while stop - start >= size:
-            # the last window takes what a further doubling would not leave enough of
+            # the last window takes all remaining steps if a further window would not fit
             end = start + size if stop - (start + size) >= 2 * size else stop
             windows.append((start, end))
             start, size = end, 2 * size
@@ -65,10 +65,10 @@ class Schedule:
 
     @classmethod
     def sliding(cls, steps: int) -> Schedule:
-        """Return windows that each hold the later half of the steps so far; none in a short warm-up.
+        """Return a schedule of windows over the later half of the steps so far; none in a short warm-up.
 
-        Each closes 10 % later than the one before. For a sampler that mixes slowly until it knows the shape of the
-        target: every window is drawn with a better estimate of it.
+        Each window closes 10 % (at least 10 steps) later than the previous window. This schedule suits a sampler
+        that mixes slowly until it knows the covariance of the target: the estimate improves from window to window.
         """
         first, last = int(0.25 * steps), int(0.15 * steps)
         windows: list[tuple[int, int]] = []
@@ -83,20 +83,20 @@ class Schedule:
 
 @dataclass
 class DualAveraging:
-    """Nesterov's dual averaging of a logarithm x towards an acceptance rate δ.
+    """Nesterov's dual averaging, which adapts the logarithm x of a step size to an acceptance rate δ.
 
-    Hoffman & Gelman (2014), JMLR 15, 1593-1623, equation (6), with their constants. It works on an array: one
-    entry for pooled chains, or one per chain. x is kept within `lowest` and `highest`, for where no step size
-    changes the acceptance rate.
+    Hoffman & Gelman (2014), JMLR 15, 1593-1623, equation (6), with their constants. The arrays have one entry for
+    pooled chains, or one entry per chain. x is kept between `lowest` and `highest`, for densities on which the
+    step size does not change the acceptance rate.
 
     Parameters
     ----------
     log_value : ndarray, shape () or (chains,)
-        x, the logarithm to use next.
+        The logarithm x of the next step size.
     target : float
-        δ.
+        The acceptance rate δ.
     count, error, centre, average
-        t, H̄_t, μ and x̄_t: what has been learnt; a new one starts without.
+        t, H̄_t, μ and x̄_t, the state of the recursion; not given for a new recursion.
     """
 
     log_value: FloatArray
@@ -114,47 +114,47 @@ class DualAveraging:
 
     def __post_init__(self) -> None:
         if self.centre is None:
-            # μ = log(10 ε₀): trying too large a step costs less than too small a one
+            # μ = log(10 ε₀): too large a step costs less than too small a step
             self.centre = self.log_value + np.log(10.0)
 
     def update(self, acceptance: FloatArray) -> None:
         """Take one observed acceptance probability α_t into account."""
         self.count += 1
         t = self.count
-        # H̄_t = (1 − 1/(t + t₀)) H̄_{t−1} + (δ − α_t)/(t + t₀): the mean error so far; t₀ damps the first steps
+        # H̄_t = (1 − 1/(t + t₀)) H̄_{t−1} + (δ − α_t)/(t + t₀) is the mean error so far; t₀ damps the first steps
         weight = 1.0 / (t + self.t0)
         self.error = (1.0 - weight) * self.error + weight * (self.target - acceptance)
         # x_{t+1} = μ − √t/γ H̄_t: too many rejections (H̄ > 0) shorten the step
         self.log_value = np.clip(self.centre - np.sqrt(t) / self.gamma * self.error, self.lowest, self.highest)
-        # x̄_{t+1} = t^−κ x_{t+1} + (1 − t^−κ) x̄_t: x goes on scattering, its average converges
+        # x̄_{t+1} = t^−κ x_{t+1} + (1 − t^−κ) x̄_t: x continues to scatter, but its average converges
         decay = t**-self.kappa
         self.average = decay * self.log_value + (1.0 - decay) * self.average
 
     @property
     def averaged(self) -> FloatArray:
-        """The smoothed logarithm x̄, which is frozen at the end."""
+        """The averaged logarithm x̄, which is used after the warm-up."""
         smoothed: FloatArray = self.average if self.count else self.log_value
         return smoothed
 
 
 class Learner:
-    """What a tuner knows of the target: where in the schedule it is, which chains have arrived, the covariance.
+    """Learner of the target's covariance, and of the chains that have reached the bulk, from the warm-up steps.
 
     Attributes
     ----------
     covariance : ndarray, shape (ndim, ndim), or None
-        Covariance from the last window; None before the first one has closed.
+        Covariance from the last window; None before the first window has closed.
     """
 
     def __init__(self, schedule: Schedule, ndim: int) -> None:
         self.schedule, self.ndim = schedule, ndim
         self.step = 0
         self.covariance: FloatArray | None = None
-        self._log_prob: FloatArray | None = None  # of every chain, smoothed
-        self._history: list[tuple[FloatArray, ...]] = []  # of every step; _HISTORY names its arrays
+        self._log_prob: FloatArray | None = None  # smoothed log-density of every chain
+        self._history: list[tuple[FloatArray, ...]] = []  # one tuple per step; _HISTORY names the arrays
 
     def learn(self, state: State, info: Info) -> bool:
-        """Take one step into account; return True if it closed a window with a new covariance."""
+        """Take one step into account; return True if this step closed a window and gave a new covariance."""
         smoothed = state.log_prob if self._log_prob is None else self._log_prob
         self._log_prob = _MEMORY * smoothed + (1.0 - _MEMORY) * state.log_prob
         self.step += 1
@@ -166,7 +166,7 @@ class Learner:
         closed = [first for first, end in windows if end == self.step]
         learnt = pooled_covariance(*self._arrays(closed[0])) if closed else None
         if self.step == windows[-1][1]:
-            self._history = []  # no window is to come
+            self._history = []  # there are no more windows
         if learnt is None:
             return False
         self.covariance = learnt
@@ -174,11 +174,11 @@ class Learner:
 
     @property
     def searching(self) -> bool:
-        """Whether the first part of the warm-up still runs."""
+        """Whether the warm-up is still in its first part."""
         return self.step < self.schedule.first
 
     def average_arrived(self, value: FloatArray) -> FloatArray:
-        """Return the mean over the chains that have arrived where most are."""
+        """Return the mean of `value`, shape (chains,), over the chains that have reached the bulk; shape ()."""
         assert self._log_prob is not None  # learn() comes first
         return np.asarray(np.mean(value[find_arrived(self._log_prob, LAG + self.ndim)]))
 
@@ -192,23 +192,23 @@ class Learner:
         }
 
     def restore(self, state: Tree) -> None:
-        """Take over what another learner had learnt."""
+        """Restore the state that another learner returned."""
         self.step, self.covariance, self._log_prob = state["step"], state["covariance"], state["log_prob"]
         history = state["history"]
         self._history = list(zip(*(history[name] for name in _HISTORY if name in history), strict=True))
 
     def _arrays(self, first: int = 0) -> list[FloatArray]:
-        """Return the history from step `first` on, every array with leading shape (steps, chains)."""
+        """Return the history arrays from step `first` on, each with leading shape (steps, chains)."""
         return [np.array(values) for values in zip(*self._history[first:], strict=True)]
 
 
 def pooled_covariance(position: FloatArray, log_prob: FloatArray, acceptance: FloatArray) -> FloatArray | None:
     """Return the regularised covariance of all chains' draws, shape (ndim, ndim).
 
-    Chains that lag behind, are trapped or stand still on average are left out, and so are single draws on the way.
-    All of the target counts but its far tails. The covariance is shrunk towards its own diagonal with the weight
-    of five draws, so that the parameters' units do not matter (Stan shrinks towards a fixed size, which would blur
-    a posterior that is narrow in the prior's units).
+    Chains that lag behind, are trapped or hardly move are excluded, and so are single draws of far lower
+    log-density: only the far tails of the target are lost. The covariance is shrunk towards its own diagonal with
+    the weight of five draws, so that the units of the parameters do not matter. (Stan shrinks towards a fixed
+    size, which would distort the covariance of a posterior much narrower than the prior.)
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def pooled_covariance(position: FloatArray, log_prob: FloatArray, acceptance: Fl
     Returns
     -------
     ndarray or None
-        None where the draws are too few or never moved.
+        None if there are too few draws, or the draws never moved, or their covariance is singular.
     """
     if not len(position):
         return None
@@ -235,18 +235,18 @@ def pooled_covariance(position: FloatArray, log_prob: FloatArray, acceptance: Fl
     if not np.all(spread > 0):
         return None
     covariance = (n * covariance + SHRINKAGE * np.diag(spread)) / (n + SHRINKAGE)
-    # definite or not is judged on the correlations: the variances may differ by more than the rounding allows
+    # definiteness is checked on the correlations, as variances may differ too much for the rounding errors
     correlation = covariance / np.sqrt(np.outer(spread, spread))
     return covariance if np.all(np.linalg.eigvalsh(correlation) > 0) else None
 
 
 def find_arrived(log_prob: FloatArray, allowance: float, acceptance: FloatArray | None = None) -> BoolArray:
-    """Return a mask of the chains that have reached the region of most chains, shape (chains,).
+    """Return a mask of the chains that have reached the bulk, the region of most chains, shape (chains,).
 
-    This is judged by their (average) log-density, which scatters by only √(ndim/2) within one mode. A chain far
-    below is still approaching or trapped; one far above has found a spike, or a mode that the others have yet to
-    find. In both cases the others cannot use what it learns. If `acceptance` is given, a chain must also
-    accept about as often as the others.
+    The criterion is the (average) log-density of each chain, which scatters by only √(ndim/2) within one mode. A
+    chain with a far lower value is still approaching the bulk or trapped; a chain with a far higher value has
+    found a spike, or a mode that the other chains have not found yet. In both cases its draws do not help the
+    other chains. If `acceptance` is given, a chain must also accept about as often as the other chains.
     """
     near = np.abs(log_prob - _level(log_prob)) <= allowance
     if acceptance is None:
@@ -256,5 +256,5 @@ def find_arrived(log_prob: FloatArray, allowance: float, acceptance: FloatArray 
 
 
 def _level(log_prob: FloatArray) -> float:
-    """Return the log-density that half of the chains reach; of one or two chains the best."""
+    """Return the log-density that half of the chains reach; the highest for one or two chains."""
     return float(np.sort(log_prob)[::-1][(len(log_prob) + 1) // 2 - 1])

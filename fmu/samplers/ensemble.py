@@ -1,4 +1,4 @@
-"""emcee's affine-invariant ensembles, with the interface of the other samplers."""
+"""Affine-invariant ensemble sampling by emcee, with the interface of the other samplers."""
 
 from __future__ import annotations
 
@@ -19,46 +19,47 @@ if TYPE_CHECKING:
     from emcee.moves.move import Move
 
 Moves = str | Mapping[str, float] | Iterable[str | tuple[str, float]]
-"""One move, or several with their weights."""
+"""One move, or several moves with their weights."""
 MOVES = ("stretch", "de", "snooker", "kde")
 _BEST = (("de", 1.0), ("kde", 1.0))
 _PER_COORDINATE = 4
-"""Walkers per coordinate from which half of them give a kernel density to propose from."""
+"""Walkers per coordinate from which on half of the walkers give a usable kernel density."""
 
 
 @check_arguments
 @dataclass(frozen=True)
 class Ensemble(Sampler):
-    """An ensemble of walkers that propose from each other's positions, by the emcee library.
+    """Ensemble sampler of the emcee library: walkers propose from the positions of other walkers.
 
-    Walkers are not independent chains: one ensemble is one chain, and its draws are steps × walkers. Nothing is
-    tuned in warm-up, as the proposals adapt through the positions of the walkers.
+    Walkers are not independent chains: one ensemble is one chain, with steps × walkers draws. Nothing is tuned in
+    warm-up, as the proposals adapt through the positions of the walkers.
 
     Parameters
     ----------
     walkers : int
-        At least twice the number of coordinates, and 8.
+        Number of walkers; at least 8 and at least twice the number of coordinates.
     moves : str, mapping or sequence
         "stretch", "de" (differential evolution), "snooker" or "kde" (draws from a kernel density of the other half
         of the walkers); or a mixture: ``{"de": 0.8, "snooker": 0.2}``, ``[("de", 0.8), ("snooker", 0.2)]`` or
-        ``["de", "snooker"]`` (equal weights). One move is drawn a step. The default is de and kde with equal
-        weights, or de alone with fewer than four walkers per coordinate, which are too few for a density.
+        ``["de", "snooker"]`` (equal weights). One move is drawn per step. The default is "de" and "kde" with equal
+        weights, or "de" alone with fewer than four walkers per coordinate, too few for a kernel density.
 
     Raises
     ------
     ValueError
-        If a move is not known, a weight not positive, or the walkers are too few.
+        If a move is unknown, a weight is not positive, or there are too few walkers.
 
     Notes
     -----
-    The default gave most effective draws per evaluation on the posteriors of the paper. The smaller of bulk and
-    tail ESS of the worst parameter per 1000 evaluations after warm-up, of four ensembles of 32 walkers and 3000
-    steps, on cantilever-young by shape and by number, and cantilever-section by shape and by number:
+    The default gave the most effective draws per evaluation on the posteriors of the paper. The list shows the
+    smaller of bulk and tail ESS of the worst parameter per 1000 evaluations after warm-up, for four ensembles of
+    32 walkers and 3000 steps. The four values are for cantilever-young paired by shape and by number, and
+    cantilever-section paired by shape and by number:
 
     - stretch: 11, 13, 16, 15;
     - de: 42, 43, 48, 37;
     - de 0.8 and snooker 0.2: 42, 44, 47, 42;
-    - kde: 46, 69, 42, 51, and in the third run walkers that stood still;
+    - kde: 46, 69, 42, 51; in the third run some walkers stopped moving;
     - de and kde: 61, 64, 75, 67.
 
     The warm-up of a run to convergence is 100 steps, four autocorrelation times on these posteriors, from walkers
@@ -85,7 +86,7 @@ class Ensemble(Sampler):
             object.__setattr__(self, "moves", _mixture(self.moves))
 
     def bind(self, density: LogDensity) -> EnsembleKernel:
-        """Return the kernel that samples `density`; ValueError if it has too few walkers for it."""
+        """Return the kernel that samples `density`; raise ValueError if there are too few walkers."""
         if self.walkers < 2 * density.ndim:
             raise ValueError(
                 f"walkers: must be at least {2 * density.ndim}, twice the coordinates (got {self.walkers})"
@@ -106,13 +107,13 @@ class Ensemble(Sampler):
 
 @dataclass(frozen=True)
 class EnsembleKernel:
-    """Ensembles bound to a density. State.position is (chains, walkers, ndim), one ensemble per chain."""
+    """Ensemble kernel bound to a density. State.position is (chains, walkers, ndim), one ensemble per chain."""
 
     target: _Tally
     sampler: EnsembleSampler
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the start, one solve per walker; ValueError unless the walkers span the space."""
+        """Evaluate the starts, one solve per walker; raise ValueError unless the walkers span the space."""
         from emcee import walkers_independent
 
         for chain, walkers in enumerate(positions):
@@ -124,8 +125,8 @@ class EnsembleKernel:
         """Move every walker once.
 
         emcee's generator is seeded from `rng` at every step, so that State and `rng` are all that a checkpoint
-        needs. The number of solves of an ensemble's step is exact. emcee does not say which walkers they belong
-        to; they are counted for the first ones.
+        needs. The number of solves of an ensemble's step is exact. emcee does not report which walkers these
+        solves belong to, so that they are counted for the first walkers.
         """
         n_solves, n_nonfinite = (np.zeros(state.log_prob.shape, dtype=np.int64) for _ in range(2))
         position, log_prob = np.empty_like(state.position), np.empty_like(state.log_prob)
@@ -149,14 +150,14 @@ class EnsembleKernel:
 
 
 class _Tally(Target):
-    """The density as emcee calls it, with its cost counted. Each walker is proposed once a step."""
+    """Log-density that emcee calls, with its cost counted. Each walker has one candidate per step."""
 
     def __init__(self, density: LogDensity) -> None:
         super().__init__(density)
         self.reset()
 
     def reset(self) -> None:
-        """Start the counts again at zero."""
+        """Reset the counts to zero."""
         self.n_solves = self.n_nonfinite = 0
 
     def __call__(self, position: FloatArray) -> FloatArray:

@@ -20,49 +20,51 @@ from fmu.types import FloatArray, LogDensity, Positive
 
 GRADIENTS = ("exact", "central-difference")
 START_STEP_SIZE, START_STEPS = 0.001, 10
-"""Where learning begins, in scaled units: short enough for posteriors 1000 times narrower than priors."""
+"""Initial step size, in scaled units, and number of steps: short enough for posteriors 1000 times narrower than
+priors."""
 _LEARNABLE = 50
-"""Parameters whose covariance the draws of a warm-up can tell: it takes some ten draws for each."""
-# Of a trajectory: 2 to 8 steps are enough with a good metric; with a poor one the cost must be bounded.
+"""Largest number of parameters whose covariance is learnt from the warm-up draws: ten draws each are needed."""
+# Steps of a trajectory: 2 to 8 are enough with a good metric; with a poor metric the cost must be bounded.
 _MOST_STEPS = 32
 SHORT_STEPS = 0.95
-"""Acceptance rate of steps that are short, for densities on which others diverge."""
+"""Acceptance rate that gives short steps, for densities on which longer steps diverge."""
 _TRIALS = 20
-# Longer steps are unstable on any density with curvature, and on a flat one they only meet the walls more often.
+# Longer steps are unstable on any curved density, and on a flat density they only meet the walls more often.
 _LONGEST = 10.0
 
 
 @check_arguments
 @dataclass(frozen=True)
 class HamiltonianMonteCarlo(LocalSampler):
-    """Hamiltonian Monte Carlo in the original (affinely scaled) coordinates, with trajectories that reflect.
+    """Hamiltonian Monte Carlo in the original (affinely scaled) coordinates, with reflection at the bounds.
 
-    H(E, p) = V(E) + pᵀM⁻¹p/2 with V = −log P. A trajectory is `n_steps` leapfrog steps, eq. (12)-(14) of the
-    paper; its end is accepted with probability min(1, exp(H − H*)).
+    The energy is H(E, p) = V(E) + pᵀM⁻¹p/2 with V = −log P. A trajectory consists of `n_steps` leapfrog steps,
+    eq. (12)-(14) of the paper. Its end, of energy H*, is accepted with probability min(1, exp(H − H*)).
 
     Parameters
     ----------
     step_size : float, optional
-        δt, in scaled units. If it is not given, warm-up learns it, together with `n_steps` and `inverse_mass`
-        unless they are given. If it is given, nothing is learnt.
+        Step size δt, in scaled units. Without a step size, warm-up learns the step size, and also `n_steps` and
+        `inverse_mass` unless these are given. With a step size, nothing is learnt.
     n_steps : int, optional
-        Leapfrog steps per trajectory.
+        Number of leapfrog steps per trajectory.
     jitter : float
-        Each trajectory's step size is drawn uniformly within ± this fraction, so that no period is resonant.
+        Each trajectory's step size is drawn uniformly within ± this fraction of the step size, to avoid resonance.
     inverse_mass : None, vector (ndim,) or matrix (ndim, ndim)
-        M⁻¹; the identity if neither given nor learnt.
+        Inverse mass matrix M⁻¹, or its diagonal; the identity if neither given nor learnt.
     target_accept : float
         Acceptance rate that the step size is adapted to; at least `SHORT_STEPS` where trajectories still diverge
         at the end of warm-up.
     length : float
-        Trajectory length that adaptation aims at, in standard deviations of the target. With 2 the effective
-        sample size per gradient is within a quarter of the best, both on curved posteriors and on those that lean
-        on their bounds (best near 1.5); for a Gaussian without bounds 3 would be better.
+        Trajectory length that adaptation aims at, in standard deviations of the target. With a length of 2, the
+        effective sample size per gradient is within a quarter of the best, both on curved posteriors and on
+        posteriors whose mass lies at a bound (best near 1.5); for a Gaussian without bounds 3 would be better.
     gradient : {"exact", "central-difference"}
+        Gradients from the density, or by central differences as in eq. (15) of the paper.
     delta : float or vector (ndim,)
         The perturbation vector Δ of eq. (15), in scaled units.
     h : float
-        The scalar of eq. (15).
+        The scalar h of eq. (15), which multiplies Δ.
     max_bounces : int
         A trajectory with more reflections than this is rejected, never cut short.
 
@@ -114,7 +116,7 @@ class HamiltonianMonteCarlo(LocalSampler):
         whole_number("max_bounces", self.max_bounces, 0)
 
     def bind(self, density: LogDensity) -> HamiltonianKernel:
-        """Return the kernel that samples `density`; ValueError if a vector or matrix does not fit it."""
+        """Return the kernel that samples `density`; raise ValueError if a vector or matrix has the wrong size."""
         target: WithGradient = ExactGradient(density)
         if self.gradient == "central-difference":
             delta = np.broadcast_to(fits("delta", self.delta, density.ndim), density.ndim)
@@ -124,26 +126,33 @@ class HamiltonianMonteCarlo(LocalSampler):
         return HamiltonianKernel(target, metric, step_size, n_steps, self.jitter, self.max_bounces)
 
     def starting_from(self, components: Sequence[Quadratic], weights: FloatArray) -> HamiltonianMonteCarlo:
-        """Return the settings with M⁻¹ from the curvature at the largest maximum, if warm-up cannot learn it."""
+        """Return the settings with M⁻¹ from the curvature at the maximum of largest weight.
+
+        If `step_size` or `inverse_mass` is given, or warm-up can learn M⁻¹, return the settings unchanged.
+        """
         curvature = components[int(np.argmax(weights))].hessian
         if len(curvature) <= _LEARNABLE or self.inverse_mass is not None or self.step_size is not None:
             return self
         return replace(self, inverse_mass=np.linalg.inv(definite(curvature)))
 
     def take_covariance(self, covariance: FloatArray) -> HamiltonianMonteCarlo:
-        """Return the settings with the covariance as M⁻¹, unless they have one."""
+        """Return the settings with the covariance as M⁻¹, unless `inverse_mass` is given."""
         return self if self.inverse_mass is not None else replace(self, inverse_mass=covariance)
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> HamiltonianTuner | None:
-        """Return a tuner that learns these settings in `steps` warm-up steps; None if none is needed."""
+        """Return a tuner that learns the settings in `steps` warm-up steps; None if `step_size` is given."""
         return HamiltonianTuner(self, density, chains, steps) if self.step_size is None else None
 
 
 class HamiltonianTuner:
-    """Step size by dual averaging, inverse mass from the covariance of the windows, trajectory length from both.
+    """Tuner of the step size, the inverse mass and the number of steps of a trajectory.
 
-    In the first part every chain has a step size of its own: a chain that is far out needs a small one, and must
-    not impose it on the others. After that one step size serves all, and chains that lag behind do not affect it.
+    The step size comes from dual averaging, the inverse mass from the covariance of the draws in each window, and
+    the number of steps from the step size and the trajectory length aimed at.
+
+    In the first part of the warm-up every chain has its own step size: a chain far from the bulk of the
+    distribution needs a small step size, which must not slow down the other chains. Afterwards all chains share
+    one step size, which is not affected by chains that lag behind.
     """
 
     def __init__(self, sampler: HamiltonianMonteCarlo, density: LogDensity, chains: int, steps: int) -> None:
@@ -160,7 +169,7 @@ class HamiltonianTuner:
         pooling = self.averaging.log_value.ndim == 0
         self.averaging.update(self.learner.average_arrived(acceptance) if pooling else acceptance)
         if not pooling and not self.learner.searching:
-            # from here on one step size for all: the mean over the chains that have arrived
+            # from here on all chains share one step size: the mean over the chains that have reached the bulk
             self.averaging = self._restart_averaging(self.learner.average_arrived(self.averaging.averaged))
         if window_closed and self.sampler.inverse_mass is None:
             # the new metric makes the target's standard deviations 1, so that a step size of order one fits
@@ -191,7 +200,7 @@ class HamiltonianTuner:
         return {"learner": self.learner.state(), "averaging": vars(self.averaging)}
 
     def restore(self, state: Tree) -> None:
-        """Take over what another tuner had learnt."""
+        """Restore the state that another tuner returned."""
         self.learner.restore(state["learner"])
         self.averaging = DualAveraging(**state["averaging"])
         if self.learner.covariance is not None and self.sampler.inverse_mass is None:
@@ -212,22 +221,22 @@ class HamiltonianTuner:
 
     @property
     def _has_settled(self) -> bool:
-        """Whether the last metric is learnt, and the first step sizes under it, which are too long, are over."""
+        """Whether `_TRIALS` step sizes were tried under the last metric; the first of them are too long."""
         windows = self.learner.schedule.windows
         return bool(windows) and self.learner.step > windows[-1][1] and self.averaging.count >= _TRIALS
 
     @property
     def _has_metric(self) -> bool:
-        """Whether a metric gives the length of a trajectory a meaning."""
+        """Whether a metric is known, so that trajectories have a length in standard deviations."""
         return self.learner.covariance is not None or self.sampler.inverse_mass is not None
 
     def _limit_step(self, log_step_size: ArrayLike) -> FloatArray:
-        """Return the step size, at most `_LONGEST` trajectories: on a flat density every step is accepted."""
+        """Return the step size, at most `_LONGEST` trajectory lengths; a flat density accepts every step."""
         step_size: FloatArray = np.exp(log_step_size)
         return np.minimum(step_size, _LONGEST * self.sampler.length) if self._has_metric else step_size
 
     def _n_steps(self, step_size: FloatArray | float) -> int:
-        """Return the steps of a trajectory of the length aimed at."""
+        """Return the number of steps of a trajectory of the length aimed at; `n_steps` if it is given."""
         if self.sampler.n_steps is not None or not self._has_metric:
             return self.kernel.n_steps
         return int(np.clip(np.round(self.sampler.length / float(np.max(step_size))), 1, _MOST_STEPS))

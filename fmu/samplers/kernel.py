@@ -1,8 +1,8 @@
-"""What a sampler is made of: its settings, the kernel that moves the chains, their state, and a tuner.
+"""The parts of a sampler: its settings, the kernel that moves the chains, the state of the chains, and a tuner.
 
-A sampler is a small frozen dataclass of settings. Bound to a density it is a kernel, which advances all chains of
-a group in lockstep, as one array, so that one batched evaluation of the density serves them all. A tuner learns
-better settings during warm-up.
+A sampler is a small frozen dataclass of settings. Binding the settings to a density gives a kernel. The kernel
+advances all chains of a group in lockstep, as one array, so that each batched evaluation of the density serves
+all chains. A tuner learns better settings during warm-up.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ if TYPE_CHECKING:
     from fmu.samplers.mixture.quadratic import Quadratic
 
 Index = IntArray | BoolArray | slice
-"""Which chains."""
+"""Index array, boolean mask or slice that selects chains."""
 Tree = Mapping[str, Any]
-"""Plain data for a file: arrays, numbers, texts, None, and lists of numbers, by name; or trees again."""
+"""Mapping of names to plain data for a file: arrays, numbers, strings, None, lists of numbers or further trees."""
 
 
 @dataclass(frozen=True)
 class State:
-    """What the next step of a kernel needs, as arrays only, so that it can be kept in a file.
+    """State of the chains from which a kernel takes the next step: arrays only, so that it can be saved in a file.
 
     Attributes
     ----------
     position : ndarray, shape (chains, ndim), or (chains, walkers, ndim) for an ensemble
     log_prob : ndarray, shape (chains,) or (chains, walkers)
     gradient : ndarray or None
-        Gradient of the log-density at `position`, for the kernels that use it.
+        Gradient of the log-density at `position`, for kernels that use gradients.
     extra : mapping of str to ndarray
         Data that only some kernels need.
     """
@@ -63,11 +63,11 @@ class Info:
         Gradients that the step took. An exact gradient is one solve too; a central-difference gradient is
         ``2 ndim`` solves.
     extra : mapping of str to ndarray
-        Values that only some samplers have: ``acceptance_rate``, ``energy``, ``diverging``, ``n_steps``, ... They
-        are recorded for every draw.
+        Statistics that only some samplers have: ``acceptance_rate``, ``energy``, ``diverging``, ``n_steps``, ...
+        These statistics are recorded for every draw.
     parts : Info, optional
-        For a kernel that runs other kernels, the diagnostics of their steps. They are for its tuner, and not
-        recorded.
+        For a kernel that runs other kernels, the diagnostics of the other kernels' steps. The tuner uses these
+        diagnostics; they are not recorded.
     """
 
     accepted: BoolArray
@@ -82,16 +82,16 @@ class Kernel(Protocol):
     """A sampler bound to a density."""
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the start; the info contains what that cost."""
+        """Evaluate the starting positions; return the state, and an `Info` with the cost."""
         ...
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Advance every chain by one draw."""
+        """Advance every chain by one draw; return the new state and the diagnostics of the step."""
         ...
 
 
 class Sampler(ABC):
-    """Settings of one sampler: the base class of all dataclasses of settings.
+    """Base class of the samplers' settings, which are dataclasses.
 
     A sampler that `registry` lists by name also sets these class attributes.
 
@@ -100,20 +100,21 @@ class Sampler(ABC):
     name : str
         Short name, such as ``"mh"``.
     title, colour : str
-        For figures and reports.
+        Title and colour of the sampler in figures and reports.
     cost : tuple of three float
-        Means over the built-in cases, per step of a chain or walker: evaluations in warm-up, evaluations after it,
-        and distinct draws.
+        Means over the built-in cases, per step of a chain or walker: evaluations in warm-up, evaluations after the
+        warm-up, and distinct draws.
     first : tuple of two int
-        Steps of warm-up, and draws after which a run that ends when it has converged is first judged.
+        For a run that ends when it has converged: the number of warm-up steps, and the number of draws after
+        which convergence is first checked.
     is_local : bool
-        Whether its steps are local ones, see `LocalSampler`: the mixture and tempering can then take them.
+        Whether the sampler takes local steps, see `LocalSampler`: the mixture and tempering can then use these.
     learns_together : bool
         Whether all chains must be in one group.
     walkers : int
-        Walkers that an ensemble moves together; 1 for a sampler whose chain is a single point.
+        Number of walkers that an ensemble moves together; 1 for a sampler whose chain is a single point.
     gradient : str
-        How the steps get gradients: "exact", from the density; "central-difference"; or "" if they take none.
+        Source of the gradients: "exact", from the density; "central-difference"; or "" if none are used.
     takes_gradients : bool
         Whether each evaluation includes the gradient.
     """
@@ -128,39 +129,39 @@ class Sampler(ABC):
 
     @property
     def walkers(self) -> int:
-        """A chain is a single point."""
+        """Number of walkers per chain: 1, as a chain is a single point."""
         return 1
 
     @property
     def gradient(self) -> str:
-        """No gradients."""
+        """Source of the gradients: "", as none are used."""
         return ""
 
     @property
     def takes_gradients(self) -> bool:
-        """Whether each evaluation includes the gradient: if there are any, unless a sampler says otherwise."""
+        """Whether each evaluation includes the gradient; by default, whether the sampler uses gradients."""
         return bool(self.gradient)
 
     def starting_from(self, components: Sequence[Quadratic], weights: FloatArray) -> Self:
-        """Return the settings that use the maxima of the density, as quadratics; most samplers do not use them."""
+        """Return settings that use the maxima of the density, given as quadratics; by default, these settings."""
         return self
 
     @abstractmethod
     def bind(self, density: LogDensity) -> Kernel:
-        """Return the kernel that samples `density` with these settings; ValueError if they do not fit it."""
+        """Return the kernel that samples `density`; raise ValueError if the settings do not fit the density."""
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> Tuner | None:
-        """Return a tuner that learns better settings in `steps` warm-up steps; None if none is needed."""
+        """Return a tuner that learns better settings in `steps` warm-up steps; None if nothing is to be learnt."""
         return None
 
 
 class Tuner(Protocol):
-    """Learns the settings of a sampler from its warm-up steps.
+    """Tuner that learns the settings of a sampler from its warm-up steps.
 
     Attributes
     ----------
     kernel : Kernel
-        Does the next warm-up step.
+        Kernel that takes the next warm-up step.
     """
 
     kernel: Any
@@ -168,7 +169,8 @@ class Tuner(Protocol):
     def update(self, state: State, info: Info) -> IntArray | None:
         """Learn from one step, and change `kernel` accordingly.
 
-        Return the evaluations of each chain that learning itself took, shape (chains,); None if it took none.
+        Return the number of evaluations that learning itself took for each chain, shape (chains,); None if it
+        took none.
         """
         ...
 
@@ -181,12 +183,12 @@ class Tuner(Protocol):
         ...
 
     def restore(self, state: Tree) -> None:
-        """Take over what another tuner, made with the same arguments, had learnt when it returned `state`."""
+        """Restore a state that `Tuner.state` returned, of a tuner made with the same arguments."""
         ...
 
 
 class Evaluation(NamedTuple):
-    """Log-densities of a batch and their cost.
+    """Log-densities of a batch of points, and the cost of evaluating them.
 
     Attributes
     ----------
@@ -204,7 +206,7 @@ class Evaluation(NamedTuple):
 
 
 class Target:
-    """A density as kernels evaluate it: inside its box, in batches, with the cost counted.
+    """Evaluator of a density for the kernels: in batches, only inside the box, and with the cost counted.
 
     Parameters
     ----------
@@ -219,23 +221,23 @@ class Target:
     def log_prob(self, position: FloatArray, chain: Index) -> FloatArray:
         """Return the log-densities at `position`, shape (n, ndim), inside the box.
 
-        `chain` is an index that picks the chains whose points they are; a subclass may have another density for
-        each.
+        `chain` selects the chains that the points belong to; a subclass may use a different density for each
+        chain.
         """
         values: FloatArray = self.density.log_prob(position)
         return values
 
     def evaluate(self, position: FloatArray, chain: IntArray | None = None) -> Evaluation:
-        """Evaluate the density where `position`, shape (..., ndim), is inside the box, in one batch.
+        """Evaluate the density in one batch at the points `position`, shape (..., ndim), that lie inside the box.
 
-        `chain`, shape (...), says whose points they are; if not given, there is one point per chain.
+        `chain`, shape (...), is the index of each point's chain; if it is not given, there is one point per chain.
 
-        Points outside are never evaluated; a NaN coordinate is outside. A value that is not finite (a failed
-        eigensolve) counts as ``-inf``, so that only this point is rejected.
+        Points outside the box are never evaluated; a point with a NaN coordinate counts as outside. A value that
+        is not finite (a failed eigensolve) counts as ``-inf``, so that only this point is rejected.
         """
         inside, all_inside = find_inside(position, self.lower, self.upper)
         log_prob = np.full(inside.shape, -np.inf)
-        if all_inside and inside.ndim == 1:  # it saves the copies
+        if all_inside and inside.ndim == 1:  # avoids copies
             log_prob[:] = self.log_prob(position, slice(None) if chain is None else chain)
         elif inside.any():
             log_prob[inside] = self.log_prob(position[inside], inside if chain is None else chain[inside])
@@ -244,11 +246,11 @@ class Target:
         return Evaluation(log_prob, inside.astype(np.int64), failed.astype(np.int64))
 
     def start(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate where the chains start, one solve for each: what `Kernel.init` returns without gradients."""
+        """Evaluate the starting positions, one solve each; return the state without gradients, and its `Info`."""
         first = self.evaluate(positions)
         none = np.zeros(first.log_prob.shape, dtype=np.int64)
         return State(positions, first.log_prob), Info(none.astype(bool), first.log_prob, first.n_solves, none)
 
     def complete(self, state: State) -> tuple[State, Info | None]:
-        """Return another kernel's state with what a step needs, and what that cost; None if it had all."""
+        """Return the state of another kernel completed for a step, and the cost; None if nothing was missing."""
         return state, None

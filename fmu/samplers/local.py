@@ -1,6 +1,6 @@
-"""What local samplers share: steps from where a chain is, which the mixture and tempering take too.
+"""Base classes of the local samplers, whose steps the mixture sampler and tempering use too.
 
-A local sampler is one file: settings derived from `LocalSampler`, and a kernel derived from `LocalKernel`.
+A local sampler is one file with settings derived from `LocalSampler`, and a kernel derived from `LocalKernel`.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from fmu.types import BoolArray, FloatArray, LogDensity
 
 
 class LocalSampler(Sampler):
-    """Settings of a sampler whose steps are local ones of a single point.
+    """Settings of a sampler that moves a single point per chain by local steps.
 
-    The mixture takes such steps between its candidates, tempering moves its replicas by them, and with jumps the
-    chains cross between maxima.
+    The mixture sampler takes such steps between its candidates, and tempering moves its replicas by such steps.
+    With the jumps that `with_jumps` adds, the chains of a local sampler cross between maxima.
     """
 
     is_local: ClassVar[bool] = True
 
     @abstractmethod
     def bind(self, density: LogDensity) -> LocalKernel:
-        """Return the kernel that samples `density` with these settings; ValueError if they do not fit it."""
+        """Return the kernel that samples `density`; raise ValueError if the settings do not fit the density."""
 
     def take_covariance(self, covariance: FloatArray) -> Self:
-        """Return the settings with steps that fit a covariance, shape (ndim, ndim).
+        """Return the settings with steps adapted to a covariance, shape (ndim, ndim).
 
-        Settings that give a shape of their own, or whose tuner begins without one, stay as they are.
+        Settings that already specify the steps, or whose tuner starts without a covariance, stay unchanged.
         """
         return self
 
@@ -42,13 +42,13 @@ class LocalKernel(ABC):
     """A local sampler bound to a density; derived kernels are frozen dataclasses too.
 
     Its state is position, log-density and, if the target has gradients, the gradient. Its `Info.extra` contains
-    ``n_nonfinite``, the evaluations of each chain inside the box that are not finite.
+    ``n_nonfinite``, the number of each chain's evaluations inside the box that are not finite.
     """
 
     target: Target
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the start; ValueError where a gradient that the steps need is not finite."""
+        """Evaluate the starting positions; raise ValueError if a gradient that the steps need is not finite."""
         return self.target.start(positions)
 
     @abstractmethod
@@ -57,21 +57,22 @@ class LocalKernel(ABC):
 
     @abstractmethod
     def join(self, kernels: Sequence[Self], chains: int) -> Self:
-        """Return one kernel that moves the chains of several, as one array.
+        """Return one kernel that moves the chains of several kernels as one array.
 
         Parameters
         ----------
         kernels : sequence of kernels of this kind
-            This one is the first of them. Their settings differ, their target does not matter.
+            The first is this kernel. The settings of the kernels may differ; their targets do not matter.
         chains : int
-            Chains of each kernel; they lie one kernel after the other.
+            Number of chains of each kernel. The array contains the chains of the first kernel, then of the second
+            kernel, etc.
         """
 
 
 def accept(rng: np.random.Generator | np.random.RandomState, log_ratio: FloatArray) -> BoolArray:
-    """Return a mask of the accepted candidates, each with probability min(1, exp(log_ratio)), any shape.
+    """Return a mask of the accepted candidates: True with probability min(1, exp(log_ratio)), elementwise.
 
-    Metropolis et al. (1953), J. Chem. Phys. 21, 1087-1092; log u of a uniform u is −E with E exponential.
+    Metropolis et al. (1953), J. Chem. Phys. 21, 1087-1092; log u of a uniform u is −x with x exponential.
     """
     return np.asarray(-rng.standard_exponential(log_ratio.shape) <= log_ratio)
 
@@ -85,7 +86,8 @@ def accept_or_reject(
     ----------
     rng : Generator
     state, candidate : State
-        Of `chains` chains. Gradients are taken over if the candidate has them; `extra` is left out.
+        The states of all chains, and their candidates. The new state has gradients if both have gradients, and
+        no `extra`.
     log_ratio : ndarray, shape (chains,)
         log P(E*) q(E | E*) − log P(E) q(E* | E) for a candidate E* that was drawn from q(E* | E).
 

@@ -24,11 +24,11 @@ _SETTLING = 20  # steps that the scale of a random walk takes to settle
 class Proposal(Protocol):
     """A conditional density q(candidate | position), in scaled units.
 
-    If it is a dataclass whose fields can be written as JSON, they are recorded with the trace.
+    If the proposal is a dataclass whose fields can be written as JSON, the fields are recorded with the trace.
     """
 
     def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:
-        """Draw one candidate per chain; both arrays are ``(chains, ndim)``."""
+        """Return one candidate per chain; `position` and the candidates have shape ``(chains, ndim)``."""
         ...
 
     def log_ratio(self, candidate: FloatArray, position: FloatArray) -> FloatArray:
@@ -39,17 +39,17 @@ class Proposal(Protocol):
 @check_arguments
 @dataclass(frozen=True)
 class RandomWalk:
-    """Gaussian random walk: candidate = position + N(0, S). Symmetric.
+    """Symmetric Gaussian random walk: candidate = position + z with z ~ N(0, S).
 
     Parameters
     ----------
     scale : float, vector (ndim,) or matrix (ndim, ndim)
-        A standard deviation for all coordinates, one for each, or the covariance matrix S.
+        One standard deviation for all coordinates, one standard deviation per coordinate, or the covariance S.
 
     Raises
     ------
     ValueError
-        If `scale` is not positive (definite) and finite.
+        If `scale` is not finite and positive, or as a matrix not positive definite.
     """
 
     scale: Any = 0.01
@@ -62,7 +62,7 @@ class RandomWalk:
         object.__setattr__(self, "factor", cholesky_factor("scale", array) if array.ndim == 2 else array)
 
     def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:
-        """Draw position + L z with z standard normal and L Lᵀ = S."""
+        """Return candidates position + L z with z standard normal and L Lᵀ = S."""
         factor = fits("scale", self.factor, position.shape[-1])
         z = rng.standard_normal(position.shape)
         return position + (z @ factor.T if factor.ndim == 2 else factor * z)
@@ -74,12 +74,12 @@ class RandomWalk:
 
 @dataclass(frozen=True)
 class RandomWalks:
-    """Gaussian random walks, each chain with its own covariance L Lᵀ: L of shape (chains, ndim, ndim)."""
+    """Gaussian random walks, one per chain, with covariances L Lᵀ; `factor` is L, shape (chains, ndim, ndim)."""
 
     factor: FloatArray
 
     def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:
-        """Draw position + L z with z standard normal."""
+        """Return candidates position + L z with z standard normal."""
         z = rng.standard_normal(position.shape)
         return position + np.einsum("nij,nj->ni", self.factor, z)
 
@@ -92,15 +92,15 @@ class RandomWalks:
 class LogNormalWalk:
     """Multiplicative random walk above `origin`: candidate − origin = (position − origin) exp(s z), z ~ N(0, 1).
 
-    Asymmetric: q(x' | x) = N(log x'; log x, s²)/x', so that log q(x | x') − log q(x' | x) = Σ log(x'/x),
-    x measured from the origin.
+    The walk is asymmetric. With the position x and the candidate x' measured from the origin, q(x' | x) =
+    N(log x'; log x, s²)/x', so that log q(x | x') − log q(x' | x) = Σ log(x'/x).
 
     Parameters
     ----------
     scale : float or vector (ndim,)
         Standard deviation s of the logarithm.
     origin : float or vector (ndim,)
-        Below every position; the lower bound is 0 in the unit box.
+        Origin of the walk, which must lie below every position; the lower bound of the unit box is 0.
 
     Raises
     ------
@@ -117,7 +117,7 @@ class LogNormalWalk:
         object.__setattr__(self, "origin", vector("origin", origin) if origin.ndim else float(origin))
 
     def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:
-        """Multiply the distance from the origin by a log-normal factor."""
+        """Return candidates: the positions, with their distances from the origin times log-normal factors."""
         ndim = position.shape[-1]
         scale, origin = fits("scale", self.scale, ndim), fits("origin", self.origin, ndim)
         if np.any(position <= origin):
@@ -127,13 +127,13 @@ class LogNormalWalk:
     def log_ratio(self, candidate: FloatArray, position: FloatArray) -> FloatArray:
         """Return Σ log((candidate − origin)/(position − origin))."""
         origin = np.asarray(self.origin)
-        with np.errstate(divide="ignore"):  # a factor that underflows: candidate at the origin, never accepted
+        with np.errstate(divide="ignore"):  # if a factor underflows, the candidate at the origin is rejected
             return np.sum(np.log(candidate - origin) - np.log(position - origin), axis=-1)
 
 
 @dataclass(frozen=True)
 class Independence:
-    """Candidates from N(mean, covariance) whatever the position, e.g. a Laplace approximation. Asymmetric.
+    """Asymmetric proposal of candidates from N(mean, covariance) at any position, e.g. a Laplace approximation.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ class Independence:
     Raises
     ------
     ValueError
-        If `mean` is not finite or `covariance` not symmetric positive definite of the same size.
+        If `mean` is not finite, or `covariance` is not symmetric, positive definite and of the same size.
     """
 
     mean: ArrayLike
@@ -160,12 +160,12 @@ class Independence:
         object.__setattr__(self, "_inverse_factor", np.linalg.inv(factor))
 
     def sample(self, rng: np.random.Generator, position: FloatArray) -> FloatArray:
-        """Draw mean + L z with z standard normal and L Lᵀ = covariance."""
+        """Return candidates mean + L z with z standard normal and L Lᵀ = covariance."""
         mean = fits("mean", self.mean, position.shape[-1])
         return mean + rng.standard_normal(position.shape) @ self._factor.T
 
     def log_ratio(self, candidate: FloatArray, position: FloatArray) -> FloatArray:
-        """Return log g(position) − log g(candidate), g the Gaussian."""
+        """Return log g(position) − log g(candidate), where g is the density of the Gaussian."""
         return self._log_density(position) - self._log_density(candidate)
 
     def _log_density(self, x: FloatArray) -> FloatArray:
@@ -176,13 +176,16 @@ class Independence:
 @check_arguments
 @dataclass(frozen=True)
 class MetropolisHastings(LocalSampler):
-    """Metropolis-Hastings: accept a candidate with probability min(1, P(E*) q(E | E*) / (P(E) q(E* | E))).
+    """Metropolis-Hastings sampler.
+
+    At the position E a candidate E* is drawn from the proposal q(E* | E), and accepted with probability
+    min(1, P(E*) q(E | E*) / (P(E) q(E* | E))), where P is the density.
 
     Parameters
     ----------
     proposal : Proposal, optional
-        The density q, with its settings in scaled units. If it is not given, a Gaussian random walk whose
-        covariance is learnt in warm-up, of which the first quarter is slice sampling.
+        The proposal q, with its settings in scaled units. By default it is a Gaussian random walk whose
+        covariance is learnt in warm-up; the first quarter of the warm-up is then slice sampling.
 
     References
     ----------
@@ -201,7 +204,7 @@ class MetropolisHastings(LocalSampler):
         return MetropolisKernel(Target(density), self.proposal or RandomWalk(START_SCALE))
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> MetropolisTuner | None:
-        """Return a tuner that learns the random walk in `steps` warm-up steps; None if none is needed."""
+        """Return a tuner that learns the random walk in `steps` warm-up steps; None if `proposal` is given."""
         if self.proposal is not None:
             return None
         return MetropolisTuner(self, density, steps)
@@ -209,12 +212,12 @@ class MetropolisHastings(LocalSampler):
 
 @dataclass(frozen=True)
 class MetropolisKernel(LocalKernel):
-    """Metropolis-Hastings bound to a density."""
+    """Metropolis-Hastings kernel bound to a density."""
 
     proposal: Proposal
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Propose, and accept or reject.
+        """Propose a candidate for every chain, and accept or reject it.
 
         A candidate outside the box has probability zero: it is rejected without an evaluation.
         """
@@ -222,7 +225,7 @@ class MetropolisKernel(LocalKernel):
         new = self.target.evaluate(candidate)
         log_ratio = np.full(len(candidate), -np.inf)
         finite = np.isfinite(new.log_prob)
-        alive: Index = slice(None) if np.count_nonzero(finite) == len(finite) else finite  # as a rule no copies
+        alive: Index = slice(None) if np.count_nonzero(finite) == len(finite) else finite  # usually avoids copies
         log_ratio[alive] = (
             new.log_prob[alive]
             - state.log_prob[alive]
@@ -233,7 +236,7 @@ class MetropolisKernel(LocalKernel):
         return end, Info(accepted, end.log_prob, new.n_solves, np.zeros_like(new.n_solves), extra)
 
     def join(self, kernels: Sequence[Self], chains: int) -> Self:
-        """Return one kernel of several, whose proposals are Gaussian random walks."""
+        """Return one kernel for the chains of all `kernels`, whose proposals must be Gaussian random walks."""
         ndim, factors = self.target.ndim, list[FloatArray]()
         for kernel in kernels:
             proposal: Any = kernel.proposal
@@ -243,25 +246,27 @@ class MetropolisKernel(LocalKernel):
 
 
 class Search(SliceKernel):
-    """Slice sampling that records what a Metropolis sampler does."""
+    """Slice-sampling kernel that records the same statistics as a Metropolis-Hastings kernel."""
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Draw from the slice: never rejected."""
+        """Draw a point from the slice for every chain, without a rejection step."""
         state, info = super().step(rng, state)
         extra = {"acceptance_rate": info.accepted.astype(float), "n_nonfinite": info.extra["n_nonfinite"]}
         return state, replace(info, extra=extra)
 
 
 class MetropolisTuner:
-    """Covariance of a Gaussian random walk (Haario, Saksman & Tamminen 2001), its scale by the acceptance rate.
+    """Tuner of a Gaussian random walk: its covariance from the draws, and its scale from the acceptance rate.
 
-    A random walk of unknown shape and size takes long to reach the bulk, and what it learns on the way may fit
-    only the way. The first part of the warm-up is therefore slice sampling, which finds its own scale in every
-    step. The covariance learnt by then is where the random walk begins, and each window improves it.
+    A random walk with an unsuitable covariance takes long to reach the bulk of the distribution, and the draws on
+    the way there may have a different covariance from the bulk. The first part of the warm-up is therefore slice
+    sampling, which finds its own scale in every step. The random walk begins with the covariance of these draws,
+    and each window improves the covariance (Haario, Saksman & Tamminen 2001).
 
-    The scale s of s²·S follows the acceptance rate, averaged over the chains that have arrived, towards its
-    optimum: 0.44 in one dimension and 0.234 in many (Gelman, Roberts & Gilks 1996). This is a Robbins–Monro
-    recursion (Andrieu & Thoms 2008, algorithm 4). S is the covariance of the last window.
+    The random walk has the covariance s²·S, where S is the covariance of the last window. The scale s is adapted
+    until the acceptance rate, averaged over the chains that have reached the bulk, is at its optimum: 0.44 in one
+    dimension and 0.234 in many (Gelman, Roberts & Gilks 1996). The adaptation is a Robbins–Monro recursion
+    (Andrieu & Thoms 2008, algorithm 4).
     """
 
     def __init__(self, sampler: MetropolisHastings, density: LogDensity, steps: int) -> None:
@@ -277,7 +282,7 @@ class MetropolisTuner:
         searching = learner.searching
         self.search.update(state, info)
         if not searching:
-            # log s ← log s + γ_t (α_t − α*), with γ_t ~ t^−0.6: the steps add up to infinity, their squares do not
+            # log s ← log s + γ_t (α_t − α*), with γ_t ~ t^−0.6: the sum of γ_t is infinite, that of γ_t² finite
             self.count += 1
             rate = float(learner.average_arrived(info.extra["acceptance_rate"]))
             self.log_scale += 3.0 / (self.count + 10) ** 0.6 * (rate - self.target)
@@ -297,7 +302,7 @@ class MetropolisTuner:
         return {"search": self.search.state(), "log_scale": self.log_scale, "count": self.count, "sum": self.sum}
 
     def restore(self, state: Tree) -> None:
-        """Take over what another tuner had learnt."""
+        """Restore the state that another tuner returned."""
         self.search.restore(state["search"])
         self.log_scale, self.count, self.sum = state["log_scale"], state["count"], state["sum"]
         if self.search.learner.step:

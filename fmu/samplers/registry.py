@@ -1,4 +1,4 @@
-"""The samplers by name. A sampler of the package is one file and its line here."""
+"""Registry of the samplers by name. A sampler of the package is one file, and one line here."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ SAMPLERS = {
     "mixture": "mixture.mixture.MixtureSampler",
     "tempering": "tempering.tempering.Tempering",
 }
-"""Module and class of each sampler's settings, imported when they are first used."""
+"""Module and class of each sampler's settings, by name; a module is imported when it is first used."""
 COMPARED = ("mh", "slice", "hmc", "emcee", "mixture")
-"""The samplers that are run side by side on one problem."""
+"""Names of the samplers that are compared on one problem."""
 BASELINE = "emcee"
-"""The sampler whose cost is the unit of the others'."""
+"""Name of the sampler whose cost is the unit of the other samplers' costs."""
 
 
 def sampler_class(name: str) -> type[Sampler]:
-    """Return the class of a sampler's settings; ValueError, with the known names, if there is none."""
+    """Return the class of a sampler's settings; raise ValueError, with the known names, if `name` is unknown."""
     if name not in SAMPLERS:
         raise ValueError(f"sampler: must be one of {', '.join(SAMPLERS)} (got {name!r})")
     module, _, kind = SAMPLERS[name].rpartition(".")
@@ -33,12 +33,15 @@ def sampler_class(name: str) -> type[Sampler]:
 
 
 def local_samplers() -> tuple[str, ...]:
-    """Return the names of the samplers whose steps are local ones."""
+    """Return the names of the samplers that take local steps."""
     return tuple(name for name in SAMPLERS if sampler_class(name).is_local)
 
 
 def plan_steps(name: str, warmup: int | None, draws: int | None) -> tuple[int, int]:
-    """Return the warm-up steps and draws of a run; without `draws`, those until it is first judged."""
+    """Return the numbers of warm-up steps and draws of a run, with a default for each number that is None.
+
+    Without `draws`, the defaults are the sampler's own: after these draws convergence is first checked.
+    """
     from fmu.samplers.kernel import Sampler
 
     usual, first = (Sampler if draws is not None else sampler_class(name)).first
@@ -46,5 +49,5 @@ def plan_steps(name: str, warmup: int | None, draws: int | None) -> tuple[int, i
 
 
 def make_sampler(name: str) -> Sampler:
-    """Return a sampler with its default settings; ValueError, with the known names, if there is none."""
+    """Return a sampler with its default settings; raise ValueError, with the known names, if `name` is unknown."""
     return sampler_class(name)()

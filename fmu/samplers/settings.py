@@ -1,4 +1,4 @@
-"""Checks of the samplers' settings, and their description as plain data."""
+"""Checks of the samplers' settings, and the description of settings as plain data."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ if TYPE_CHECKING:
 
 Scale = float | tuple[float, ...] | tuple[tuple[float, ...], ...]
 _FEW = 100
-"""Entries of a matrix that a message shows."""
+"""Largest number of entries of a matrix that a message shows."""
 
 
 def positive_number(name: str, value: float) -> float:
-    """Return `value` as a float; ValueError unless it is a positive finite number."""
+    """Return `value` as a float; raise ValueError unless `value` is a positive finite number."""
     require(name, value, Positive)
     return float(value)
 
 
 def whole_number(name: str, value: int, minimum: int) -> int:
-    """Return `value` as an int; ValueError unless it is a whole number of at least `minimum`."""
+    """Return `value` as an int; raise ValueError unless `value` is a whole number of at least `minimum`."""
     require(name, value, Annotated[int, Ge(minimum)])
     return int(value)
 
 
 def one_of(name: str, value: object, known: tuple[str, ...]) -> str:
-    """Return `value`; ValueError unless it is one of the `known` words."""
+    """Return `value` as a str; raise ValueError unless `value` is one of the `known` words."""
     if value not in known:
         raise ValueError(f"{name}: must be one of {', '.join(known)} (got {value!r})")
     return str(value)
 
 
 def vector(name: str, value: ArrayLike) -> tuple[float, ...]:
-    """Return a vector as a tuple; ValueError unless it is finite and one-dimensional."""
+    """Return a vector as a tuple of floats; raise ValueError unless `value` is finite and one-dimensional."""
     array = _as_floats(name, value)
     if array.ndim != 1 or array.size == 0 or not np.all(np.isfinite(array)):
         raise ValueError(f"{name}: must be a vector of finite numbers (got {value!r})")
@@ -50,12 +50,12 @@ def vector(name: str, value: ArrayLike) -> tuple[float, ...]:
 
 
 def positive_scale(name: str, value: ArrayLike, *, matrix: bool) -> Scale:
-    """Return a positive number, a vector of them or a positive definite matrix in hashable form.
+    """Return a positive number, a vector of positive numbers or a positive definite matrix in hashable form.
 
     Parameters
     ----------
     name : str
-        The setting's name, for the error.
+        Name of the setting, for the error message.
     value : float or array_like, shape (ndim,) or (ndim, ndim)
     matrix : bool
         Whether a symmetric positive definite matrix is allowed.
@@ -80,7 +80,7 @@ def positive_scale(name: str, value: ArrayLike, *, matrix: bool) -> Scale:
 
 
 def cholesky_factor(name: str, matrix: FloatArray) -> FloatArray:
-    """Return the lower Cholesky factor; ValueError unless `matrix` is symmetric and positive definite."""
+    """Return the lower Cholesky factor; raise ValueError unless `matrix` is symmetric and positive definite."""
     square = matrix.ndim == 2 and matrix.shape[0] == matrix.shape[1]
     if square and np.all(np.diag(matrix) > 0.0):
         size = np.sqrt(np.diag(matrix))
@@ -94,7 +94,7 @@ def cholesky_factor(name: str, matrix: FloatArray) -> FloatArray:
 
 
 def orthonormal(name: str, value: ArrayLike) -> tuple[tuple[float, ...], ...]:
-    """Return a matrix in hashable form; ValueError unless its columns are orthonormal."""
+    """Return a square matrix as a tuple of rows; raise ValueError unless its columns are orthonormal."""
     array = _as_floats(name, value)
     if array.ndim != 2 or array.shape[0] != array.shape[1]:
         raise ValueError(f"{name}: must be a square matrix (got shape {array.shape})")
@@ -104,7 +104,7 @@ def orthonormal(name: str, value: ArrayLike) -> tuple[tuple[float, ...], ...]:
 
 
 def fits(name: str, value: ArrayLike, ndim: int) -> FloatArray:
-    """Return `value` as an array; ValueError unless its length, if it has one, is `ndim`."""
+    """Return `value` as an array; raise ValueError unless `value` is a scalar or has length `ndim`."""
     array = np.asarray(value, dtype=float)
     if array.ndim and array.shape[0] != ndim:
         raise ValueError(f"{name}: must have length {ndim}, one entry per coordinate (got {array.shape[0]})")
@@ -112,14 +112,14 @@ def fits(name: str, value: ArrayLike, ndim: int) -> FloatArray:
 
 
 def describe(settings: Any) -> dict[str, object]:
-    """Return the fields of a settings dataclass as plain JSON-able data, the nested ones with their class name."""
+    """Return a dict of a dataclass's fields as JSON-able data; nested dataclasses include their class name."""
     fields = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings) if field.init}
     described: dict[str, object] = json.loads(json.dumps(fields, default=_make_plain))
     return described
 
 
 def _make_plain(value: object) -> object:
-    """Return what JSON has in place of a value that it cannot hold."""
+    """Return a JSON-able replacement of a value that JSON cannot hold."""
     if dataclasses.is_dataclass(value):
         return {"type": type(value).__name__, **describe(value)}
     if isinstance(value, Mapping):
@@ -133,7 +133,10 @@ def _as_floats(name: str, value: ArrayLike) -> FloatArray:
 
 
 def usual_costs(settings: Sampler, chains: int, solves_per_gradient: int) -> tuple[float, float]:
-    """Return the solves of a step of all chains, in warm-up and after it, as the built-in cases take them."""
+    """Return the usual numbers of solves per step of all chains, in the warm-up and after the warm-up.
+
+    The numbers are means over the built-in cases.
+    """
     of_warmup, of_draw, _ = settings.cost
     each = chains * settings.walkers * (solves_per_gradient if settings.takes_gradients else 1)
     return each * of_warmup, each * of_draw

@@ -1,4 +1,4 @@
-"""Slice sampling (Neal 2003): the hyperrectangle method and the coordinate-wise one."""
+"""Slice sampling (Neal 2003) by the hyperrectangle method or the coordinate-wise method."""
 
 from __future__ import annotations
 
@@ -17,39 +17,40 @@ from fmu.samplers.settings import fits, one_of, orthonormal, positive_number, po
 from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
 
 START_WIDTH = 0.5
-"""Interval of a slice before anything is learnt, in scaled units."""
+"""Width of the initial interval before anything is learnt, in scaled units."""
 SCHEMES = ("hyperrectangle", "coordinate")
 ACCOUNT = ("n_solves", "n_nonfinite", "n_steps_out", "n_shrinks")
-"""Counts that a step makes for each chain."""
+"""Names of the counts that a step returns for each chain."""
 
 
 @check_arguments
 @dataclass(frozen=True)
 class Slice(LocalSampler):
-    """Slice sampling: draw a level Y under the density, then a point from the slice {E : P(E) ≥ Y}.
+    """Slice sampler: draws a level Y under the density P, then a point from the slice {E : P(E) ≥ Y}.
 
     Parameters
     ----------
     scheme : {"hyperrectangle", "coordinate"}
-        "hyperrectangle" moves all coordinates at once, as section 4.2 of the paper lists; "coordinate" takes
-        them in turn with stepping-out, as its section 5 describes. One draw is one full sweep.
+        "hyperrectangle" moves along all axes at once (section 4.2 of the paper); "coordinate" moves along one axis
+        after the other, with stepping-out (section 5 of the paper). One draw is one full sweep over the axes.
     width : float or vector (ndim,), optional
-        The initial interval along each axis, in scaled units. If it is not given, warm-up learns it, and `axes`
-        too.
+        Width of the initial interval along each axis, in scaled units. If it is not given, warm-up learns the
+        widths and the axes.
     axes : None or matrix (ndim, ndim)
         Directions of the intervals, as orthonormal columns; the coordinate axes if None.
     spread : float
-        The interval that adaptation gives an axis, in standard deviations of the target along it.
+        Width of the interval that adaptation gives an axis, in standard deviations of the target along that axis.
     max_steps_out : int
-        Most expansions of one interval by `width` ("coordinate" only): Neal's m is ``max_steps_out + 1``.
+        Largest number of expansions of one interval by `width` ("coordinate" only): Neal's m is
+        ``max_steps_out + 1``.
     max_shrinks : int
-        Most candidates for one interval. A chain that reaches this number stays where it is, which leaves the
-        target invariant; it happens only where rounding hides the slice.
+        Largest number of candidates for one interval. A chain that reaches this number stays at its position,
+        which leaves the target invariant. This happens only where rounding hides the slice.
 
     Notes
     -----
-    The test of section 4.2, step 3, reads Y ≤ P(E_0) in print; it must be on the candidate E_1. A new level and
-    a new interval are drawn for every sample.
+    Step 3 of section 4.2 is printed with the test Y ≤ P(E_0); the test must use the candidate E_1 instead. A new
+    level and a new interval are drawn for every sample.
 
     References
     ----------
@@ -79,17 +80,17 @@ class Slice(LocalSampler):
         whole_number("max_shrinks", self.max_shrinks, 1)
 
     def bind(self, density: LogDensity) -> SliceKernel:
-        """Return the kernel that samples `density`; ValueError if `width` does not fit its coordinates."""
+        """Return the kernel that samples `density`; raise ValueError if `width` or `axes` has the wrong size."""
         width = np.broadcast_to(fits("width", self.width or START_WIDTH, density.ndim), density.ndim)
         axes = np.eye(density.ndim) if self.axes is None else fits("axes", self.axes, density.ndim)
         return SliceKernel(Target(density), self, width, axes)
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> SliceTuner | None:
-        """Return a tuner that learns these settings in `steps` warm-up steps; None if none is needed."""
+        """Return a tuner that learns widths and axes in `steps` warm-up steps; None if `width` is given."""
         return SliceTuner(self, density, steps) if self.width is None else None
 
     def take_covariance(self, covariance: FloatArray) -> Slice:
-        """Return the settings with intervals along the principal axes, unless they have intervals or axes."""
+        """Return the settings with intervals along the principal axes, unless `width` or `axes` is given."""
         if self.width is not None or self.axes is not None:
             return self
         variances, axes = np.linalg.eigh(covariance)
@@ -98,10 +99,11 @@ class Slice(LocalSampler):
 
 @dataclass(frozen=True)
 class SliceKernel(LocalKernel):
-    """Slice sampling bound to a density; `width` has one entry per axis, the axes are the columns of `axes`.
+    """Slice-sampling kernel bound to a density.
 
-    Both may have a leading dimension if every chain has its own: (chains, ndim) and (chains, ndim, ndim).
-    Intervals are kept as offsets from the present position along the axes, so that 0 always lies within.
+    `width` has one entry per axis, and the axes are the columns of `axes`. If every chain has its own widths and
+    axes, their shapes are (chains, ndim) and (chains, ndim, ndim). Intervals are stored as offsets from the
+    present position along the axes, so that offset 0 always lies inside.
     """
 
     settings: Slice
@@ -109,7 +111,7 @@ class SliceKernel(LocalKernel):
     axes: FloatArray
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Draw from the slice: once along all axes together, or a full sweep of them."""
+        """Draw a point from the slice for every chain: along all axes at once, or along one after the other."""
         chains, ndim = state.position.shape
         account = {name: np.zeros(chains, dtype=np.int64) for name in ACCOUNT}
         x, log_prob = state.position, state.log_prob
@@ -127,12 +129,12 @@ class SliceKernel(LocalKernel):
         return State(x, log_prob), Info(moved, log_prob, n_solves, np.zeros_like(n_solves), account)
 
     def join(self, kernels: Sequence[Self], chains: int) -> Self:
-        """Return one kernel of several, with intervals and axes for every chain."""
+        """Return one kernel for the chains of all `kernels`, with its own widths and axes for every chain."""
         width, axes = [kernel.width for kernel in kernels], [kernel.axes for kernel in kernels]
         return replace(self, width=np.repeat(width, chains, axis=0), axes=np.repeat(axes, chains, axis=0))
 
     def _place(self, rng: np.random.Generator, chains: int, width: FloatArray) -> FloatArray:
-        """Return the initial interval around offset 0, placed at random: (left and right, chains, axes)."""
+        """Return the left and right ends of initial intervals, placed at random around 0, (2, chains, axes)."""
         left = -width * rng.random((chains, width.shape[-1]))
         return np.stack([left, left + width])
 
@@ -145,10 +147,11 @@ class SliceKernel(LocalKernel):
         interval: FloatArray,
         account: dict[str, IntArray],
     ) -> FloatArray:
-        """Widen the intervals along axis `i` until both ends are off the slice (Neal 2003, figure 3).
+        """Return the ends of the intervals along axis `i`, stepped out of the slice (Neal 2003, figure 3).
 
-        The budget is split between left and right beforehand, so that both ends and all chains can advance
-        together. An end beyond the bounds is off the slice, at no cost.
+        Each end is moved outwards until it is off the slice or its budget is used up. The budget is split between
+        left and right beforehand, so that both ends and all chains can advance together. An end beyond the bounds
+        counts as off the slice and costs no solve.
         """
         ends = interval[:, :, 0]
         outward = np.multiply.outer([-1.0, 1.0], np.broadcast_to(self.width[..., i], len(x)))
@@ -178,10 +181,11 @@ class SliceKernel(LocalKernel):
         axes: FloatArray,
         account: dict[str, IntArray],
     ) -> tuple[FloatArray, FloatArray]:
-        """Draw from the intervals, shrinking them towards offset 0 at every miss (Neal 2003, figures 5 and 8).
+        """Draw from the intervals, which shrink towards offset 0 at every miss (Neal 2003, figures 5 and 8).
 
-        The intervals are first cut where every candidate beyond would be outside the bounds. Chains that have hit
-        the slice wait for the others and are not evaluated again.
+        Return the new positions, shape (chains, ndim), and their log-densities, shape (chains,). The intervals are
+        first cut where every candidate beyond would be outside the bounds. Chains that have hit the slice wait for
+        the other chains and are not evaluated again.
         """
         left, right = self._cut(x, ends, axes)
         new, new_log_prob = x.copy(), log_prob.copy()
@@ -202,9 +206,9 @@ class SliceKernel(LocalKernel):
         return new, new_log_prob
 
     def _cut(self, x: FloatArray, ends: FloatArray, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the intervals cut at the bounds of coordinates that a single axis moves."""
+        """Return the left and right ends, cut at the bounds of each coordinate that only one axis moves."""
         left, right = ends[0].copy(), ends[1].copy()
-        if axes.ndim == 3:  # each chain's own, learnt and so oblique: cut only if there is a single one
+        if axes.ndim == 3:  # each chain's own axes, learnt and so oblique: cut only a single axis
             return _cut_line(self.target, x, left, right, axes) if axes.shape[2] == 1 else (left, right)
         moves = axes != 0.0
         for i, k in np.argwhere(moves & (np.count_nonzero(moves, axis=1) == 1)[:, None]):
@@ -221,7 +225,7 @@ class SliceKernel(LocalKernel):
 
 
 class SliceTuner:
-    """Axes along the principal directions of the covariance, with intervals of a few standard deviations.
+    """Tuner of axes and widths: the principal axes of the covariance, and a few standard deviations along each.
 
     Tibbits, Groendyke, Haran & Liechty (2014), "Automated factor slice sampling".
     """
@@ -248,7 +252,7 @@ class SliceTuner:
         return self.learner.state()
 
     def restore(self, state: Tree) -> None:
-        """Take over what another tuner had learnt."""
+        """Restore the state that another tuner returned."""
         self.learner.restore(state)
         if self.learner.covariance is not None:
             self._take_covariance()
@@ -261,14 +265,14 @@ class SliceTuner:
 
 
 def _along(axes: FloatArray, offset: FloatArray, chain: IntArray) -> FloatArray:
-    """Return the displacement (n, ndim) of offsets (n, axes) along axes that all chains share, or their own."""
+    """Return the displacements (n, ndim) from offsets (n, axes) along shared axes, or along each chain's own."""
     return offset @ axes.T if axes.ndim == 2 else np.einsum("nij,nj->ni", axes[chain], offset)
 
 
 def _cut_line(
     target: Target, x: FloatArray, left: FloatArray, right: FloatArray, axes: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the intervals (chains, 1) along one axis per chain (chains, ndim, 1) cut at the bounds."""
+    """Return the ends (chains, 1) of intervals along one axis per chain (chains, ndim, 1), cut at the bounds."""
     slope = axes[:, :, 0]
     with np.errstate(divide="ignore", invalid="ignore"):  # a wall that is never met
         walls = np.stack([target.lower - x, target.upper - x]) / slope

@@ -1,4 +1,4 @@
-"""The snooker move for emcee, with the acceptance factor of its source."""
+"""The snooker move for emcee, with the acceptance factor of ter Braak & Vrugt (2008)."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from fmu.types import FloatArray
 
 
 class SnookerMove(RedBlueMove):
-    """Jump along the line through another walker z: x* = x + γ e (z₁ − z₂)·e with e = (x − z)/|x − z|.
+    """Move along the line through another walker z: x* = x + γ e (z₁ − z₂)·e with e = (x − z)/|x − z|.
 
-    The acceptance factor is (|x* − z|/|x − z|)^(ndim−1). emcee's own ``DESnookerMove`` (up to 3.1.6) divides by
-    the square root of |x − z| and takes half the exponent, which leaves another distribution invariant than the
-    target; hence this one.
+    z₁ and z₂ are two further walkers. The acceptance factor is (|x* − z|/|x − z|)^(ndim−1). emcee's own
+    ``DESnookerMove`` (up to 3.1.6) divides by the square root of |x − z| and takes half the exponent, which does
+    not leave the target invariant; hence this class.
 
     Parameters
     ----------
     gamma : float
-        γ; 1.7 as the source recommends.
+        Length factor γ of the jump; ter Braak & Vrugt recommend 1.7.
 
     References
     ----------
@@ -32,12 +32,15 @@ class SnookerMove(RedBlueMove):
     def get_proposal(
         self, s: FloatArray, c: list[FloatArray], random: np.random.RandomState
     ) -> tuple[FloatArray, FloatArray]:
-        """Propose for the walkers `s`, shape (n, ndim), with three different walkers of the rest `c` each."""
+        """Return candidates for the walkers `s`, shape (n, ndim), and the logarithms of their acceptance factors.
+
+        Each candidate uses three different walkers of `c`, the rest of the ensemble.
+        """
         rest = np.concatenate(c, axis=0)
         n, ndim = s.shape
         z, z1, z2 = rest[np.argsort(random.rand(n, len(rest)), axis=1)[:, :3].T]
         before = np.linalg.norm(s - z, axis=1)
-        apart = before > 0  # two walkers at one point span no line: they stay
+        apart = before > 0  # two walkers at the same point define no line: no move
         e = (s - z) / np.where(apart, before, 1.0)[:, None]
         q = s + self.gamma * e * np.sum((z1 - z2) * e, axis=1, keepdims=True)
         after = np.linalg.norm(q - z, axis=1)

@@ -17,20 +17,20 @@ from fmu.samplers.settings import cholesky_factor, fits
 from fmu.types import BoolArray, FloatArray, IntArray, LogDensity
 
 DIVERGENCE = 1000.0
-"""Energy error beyond which a trajectory is called diverging, as in Stan."""
+"""Energy error beyond which a trajectory counts as divergent, as in Stan."""
 
 
 @dataclass(frozen=True)
 class Metric:
     """Kinetic energy W(p) = pᵀ M⁻¹ p / 2, with momenta p ~ N(0, M).
 
-    The best inverse mass is the covariance of the target: the sampler is then blind to its correlations.
+    The best inverse mass is the covariance of the target, as correlations then do not slow the sampler down.
 
     Parameters
     ----------
     inverse : ndarray, shape (ndim, ndim) or (chains, ndim, ndim)
-        M⁻¹, one for all chains, or each chain's own.
-    inverse_factor : ndarray, the same shape
+        M⁻¹, shared by all chains, or one matrix per chain.
+    inverse_factor : ndarray, shape of `inverse`
         L⁻¹ with M⁻¹ = L Lᵀ.
     """
 
@@ -39,7 +39,7 @@ class Metric:
 
     @classmethod
     def of(cls, inverse_mass: ArrayLike | None, ndim: int) -> Metric:
-        """Return the metric for an inverse mass: the identity if None, a diagonal matrix if a number or vector.
+        """Return the metric of an inverse mass: None for the identity, a number or vector for a diagonal matrix.
 
         Raises
         ------
@@ -51,38 +51,38 @@ class Metric:
         return cls(inverse, np.linalg.inv(cholesky_factor("inverse_mass", inverse)))
 
     def of_chains(self, chain: IntArray) -> Metric:
-        """Return the metric of some chains."""
+        """Return the metric of the chains with these indices."""
         return self if self.inverse.ndim == 2 else Metric(self.inverse[chain], self.inverse_factor[chain])
 
     def sample_momentum(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Draw `n` momenta from N(0, M), one per chain, shape (n, ndim)."""
+        """Return `n` momenta drawn from N(0, M), one per chain, shape (n, ndim)."""
         z = rng.standard_normal((n, self.inverse.shape[-1]))
         # M = L⁻ᵀ L⁻¹, so that p = L⁻ᵀ z has covariance M; as rows, pᵀ = zᵀ L⁻¹
         return _rows(z, self.inverse_factor)
 
     def velocity(self, momentum: FloatArray) -> FloatArray:
-        """Return v = M⁻¹ p, shape (n, ndim)."""
+        """Return the velocities v = M⁻¹ p, shape (n, ndim)."""
         return _rows(momentum, self.inverse)
 
     def column(self, chain: IntArray, i: IntArray) -> FloatArray:
-        """Return column i of M⁻¹, shape (n, ndim), for each of the chains."""
+        """Return column i of M⁻¹ for each chain, shape (n, ndim); `chain` and `i` have shape (n,)."""
         return self.inverse[i] if self.inverse.ndim == 2 else self.inverse[chain, i]
 
     def kinetic(self, momentum: FloatArray) -> FloatArray:
-        """Return pᵀ M⁻¹ p / 2, shape (n,)."""
+        """Return the kinetic energies pᵀ M⁻¹ p / 2, shape (n,)."""
         return 0.5 * np.sum(momentum * self.velocity(momentum), axis=-1)
 
 
 class Slope(NamedTuple):
-    """A log-density and its gradient at n points, with their cost.
+    """A log-density and its gradient at n points, and the cost of evaluating them.
 
     Attributes
     ----------
     log_prob : ndarray, shape (n,)
-        NaN where it was not asked for and would have cost extra.
+        NaN if the log-density was not asked for and would have cost extra.
     gradient : ndarray, shape (n, ndim)
     finite : ndarray of bool, shape (n,)
-        Whether everything that was evaluated is finite.
+        Whether all evaluated values are finite.
     n_solves : ndarray of int, shape (n,)
     """
 
@@ -93,21 +93,21 @@ class Slope(NamedTuple):
 
 
 class WithGradient(Target):
-    """A density as kernels evaluate it that use its gradient."""
+    """Evaluator of a density for the kernels that use its gradient."""
 
     @abstractmethod
     def slope(self, position: FloatArray, *, with_log_prob: bool, chain: Index = slice(None)) -> Slope:
-        """Evaluate at `position`, shape (n, ndim), in one batch; `chain` is an index to whose points they are."""
+        """Return log-densities and gradients at `position`, shape (n, ndim), for the chains of index `chain`."""
 
     def start(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate log-density and gradient at the start; ValueError where the gradient is not finite."""
+        """Evaluate density and gradient at the start; raise ValueError if a gradient is not finite."""
         n, slope = len(positions), self.slope(positions, with_log_prob=True)
         require_finite_gradient(slope.log_prob, slope.finite)
         info = Info(np.zeros(n, dtype=bool), slope.log_prob, slope.n_solves, np.ones(n, dtype=np.int64))
         return State(positions, slope.log_prob, slope.gradient), info
 
     def complete(self, state: State) -> tuple[State, Info | None]:
-        """Return a state with the gradient, which a kernel that needs none has left out, and what that cost."""
+        """Return the state with its gradient, and the cost; None if the state already has the gradient."""
         if state.gradient is not None:
             return state, None
         begun, cost = self.start(state.position)
@@ -122,25 +122,26 @@ def require_finite_gradient(log_prob: FloatArray, finite: BoolArray) -> None:
 
 
 class ExactGradient(WithGradient):
-    """A density with its own gradient: one solve per point, or the density's `solves_per_gradient`."""
+    """Evaluator of a density that has its own gradient, at one solve per point or `solves_per_gradient`."""
 
     def slope(self, position: FloatArray, *, with_log_prob: bool, chain: Index = slice(None)) -> Slope:
-        """Evaluate at `position`, shape (n, ndim), in one batch; `chain` is an index to whose points they are."""
+        """Return log-densities and gradients at `position`, shape (n, ndim), for the chains of index `chain`."""
         log_prob, gradient = self.log_prob_and_grad(position, chain)
         finite = np.isfinite(log_prob) & np.all(np.isfinite(gradient), axis=1)
         return Slope(log_prob, gradient, finite, np.full(len(position), self.solves_per_gradient, dtype=np.int64))
 
     def log_prob_and_grad(self, position: FloatArray, chain: Index) -> tuple[FloatArray, FloatArray]:
-        """Return the log-density and its gradient; `chain` as in `log_prob`."""
+        """Return the log-densities and their gradients; `chain` is as in `log_prob`."""
         found: tuple[FloatArray, FloatArray] = self.density.log_prob_and_grad(position)
         return found
 
 
 class CentralDifference(WithGradient):
-    """∂ log P/∂E_i ≈ (log P(E + h Δ_i e_i) − log P(E − h Δ_i e_i)) / (2 h Δ_i), eq. (15) with V = −log P.
+    """Evaluator of a density with central-difference gradients, eq. (15) with V = −log P.
 
-    A perturbed point that would leave the box is put on the wall, and the quotient is divided by the distance that
-    remains. A gradient costs 2 ndim solves everywhere (one-sided at a wall), the log-density itself one more.
+    ∂ log P/∂E_i ≈ (log P(E + h Δ_i e_i) − log P(E − h Δ_i e_i)) / (2 h Δ_i). A perturbed point that would leave
+    the box is put on the wall, and the difference is divided by the remaining distance. A gradient costs 2 ndim
+    solves everywhere (it is one-sided at a wall), and the log-density itself costs one more solve.
 
     Parameters
     ----------
@@ -148,7 +149,7 @@ class CentralDifference(WithGradient):
     delta : ndarray, shape (ndim,)
         The perturbation vector Δ, in scaled units.
     h : float
-        The scalar that multiplies it.
+        The scalar that multiplies Δ.
     """
 
     def __init__(self, density: LogDensity, delta: FloatArray, h: float) -> None:
@@ -156,7 +157,7 @@ class CentralDifference(WithGradient):
         self.delta, self.h = delta, h
 
     def slope(self, position: FloatArray, *, with_log_prob: bool, chain: Index = slice(None)) -> Slope:
-        """Evaluate all perturbed points in one batch; the density is the same for all chains."""
+        """Return the gradients from one batch of all perturbed points; all chains have the same density."""
         n, ndim = position.shape
         ends, distance = both_sides(position, self.h * self.delta, self.lower, self.upper)
         points = [ends.reshape(-1, ndim)]
@@ -175,15 +176,15 @@ class CentralDifference(WithGradient):
 
 
 class Drift(NamedTuple):
-    """Where a drift ended.
+    """The end of a drift.
 
     Attributes
     ----------
     position, momentum : ndarray, shape (n, ndim)
     n_bounces : ndarray of int, shape (n,)
     arrived : ndarray of bool, shape (n,)
-        False where the cap on bounces was reached or the motion is not finite. Position and momentum are then
-        those of an interrupted motion, and must not be used.
+        False if the cap on bounces was reached or the position is not finite. The drift was then interrupted, and
+        its position and momentum must not be used.
     """
 
     position: FloatArray
@@ -201,12 +202,12 @@ def drift(
     upper: FloatArray,
     max_bounces: IntArray,
 ) -> Drift:
-    """Move every point with velocity v = M⁻¹ p for its duration, reflecting it at the walls of the box.
+    """Move every point with velocity v = M⁻¹ p for its duration, and reflect the point at the walls of the box.
 
-    A wall with unit normal n changes the momentum to p − 2 (n·v)/(n·M⁻¹n) n. This flips the normal velocity and
+    A wall with unit normal n changes the momentum to p − 2 (n·v)/(n·M⁻¹n) n. This reverses the normal velocity and
     keeps the kinetic energy; the map is reversible and preserves volume. Under a dense metric a reflection changes
-    the other velocities too, so the walls are taken in the order in which the path meets them: folding the
-    coordinates one by one would be wrong.
+    the other velocities too. The walls are therefore taken in the order in which the path meets them: reflecting
+    the coordinates one by one would be wrong.
 
     Parameters
     ----------
@@ -255,11 +256,12 @@ def drift(
 
 
 class Trajectory(NamedTuple):
-    """End of a leapfrog trajectory; where `finished` is False it was abandoned, and its end is meaningless.
+    """Ends of leapfrog trajectories, one per chain.
 
-    Shapes are (chains, ndim) for position, momentum and gradient and (chains,) for the others. `n_steps` and
-    `n_solves` count what was really done. `nonfinite` is True where density, gradient or motion were not finite;
-    a trajectory abandoned without it reached the cap on bounces.
+    Position, momentum and gradient have shape (chains, ndim), the other arrays (chains,). Where `finished` is
+    False, the trajectory was abandoned, and its end is meaningless. `n_steps` and `n_solves` count the steps and
+    solves actually performed. `nonfinite` is True where density, gradient, position or momentum were not finite;
+    other abandoned trajectories have reached the cap on bounces.
     """
 
     position: FloatArray
@@ -275,10 +277,10 @@ class Trajectory(NamedTuple):
 
 @dataclass(frozen=True)
 class HamiltonianKernel(LocalKernel):
-    """Hamiltonian Monte Carlo bound to a density with gradients.
+    """Hamiltonian Monte Carlo kernel bound to a density with gradients.
 
-    `step_size` has shape () if it is one for all chains, else (chains,); `metric` may be each chain's own too. The
-    other fields are those of `HamiltonianMonteCarlo`.
+    `step_size` has shape () if all chains share one step size, else (chains,); `metric` may also hold one matrix
+    per chain. The other fields are as in `HamiltonianMonteCarlo`.
     """
 
     target: WithGradient
@@ -289,7 +291,7 @@ class HamiltonianKernel(LocalKernel):
     max_bounces: int
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Draw momenta, follow one trajectory per chain, accept or reject its end."""
+        """Draw momenta, follow one trajectory per chain, and accept or reject the end of each trajectory."""
         if state.gradient is None:
             raise ValueError("state: must carry the gradient at its position (got None)")
         chains = len(state.position)
@@ -313,7 +315,7 @@ class HamiltonianKernel(LocalKernel):
         return new, Info(accepted, new.log_prob, end.n_solves, end.n_steps, extra)
 
     def join(self, kernels: Sequence[Self], chains: int) -> Self:
-        """Return one kernel of several: metric and step size of each, and their median number of steps."""
+        """Return one kernel for the chains of all `kernels`, with the median of their numbers of steps."""
         inverse, factor = [k.metric.inverse for k in kernels], [k.metric.inverse_factor for k in kernels]
         return replace(
             self,
@@ -323,7 +325,7 @@ class HamiltonianKernel(LocalKernel):
         )
 
     def _energy(self, end: Trajectory) -> FloatArray:
-        """Return H at the end of the trajectories; infinite where the momentum has overflowed."""
+        """Return the energy H at the end of each trajectory, shape (chains,); infinite after an overflow."""
         with np.errstate(over="ignore", invalid="ignore"):
             return np.nan_to_num(self.metric.kinetic(end.momentum) - end.log_prob, nan=np.inf, posinf=np.inf)
 
@@ -331,12 +333,12 @@ class HamiltonianKernel(LocalKernel):
         """Follow `n_steps` leapfrog steps from `state`, all chains in lockstep, reflecting at the bounds.
 
         A trajectory is abandoned at the cap on bounces, and where density or gradient are not finite. Its chain
-        then waits for the others and is not evaluated again.
+        then waits for the other chains and is not evaluated again.
 
         Parameters
         ----------
         state : State
-            With the gradient of log P.
+            Positions, log-densities and their gradients.
         momentum : ndarray, shape (chains, ndim)
         step_size : ndarray, shape (chains,)
         """
@@ -381,7 +383,7 @@ class HamiltonianKernel(LocalKernel):
 
 
 def _next_wall(q: FloatArray, v: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return the time to the first wall ahead, shape (n,), infinite if there is none, and its coordinate."""
+    """Return the time to the next wall, infinite if there is none, and the wall's coordinate, both (n,)."""
     # the coordinates move independently between walls: t_i = (wall ahead − q_i)/v_i, and the first is the smallest
     ahead = np.where(v > 0, upper, lower)
     still = v == 0
@@ -391,10 +393,10 @@ def _next_wall(q: FloatArray, v: FloatArray, lower: FloatArray, upper: FloatArra
 
 
 def _rows(x: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Return xᵀ A for every row x, with one A of shape (m, m) for all rows, or A of shape (n, m, m), one each."""
+    """Return xᵀ A for every row x, with one matrix A (m, m) for all rows or one per row, (n, m, m)."""
     return x @ matrix if matrix.ndim == 2 else np.einsum("ni,nij->nj", x, matrix)
 
 
 def _clip_to_box(q: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return `q` clipped to the box; for a few points three times as fast as `np.clip`."""
+    """Return `q` clipped to the box; for a few points this is three times as fast as `np.clip`."""
     return np.minimum(np.maximum(q, lower), upper)

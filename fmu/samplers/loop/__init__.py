@@ -1,4 +1,4 @@
-"""What every sampler runs in: starts, groups of chains, warm-up and draws.
+"""The sampling loop of all samplers: starts, groups of chains, warm-up and draws.
 
 Reading order: starts, group, record, run.
 """

@@ -1,8 +1,8 @@
-"""A group of chains: the unit of work of a run, and how a part of that work is done.
+"""Groups of chains, the units of work of a run, and the execution of a chunk of this work.
 
 The chains of a group advance in lockstep with one generator, and learn together. Groups are independent of each
-other. Between two parts of its work a group is plain data: it does not matter where, in which order and in how
-many parts the work is done.
+other. Between two chunks of its work a group is plain data: the result does not depend on the worker, the order
+and the number of chunks.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ WARMUP, DRAWS = "warmup", "draws"
 
 
 class RunContext:
-    """What all groups of a run share.
+    """Density, sampler and length of the warm-up, which all groups of a run share.
 
     Parameters
     ----------
     density : LogDensity
     sampler : Sampler
     warmup : int
-        Steps.
+        Number of warm-up steps.
     """
 
     def __init__(self, density: LogDensity, sampler: Sampler, warmup: int) -> None:
@@ -44,23 +44,24 @@ class RunContext:
 
 @dataclass(frozen=True)
 class GroupState:
-    """A group between two parts of its work, as plain data.
+    """A group between two chunks of its work, as plain data.
 
     Attributes
     ----------
     first_chain : int
-        Number of its first chain in the run.
+        Index of the first chain of the group in the run.
     generator : dict
-        State of its bit generator.
+        State of the bit generator.
     start : ndarray, shape (chains, ndim) or (chains, walkers, ndim), or None
-        Where its chains start, scaled; None once they have begun.
+        Starting positions of the chains, in scaled units; None once the chains have begun.
     done : mapping of str to int
-        Steps taken in each phase.
+        Number of steps taken in each phase.
     solves : int
+        Number of solves so far.
     state : State or None
         None if the chains have not begun.
     tuner : Tree or None
-        `Tuner.state` of what learns, or has learnt, the settings; None if nothing is to be learnt.
+        `Tuner.state` of the tuner; None if nothing is to be learnt.
     learnt : dict
         The settings that the draws are made with, as JSON-able data; {} if nothing was learnt, or not yet.
     """
@@ -76,7 +77,7 @@ class GroupState:
 
     @classmethod
     def at(cls, start: FloatArray, rng: np.random.Generator, first_chain: int = 0) -> GroupState:
-        """Return a group that has not begun."""
+        """Return a group whose chains have not begun."""
         return cls(first_chain, rng.bit_generator.state, start, {WARMUP: 0, DRAWS: 0})
 
     @classmethod
@@ -86,25 +87,26 @@ class GroupState:
         return cls(**{**tree, "state": None if state is None else State(**state)})
 
     def tree(self) -> Tree:
-        """Return the group as arrays, numbers and strings by name."""
+        """Return the group as a tree of arrays, numbers and strings."""
         return {**vars(self), "state": None if self.state is None else vars(self.state)}
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """A part of a group's work.
+    """A chunk of a group's work.
 
     Attributes
     ----------
     group : GroupState
-        The group before it.
+        The group before the chunk.
     phase : {"warmup", "draws"}
     steps, seconds : int, float
-        It ends when either is used up, or a stop is asked for, after one step at the earliest.
+        The chunk ends after `steps` steps or `seconds` seconds, or when a stop is asked for, but takes at least
+        one step.
     total : int
-        Steps of the phase, for progress reports.
+        Planned number of steps of the phase, for progress reports.
     label : str
-        Which group it is, for progress reports; empty if there is only one.
+        Name of the group, for progress reports; empty if there is only one group.
     """
 
     group: GroupState
@@ -117,15 +119,15 @@ class Chunk:
 
 @dataclass(frozen=True)
 class ChunkResult:
-    """The outcome of a chunk.
+    """The result of a chunk.
 
     Attributes
     ----------
     steps : Steps
     group : GroupState
-        The group after it.
+        The group after the chunk.
     failures : list
-        What `take_failures` of the density returned: points without a finite log-density, and why.
+        Failures that `take_failures` of the density returned: points without a finite log-density, with reasons.
     """
 
     steps: Steps
@@ -134,7 +136,7 @@ class ChunkResult:
 
 
 def advance(context: RunContext, chunk: Chunk, report: Report | None = None) -> ChunkResult:
-    """Do a part of a group's work.
+    """Perform a chunk of a group's work and return its result.
 
     Raises
     ------
@@ -160,19 +162,19 @@ def advance(context: RunContext, chunk: Chunk, report: Report | None = None) -> 
 
 
 def evaluate_again(context: RunContext, group: GroupState) -> tuple[FloatArray, FloatArray]:
-    """Return the log-density at the positions of a group's chains: as the group has it, and evaluated again."""
+    """Return the log-densities at a group's positions: as stored with the group, and evaluated again."""
     held = _GroupRunner(context, group)
     return held.state.log_prob, held.kernel.init(held.state.position)[0].log_prob
 
 
 class _GroupRunner:
-    """A group in the middle of its work.
+    """A group during a chunk of its work.
 
     Parameters
     ----------
     context : RunContext
     group : GroupState
-        If its chains have not begun, their start is evaluated.
+        If the chains have not begun, their starting positions are evaluated.
     """
 
     def __init__(self, context: RunContext, group: GroupState) -> None:
@@ -181,7 +183,7 @@ class _GroupRunner:
         self.rng.bit_generator.state = group.generator
         self.done, self.solves = dict(group.done), group.solves
         self.kernel: Kernel = context.sampler.bind(context.scaled)
-        self.start: Info | None = None  # what the start cost, until a step has counted it
+        self.start: Info | None = None  # cost of the start, until it is counted for a step
         if group.state is not None:
             self.state = group.state
         else:
@@ -202,7 +204,10 @@ class _GroupRunner:
         return len(self.state.position)
 
     def step(self, phase: str) -> Info:
-        """Advance one step, and learn from it in warm-up; the cost of the start is counted for the first one."""
+        """Take one step, and learn from it in warm-up; return the diagnostics of the step.
+
+        The cost of the start is counted for the first step.
+        """
         self.state, info = self.kernel.step(self.rng, self.state)
         if self.start is not None:
             solves = info.n_solves + self.start.n_solves
@@ -218,7 +223,7 @@ class _GroupRunner:
         return info
 
     def as_steps(self, info: Info) -> Steps:
-        """Return the step that has just been taken."""
+        """Return the step just taken, with diagnostics `info`, as `Steps` of length 1."""
         named = {
             "lp": info.log_prob,
             "accepted": info.accepted,
@@ -228,7 +233,7 @@ class _GroupRunner:
         }
         chains, walkers = self.chains, self.context.sampler.walkers
         theta = self.context.scaled.to_theta(self.state.position)
-        lead = info.log_prob.ndim  # behind it, a statistic may be a vector
+        lead = info.log_prob.ndim  # a statistic may have further dimensions
         return Steps(
             theta.reshape(chains, 1, walkers, -1),
             {name: value.reshape(chains, 1, walkers, *value.shape[lead:]) for name, value in named.items()},
@@ -248,7 +253,7 @@ class _GroupRunner:
         )
 
     def _take_kernel(self) -> None:
-        """Take the tuner's kernel in warm-up, and after it the one of the settings learnt."""
+        """Use the tuner's kernel in warm-up, and the kernel of the settings learnt afterwards."""
         if self.tuner is None:
             return
         if self.done[WARMUP] < self.context.warmup:
@@ -259,7 +264,7 @@ class _GroupRunner:
 
 
 class _Pace:
-    """What a progress report shows of the steps of a chunk so far."""
+    """Statistics of the steps of a chunk so far, for progress reports."""
 
     def __init__(self) -> None:
         self._began = time.perf_counter()

@@ -1,4 +1,4 @@
-"""The draws of a run: arrays that the steps are written into, and what a run returns."""
+"""Draws of a run: the arrays that steps are written into, and the result that a run returns."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from fmu.types import AnyArray, FloatArray
 
 @dataclass(frozen=True)
 class Draws:
-    """The draws of one phase.
+    """The draws of one phase of a run.
 
     Attributes
     ----------
     position : ndarray, shape (chains, draws, ndim)
-        theta, in the density's own coordinates. The draws of an ensemble are steps × walkers, step-major.
+        theta, in the density's own coordinates. An ensemble has steps × walkers draws, in step-major order.
     stats : dict of str to ndarray, shape (chains, draws)
-        ``lp``, ``accepted``, ``n_solves``, ``n_gradients`` and what the sampler adds. The sums of n_solves and
-        n_gradients over warm-up and draws are exactly what the density was asked for: the cost of the start is
+        ``lp``, ``accepted``, ``n_solves``, ``n_gradients`` and the statistics that the sampler adds. The sums of
+        n_solves and n_gradients over warm-up and draws are the exact cost of the run: the cost of the start is
         counted for the first stored step.
     """
 
@@ -30,7 +30,7 @@ class Draws:
 
 @dataclass(frozen=True)
 class RunResult:
-    """Draws of a run and its configuration.
+    """Draws and configuration of a run.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class RunResult:
     sampler : str
         Short name of the sampler.
     settings : dict
-        Its settings, as JSON-able data.
+        Settings of the sampler, as JSON-able data.
     seed, chains, draws, warmup_draws, walkers : int
         `draws` and `warmup_draws` count steps; an ensemble stores `walkers` draws per step.
     groups : int
@@ -48,8 +48,8 @@ class RunResult:
     wall_s, warmup_wall_s : float
         Seconds spent sampling, warm-up included, and in warm-up alone.
     learnt : dict
-        The settings that warm-up arrived at and the draws were made with, {} if nothing was learnt. For several
-        groups of chains, a list of every setting.
+        The settings that warm-up learnt and that the draws were made with; {} if nothing was learnt. With several
+        groups of chains, each value is a list over the groups.
     """
 
     warmup: Draws
@@ -70,7 +70,7 @@ class RunResult:
 
 @dataclass(frozen=True)
 class Steps:
-    """Some steps in a row of some chains.
+    """Consecutive steps of some of the chains.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class Steps:
 
 
 class Record:
-    """The steps of all chains. The arrays of statistics are made when the first steps name them.
+    """Arrays of the steps of all chains. The arrays of statistics are created when the first steps name them.
 
     Parameters
     ----------
@@ -101,14 +101,14 @@ class Record:
         self._stats: dict[str, AnyArray] = {}
 
     def reserve(self, steps: int) -> None:
-        """Make room for so many steps in all. Arrays returned earlier do not change."""
+        """Make room for `steps` steps in total. Arrays returned earlier do not change."""
         if steps > self._capacity:
             self._capacity = steps
             self._position = self._longer(self._position)
             self._stats = {name: self._longer(x) for name, x in self._stats.items()}
 
     def write(self, step: int, first_chain: int, steps: Steps) -> None:
-        """Write the steps of the chains from `first_chain` on, beginning with step number `step`."""
+        """Write the steps of the chains from index `first_chain` on, beginning at step index `step`."""
         chains = slice(first_chain, first_chain + len(steps.position))
         rows = slice(step, step + len(steps))
         self._position[chains, rows] = steps.position
@@ -119,7 +119,7 @@ class Record:
             self._stats[name][chains, rows] = value
 
     def steps(self, first: int, stop: int, chains: slice = slice(None)) -> Steps:
-        """Return the steps from `first` to before `stop` of some chains; no copies."""
+        """Return the steps `first` to `stop` − 1 of the selected chains, without copies."""
         rows = slice(first, stop)
         return Steps(self._position[chains, rows], {name: x[chains, rows] for name, x in self._stats.items()})
 

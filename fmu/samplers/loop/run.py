@@ -1,4 +1,4 @@
-"""The run: groups of chains with their seeds, warm-up and draws, progress, and checkpoints."""
+"""Sampling runs: groups of chains with their seeds, warm-up and draws, progress, and checkpoints."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from fmu.samplers.settings import describe, whole_number
 from fmu.types import FloatArray, LogDensity
 
 MOST_STEPS = 1000
-"""Most steps of a part of the work, which are copied into the record of the run."""
+"""Largest number of steps in a chunk of work; these steps are copied into the record of the run."""
 LIVE_S = 1.0
-"""Seconds in which every group has its turn if there is progress to show, a checkpoint, or a `stop`."""
-_ENOUGH = 20  # steps below which diagnostics mean nothing
+"""Seconds within which every group is advanced if there is progress to show, a checkpointer, or a `stop`."""
+_ENOUGH = 20  # number of steps below which diagnostics are not reliable
 
 
 class _RunningGroup:
-    """A group of chains as the run follows it: its state, and the first step of each phase not yet saved."""
+    """A group of chains in a run: its state, and the index of the first unsaved step of each phase."""
 
     def __init__(self, index: int, chains: int, state: GroupState) -> None:
         self.index, self.state = index, state
@@ -49,46 +49,48 @@ class _RunningGroup:
 
 
 class Run:
-    """A run that can be continued: it is warmed up once, and extended as often as wanted.
+    """A sampling run: warmed up once, when it is created, and extended as often as wanted.
 
-    The same density, settings and seed give the same draws, bit for bit, for any number of parts and workers and
+    The same density, settings and seed give the same draws, bit for bit, for any number of chunks and workers and
     however often the run was interrupted. Each group of chains has its own generator, from
     ``SeedSequence(seed).spawn(groups)``.
 
     Parameters
     ----------
     density : LogDensity
-        Its attributes `offset` and `scale`, (ndim,), give the scaled view if it has them, see `ScaledDensity`.
+        Density to sample. If it has attributes `offset` and `scale`, shape (ndim,), these define the scaled
+        coordinates, see `ScaledDensity`.
     sampler : Sampler
-        Settings, in the units of the scaled view.
+        Settings of the sampler, in scaled units.
     warmup : int
-        Steps before the draws. The settings learnt in them are then frozen.
+        Number of steps before the draws. The settings learnt in these steps are then frozen.
     chains : int
-        Chains, or ensembles.
+        Number of chains, or of ensembles.
     seed : int
     init : "prior", "start" or array_like, shape (chains, ndim) or (chains, walkers, ndim)
         See `starting_points`.
     groups : int, optional
         Number of groups. The chains of a group advance in lockstep and learn together; groups can be advanced by
-        different workers. The draws depend on this number. If it is not given, all chains are one group, but each
-        ensemble is one of its own.
+        different workers. The draws depend on this number. If it is not given, all chains form one group, but each
+        ensemble forms its own group.
     progress : callable, optional
-        Called as ``progress(phase, done, total, info)`` with the phase ("warmup" or "draws"), the steps done, the
-        planned steps, and numbers by name; with several groups ``info["group"]`` says which one it is. It is
-        called after every step of this process, and several times a second for other workers.
+        Called as ``progress(phase, done, total, info)`` with the phase ("warmup" or "draws"), the number of steps
+        done, the number of steps planned, and a mapping of names to numbers; with several groups,
+        ``info["group"]`` names the group. It is called after every step in this process, and several times a
+        second for steps in other workers.
     engine : Engine, optional
-        Where the work is done; in this process if not given.
+        Engine that performs the work; if it is not given, this process performs the work.
     checkpointer : Checkpointer, optional
-        Where draws and states are saved. Steps that it contains are not drawn again.
+        Saves draws and states. Steps that were saved are not drawn again.
     stop : callable, optional
-        Called between two parts of the work, at least once a second unless a step takes longer; True stops the
-        run.
+        Called between two chunks of work, at least once a second unless a step takes longer. The run stops if
+        `stop` returns True.
     too_many_failed : callable, optional
         ``too_many_failed(n_failed, n_solves, failures)`` returns a message if too large a share of the solves
         failed, else None.
     live : callable, optional
-        Maps draws (chains, steps, walkers, ndim) to numbers by name for progress reports; called with
-        ``ended=True`` for the last one.
+        Returns diagnostics for progress reports, a mapping of names to numbers, from draws of shape (chains,
+        steps, walkers, ndim); called with ``ended=True`` for the last report.
 
     Raises
     ------
@@ -139,7 +141,7 @@ class Run:
         self._advance(WARMUP, self.warmup)
 
     def extend(self, draws: int) -> RunResult:
-        """Draw as many further steps, and return everything drawn so far.
+        """Take `draws` further steps, and return the result with all draws so far.
 
         Raises
         ------
@@ -155,16 +157,16 @@ class Run:
 
     @property
     def warmup_solves(self) -> int:
-        """Solves of the warm-up, of all chains."""
+        """Number of solves of all chains in the warm-up."""
         return int(np.sum(self._records[WARMUP].draws(self.warmup).stats.get("n_solves", 0)))
 
     def report_end(self) -> None:
-        """Report the diagnostics of all draws, as the verdict has them, after the last `extend`."""
+        """Report once more after the last `extend`, with the diagnostics on which the verdict rests."""
         if self._watch is not None:
             self._watch.end(self._common(DRAWS))
 
     def _begin_groups(self, init: str | ArrayLike) -> list[_RunningGroup]:
-        """Return the groups before their first step."""
+        """Return the list of groups before their first step."""
         context, walkers = self._context, self.sampler.walkers
         seeds = np.random.SeedSequence(self.seed).spawn(self.groups)
         generators = [np.random.default_rng(child) for child in seeds]
@@ -174,7 +176,7 @@ class Run:
         return [_RunningGroup(i, each, GroupState.at(*start, first_chain=i * each)) for i, start in starts]
 
     def _restore(self, group: _RunningGroup, checkpointer: Checkpointer) -> None:
-        """Continue a group from where it was last saved, if it was."""
+        """Restore the last saved state of a group, if the group was saved."""
         kept = checkpointer.kept(group.index)
         if kept is None:
             return
@@ -188,7 +190,7 @@ class Run:
             self._elapsed_s[phase] = max(self._elapsed_s[phase], seconds)
 
     def _advance(self, phase: str, target: int) -> None:
-        """Advance every group to step number `target` of a phase."""
+        """Advance every group until it has taken `target` steps of a phase."""
         behind = [group for group in self._groups if group.state.done[phase] < target]
         if not behind:
             return
@@ -209,7 +211,7 @@ class Run:
                 if why is not None:
                     raise TooManyFailuresError(why, self._so_far())
                 if stopped and self._engine.workers == 1 and any(g.state.done[phase] < target for g in behind):
-                    raise Interrupted(None)  # no other is under way: they need not take another step each
+                    raise Interrupted(None)  # no other group is under way, so that none needs another step
                 if self._watch is not None and phase == DRAWS:
                     self._watch.look(self._common(phase))
                 return None if ended else self._chunk(group, phase, target)
@@ -229,7 +231,7 @@ class Run:
             raise Interrupted(self._so_far())
 
     def _chunk(self, group: _RunningGroup, phase: str, target: int) -> Chunk:
-        """Return the next part of a group's work."""
+        """Return the next chunk of a group's work."""
         done = group.state.done[phase]
         steps = min(MOST_STEPS, target - done)
         turns = math.ceil(self.groups / self._engine.workers)
@@ -241,13 +243,13 @@ class Run:
         return Chunk(group.state, phase, steps, seconds, target, label)
 
     def _write(self, group: _RunningGroup, phase: str, first: int, steps: Steps) -> None:
-        """Record steps of a group, and count their solves."""
+        """Record the steps of a group, and count the solves and failures of these steps."""
         self._records[phase].write(first, group.chains.start, steps)
         self._n_solves += int(steps.stats["n_solves"].sum())
         self._n_failed += int(np.sum(steps.stats.get("n_nonfinite", 0)))
 
     def _keep(self, group: _RunningGroup, phase: str, target: int, *, at_once: bool) -> None:
-        """Save a group if it is due."""
+        """Save a group if `at_once`, or if the checkpointer says that a save is due."""
         first, stop = group.pending[phase], group.state.done[phase]
         if self._keeper is None or stop == first:
             return
@@ -259,16 +261,16 @@ class Run:
         group.pending[phase], group.failures = stop, []
 
     def _common(self, phase: str) -> FloatArray:
-        """Return the positions of the steps that all groups have taken, (chains, steps, walkers, ndim)."""
+        """Return the positions of the steps that all groups have taken, shape (chains, steps, walkers, ndim)."""
         return self._records[phase].steps(0, min(group.state.done[phase] for group in self._groups)).position
 
     def _so_far(self) -> RunResult | None:
-        """Return the draws that all groups have, None if there are none."""
+        """Return the result with the draws that all groups have completed; None if there are none."""
         drawn = min(group.state.done[DRAWS] for group in self._groups)
         return self._result(drawn) if drawn else None
 
     def _result(self, draws: int) -> RunResult:
-        """Return the first `draws` draws."""
+        """Return the result with the first `draws` steps of draws."""
         kept = self._records[DRAWS].draws(draws)
         warm = self._records[WARMUP].draws(self.warmup)
         if self.warmup == 0:  # no step has named the statistics
@@ -302,7 +304,7 @@ def run(
     init: str | ArrayLike,
     progress: Report | None = None,
 ) -> RunResult:
-    """Sample a density: warm up, and draw `draws` steps. `Run` and `Run.extend` describe the arguments."""
+    """Warm up, take `draws` steps and return the result. `Run` and `Run.extend` describe the arguments."""
     draws = whole_number("draws", draws, 1)
     begun = Run(density, sampler, warmup=warmup, chains=chains, seed=seed, init=init, progress=progress)
     return begun.extend(draws)
@@ -314,7 +316,7 @@ def n_groups(groups: int | None, chains: int, sampler: Sampler) -> int:
     Raises
     ------
     ValueError
-        If the chains cannot be divided into so many groups, or the sampler does not allow it.
+        If `groups` does not divide the number of chains, or the sampler does not allow this number of groups.
     """
     if groups is None:
         return chains if sampler.walkers > 1 else 1
@@ -329,7 +331,7 @@ def n_groups(groups: int | None, chains: int, sampler: Sampler) -> int:
 
 
 def _check_same(context: RunContext, group: GroupState) -> None:
-    """Raise ValueError unless the density has the values that were saved with the chains."""
+    """Raise ValueError unless the density still has the values that were saved with the chains."""
     then, now = evaluate_again(context, group)
     if not np.allclose(now, then, rtol=1e-6, atol=1e-6):
         worst = np.unravel_index(np.nanargmax(np.abs(now - then)), then.shape)
@@ -341,14 +343,14 @@ def _check_same(context: RunContext, group: GroupState) -> None:
 
 
 def _merge_learnt(learnt: list[dict[str, object]]) -> dict[str, object]:
-    """Return the settings learnt; of several groups, each setting as a list over the groups."""
+    """Return a dict of the settings learnt; with several groups, each value is a list over the groups."""
     if len(learnt) == 1:
         return learnt[0]
     return {name: [settings[name] for settings in learnt] for name in learnt[0]}
 
 
 class _Watch:
-    """Passes progress reports on, together with live diagnostics of the draws of all groups."""
+    """Forwarder of progress reports, which adds live diagnostics of the draws of all groups."""
 
     def __init__(self, progress: Report, live: Callable[..., Mapping[str, float]] | None) -> None:
         self._progress, self._live = progress, live
@@ -362,7 +364,7 @@ class _Watch:
         self._progress(phase, done, total, {**info, **(self._words if phase == DRAWS else {})})
 
     def end(self, draws: FloatArray) -> None:
-        """Report the last step of each group once more, with the numbers on which the verdict rests."""
+        """Report the last step of each group once more, with the diagnostics on which the verdict rests."""
         if self._live is None or draws.shape[1] < _ENOUGH:
             return
         self._words = dict(self._live(draws, ended=True))
@@ -370,7 +372,7 @@ class _Watch:
             self._progress(DRAWS, done, total, {**info, **self._words})
 
     def look(self, draws: FloatArray) -> None:
-        """Diagnose the draws so far, unless that was done just now: it may take a fiftieth of the time."""
+        """Update the diagnostics of the draws so far, on which about a fiftieth of the time may be spent."""
         began = time.monotonic()
         if self._live is None or began < self._next or draws.shape[1] < _ENOUGH:
             return

@@ -1,4 +1,4 @@
-"""A run that is saved: the groups of its chains, what saves them, and the exceptions that end it early."""
+"""Saving of a run: the saved data of a group of chains, the checkpointer, and exceptions that end a run early."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from fmu.samplers.loop.record import RunResult, Steps
 
 
 class Interrupted(KeyboardInterrupt):
-    """A run was asked to stop, and has stopped between two steps.
+    """Raised when a run was asked to stop and has stopped.
 
     Attributes
     ----------
     result : RunResult or None
-        The draws so far; None if the run was stopped in warm-up.
+        The draws so far; None if there are none.
     """
 
     def __init__(self, result: RunResult | None) -> None:
@@ -26,12 +26,12 @@ class Interrupted(KeyboardInterrupt):
 
 
 class TooManyFailuresError(RunFailedError):
-    """Too large a share of the solves failed.
+    """Raised when too large a share of the solves has failed.
 
     Attributes
     ----------
     result : RunResult or None
-        The draws so far; None if there was only warm-up.
+        The draws so far; None if there are none.
     """
 
     def __init__(self, message: str, result: RunResult | None) -> None:
@@ -40,15 +40,15 @@ class TooManyFailuresError(RunFailedError):
 
 
 class SavedGroup(NamedTuple):
-    """A group of chains as it was last saved.
+    """The last saved data of a group of chains.
 
     Attributes
     ----------
     group_state : GroupState
     elapsed_s : mapping of str to float
-        Time that the phases of the run had taken by then.
+        Seconds that each phase of the run had taken when the group was saved.
     steps : iterable of (str, int, Steps)
-        All steps that the group has taken: their phase, the number of the first one, and the steps.
+        All steps that the group has taken: the phase, the index of the first step, and the steps.
     """
 
     group_state: GroupState
@@ -57,20 +57,21 @@ class SavedGroup(NamedTuple):
 
 
 class PendingGroup(NamedTuple):
-    """What is to be saved of a group of chains.
+    """Data of a group of chains that is to be saved.
 
     Attributes
     ----------
     group_state : GroupState
     elapsed_s : mapping of str to float
+        Seconds that each phase of the run has taken so far.
     phase : str
     first : int
-        Number of the first of the steps in their phase.
+        Index of the first of the `steps` in the phase.
     steps : Steps
     failures : list
         Points without a finite log-density since the group was last saved.
     total : int
-        Planned steps of the phase.
+        Number of planned steps of the phase.
     """
 
     group_state: GroupState
@@ -83,27 +84,27 @@ class PendingGroup(NamedTuple):
 
 
 class Checkpointer(Protocol):
-    """Saves draws and the states of the groups, so that a run that dies can be resumed.
+    """Saver of the draws and the states of the groups, from which a run that dies can be resumed.
 
     Attributes
     ----------
     most_steps : int
-        Most steps of a group that may be lost.
+        Largest number of steps of a group that may be lost.
     most_seconds : float
-        Most of its time that may be lost.
+        Largest number of seconds of a group's work that may be lost.
     """
 
     most_steps: int
     most_seconds: float
 
     def kept(self, group: int) -> SavedGroup | None:
-        """Return a group as it was last saved, None if it was never saved."""
+        """Return the last saved data of a group; None if the group was never saved."""
         ...
 
     def is_due(self, group: int, steps: int) -> bool:
-        """Return whether a group is to be saved that has taken so many steps since it was last saved."""
+        """Return True if a group is to be saved after `steps` steps since the last save of the group."""
         ...
 
     def keep(self, group: int, pending: PendingGroup) -> None:
-        """Save what has happened to a group since it was last saved."""
+        """Save the data of a group since the last save of the group."""
         ...

@@ -1,4 +1,4 @@
-"""Where chains start."""
+"""Starting positions of the chains, and checks of these positions."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ BALL = 0.02
 def starting_points(
     scaled: ScaledDensity, init: str | ArrayLike, generators: list[np.random.Generator], chains: int, walkers: int
 ) -> list[FloatArray]:
-    """Return the scaled starting positions of every group.
+    """Return the list of starting positions of each group, in scaled units.
 
     Parameters
     ----------
     scaled : ScaledDensity
     init : "prior", "start" or array_like
         "prior": draws from ``density.sample_prior``. "start": ``density.start`` for every chain; the walkers of an
-        ensemble are spread around it with standard deviation `BALL`, as they must span the space. An array
-        contains theta itself, shape (chains, ndim), or (chains, walkers, ndim) for ensembles.
+        ensemble are spread around this point with standard deviation `BALL`, as they must span the space. An array
+        contains the starts theta, shape (chains, ndim), or (chains, walkers, ndim) for ensembles.
     generators : list of Generator
-        One per group; the chains are divided equally among the groups.
+        One generator per group; the chains are divided equally among the groups.
     chains, walkers : int
         `walkers` is 1 for samplers whose chain is a single point.
 
@@ -39,7 +39,8 @@ def starting_points(
     Raises
     ------
     ValueError
-        If `init` is none of these, the density lacks what it asks for, or a start is outside the bounds.
+        If `init` is none of these, the density lacks ``sample_prior`` or ``start``, or a start is outside the
+        bounds.
     """
     shape = (chains, scaled.ndim) if walkers == 1 else (chains, walkers, scaled.ndim)
     word = init if isinstance(init, str) else None
@@ -67,7 +68,7 @@ def starting_points(
 
 
 def check_inside(scaled: ScaledDensity, theta: FloatArray) -> None:
-    """Raise ValueError naming the first start that lies outside the bounds or is not finite."""
+    """Raise ValueError that names the first start outside the bounds or not finite, if there is one."""
     inside = (theta >= scaled.theta_lower) & (theta <= scaled.theta_upper) & np.isfinite(theta)
     if not inside.all():
         *where, i = (int(k) for k in np.argwhere(~inside)[0])
@@ -78,7 +79,7 @@ def check_inside(scaled: ScaledDensity, theta: FloatArray) -> None:
 
 
 def check_finite(scaled: ScaledDensity, position: FloatArray, log_prob: FloatArray, first_chain: int) -> None:
-    """Raise ValueError naming the first start whose log-density is not finite."""
+    """Raise ValueError that names the first start whose log-density is not finite, if there is one."""
     bad = np.argwhere(~np.isfinite(log_prob))
     if len(bad):
         chain, *rest = (int(k) for k in bad[0])
@@ -94,7 +95,7 @@ def _label(where: list[int]) -> str:
 
 
 def _ball(scaled: ScaledDensity, rng: np.random.Generator, u: FloatArray) -> FloatArray:
-    """Spread walkers around `u`, folding them back at the walls so that no two fall on the same point."""
+    """Return walkers spread around `u` and reflected at the walls, so that no two walkers coincide."""
     spread = u + BALL * rng.standard_normal(u.shape)
     spread = np.where(spread < scaled.lower, 2 * scaled.lower - spread, spread)
     return np.where(spread > scaled.upper, 2 * scaled.upper - spread, spread)

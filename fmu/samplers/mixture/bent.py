@@ -1,4 +1,4 @@
-"""A mixture of Gaussians, each bent along its own axes, fitted by expectation and maximisation."""
+"""A mixture of bent Gaussians, fitted by expectation and maximisation."""
 
 from __future__ import annotations
 
@@ -11,24 +11,25 @@ from fmu.samplers.mixture.curve import BETTER, HALF_LOG_2PI, features, least_squ
 from fmu.types import FloatArray
 
 MOST = 32
-"""Gaussians of a mixture."""
+"""Largest number of Gaussians of a mixture."""
 _SWEEPS, _LITTLE = 12, 2e-3
-"""Most sweeps of a fit, and a gain of log-likelihood per point that is not worth another."""
+"""Largest number of sweeps of a fit, and smallest gain of log-likelihood per point worth a further sweep."""
 _POINTS, _PER_GAUSSIAN = 4, 20
-"""Effective points per coefficient of a bend, and per coordinate of a Gaussian."""
+"""Effective points needed per coefficient of a bend, and per coordinate of a Gaussian."""
 PENALTY = 3.0
-"""Log-likelihood that a coefficient must gain. Weighted points say less than as many independent ones: Akaike's
-criterion, 1, leaves too many Gaussians, which collapse on single points."""
+"""Log-likelihood that a coefficient must gain. Weighted points carry less information than as many independent
+points: Akaike's criterion, 1, leaves too many Gaussians, which collapse on single points."""
 _WORTH, _FAILURES = 0.01, 2
 _NEAR = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class BentGaussians:
-    """x = mean + A t and t_i = b_i(t) + sd_i z_i, z Gaussian; b_i is quadratic in the wider t_j, j > i.
+    """A mixture of bent Gaussians: x = mean + A t with t_i = b_i(t) + sd_i z_i, where z is standard normal.
 
-    The columns of A are the principal axes, the shortest first, so that a thin curved sheet or thread is bent
-    along itself. The map from z to t is triangular.
+    b_i is quadratic in the t_j with j > i, along the longer axes. The columns of A are the principal axes, the
+    shortest axis first, so that a Gaussian can follow a thin curved sheet or thread. The map from z to t is
+    triangular.
 
     Attributes
     ----------
@@ -39,6 +40,7 @@ class BentGaussians:
     bends : ndarray, shape (k, ndim, n)
         Coefficients of b_i for the n `features` of t.
     sds : ndarray, shape (k, ndim)
+        Standard deviations of t_i about b_i.
     """
 
     weights: FloatArray
@@ -48,12 +50,12 @@ class BentGaussians:
     sds: FloatArray
 
     def to_z(self, x: FloatArray, k: int) -> FloatArray:
-        """Return z, (n, ndim), from which Gaussian k would make the points x (n, ndim)."""
+        """Return the z, shape (n, ndim), that Gaussian k maps to the points x (n, ndim)."""
         t = np.linalg.solve(self.axes[k], (x - self.means[k]).T).T
         return np.asarray((t - features(t) @ self.bends[k].T if self.bends[k].any() else t) / self.sds[k])
 
     def to_x(self, z: FloatArray, k: int) -> FloatArray:
-        """Return the points x, (n, ndim), that Gaussian k makes of z (n, ndim)."""
+        """Return the points x, shape (n, ndim), to which Gaussian k maps z (n, ndim)."""
         t = z * self.sds[k]
         if self.bends[k].any():
             for i in range(t.shape[1] - 2, -1, -1):
@@ -61,7 +63,7 @@ class BentGaussians:
         return np.asarray(self.means[k] + t @ self.axes[k].T)
 
     def log_densities(self, x: FloatArray, wider: FloatArray) -> FloatArray:
-        """Return log-densities with the weights, (factors, k, n), of Gaussians `wider` by each of the factors."""
+        """Return weighted log-densities of the Gaussians widened by each factor of `wider`, (factors, k, n)."""
         ndim, found = x.shape[1], np.empty((len(wider), len(self.weights), len(x)))
         for k, weight in enumerate(self.weights):
             square = np.sum(self.to_z(x, k) ** 2, axis=1)
@@ -71,23 +73,23 @@ class BentGaussians:
         return found
 
     def responsibilities(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the probability that each point came from each Gaussian, (k, n), and the log-densities (n,)."""
+        """Return the probability of each Gaussian for each point, (k, n), and the mixture's log-density, (n,)."""
         each = self.log_densities(x, np.ones(1))[0]
         total = np.asarray(logsumexp(each, axis=0))
         return np.exp(each - total), total
 
     @property
     def n_coefficients(self) -> int:
-        """How many numbers describe the mixture."""
+        """Number of parameters of the mixture, which the fit penalises."""
         ndim = self.means.shape[1]
         return int(np.count_nonzero(self.bends)) + len(self.weights) * (ndim + 1) * (ndim + 2) // 2
 
 
 def fit_gaussians(x: FloatArray, weight: FloatArray) -> tuple[BentGaussians, float]:
-    """Return the mixture that fits points x (n, ndim) with weights (n,) best, and its penalised log-likelihood.
+    """Return the best mixture for points x (n, ndim) with weights (n,), and its penalised mean log-likelihood.
 
-    One Gaussian, then twice as many each time, every one cut in two across its longest axis, until that no longer
-    helps.
+    The fit begins with one Gaussian. Then every Gaussian is cut in two across its longest axis, again and again,
+    until this no longer helps. Raise LinAlgError if there are too few points for one Gaussian.
     """
     ndim, weight = x.shape[1], weight / weight.sum()
     size = 1.0 / float(np.sum(weight**2))
@@ -116,7 +118,10 @@ def fit_gaussians(x: FloatArray, weight: FloatArray) -> tuple[BentGaussians, flo
 def _run_sweeps(
     x: FloatArray, weight: FloatArray, size: float, parts: BentGaussians
 ) -> tuple[BentGaussians, float]:
-    """Return the best mixture of some sweeps of expectation and maximisation, and its mean log-density."""
+    """Return the best mixture of up to `_SWEEPS` sweeps of expectation and maximisation, and its log-likelihood.
+
+    The log-likelihood is the weighted mean over the points.
+    """
     best, highest = parts, -np.inf
     for sweep in range(_SWEEPS + 1):
         r, total = parts.responsibilities(x)
@@ -131,10 +136,10 @@ def _run_sweeps(
 
 
 def _fit_parts(x: FloatArray, r: FloatArray, size: float) -> BentGaussians | None:
-    """Return the likeliest Gaussians of points with shares r (k, n); None if all have too few.
+    """Return the maximum-likelihood Gaussians of points with responsibilities r (k, n); None if all have too few.
 
-    Each is as much wider as it is uncertain: with the mean and covariance of n points, another point is by
-    1 + (ndim + 2)/n farther off than those.
+    Each Gaussian is widened by its uncertainty: relative to the mean and covariance of n points, the squared
+    distance of another point is larger by 1 + (ndim + 2)/n.
     """
     ndim = x.shape[1]
     r = r[r.sum(axis=1) * size > ndim + 2]

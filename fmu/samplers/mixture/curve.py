@@ -1,4 +1,4 @@
-"""Coordinates in which a bent density is straight: margins at walls, then a triangular map."""
+"""Coordinates that straighten a bent density: transformed margins at walls, then a triangular map."""
 
 from __future__ import annotations
 
@@ -11,41 +11,43 @@ from fmu.types import BoolArray, FloatArray, IntArray
 
 HALF_LOG_2PI = 0.5 * np.log(2.0 * np.pi)
 BETTER = 0.05
-"""Gain of log-likelihood per point from which on a margin, or a bend, is worth having."""
+"""Smallest gain of log-likelihood per point for which a bend is used."""
 _USELESS = 0.01
-"""Gain of log-likelihood per point below which a bend does without a coordinate."""
+"""Gain of log-likelihood per point below which a coordinate is dropped from a bend."""
 _FAR = 6.0
-"""Standard deviations beyond which polynomials go on as constants."""
+"""Number of standard deviations beyond which polynomials are continued as constants."""
 _SWEEPS, _NEWTON_STEPS = 8, 30
 _POINTS = 5
-"""Effective points per coefficient of a bend."""
+"""Effective points needed per coefficient of a bend."""
 _LEAST, _MOST_SHAPE = 1e-2, 1e3
 _INFINITE, _ENOUGH = 0.8, 100
-"""Shape of a beta distribution below which the density is called infinite at a wall, seen in so many points."""
+"""Shape parameter of a beta distribution below which a density counts as infinite at a wall, and the effective
+points needed to tell."""
 _PRODUCTS = 8e6
-"""Points times squared coefficients of a fit: what a tenth of a second allows."""
+"""Largest product of points and squared number of coefficients in a fit, which takes a tenth of a second."""
 _TINY, _EPS = 1e-300, 2.0**-53
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """Coordinates x of u: margins y_i(u_i), scaled to z, and x_k = (z_k − m_k(z)) exp(−s_k(z)).
+    """Coordinates x of points u in which a bent density is straight.
 
-    m_k is quadratic and s_k linear in the coordinates before k in `order`, so that the map is triangular and its
-    determinant a product. The first makes a banana Gaussian, the second a funnel. Between two bounds a margin may
-    be Φ⁻¹(I_t(a, b)), t = (u − lower)/(upper − lower), with the distribution function I_t of a beta distribution:
-    a density that is infinite at a wall becomes Gaussian. Other margins are u itself.
+    The margins y_i(u_i) are standardised to z, and x_k = (z_k − m_k(z)) exp(−s_k(z)). m_k is quadratic and s_k
+    linear in the coordinates before k in `order`, so that the map is triangular and its determinant a product. m_k
+    makes a banana Gaussian, and s_k makes a funnel Gaussian. Between two bounds a margin may be Φ⁻¹(I_t(a, b))
+    with t = (u − lower)/(upper − lower), where I_t is the distribution function of a beta distribution: a density
+    that is infinite at a wall becomes Gaussian. Other margins are u itself.
 
     Attributes
     ----------
     lower, upper : ndarray, shape (ndim,)
         The box of u.
     a, b : ndarray, shape (ndim,)
-        Shapes of the beta distributions; NaN where the margin is u.
+        Shape parameters of the beta distributions; NaN where the margin is u.
     centre, spread : ndarray, shape (ndim,)
-        z = (y − centre)/spread.
+        Centre and spread of the margins in z = (y − centre)/spread.
     order : ndarray of int, shape (ndim,)
-        The coordinates, each after those that it depends on.
+        Indices of the coordinates, each after the coordinates on which its m_k and s_k depend.
     location, scale : ndarray, shape (ndim, n)
         Coefficients of m_k and s_k for the n `features`.
 
@@ -66,7 +68,7 @@ class Curve:
     scale: FloatArray
 
     def to_x(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return x of points u (n, ndim) of the box, and log |dx/du|, shape (n,)."""
+        """Return the coordinates x, (n, ndim), of points u inside the box, (n, ndim), and log |dx/du|, (n,)."""
         y, log_slope = self.margins(u)
         z = (y - self.centre) / self.spread
         phi = features(z)
@@ -74,7 +76,10 @@ class Curve:
         return (z - phi @ self.location.T) * np.exp(-s), log_slope - np.sum(np.log(self.spread) + s, axis=1)
 
     def to_u(self, x: FloatArray) -> FloatArray:
-        """Return u of points x (n, ndim): it may lie outside the box, but not where a margin is a beta's."""
+        """Return the points u of coordinates x, both (n, ndim).
+
+        Coordinates of u without a beta margin may lie outside the box.
+        """
         z = np.zeros_like(x)
         for k in self.order:
             phi = features(z)
@@ -82,7 +87,7 @@ class Curve:
         return self.from_margins(self.centre + self.spread * z)
 
     def margins(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return y of points u (n, ndim), and log |dy/du|, shape (n,)."""
+        """Return the margins y, (n, ndim), of points u (n, ndim), and log |dy/du|, shape (n,)."""
         y, log_slope = u.copy(), np.zeros(len(u))
         for i in np.flatnonzero(np.isfinite(self.a)):
             width = self.upper[i] - self.lower[i]
@@ -91,10 +96,10 @@ class Curve:
         return y, log_slope
 
     def from_margins(self, y: FloatArray) -> FloatArray:
-        """Return u of y, both (n, ndim)."""
+        """Return the points u of margins y, both (n, ndim)."""
         u = y.copy()
         for i in np.flatnonzero(np.isfinite(self.a)):
-            # from the nearer wall, where a double tells more points apart
+            # measured from the nearer wall, where floating-point numbers are denser
             low = betaincinv(self.a[i], self.b[i], np.exp(log_ndtr(np.minimum(y[:, i], 0.0))))
             high = betaincinv(self.b[i], self.a[i], np.exp(log_ndtr(-np.maximum(y[:, i], 0.0))))
             t = np.clip(np.where(y[:, i] < 0.0, low, 1.0 - high), _TINY, 1.0 - _EPS)
@@ -103,14 +108,14 @@ class Curve:
 
 
 def features(z: FloatArray) -> FloatArray:
-    """Return 1, z_i, and z_i z_j with i ≤ j at points z (n, ndim), with z cut off at ±`_FAR`."""
+    """Return the features 1, z_i, and z_i z_j with i ≤ j of points z (n, ndim), which are clipped at ±`_FAR`."""
     z = np.clip(z, -_FAR, _FAR)
     i, j = np.triu_indices(z.shape[1])
     return np.concatenate([np.ones((len(z), 1)), z, z[:, i] * z[:, j]], axis=1)
 
 
 def select_features(used: BoolArray, *, linear: bool = False) -> BoolArray:
-    """Mark the `features` that consist of the coordinates `used` alone; without products if `linear`.
+    """Return a mask of the `features` of the coordinates `used` alone, without products if `linear`.
 
     Parameters
     ----------
@@ -126,17 +131,17 @@ def select_features(used: BoolArray, *, linear: bool = False) -> BoolArray:
 
 
 def least_squares(phi: FloatArray, y: FloatArray, weight: FloatArray) -> FloatArray:
-    """Return the coefficients of the features phi (n, k) that fit y (n,) best with weights (n,)."""
+    """Return the least-squares coefficients, (k,), of the features phi (n, k) for y (n,) with weights (n,)."""
     weighted = phi.T * (weight / weight.sum())
     normal = weighted @ phi
     return np.asarray(np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal) + 1e-12), weighted @ y))
 
 
 def thin_points(u: FloatArray, weight: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
-    """Return at most `most` of the points u (n, ndim), drawn by their weights at equal steps, and new weights.
+    """Return at most `most` of the points u (n, ndim), chosen by systematic resampling, and their new weights.
 
-    A point that is drawn several times is returned once, with a weight in proportion. All points stay where they
-    are no more than `most`.
+    A point that is drawn several times is returned once, with a weight in proportion. All points are returned if
+    there are no more than `most`.
     """
     weight = weight / weight.sum()
     if len(u) <= most:
@@ -147,10 +152,11 @@ def thin_points(u: FloatArray, weight: FloatArray, most: int) -> tuple[FloatArra
 
 
 def fit_curve(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: FloatArray) -> Curve:
-    """Return the curve that makes points u (n, ndim) with weights (n,) most nearly Gaussian, by their likelihood.
+    """Return the curve whose coordinates make points u (n, ndim) with weights (n,) most nearly Gaussian.
 
-    The coordinate that gains most by a bend, given all others, is the last in the order; the next is the one that
-    gains most given the rest, and so on, as long as one gains enough.
+    The coordinate for which a bend by all other coordinates gains the most log-likelihood is the last in the
+    order. The coordinate with the largest gain among the remaining coordinates precedes it, and so on, as long as
+    the gain is large enough.
     """
     ndim, n = u.shape[1], len(select_features(np.ones(u.shape[1], dtype=bool)))
     u, weight = thin_points(u, weight, int(_PRODUCTS / n**2))
@@ -169,7 +175,7 @@ def fit_curve(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: Float
         if gain < BETTER:
             break
         others = np.isin(np.arange(ndim), first) & (np.arange(ndim) != k)
-        for i in np.flatnonzero(others):  # what is useless here goes wrong where no points are
+        for i in np.flatnonzero(others):  # a useless coordinate would extrapolate badly
             without = others & (np.arange(ndim) != i)
             less, *bend = _bend(z, k, without, weight)
             if less > gain - _USELESS:
@@ -181,11 +187,11 @@ def fit_curve(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: Float
 
 
 def _bend(z: FloatArray, k: int, others: BoolArray, weight: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    """Return the gain of log-likelihood per point by m_k and s_k of `others`, and their coefficients.
+    """Return the gain of log-likelihood per point from bending coordinate k, and the coefficients of m_k and s_k.
 
-    The gain is over a linear m_k and a constant s_k, less that expected from as many useless coefficients; -inf
-    with too few points. m_k by weighted least squares and s_k by scoring, in turn (Harvey 1976, Econometrica 44,
-    461-465).
+    m_k and s_k depend on the coordinates `others`. The gain is relative to a linear m_k and a constant s_k, less
+    the expected gain of equally many useless coefficients. It is -inf if there are too few points. m_k is fitted
+    by weighted least squares and s_k by scoring, in turn (Harvey 1976, Econometrica 44, 461-465).
     """
     phi, y = features(z), z[:, k]
     in_m, in_s = select_features(others), select_features(others, linear=True)
@@ -218,9 +224,10 @@ def _bend(z: FloatArray, k: int, others: BoolArray, weight: FloatArray) -> tuple
 def fit_infinite_margins(
     u: FloatArray, weight: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the shapes a, b (ndim,) of beta margins where the density is infinite at a wall; others are NaN.
+    """Return the shape parameters a and b, (ndim,), of beta margins where the density is infinite at a wall.
 
-    A density that is finite at a wall has shape 1 there (a uniform or an exponential margin) or more.
+    They are NaN for all other coordinates. A density that is finite at a wall has a shape parameter of 1 there (a
+    uniform or an exponential margin) or more.
     """
     shapes = np.full((2, u.shape[1]), np.nan)
     if weight.sum() ** 2 > _ENOUGH * np.sum(weight**2):
@@ -232,7 +239,7 @@ def fit_infinite_margins(
 
 
 def _fit_beta(t: FloatArray, weight: FloatArray) -> tuple[float, float]:
-    """Return the shapes of the likeliest beta distribution of points t in [0, 1], NaN if they are extreme."""
+    """Return the maximum-likelihood shape parameters of a beta distribution of points t; NaN if extreme."""
     t = np.clip(t, _TINY, 1.0 - _EPS)
     mean = float(weight @ t)
     common = mean * (1.0 - mean) / max(float(weight @ (t - mean) ** 2), _TINY) - 1.0
@@ -248,7 +255,7 @@ def _fit_beta(t: FloatArray, weight: FloatArray) -> tuple[float, float]:
 
 
 def _normal_of_beta(t: FloatArray, a: float, b: float) -> tuple[FloatArray, FloatArray]:
-    """Return y = Φ⁻¹(I_t(a, b)), and log dy/dt."""
+    """Return y = Φ⁻¹(I_t(a, b)) and log dy/dt, both in the shape of t."""
     t = np.clip(t, _TINY, 1.0 - _EPS)
     below, above = betainc(a, b, t), betainc(b, a, 1.0 - t)
     log_tail = np.log(np.clip(np.minimum(below, above), _TINY, 0.5))

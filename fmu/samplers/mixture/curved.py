@@ -1,4 +1,4 @@
-"""A mixture for densities that are bent or hollow: bent Gaussians in the coordinates of a curve."""
+"""A mixture of bent Gaussians in curved coordinates, for densities that are bent or hollow."""
 
 from __future__ import annotations
 
@@ -15,28 +15,29 @@ from fmu.types import FloatArray
 _WIDE, _SAFE = 0.1, 0.05
 """Shares of the wider copies, and of the t distribution."""
 _WIDER, _DF = 1.5, 3.0
-"""How much wider than the points the t distribution is, and its degrees of freedom."""
+"""Width of the t distribution relative to the points, and its degrees of freedom."""
 _MOST_POINTS = 6000
 _NEGLIGIBLE = 1e-4
-"""Weight of a point, over the mean, below which a fit leaves it out."""
+"""Weight of a point, relative to the mean weight, below which a fit ignores the point."""
 
 
 @dataclass(frozen=True, eq=False)
 class CurvedMixture:
-    """A normalised density: bent Gaussians, each with a wider copy, and a t distribution that is not bent.
+    """A normalised mixture of bent Gaussians, each with a wider copy, and a t distribution that is not bent.
 
-    The last one, in the margins of the curve and wider than the points that were fitted, keeps the weights P/q of
-    an independence sampler bounded where a bend goes on wrongly (Hesterberg 1995, Technometrics 37, 185-194). The
-    density is not cut off at the box; draws outside are rejected without an evaluation.
+    The t distribution, in the margins of the curve and wider than the fitted points, keeps the weights P/q of an
+    independence sampler bounded where a bend is extrapolated wrongly (Hesterberg 1995, Technometrics 37, 185-194).
+    The density is not truncated to the box; draws outside the box are rejected without an evaluation.
 
     Attributes
     ----------
     curve : Curve
     parts : BentGaussians
-        In the coordinates x of the curve.
+        The bent Gaussians, in the coordinates x of the curve.
     mean : ndarray, shape (ndim,)
+        Centre of the t distribution.
     factor : ndarray, shape (ndim, ndim)
-        Centre of the t distribution, and Cholesky factor of its scale matrix.
+        Cholesky factor of the scale matrix of the t distribution.
     """
 
     curve: Curve
@@ -51,7 +52,7 @@ class CurvedMixture:
 
     @property
     def gaussians(self) -> None:
-        """None: it is no mixture of Gaussians that further fits improve."""
+        """None, as further fits of a mixture of Gaussians cannot improve this mixture."""
 
     @property
     def wide(self) -> float:
@@ -60,7 +61,7 @@ class CurvedMixture:
 
     @property
     def _copies(self) -> tuple[FloatArray, FloatArray]:
-        """Factors by which the copies of a Gaussian are wider, and their shares."""
+        """Factors by which a Gaussian and its copy are widened, and the shares of both."""
         return np.array([1.0, np.exp(0.5 * min(5.0 / len(self.mean), 2.5))]), np.array([1.0 - _WIDE, _WIDE])
 
     def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
@@ -78,7 +79,7 @@ class CurvedMixture:
         return u
 
     def log_density(self, u: FloatArray) -> FloatArray:
-        """Return the logarithm of the normalised density at points u (n, ndim) of the box, shape (n,)."""
+        """Return the normalised log-density at points u (n, ndim) inside the box, shape (n,)."""
         if not len(u):
             return np.empty(0)
         wider, shares = self._copies
@@ -94,17 +95,17 @@ class CurvedMixture:
         return np.asarray(np.logaddexp(np.log1p(-_SAFE) + bent, np.log(_SAFE) + safe))
 
     def covariance_within(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Return the covariance of `n` draws, shape (ndim, ndim)."""
+        """Return the covariance of `n` draws, clipped to the box, shape (ndim, ndim)."""
         u = np.clip(self.draw(rng, n), self.curve.lower, self.curve.upper)
         ndim = len(self.mean)
         return np.asarray(1e-12 * np.eye(ndim) + np.cov(u.T).reshape(ndim, ndim))
 
     def settings(self) -> Tree:
-        """Return the settings of a `MixtureSampler` that make this mixture, by name."""
+        """Return a dict of the settings of a `MixtureSampler` with this mixture."""
         return {"components": self}
 
     def arrays(self) -> dict[str, FloatArray]:
-        """Return the mixture as arrays by name."""
+        """Return the mixture as a dict of arrays."""
         fields = {**vars(self.curve), **vars(self.parts), "mean": self.mean, "factor": self.factor}
         return {name: value.astype(float) for name, value in fields.items()}
 
@@ -120,15 +121,15 @@ class CurvedMixture:
 
 
 def fit_curved(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: FloatArray) -> CurvedMixture:
-    """Return the mixture that fits points u (n, ndim) with weights (n,) best.
+    """Return the mixture fitted to points u (n, ndim) with weights (n,).
 
-    LinAlgError if the points span no Gaussian.
+    Raise LinAlgError if the points are too few for a Gaussian or do not span the space.
     """
     counts = weight > _NEGLIGIBLE * weight.mean()
     u, weight = thin_points(u[counts], weight[counts], _MOST_POINTS)
     curve = fit_curve(u, weight, lower, upper)
     parts, score = _fit_under(curve, u, weight)
-    if curve.location.any():  # a sphere, say, is better put together of bent Gaussians alone
+    if curve.location.any():  # a sphere, for example, is fitted better by bent Gaussians alone
         straight = replace(curve, location=0.0 * curve.location, scale=0.0 * curve.scale)
         others, other_score = _fit_under(straight, u, weight)
         if other_score > score:
@@ -141,7 +142,7 @@ def fit_curved(u: FloatArray, weight: FloatArray, lower: FloatArray, upper: Floa
 
 
 def _fit_under(curve: Curve, u: FloatArray, weight: FloatArray) -> tuple[BentGaussians, float]:
-    """Return the Gaussians that fit points best in the coordinates of a curve, and their penalised likelihood."""
+    """Return the Gaussians fitted to points in the coordinates of a curve, and the penalised log-likelihood."""
     x, log_slope = curve.to_x(u)
     parts, score = fit_gaussians(x, weight)
     n = np.count_nonzero(curve.location) + np.count_nonzero(curve.scale)

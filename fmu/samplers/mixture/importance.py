@@ -1,4 +1,4 @@
-"""Importance sampling: draws of several proposals as one mixture, and what their weights P/q are worth."""
+"""Importance sampling: draws of several proposals as one mixture, and operations on their weights P/q."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ class Proposal(Protocol):
         ...
 
     def log_density(self, u: FloatArray) -> FloatArray:
-        """Return its logarithm at points u (n, ndim), shape (n,)."""
+        """Return the log-density at points u (n, ndim), shape (n,)."""
         ...
 
 
 def draw_mixture(
     proposals: Sequence[Proposal], counts: Sequence[int], rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Return `counts` draws of the proposals, (n, ndim), and the log-density of their mixture there, (n,).
+    """Return `counts` draws from the proposals, (n, ndim), and the mixture's log-densities at the draws, (n,).
 
-    All draws are weighted by the mixture, whichever proposal they come from: the balance heuristic (Veach & Guibas
-    1995, SIGGRAPH; Owen & Zhou 2000, JASA 95, 135-143).
+    Every draw is weighted by the mixture, not by the draw's own proposal: the balance heuristic (Veach &
+    Guibas 1995, SIGGRAPH; Owen & Zhou 2000, JASA 95, 135-143).
     """
     u = np.concatenate([proposal.draw(rng, count) for proposal, count in zip(proposals, counts, strict=True)])
     shares = np.asarray(counts) / max(counts)
@@ -43,7 +43,7 @@ def sum_densities(log_q: Sequence[FloatArray] | FloatArray, counts: Sequence[flo
 
 
 def cut_largest(log_w: FloatArray) -> FloatArray:
-    """Return log-weights (n,), none of them above √n times their mean.
+    """Return log-weights (n,), with weights above √n times the mean weight truncated to this value.
 
     Ionides (2008), J. Comput. Graph. Stat. 17, 295-311.
     """
@@ -51,17 +51,17 @@ def cut_largest(log_w: FloatArray) -> FloatArray:
 
 
 def even_out(log_w: FloatArray, least: float, power: float) -> FloatArray:
-    """Return log-weights (n,), taken to a power below 1 as often as their effective size is below `least`."""
+    """Return log-weights (n,), multiplied by `power` until the effective size of the weights reaches `least`."""
     while 2.0 * logsumexp(log_w) - logsumexp(2.0 * log_w) < np.log(least):
         log_w = power * log_w
     return log_w
 
 
 def effective_size(log_w: FloatArray) -> float:
-    """Return the effective number of draws (Kish) with log-weights (n,)."""
+    """Return Kish's effective number of draws with log-weights (n,)."""
     return float(np.exp(2.0 * logsumexp(log_w) - logsumexp(2.0 * log_w)))
 
 
 def resample(rng: np.random.Generator, u: FloatArray, log_w: FloatArray, n: int) -> FloatArray:
-    """Return `n` of the draws u, shape (n, ndim), each chosen with a probability in proportion to its weight."""
+    """Return `n` draws, shape (n, ndim), resampled from `u` with probabilities in proportion to the weights."""
     return np.asarray(u[rng.choice(len(u), n, p=np.exp(log_w - logsumexp(log_w)))])

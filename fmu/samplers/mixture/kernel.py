@@ -1,4 +1,4 @@
-"""Steps between independent candidates of a mixture, evaluated in blocks, and local steps of another kernel."""
+"""The kernel of the mixture sampler: independent candidates, evaluated in blocks, and steps of a local kernel."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from fmu.samplers.mixture.proposal import Mixture
 from fmu.types import AnyArray, FloatArray
 
 BLOCK = 25
-"""Candidates of a chain that are evaluated in one batch: they do not depend on where the chain is."""
+"""Number of candidates per chain in one batch: candidates do not depend on the position of the chain."""
 LOG_WEIGHT, CANDIDATE = "log_weight", "candidate_log_weight"
-"""Statistics of a run: log P − log q after each step, and at its candidate (NaN if it has none)."""
+"""Names of statistics of a run: log P − log q after each step, and at the candidate of the step (NaN if none)."""
 _FAR = 50.0
 _OF_BLOCK = ("position", "log_prob", "log_weight")
 _LOCAL, _OF_CONSECUTIVE_STEPS = "local_", "energy"
@@ -23,27 +23,32 @@ _LOCAL, _OF_CONSECUTIVE_STEPS = "local_", "energy"
 
 @dataclass(frozen=True)
 class MixtureKernel:
-    """Local steps and steps to candidates of a mixture, in turn, bound to a density.
+    """Kernel that takes local steps and jumps to candidates of a mixture in turn, bound to a density.
 
-    A candidate is accepted with probability min(1, w*/w), with the weights w = P/q of candidate and position. The
-    extra arrays of its State are the number of steps taken, ``step`` (); the block of candidates,
-    ``block_position`` (BLOCK, chains, ndim), ``block_log_prob`` and ``block_log_weight`` (BLOCK, chains), with the
-    number of the next one, ``next`` (); ``log_weight`` (chains,) of the positions; ``fit`` (), the fit of the
-    mixture that block and weights belong to; and the statistics of the last local step, ``local_...``.
+    A candidate of weight w* = P/q is accepted with probability min(1, w*/w), with the weight w of the position.
+    The extra arrays of its State are:
+
+    - ``step`` (): the number of steps taken;
+    - ``block_position`` (BLOCK, chains, ndim), ``block_log_prob`` and ``block_log_weight`` (BLOCK, chains): the
+      block of candidates;
+    - ``next`` (): the index of the next candidate in the block;
+    - ``log_weight`` (chains,): log w at the positions;
+    - ``fit`` (): the number of the fit of the mixture that block and weights belong to;
+    - ``local_...``: the statistics of the last local step.
 
     Attributes
     ----------
     proposal : Mixture, CurvedMixture or None
-        None before the first fit: every step is then a local one.
+        None before the first fit: every step is then a local step.
     local : LocalKernel
     local_steps, jumps : int
-        So many local steps, then so many jumps.
+        Numbers of local steps and of jumps, which are taken in turn.
     fit : int
-        Number of the fit of the mixture; candidates and weights of an earlier one are not used.
+        Number of the fit of the mixture; candidates and weights of an earlier fit are not used.
     gathers : bool
-        Whether a chain far below all candidates, `_FAR` and one per coordinate, takes the next one whatever the
-        weights, which are infinite for it. For warm-up only: where a chain began so far out that no local step
-        succeeds, it would stay for ever.
+        Whether a chain with a log-density below the candidates' median, by more than `_FAR` plus one per
+        coordinate, accepts every candidate above the median. For warm-up only: a chain that starts so far out that
+        no local step succeeds would never move, as its weight is infinite.
     """
 
     target: Target
@@ -55,7 +60,7 @@ class MixtureKernel:
     gathers: bool = False
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Evaluate the start as the local kernel does."""
+        """Evaluate the starting positions with the local kernel; return the state, and an `Info` with the cost."""
         state, info = self.local.init(positions)
         chains, ndim = positions.shape
         extra = {
@@ -70,7 +75,7 @@ class MixtureKernel:
         return replace(state, extra=extra), info
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Take a local step, or one to a candidate."""
+        """Take a local step or a jump, depending on the number of steps taken."""
         number = int(state.extra["step"])
         state = replace(state, extra={**state.extra, "step": np.array(number + 1)})
         if self.proposal is None or number % (self.local_steps + self.jumps) < self.local_steps:
@@ -81,7 +86,7 @@ class MixtureKernel:
         start, cost = self.local.target.complete(State(state.position, state.log_prob, state.gradient))
         end, info = self.local.step(rng, start)
         n_solves, n_gradients = info.n_solves, info.n_gradients
-        if cost is not None:  # a jump has left the gradient behind
+        if cost is not None:  # the state has no gradient after a jump
             n_solves, n_gradients = n_solves + cost.n_solves, n_gradients + cost.n_gradients
         log_weight = state.extra[LOG_WEIGHT]
         if self.proposal is not None:
@@ -144,5 +149,5 @@ class MixtureKernel:
 
 
 def _nothing(value: AnyArray) -> AnyArray:
-    """Return the value of a statistic of local steps at a jump: NaN, or zero if it is a count, or False."""
+    """Return the value that a statistic of local steps has at a jump: NaN for floats, 0 for counts, else False."""
     return np.full_like(value, np.nan if value.dtype.kind == "f" else 0)

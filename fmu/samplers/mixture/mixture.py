@@ -25,47 +25,48 @@ from fmu.samplers.slice import Slice
 from fmu.types import FloatArray, LogDensity
 
 _JUMPS, _JUMPS_IF_GOOD = 39, 79
-"""Candidates between local steps. These take some ten evaluations each: a fifth of all, or a tenth."""
+"""Numbers of candidates per local step. A local step takes about ten evaluations: a fifth of all, or a tenth."""
 
 
 @check_arguments
 @dataclass(frozen=True)
 class MixtureSampler(Sampler):
-    """Independence Metropolis-Hastings with a mixture of truncated Gaussians, and local steps between.
+    """Independence Metropolis-Hastings with a mixture of truncated Gaussians, and local steps in between.
 
     The log-density of a well-measured structure is nearly quadratic within its bounds. Each component is a
     quadratic fitted to the log-density, truncated by the bounds and drawn from with its exact density; a candidate
     is accepted with probability min(1, w*/w), where w = P/q. Candidates do not depend on the position, so that
-    chains cross between separated maxima in one step. A share of local steps visits what the mixture misses. The
-    mixture is fitted in warm-up and then frozen.
+    chains cross between separated maxima in one step. A share of local steps reaches regions that the mixture
+    misses. The mixture is fitted in warm-up and then frozen.
 
     Parameters
     ----------
     components : sequence of Quadratic, or CurvedMixture, optional
-        Where the fit begins, in scaled units, such as the maxima of the posterior with their curvature, which
-        `fmu.sample` gives. Without them, local steps find them in the first half of the warm-up, or less. Where
-        the density turns out to be bent, hollow or infinite at a wall, warm-up learns a `CurvedMixture`.
+        Components from which the fit begins, in scaled units, such as the maxima of the posterior with their
+        curvature, which `fmu.sample` passes. If they are not given, the first components are fitted to the draws
+        of local steps, which take the first half of the warm-up or less. Where the density turns out to be bent,
+        hollow or infinite at a wall, warm-up learns a `CurvedMixture`.
     weights : vector, optional
-        Their weights; equal if not given.
+        Weights of the components; equal if not given.
     bent : vector of bool, optional
-        The coordinates of which the components take log(1 + 10 (u − lower)) instead of u, see `Warp`; learnt if
-        not given.
+        Mask of the coordinates that the components use as log(1 + 10 (u − lower)) instead of u, see `Warp`; learnt
+        if not given.
     wide : float, optional
-        Part of every component's weight that its wider copies have, so that w stays bounded. If not given, warm-up
-        chooses: 0.05 where the effective share of the candidates is at least 0.9, else 0.1.
+        Share of every component's weight that its wider copies have, so that w stays bounded. If it is not given,
+        warm-up chooses 0.05 where the effective share of the candidates is at least 0.9, else 0.1.
     local : LocalSampler, optional
-        The local steps: HMC if the density has exact gradients, otherwise slice sampling.
+        Settings of the local steps; by default HMC if the density has exact gradients, otherwise slice sampling.
     local_steps, jumps : int
-        So many local steps, then so many candidates of the mixture; 39 if not given, and 79 where `wide` is below
-        0.1. Where at least every other step is one of `local`, it is that sampler with jumps, and has its name:
-        `with_jumps`.
+        Numbers of local steps and of candidates of the mixture, which are taken in turn. If `jumps` is not given,
+        it is 39, or 79 where `wide` is below 0.1. If `local` is given and at least half of the steps are local,
+        the sampler is called by the name of `local`, see `with_jumps`.
     adapt : bool
         Whether warm-up fits the mixture.
 
     Raises
     ------
     ValueError
-        If a setting is out of range, or without components nothing is to be learnt.
+        If a setting is out of range, or `adapt` is False and there are no components.
 
     References
     ----------
@@ -90,12 +91,12 @@ class MixtureSampler(Sampler):
 
     @property
     def gradient(self) -> str:
-        """How local steps that were chosen get gradients."""
+        """Source of the gradients of `local`; "" if `local` is not given."""
         return "" if self.local is None else self.local.gradient
 
     @property
     def takes_gradients(self) -> bool:
-        """Candidates have no gradients."""
+        """Whether each evaluation includes the gradient: False, as candidates have no gradients."""
         return False
 
     def __post_init__(self) -> None:
@@ -126,7 +127,7 @@ class MixtureSampler(Sampler):
             object.__setattr__(self, "bent", tuple(bool(one) for one in self.bent))
 
     def starting_from(self, components: Sequence[Quadratic], weights: FloatArray) -> Self:
-        """Return these settings with components to begin with, unless they have some."""
+        """Return the settings with components from which the fit begins, unless `components` is given."""
         if self.components is not None:
             return self
         return replace(self, components=tuple(components), weights=tuple(np.asarray(weights).tolist()))
@@ -139,21 +140,21 @@ class MixtureSampler(Sampler):
         return MixtureKernel(Target(density), mixture, local, self.local_steps, jumps)
 
     def jumps_with(self, wide: float) -> int:
-        """Return the candidates between local steps, of a mixture whose wider copies have a share `wide`."""
+        """Return the number of candidates between local steps if the wider copies have the share `wide`."""
         if self.jumps is not None:
             return self.jumps
         return _JUMPS if wide >= WIDE else _JUMPS_IF_GOOD
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> MixtureTuner | None:
-        """Return a tuner that fits the mixture in `steps` warm-up steps; None if it is not to be fitted."""
+        """Return a tuner that fits the mixture in `steps` warm-up steps; None if `adapt` is False."""
         return MixtureTuner(self, density, chains, steps) if self.adapt else None
 
     def mixture(self, density: LogDensity) -> Mixture | CurvedMixture | None:
-        """Return the mixture that the components make; None if there are none."""
+        """Return the mixture of the components; None if there are no components."""
         if self.components is None or isinstance(self.components, CurvedMixture):
             return self.components
         warp, wide = first_warp(density), WIDE if self.wide is None else self.wide
-        if self.bent is not None:  # components that were fitted are in the coordinates of the warp
+        if self.bent is not None:  # fitted components are in the coordinates of the warp
             warp = replace(warp, bent=np.array(self.bent))
             return Mixture(self.components, np.asarray(self.weights), warp, wide)
         components = [warp.quadratic(one) for one in self.components]
@@ -167,14 +168,15 @@ class MixtureSampler(Sampler):
 
 
 def with_jumps(sampler: Any) -> MixtureSampler:
-    """Return a sampler whose every other step is a candidate of a mixture: its chains cross between maxima.
+    """Return a sampler whose every other step is a candidate of a mixture, so that chains cross between maxima.
 
-    ValueError if its steps are not local ones. With a candidate in every tenth step of Metropolis-Hastings, 4000
-    draws of cantilever-section by number are worth 400 independent ones, and R-hat is 1.011 to 1.021; with one in
-    every other step they are worth 1600, and R-hat is below 1.005.
+    Raise ValueError if `sampler` is not a local sampler. With a candidate in every tenth step of
+    Metropolis-Hastings, 4000 draws of cantilever-section paired by number are worth 400 independent draws, and
+    R-hat is 1.011 to 1.021. With a candidate in every other step, the 4000 draws are worth 1600, and R-hat is
+    below 1.005.
 
-    Moves between modes and local ones in turn: Tjelmeland & Hegstad (2001), Scand. J. Stat. 28, 205-223; Ahn, Chen
-    & Welling (2013), AISTATS 31, 108-116; Pompe, Holmes & Łatuszyński (2020), Ann. Statist. 48, 2930-2952.
+    Moves between modes and local moves in turn: Tjelmeland & Hegstad (2001), Scand. J. Stat. 28, 205-223; Ahn,
+    Chen & Welling (2013), AISTATS 31, 108-116; Pompe, Holmes & Łatuszyński (2020), Ann. Statist. 48, 2930-2952.
     """
     if not sampler.is_local:
         known = ", ".join(local_samplers())

@@ -1,4 +1,4 @@
-"""The mixture's proposal as a move of emcee, for anybody's ``EnsembleSampler``."""
+"""A move for any emcee ``EnsembleSampler`` that proposes candidates from a mixture of Gaussians."""
 
 from __future__ import annotations
 
@@ -20,42 +20,42 @@ from fmu.samplers.mixture.warp import Warp
 from fmu.types import BoolArray, FloatArray
 
 _FIRST_FIT = 10
-"""Steps after which warm-up fits the mixture for the first time; then after twice as many, again and again."""
+"""Number of steps after which warm-up first fits the mixture; it fits again each time the number has doubled."""
 _MOST_POINTS = 4000
 _FAR = 10.0
-"""Walkers with a log-probability further below the median, plus one per coordinate, are on the way."""
+"""Walkers whose log-probability is this far below the median, plus one per coordinate, are not used in a fit."""
 
 
 @check_arguments
 class MixtureMove(Move):
-    """Independent candidates from a mixture of truncated Gaussians that is fitted to the walkers.
+    """Move of emcee with independent candidates from a mixture of truncated Gaussians fitted to the walkers.
 
     As in other moves of emcee, the walkers are divided at random into two halves that are moved in turn. The
-    mixture for one half is fitted to the positions and log-probabilities of the other half alone. Given that half
-    it is fixed, and a walker x moves to its candidate x* with probability min(1, P(x*) q(x)/(P(x) q(x*))): this
-    leaves the posterior invariant in every step, without any warm-up.
+    mixture q for one half is fitted to the positions and log-probabilities of the other half alone. Given the
+    other half, q is fixed, and a walker x moves to its candidate x* with probability
+    min(1, P(x*) q(x)/(P(x) q(x*))). This leaves the posterior invariant in every step, without any warm-up.
 
     ``run_mcmc(..., tune=True)`` is a warm-up that fits the mixture to all walkers, after 10, 20, 40, ... steps,
-    each time to the later half of these; its draws are to be discarded. After it the mixture is frozen, which
-    leaves the posterior invariant, too. It is better, as it is fitted to more points, and needs no fit in every
-    step.
+    each time to the later half of these steps. The draws of the warm-up are to be discarded. Afterwards the
+    mixture is frozen, which leaves the posterior invariant, too. The frozen mixture is better, as it is fitted to
+    more points, and it saves the fit in every step.
 
-    A candidate does not depend on the position of its walker. Hence walkers cross between separate modes, but one
-    where the mixture has far too little density may stay for long. A share of another move mends that:
-    ``moves=[(fmu.MixtureMove(problem), 0.8), (emcee.moves.DEMove(), 0.2)]``.
+    A candidate does not depend on the position of its walker. Hence walkers cross between separate modes, but a
+    walker where the density of the mixture is far too low may stay there for long. Adding another move avoids
+    this: ``moves=[(fmu.MixtureMove(problem), 0.8), (emcee.moves.DEMove(), 0.2)]``.
 
     Parameters
     ----------
     density : LogDensity, optional
-        Gives the bounds: anything with ``lower`` and ``upper``, shape (ndim,), such as an `UpdatingProblem`.
+        Object that gives the bounds ``lower`` and ``upper``, shape (ndim,), such as an `UpdatingProblem`.
     lower, upper : array_like, shape (ndim,), optional
-        The bounds where there is no such object. Without any, candidates may lie where the log-probability is
-        -inf.
+        The bounds, which replace those of `density`. Without bounds, candidates may lie where the log-probability
+        is -inf.
 
     Raises
     ------
     ValueError
-        If the bounds differ in shape, or enclose nothing.
+        If `density` has no bounds, or the bounds differ in shape, or a lower bound is not below its upper bound.
 
     References
     ----------
@@ -81,7 +81,7 @@ class MixtureMove(Move):
         self._otherwise = StretchMove()
 
     def propose(self, model: Model, state: State) -> tuple[State, BoolArray]:
-        """Move every walker once; return emcee's state, and which walkers were moved, shape (walkers,)."""
+        """Move every walker once; return emcee's state, and a mask of the walkers that moved, shape (walkers,)."""
         n = len(state.coords)
         half = np.arange(n) % 2
         model.random.shuffle(half)
@@ -90,7 +90,7 @@ class MixtureMove(Move):
             s, log_prob = state.coords[moved], state.log_prob[moved]
             q, factor = self.candidates(s, state.coords[~moved], state.log_prob[~moved], model.random)
             reached, blobs = model.compute_log_prob_fn(q)
-            with np.errstate(invalid="ignore"):  # a walker may have started where it is -inf
+            with np.errstate(invalid="ignore"):  # a walker may have started at log-probability -inf
                 gain = np.where(np.isfinite(reached), reached - log_prob + factor, -np.inf)
             accepted[moved] = accept(model.random, gain)
             state = self.update(state, State(q, log_prob=reached, blobs=blobs), accepted, moved)
@@ -99,14 +99,14 @@ class MixtureMove(Move):
     def candidates(
         self, s: FloatArray, c: FloatArray, log_prob: FloatArray, random: np.random.RandomState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return candidates for walkers, and the logarithms of the factors of their acceptance, q(x)/q(x*).
+        """Return candidates x* for the walkers x, and the logarithms of the acceptance factors q(x)/q(x*).
 
         Parameters
         ----------
         s, c : ndarray, shape (n, ndim), (m, ndim)
-            The walkers to be moved, and the others.
+            Positions of the walkers to be moved, and of the other walkers.
         log_prob : ndarray, shape (m,)
-            Of the others.
+            Log-probabilities of the other walkers.
         random : RandomState
 
         Returns
@@ -115,7 +115,7 @@ class MixtureMove(Move):
         factor : ndarray, shape (n,)
         """
         proposal = self.frozen or Proposal.fit_points(c, log_prob, self.lower, self.upper)
-        if proposal is None:  # the other half spans no ellipsoid
+        if proposal is None:  # the other half does not span the space
             found: tuple[FloatArray, FloatArray] = self._otherwise.get_proposal(s, [c], random)
             return found
         rng = np.random.default_rng(random.randint(2**32, size=8, dtype=np.uint32))
@@ -123,7 +123,7 @@ class MixtureMove(Move):
         return q, proposal.log_density(s) - proposal.log_density(q)
 
     def tune(self, state: State, accepted: BoolArray) -> None:
-        """Learn from the step that was just made; emcee calls this where ``tune=True``."""
+        """Learn from the step that was just made; emcee calls this method if ``tune=True``."""
         self._seen.append((state.coords.copy(), state.log_prob.copy()))
         steps = len(self._seen)
         doublings = np.log2(steps / _FIRST_FIT)
@@ -137,7 +137,7 @@ class MixtureMove(Move):
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """A mixture in coordinates u = (theta − offset)/scale of order one.
+    """A mixture in the coordinates u = (theta − offset)/scale, which are of order one.
 
     Attributes
     ----------
@@ -153,9 +153,10 @@ class Proposal:
     def fit_points(
         cls, position: FloatArray, log_prob: FloatArray, lower: FloatArray, upper: FloatArray
     ) -> Proposal | None:
-        """Return the mixture that fits the log-density at points, None where they are too few or lie in a plane.
+        """Return the proposal fitted to points with log-densities; None if these are too few or lie in a plane.
 
-        Coordinates between two bounds are scaled by these, others by the points' standard deviation.
+        Coordinates with two finite bounds are scaled by the distance between the bounds, other coordinates by the
+        points' standard deviation.
         """
         ndim = position.shape[1]
         near = np.isfinite(log_prob)
@@ -183,7 +184,7 @@ class Proposal:
         return self.offset + self.scale * self.mixture.draw(rng, n)
 
     def log_density(self, theta: FloatArray) -> FloatArray:
-        """Return the logarithm of the density at points (n, ndim) up to a constant, shape (n,); -inf outside."""
+        """Return the log-density at points (n, ndim) up to a constant, shape (n,); -inf outside the bounds."""
         u, warp = (theta - self.offset) / self.scale, self.mixture.warp
         inside, _ = find_inside(u, warp.lower, warp.upper)
         found = np.full(len(u), -np.inf)

@@ -22,20 +22,20 @@ from fmu.samplers.mixture.warp import Warp
 from fmu.types import FloatArray
 
 MOST = 8
-"""Components of a mixture."""
+"""Largest number of components of a mixture."""
 GOOD, POOR = 0.9, 0.6
-"""Effective share of the draws above which a component is not split, and below which moments are tried."""
+"""Effective share of the draws above which no component is split, and below which fits of moments are tried."""
 WIDE, LESS_WIDE = 0.1, 0.05
-"""Part of a component's weight that its wider copies have, so that weights P/q stay bounded: usually, and in draws
-from a `GOOD` mixture. Hesterberg (1995), Technometrics 37, 185-194."""
+"""Share of a component's weight that its wider copies have, so that weights P/q stay bounded: usually, and in
+draws from a `GOOD` mixture. Hesterberg (1995), Technometrics 37, 185-194."""
 _POINTS = 3
-"""Points per coefficient of a quadratic, of all that a component is fitted to."""
+"""Number of points per coefficient that the fit of a quadratic needs."""
 _LEAST = 1e-3
-"""Share of the probability below which a component with too few points is left out."""
+"""Share of the probability below which a component with too few points is dropped."""
 _SURE = 6.0
-"""Effective points per coefficient from which on a fit need not be tried on points that it was not made of."""
+"""Effective points per coefficient from which on a fit needs no validation on points not used in the fit."""
 _MILDER = 0.7
-"""Power of weights of which a few have nearly all."""
+"""Exponent applied to weights if a few points have nearly all the weight."""
 _SWEEPS = 3
 _GAIN = 0.02
 _STRAIGHTER = 0.7
@@ -48,12 +48,12 @@ class Mixture:
     Parameters
     ----------
     quadratics : sequence of Quadratic
-        The components, in the coordinates of `warp`: the log-density to second order, each around its own point.
+        The log-densities of the components, in the coordinates of `warp`.
     weights : array_like, shape (components,)
-        Positive; they are normalised.
+        Positive weights, which are normalised here.
     warp : Warp
     wide : float
-        Part of every component's weight that its wider copies have.
+        Share of every component's weight that its wider copies have.
     """
 
     def __init__(
@@ -83,25 +83,25 @@ class Mixture:
         return cls(quadratics, arrays["weights"], warp, float(arrays["wide"]))
 
     def arrays(self) -> dict[str, FloatArray]:
-        """Return the mixture as arrays, with a row per component; NaN for a covariance that it has not."""
+        """Return a dict of arrays with one row per component; the covariance is NaN if there is none."""
         found = {name: np.array([vars(q)[name] for q in self.quadratics]) for name in _FIELDS}
         none = np.full(self.quadratics[0].hessian.shape, np.nan)
         found["covariance"] = np.array([none if q.covariance is None else q.covariance for q in self.quadratics])
-        # normalised a second time, the weights would differ in their last bits
+        # weights normalised a second time would differ in their last bits
         return found | {"weights": self._given, "bent": self.warp.bent.astype(float), "wide": np.array(self.wide)}
 
     def settings(self) -> Tree:
-        """Return the settings of a `MixtureSampler` that make this mixture, by name."""
+        """Return a dict of the settings of a `MixtureSampler` with this mixture."""
         weights, bent = tuple(self.weights.tolist()), tuple(self.warp.bent.tolist())
         return {"components": self.quadratics, "weights": weights, "bent": bent, "wide": self.wide}
 
     @property
     def gaussians(self) -> Mixture:
-        """The mixture itself, which further fits improve."""
+        """The mixture itself, as further fits can improve a mixture of Gaussians."""
         return self
 
     def with_wide(self, wide: float) -> Mixture:
-        """Return the mixture with another share of the wider copies."""
+        """Return the mixture with the share `wide` of the wider copies."""
         return Mixture(self.quadratics, self._given, self.warp, wide)
 
     def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
@@ -113,7 +113,7 @@ class Mixture:
         return self.warp.to_u(x)
 
     def covariance_within(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Return the mean covariance of the components, (ndim, ndim), from `n` draws of each."""
+        """Return the weighted mean of the components' covariances, (ndim, ndim), from `n` draws of each."""
         ndim = len(self.warp.lower)
         total = 1e-12 * np.eye(ndim)
         for k, weight in enumerate(self.weights):
@@ -122,7 +122,7 @@ class Mixture:
         return total
 
     def log_density(self, u: FloatArray) -> FloatArray:
-        """Return the logarithm of the normalised density at points u (n, ndim) of the box, shape (n,)."""
+        """Return the normalised log-density at points u (n, ndim) inside the box, shape (n,)."""
         return np.asarray(logsumexp(self._by_part(self.warp.to_x(u)), axis=0)) - self.warp.log_stretch(u)
 
     def responsibilities(self, u: FloatArray) -> FloatArray:
@@ -144,9 +144,9 @@ class Points:
     ----------
     position : ndarray, shape (n, ndim)
     log_prob, weight : ndarray, shape (n,)
-        Finite log-densities; weights by which the points represent the density.
+        Finite log-densities, and weights with which the points represent the density.
     gradient : ndarray, shape (n, ndim), optional
-        Of the log-density.
+        Gradients of the log-density.
     """
 
     position: FloatArray
@@ -156,10 +156,10 @@ class Points:
 
     @classmethod
     def weigh_draws(cls, position: FloatArray, log_prob: FloatArray, log_density: FloatArray) -> Points:
-        """Return draws from a distribution of density q with weights P/q, the largest cut.
+        """Return draws from a density q as points with weights P/q, of which the largest are truncated.
 
-        Where a few draws have nearly all the weight, the weights are evened out by an exponent below 1: what is
-        fitted then is wider than P, and the next draws come nearer.
+        Where a few draws have nearly all the weight, the weights are raised to a power below 1: the fit is then
+        wider than P, and the next draws represent P better.
         """
         log_w = log_prob - log_density
         ok = np.isfinite(log_w)
@@ -173,21 +173,21 @@ class Points:
         return float(_effective_size(self.weight))
 
     def every_other(self, first: int) -> Points:
-        """Return every other point."""
+        """Return every other point, from index `first` on."""
         half = slice(first, None, 2)
         gradient = None if self.gradient is None else self.gradient[half]
         return Points(self.position[half], self.log_prob[half], self.weight[half], gradient)
 
     def under(self, warp: Warp) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-        """Return x of the points, and the log-density of x there with its gradient, if that is known."""
+        """Return the points in the coordinates x of `warp`, with the log-densities of x and gradients or None."""
         log_prob = self.log_prob + warp.log_stretch(self.position)
         slope = None if self.gradient is None else self.gradient * warp.stretch(self.position) + warp.bent
         return warp.to_x(self.position), log_prob, slope
 
     def effective_share(self, log_density: FloatArray) -> float:
-        """Return the Kish effective size of draws from a distribution of density q, per draw, for these points.
+        """Return the Kish effective size per draw of draws from a density q, estimated from these points.
 
-        With r = log P − log q it is 1/(E[eʳ] E[e⁻ʳ]), expectations over P.
+        With r = log P − log q the effective size per draw is 1/(E[eʳ] E[e⁻ʳ]), with expectations over P.
         """
         r = self.log_prob - log_density
         w = np.log(np.maximum(self.weight, 1e-300) / self.weight.sum())
@@ -195,19 +195,19 @@ class Points:
 
 
 def fit_mixture(points: Points, start: Mixture) -> Mixture:
-    """Return the mixture that fits a log-density, from one that is near it.
+    """Return the mixture fitted to a log-density, starting from a mixture close to the log-density.
 
-    Coordinates are bent where the log-density is then closer to a quadratic. Each component's quadratic is fitted
-    to the points in proportion to its responsibility for them, and its weight is that responsibility (one step of
-    expectation and maximisation, a few times). A component that has too few points, such as a maximum of a few
-    percent of the probability, stays as it is. A component is split as long as the mixture is expected to be poor
-    and the points allow it. Where that does not help, as along a bent ridge, components take the mean and the
-    covariance of their points instead.
+    Coordinates are bent where this brings the log-density closer to a quadratic. Each component's quadratic is
+    fitted to the points in proportion to the component's responsibility for the points, and the component's weight
+    is the sum of these responsibilities (a few steps of expectation and maximisation). A component that has too
+    few points, such as a maximum with a few percent of the probability, stays unchanged. Components are split as
+    long as the mixture is expected to be less than good and there are enough points. Where this does not help, as
+    along a bent ridge, components take the mean and the covariance of their points instead.
     """
     responsibility = start.responsibilities(points.position)
     warp = _choose_warp(points, responsibility, start.warp)
     before: Sequence[Quadratic] = start.quadratics
-    if not np.array_equal(warp.bent, start.warp.bent):  # components are in the coordinates of the warp
+    if not np.array_equal(warp.bent, start.warp.bent):  # components use the coordinates of the warp
         before = [warp.quadratic(start.warp.straighten(one)) for one in before]
     best, share = _settle_components(points, responsibility, warp, before)
     while share < GOOD and len(best.quadratics) < MOST:
@@ -233,10 +233,10 @@ def _effective_size(weight: FloatArray) -> FloatArray:
 
 
 def refit_mixture(points: Points, start: Mixture) -> Mixture:
-    """Return the mixture that fits a log-density, or `start` where the points are few and say that it is better.
+    """Return the mixture fitted to a log-density, or `start` if few points show no gain in cross-validation.
 
-    A quadratic through hardly more points than it has coefficients can be far off elsewhere. A fit to half of so
-    few points must therefore suit the other half better than `start` does.
+    A quadratic fitted to hardly more points than coefficients can be far off elsewhere. If there are so few
+    points, a fit to half of the points must therefore suit the other half better than `start` does.
     """
     n = n_coefficients(points.position.shape[1])
     if points.effective_size < _SURE * n and _gain_elsewhere(points, start) <= 0.0:
@@ -246,7 +246,7 @@ def refit_mixture(points: Points, start: Mixture) -> Mixture:
 
 
 def _gain_elsewhere(points: Points, start: Mixture) -> float:
-    """Return how much larger the effective share of a fit to half of the points is, on the other half."""
+    """Return the gain in effective share over `start`, on half of the points, of a fit to the other half."""
     halves = points.every_other(0), points.every_other(1)
     gain = 0.0
     for one, other in (halves, halves[::-1]):
@@ -256,7 +256,7 @@ def _gain_elsewhere(points: Points, start: Mixture) -> float:
 
 
 def _choose_warp(points: Points, responsibility: FloatArray, warp: Warp) -> Warp:
-    """Return the warp with every coordinate bent or straight, whichever is closer to a quadratic log-density."""
+    """Return the warp with each coordinate bent or not, whichever brings the log-density closer to a quadratic."""
     weights = responsibility * points.weight
     weights = weights[_effective_size(weights) > len(warp.lower) + 1]
     if len(points.log_prob) < _POINTS * n_coefficients(len(warp.lower)):
@@ -275,7 +275,7 @@ def _choose_warp(points: Points, responsibility: FloatArray, warp: Warp) -> Warp
 def _measure_misfit(
     x: FloatArray, value: FloatArray, slope: FloatArray | None, weights: Iterable[FloatArray]
 ) -> float:
-    """Return the sum of squares that quadratics, one for each of the `weights`, leave of a log-density."""
+    """Return the weighted sum of squared residuals of a log-density from quadratics, one for each of `weights`."""
     total = 0.0
     for w in weights:
         if w.sum() > 0:
@@ -294,7 +294,7 @@ def _settle_components(
 ) -> tuple[Mixture, float]:
     """Return the best mixture of a few sweeps from responsibilities (components, n), and its effective share.
 
-    A component with too few points is what it was `before`, or left out.
+    A component with too few points stays as in `before`, or is dropped.
     """
     found: tuple[Mixture, float] | None = None
     x, value, slope = points.under(warp)
@@ -303,7 +303,7 @@ def _settle_components(
         weight = responsibility * points.weight
         size = _effective_size(weight)
         before = before or [None] * len(weight)
-        spanning = (size > x.shape[1] + 1) | [one is None for one in before]  # fewer points span no ellipsoid
+        spanning = (size > x.shape[1] + 1) | [one is None for one in before]  # else singular covariance
         enough = spanning & (size >= min(needed, 0.5 * size.max()))
         quadratics, shares = list[Quadratic](), list[float]()
         for w, is_enough, one in zip(weight, enough, before, strict=True):
@@ -326,7 +326,7 @@ def _settle_components(
 
 
 def _halve_points(points: Points, warp: Warp) -> list[FloatArray]:
-    """Return responsibilities of 2, 4 and 8 groups: the points halved again and again along the longest axis."""
+    """Return a list of responsibilities of 2, 4 and 8 groups, from halving groups across their longest axes."""
     x, found = warp.to_x(points.position), list[FloatArray]()
     groups = [np.ones(len(points.weight), dtype=bool)]
     needed = 2 * _POINTS * x.shape[1]
@@ -346,10 +346,10 @@ def _halve_points(points: Points, warp: Warp) -> list[FloatArray]:
 
 
 def _split_component(points: Points, mixture: Mixture) -> tuple[FloatArray, list[Quadratic | None]] | None:
-    """Return responsibilities in which the component that fits worst is cut in two; None if it has too few points.
+    """Return responsibilities with the worst component cut in two, and the list of components.
 
-    It is cut across the principal axis where two quadratics leave least unexplained. Beside them, the other
-    components, and None for both halves.
+    The component is cut across the principal axis for which two quadratics leave the smallest residuals. In the
+    list of components both halves are None. Return None if the component has too few points.
     """
     responsibility = mixture.responsibilities(points.position)
     r = points.log_prob - mixture.log_density(points.position)
@@ -361,7 +361,7 @@ def _split_component(points: Points, mixture: Mixture) -> tuple[FloatArray, list
         return None
     x, value, slope = points.under(mixture.warp)
     z, _, L = standardise(x, w)
-    _, _, axes = np.linalg.svd(L)  # L = U S Vᵀ: along the columns of V in z lie the principal axes in x
+    _, _, axes = np.linalg.svd(L)  # L = U S Vᵀ: the columns of V are the principal axes of x, expressed in z
     best, least = None, np.inf
     for axis in axes:
         side = 1.0 / (1.0 + np.exp(-4.0 * np.clip(z @ axis, -50, 50)))

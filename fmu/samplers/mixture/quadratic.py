@@ -1,4 +1,4 @@
-"""A log-density to second order: around a maximum, or fitted to evaluations of it."""
+"""Quadratic approximations of a log-density: around a maximum, or fitted to evaluations."""
 
 from __future__ import annotations
 
@@ -11,32 +11,32 @@ from fmu.samplers.mixture.truncated_normal import SequentialNormal
 from fmu.types import FloatArray
 
 FLATTEST, STEEPEST = 1e-2, 1e12
-"""Least and largest eigenvalue of a precision, in coordinates of order one."""
+"""Smallest and largest eigenvalue of a precision matrix, in coordinates of order one."""
 _CONDITION = 1e13
 _FLAT = 20.0
 _MOST_WIDENED = 2.5
 _PULL = 1e-3
 _CLIMBS, _LONGEST = 8, 3.0
-"""Most steps of a climb, and the longest along an axis, as a multiple of it."""
+"""Largest number of steps of a climb, and the longest step along an axis, in lengths of the axis."""
 _LEVEL, _CLIFF = 0.1, 50.0
-"""Least curvature of a step, and a gain that is not worth another; no neighbour counts as lower than that."""
+"""Smallest curvature of a step and smallest gain worth a further step; largest drop to a neighbouring point."""
 
 
 @dataclass(frozen=True, eq=False)
 class Quadratic:
-    """log P near a point u₀, to second order: m(u) = log_prob + g·d − dᵀHd/2 with d = u − u₀.
+    """Second-order expansion of log P at a point u₀: m(u) = log_prob + g·d − dᵀHd/2 with d = u − u₀.
 
     At a maximum on a bound g does not vanish: the density falls off exponentially from the wall.
 
     Attributes
     ----------
     position, gradient : ndarray, shape (ndim,)
-        u₀, and g.
+        The point u₀, and the gradient g.
     log_prob : float
     hessian : ndarray, shape (ndim, ndim)
-        H, positive semidefinite.
+        The negative Hessian H, positive semidefinite.
     covariance : ndarray, shape (ndim, ndim), optional
-        Of the points that it was fitted to, whose weighted mean is u₀.
+        If the quadratic was fitted to points: the covariance of the points, whose weighted mean is u₀.
     """
 
     position: FloatArray
@@ -46,22 +46,23 @@ class Quadratic:
     covariance: FloatArray | None = None
 
     def __call__(self, u: FloatArray) -> FloatArray:
-        """Return m at the points u (n, ndim), shape (n,)."""
+        """Return the quadratic m at points u (n, ndim), shape (n,)."""
         d = u - self.position
         return self.log_prob + d @ self.gradient - 0.5 * np.einsum("ni,ij,nj->n", d, self.hessian, d)
 
     def proposal(self, lower: FloatArray, upper: FloatArray, temperature: float = 1.0) -> SequentialNormal:
-        """Return the Gaussian ∝ exp(m/temperature), cut off by the box."""
+        """Return the Gaussian ∝ exp(m/temperature), truncated to the box."""
         precision = definite(self.hessian)
         centre = self.position + np.linalg.solve(precision, self.gradient)
         return SequentialNormal(centre, precision / temperature, lower, upper)
 
     def proposals(self, lower: FloatArray, upper: FloatArray) -> list[SequentialNormal]:
-        """Return the Gaussian ∝ exp(m) cut off by the box, and copies with wider tails.
+        """Return a list of the Gaussian ∝ exp(m) truncated to the box, and of one or two wider copies.
 
-        One is wider along all principal axes. Another has the covariance of the points, where the quadratic was
-        fitted to some, and is far wider along those axes along which the density is hardly narrower than the box
-        or the prior. Each is as much wider as keeps its density in the middle above e^(-5/2) of the Gaussian's.
+        The first copy is wider along all principal axes. The second copy has the covariance of the points, if the
+        quadratic was fitted to points, and is far wider along the axes along which the density is hardly narrower
+        than the box or the prior; without such axes there is no second copy. The widening is limited so that the
+        density at the centre of a copy stays above e^(-5/2) of the Gaussian's density there.
         """
         found = [self.proposal(lower, upper, t) for t in (1.0, _temperature(len(lower)))]
         centre, precision = self.position, definite(self.hessian)
@@ -78,7 +79,7 @@ class Quadratic:
 
 
 def definite(hessian: FloatArray) -> FloatArray:
-    """Return a symmetric matrix with its eigenvalues moved into bounds: it and its inverse are definite."""
+    """Return a symmetric matrix with its eigenvalues clipped, so that it and its inverse are positive definite."""
     values, vectors = np.linalg.eigh(hessian)
     values = np.minimum(values, STEEPEST)
     values = np.maximum(values, max(FLATTEST, values[-1] / _CONDITION))
@@ -90,25 +91,25 @@ def _temperature(ndim: int) -> float:
 
 
 def measure_kurtosis(x: FloatArray, weight: FloatArray) -> float:
-    """Return the kurtosis of points x (n, ndim) with weights (n,), relative to a Gaussian (Mardia 1970)."""
+    """Return the kurtosis of points x (n, ndim) with weights (n,), relative to a Gaussian's (Mardia 1970)."""
     n, z = x.shape[1], standardise(x, weight)[0]
     return float(weight @ np.sum(z**2, axis=1) ** 2 / weight.sum() / (n * (n + 2)))
 
 
 def n_coefficients(ndim: int) -> int:
-    """Return how many numbers a quadratic in `ndim` coordinates has."""
+    """Return the number of coefficients of a quadratic in `ndim` coordinates."""
     return (ndim + 1) * (ndim + 2) // 2
 
 
 def fit_quadratic(
     u: FloatArray, log_prob: FloatArray, weight: FloatArray, slope: FloatArray | None = None
 ) -> Quadratic:
-    """Return the quadratic that fits log-densities and their gradients best, by weighted least squares.
+    """Return the weighted least-squares fit of a quadratic to log-densities and their gradients.
 
-    It is fitted in coordinates in which the weighted points have unit covariance. There, curvatures that the
-    points do not determine are drawn towards those of a Gaussian with their covariance, and the precision is made
-    positive definite: with fewer points than coefficients, or along a coordinate between two close bounds, the
-    points say little of the curvature.
+    The fit uses coordinates in which the weighted points have unit covariance. In these coordinates, curvatures
+    that the points do not determine are drawn towards those of a Gaussian with the covariance of the points, and
+    the precision matrix is made positive definite: with fewer points than coefficients, or along a coordinate
+    between two close bounds, the points hardly determine the curvature.
 
     Parameters
     ----------
@@ -116,7 +117,7 @@ def fit_quadratic(
     log_prob, weight : ndarray, shape (n,)
         Finite log-densities; weights that are not all zero.
     slope : ndarray, shape (n, ndim), optional
-        Gradients of the log-density. In these coordinates they count as much as the log-densities.
+        Gradients of the log-density, which have the same weight as the log-densities in these coordinates.
     """
     z, mean, L = standardise(u, weight)
     c = coefficients(z, log_prob, weight, None if slope is None else slope @ L)[0]
@@ -127,18 +128,18 @@ def fit_quadratic(
 
 
 def climb(log_prob: Callable[[FloatArray], FloatArray], start: FloatArray, like: FloatArray) -> Quadratic:
-    """Climb towards a maximum by differences; return the log-density around the highest point.
+    """Climb towards a maximum by finite differences; return the quadratic around the highest point found.
 
-    Newton steps along axes that are scaled by the curvatures found, 8 at most. They need no gradients, and
-    2 ndim + 1 evaluations each. The quadratic has no curvature between these axes.
+    The climb takes at most 8 Newton steps along axes that are scaled by the curvatures found. Each step takes
+    2 ndim + 1 evaluations and no gradients. The quadratic has no mixed second derivatives along these axes.
 
     Parameters
     ----------
     log_prob : callable
-        Points (n, ndim) to log-densities (n,), which may be -inf.
+        Returns log-densities (n,), which may be -inf, at points (n, ndim).
     start : ndarray, shape (ndim,)
     like : ndarray, shape (ndim, ndim)
-        A precision whose Cholesky factor gives the axes.
+        A precision matrix whose Cholesky factor gives the initial axes.
     """
     x, axes = start, np.linalg.inv(np.linalg.cholesky(definite(like))).T
     top, highest = start, -np.inf
@@ -160,13 +161,13 @@ def climb(log_prob: Callable[[FloatArray], FloatArray], start: FloatArray, like:
 
 
 def of_moments(u: FloatArray, weight: FloatArray) -> Quadratic:
-    """Return the log-density of a Gaussian with the mean and covariance of weighted points (n, ndim)."""
+    """Return the quadratic log-density of a Gaussian with the mean and covariance of weighted points (n, ndim)."""
     _, mean, L = standardise(u, weight)
     return Quadratic(mean, 0.0, np.zeros_like(mean), np.linalg.inv(L @ L.T), L @ L.T)
 
 
 def standardise(u: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return z with u = mean + Lz, in which the weighted points have unit covariance; the mean; and L."""
+    """Return z, the mean and L, where u = mean + Lz and the weighted points z have unit covariance."""
     w = weight / weight.sum()
     mean = w @ u
     covariance = (w * (u - mean).T) @ (u - mean)
@@ -179,10 +180,10 @@ def standardise(u: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArr
 def coefficients(
     z: FloatArray, log_prob: FloatArray, weight: FloatArray, slope: FloatArray | None = None
 ) -> tuple[FloatArray, float]:
-    """Return the coefficients of the quadratic in standardised z, and the weighted mean square of what is left.
+    """Return the coefficients of the quadratic in standardised z, and the weighted mean square residual.
 
-    What is left is of the log-density alone. Normal equations are accurate enough: z has unit covariance, and
-    `_PULL` bounds their condition by 1/_PULL².
+    The residual is that of the log-density alone. Normal equations are accurate enough: z has unit covariance, and
+    `_PULL` bounds the condition number of the equations by 1/_PULL².
     """
     ndim = z.shape[1]
     i, j = np.triu_indices(ndim)
@@ -199,7 +200,7 @@ def coefficients(
         place[i, j] = place[j, i] = 1 + ndim + np.arange(len(i))
         one_z = np.concatenate([np.ones((len(z), 1)), -z], axis=1)
         of_slopes, right = (one_z.T * w) @ one_z, (one_z.T * w) @ slope
-        for k in range(ndim):  # the derivative by z_k has the coefficients of z_k and of all products with it
+        for k in range(ndim):  # the derivative by z_k has the coefficients of z_k and of its products
             at = np.concatenate([[1 + k], place[k]])
             A[np.ix_(at, at)] += of_slopes
             b[at] += right[:, k]

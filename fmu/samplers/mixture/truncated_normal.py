@@ -1,4 +1,4 @@
-"""Draws from a Gaussian truncated to a box, with their exact density."""
+"""Approximate draws from a Gaussian truncated to a box, with the exact density of the draws."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ from scipy.special import log_ndtr, ndtri_exp
 from fmu.types import FloatArray
 
 _LOG_ROOT_2PI = 0.5 * np.log(2.0 * np.pi)
-_FAR_OUT = 1e7  # standard deviations from which on the logarithm of a normal's mass is mostly rounding
+_FAR_OUT = 1e7  # standard deviations beyond which the log of a normal's mass is mostly rounding error
 
 
 class SequentialNormal:
     """A distribution close to a Gaussian truncated to a box, even if its centre lies far outside the box.
 
     With the covariance C = LLᵀ, u = mean + Lz. Each z_i in turn is drawn from a normal of mean μ_i and variance 1,
-    truncated where u_i leaves the box given those before (Geweke, Hajivassiliou and Keane). The means μ are the
-    minimax tilting of Botev (2017, JRSS B 79, 125-148, section 2.2), which bounds the ratio of the Gaussian to q.
-    The density q(u) of the draws is known for any μ.
+    truncated where u_i leaves the box given the previous z_j (Geweke, Hajivassiliou and Keane). The means μ are
+    the minimax tilting of Botev (2017, JRSS B 79, 125-148, section 2.2), which bounds the ratio of the Gaussian to
+    q. The density q(u) of the draws is known for any μ.
 
-    The coordinate that the box restricts most comes first, given the expected values of those before it (Gibson,
-    Glasbey & Elston 1994; Genz & Bretz 2009, section 4.1.3). The order matters: on the posterior of
-    cantilever-young paired by shape it changes the effective share of the draws from 0.29 to 0.97.
+    The coordinate that the box restricts most comes first; the next is the most restricted coordinate given the
+    expected values of the previous coordinates (Gibson, Glasbey & Elston 1994; Genz & Bretz 2009, section 4.1.3).
+    The order matters: on the posterior of cantilever-young paired by shape it increases the effective share of the
+    draws from 0.29 to 0.97.
 
     Parameters
     ----------
@@ -38,7 +39,7 @@ class SequentialNormal:
         covariance = np.linalg.inv(precision)
         covariance = 0.5 * (covariance + covariance.T)
         is_free = bool(np.isinf(lower).all() and np.isinf(upper).all())
-        if is_free:  # any order is as good, and nothing is to be tilted
+        if is_free:  # the order does not matter, and no tilting is needed
             self.order, expected = np.arange(len(mean)), np.zeros(len(mean))
         else:
             self.order, expected = _order_coordinates(mean, covariance, lower, upper)
@@ -47,7 +48,7 @@ class SequentialNormal:
         self.tilt = expected if is_free else self._minimax(expected)
 
     def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Return `n` draws within the box, shape (n, ndim)."""
+        """Return `n` draws inside the box, shape (n, ndim)."""
         z = np.zeros((n, len(self.mean)))
         for i, tilt in enumerate(self.tilt):
             a, b = self._limits(i, z)
@@ -57,7 +58,7 @@ class SequentialNormal:
         return u
 
     def log_density(self, u: FloatArray) -> FloatArray:
-        """Return log q at points u (n, ndim) of the box, shape (n,)."""
+        """Return the log-density log q at points u (n, ndim) inside the box, shape (n,)."""
         z = np.linalg.solve(self.L, (u[:, self.order] - self.mean).T).T
         log_q = np.full(len(u), -np.sum(np.log(np.diag(self.L))) - len(self.mean) * _LOG_ROOT_2PI)
         for i, tilt in enumerate(self.tilt):
@@ -69,15 +70,15 @@ class SequentialNormal:
         return log_q
 
     def _limits(self, i: int, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return where z_i leaves the box, given the z before it; each of shape (n,), of the first (1,)."""
+        """Return the lower and upper limit of z_i given the previous z_j, each (n,), or (1,) for i = 0."""
         if i == 0:  # the same in every row
             z = z[:1]
-        # a sum in one order, whatever the batch
+        # einsum adds in the same order for every batch size
         centre = self.mean[i] + np.einsum("nj,j->n", z[:, :i], self.L[i, :i])
         return (self.lower[i] - centre) / self.L[i, i], (self.upper[i] - centre) / self.L[i, i]
 
     def _minimax(self, start: FloatArray) -> FloatArray:
-        """Return the tilting μ at the saddle point; zero if the search fails."""
+        """Return the minimax tilting μ, shape (ndim,), from the saddle point; zeros if the search fails."""
         from scipy.optimize import root
 
         n = len(start)
@@ -85,7 +86,7 @@ class SequentialNormal:
         lower, upper = ((limit - self.mean) / np.diag(self.L) for limit in (self.lower, self.upper))
 
         def tilt_coordinates(z: FloatArray) -> tuple[FloatArray, FloatArray]:
-            """Return μ that makes z stationary, and the mean of each truncated normal relative to its μ."""
+            """Return the μ for which z is stationary, and the mean of each truncated normal relative to its μ."""
             before = unit @ z - z
             a, b = lower - before, upper - before
             tilt, excess = np.zeros(n), np.zeros(n)
@@ -101,9 +102,9 @@ class SequentialNormal:
 def _order_coordinates(
     mean: FloatArray, covariance: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> tuple[np.ndarray, FloatArray]:
-    """Return the order of the coordinates, and the expected z of each given those before it."""
+    """Return the order of the coordinates, and the expected z of each given the previous coordinates."""
     left, order, z = list(range(len(mean))), [], np.zeros(len(mean))
-    # C given the coordinates taken so far, and the mean given their expected values: a pivoted Cholesky factor
+    # m and C are conditional on the coordinates taken so far, at expected values: a pivoted Cholesky factorisation
     m, C = mean.copy(), covariance.copy()
     for k in range(len(mean)):
         sd = np.sqrt(np.maximum(np.diag(C)[left], np.finfo(float).tiny))
@@ -119,9 +120,9 @@ def _order_coordinates(
 
 
 def _mean_of_cut_normal(a: float, b: float) -> float:
-    """Return the mean of the standard normal cut to [a, b], (φ(a) − φ(b))/(Φ(b) − Φ(a)); NaN without mass.
+    """Return the mean of the standard normal truncated to [a, b]; NaN if there is no mass between a and b.
 
-    Far out it is the limit at which the density is higher.
+    The mean is (φ(a) − φ(b))/(Φ(b) − Φ(a)). Far out in a tail it is the limit at which the density is higher.
     """
     low, high = (-b, -a) if a > 0 else (a, b)
     if -math.inf < high < -_FAR_OUT:
@@ -135,17 +136,17 @@ def _mean_of_cut_normal(a: float, b: float) -> float:
 
 
 def log_mass(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return log(Φ(b) − Φ(a)) without cancellation in either tail."""
+    """Return log(Φ(b) − Φ(a)), without cancellation in either tail."""
     flip = np.asarray(a) > 0
     a, b = np.where(flip, -np.asarray(b), a), np.where(flip, -np.asarray(a), b)
-    # the limits may be so close, or so far out, that no mass is left between them
+    # the limits may be so close together, or so far out, that there is no mass between them
     with np.errstate(divide="ignore", invalid="ignore"):
         upper = log_ndtr(b)
         return upper + np.log1p(-np.exp(log_ndtr(a) - upper))
 
 
 def _cut_normal(a: FloatArray, b: FloatArray, p: FloatArray) -> FloatArray:
-    """Return the quantiles `p` of the standard normal truncated to [a, b]."""
+    """Return the quantiles of the standard normal truncated to [a, b] at the probabilities `p`."""
     flip = a > 0
     low, high = np.where(flip, -b, a), np.where(flip, -a, b)
     with np.errstate(divide="ignore"):

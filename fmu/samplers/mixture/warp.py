@@ -1,4 +1,4 @@
-"""Coordinates in which skewed log-densities are closer to quadratic."""
+"""Logarithmic coordinates in which skewed log-densities are closer to quadratic."""
 
 from __future__ import annotations
 
@@ -10,22 +10,23 @@ from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.types import BoolArray, FloatArray
 
 _BEND = 0.1
-"""Distance from a bound, scaled, at which log1p turns from linear to logarithmic."""
+"""Distance from a bound, in scaled units, at which log1p turns from linear to logarithmic."""
 
 
 @dataclass(frozen=True, eq=False)
 class Warp:
-    """Coordinates x in which skewed posteriors are closer to Gaussian: log(1 + (u − lower)/s) for some, else u.
+    """Coordinates x in which skewed posteriors are closer to Gaussian: log(1 + (u − lower)/s) where bent, else u.
 
-    Near its lower bound such an x is linear in u, so that a posterior that leans on the bound stays as it is. Far
-    from it x is the logarithm: log-normal posteriors and the tails of inferred deviations become Gaussian.
+    Near the lower bound a bent x is linear in u, so that a posterior at the bound keeps its shape. Far from the
+    bound x is logarithmic in u: log-normal posteriors and the tails of inferred deviations become Gaussian. The
+    length s is `_BEND`.
 
     Attributes
     ----------
     lower, upper : ndarray, shape (ndim,)
         The box of u.
     bent : ndarray of bool, shape (ndim,)
-        The coordinates in which x is not u; they need a finite lower bound.
+        Mask of the bent coordinates, which need a finite lower bound.
     """
 
     lower: FloatArray
@@ -33,18 +34,18 @@ class Warp:
     bent: BoolArray
 
     def to_x(self, u: FloatArray) -> FloatArray:
-        """Return x of u, both of any leading shape."""
-        with np.errstate(invalid="ignore"):  # inf - (-inf), where it is not used
+        """Return the coordinates x of points u, both of shape (..., ndim)."""
+        with np.errstate(invalid="ignore"):  # inf - (-inf) in coordinates that are not bent
             return np.where(self.bent, np.log1p((u - self.lower) / _BEND), u)
 
     def to_u(self, x: FloatArray) -> FloatArray:
-        """Return u of x, within the box."""
+        """Return the points u of coordinates x, clipped to the box, both of shape (..., ndim)."""
         with np.errstate(over="ignore", invalid="ignore"):
             u = np.where(self.bent, self.lower + _BEND * np.expm1(np.where(self.bent, x, 0.0)), x)
         return np.clip(u, self.lower, self.upper)
 
     def stretch(self, u: FloatArray) -> FloatArray:
-        """Return du/dx of every coordinate at points u (..., ndim)."""
+        """Return du/dx of every coordinate at points u, shape (..., ndim)."""
         return np.where(self.bent, _BEND + u - np.where(self.bent, self.lower, 0.0), 1.0)
 
     def log_stretch(self, u: FloatArray) -> FloatArray:
@@ -52,7 +53,7 @@ class Warp:
         return np.asarray(np.sum(np.log(self.stretch(u)), axis=1))
 
     def quadratic(self, of_u: Quadratic) -> Quadratic:
-        """Return the log-density of x to second order, from the log-density of u at the same point."""
+        """Return the second-order log-density of x at the same point, given `of_u` for u."""
         away = self.stretch(of_u.position)
         bent = self.bent.astype(float)
         return Quadratic(
@@ -64,7 +65,7 @@ class Warp:
         )
 
     def straighten(self, of_x: Quadratic) -> Quadratic:
-        """Return the log-density of u to second order, from the log-density of x there: `quadratic` undone."""
+        """Return the second-order log-density of u, given `of_x` for x: the inverse of `quadratic`."""
         u = self.to_u(of_x.position)
         away = self.stretch(u)
         slope = of_x.gradient - self.bent

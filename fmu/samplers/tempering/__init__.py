@@ -1,4 +1,4 @@
-"""Parallel tempering with any of the kernels.
+"""Parallel tempering with any local sampler.
 
 Reading order: tempering, kernel, density.
 """

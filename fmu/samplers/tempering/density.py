@@ -1,4 +1,4 @@
-"""The density prior · likelihood^t of many replicas, each with an inverse temperature t of its own."""
+"""The tempered density prior · likelihood^t of many replicas, each with its own inverse temperature t."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from fmu.types import FloatArray, IntArray, LogDensity
 
 
 class Points(NamedTuple):
-    """Positions with what determines every tempered density there: arrays of one leading shape.
+    """Positions, and the priors and likelihoods that give every tempered density; arrays of one leading shape.
 
     Attributes
     ----------
     position : ndarray, shape (..., ndim)
     log_prior, log_likelihood : ndarray, shape (...)
-        The likelihood is ``-inf`` where it is not finite.
+        The log-likelihood is ``-inf`` where it is not finite.
     prior_gradient, likelihood_gradient : ndarray, shape (..., ndim), or None
-        None where the kernel needs no gradients.
+        None if the kernel needs no gradients.
     """
 
     position: FloatArray
@@ -32,18 +32,18 @@ class Points(NamedTuple):
     likelihood_gradient: FloatArray | None = None
 
     def each(self, change: Callable[..., FloatArray], *others: Points) -> Points:
-        """Return ``change(array, *the others' arrays)`` of every array."""
+        """Return points with `change` applied to each array, together with the same array of all `others`."""
         changed: Any = (None if a is None else change(a, *b) for a, *b in zip(self, *others, strict=True))
         return Points(*changed)
 
     def put(self, where: Index, others: Points) -> None:
-        """Overwrite the points at the index `where`."""
+        """Overwrite the points at the index `where` with `others`."""
         for array, values in zip(self, others, strict=True):
             if array is not None:
                 array[where] = values
 
     def log_prob(self, t: FloatArray) -> FloatArray:
-        """Return log prior + t · log likelihood; at t = 0 the prior, whatever the likelihood."""
+        """Return log prior + t · log likelihood; at t = 0 the log-prior, even where the likelihood is 0."""
         return self.log_prior + np.where(t > 0.0, t, 1.0) * np.where(t > 0.0, self.log_likelihood, 0.0)
 
     def gradient(self, t: FloatArray) -> FloatArray | None:
@@ -54,19 +54,19 @@ class Points(NamedTuple):
 
 
 class PriorAndLikelihood:
-    """A density taken apart, in the coordinates of the samplers.
+    """The prior and the likelihood of a density, in the coordinates of the samplers.
 
     Parameters
     ----------
     density : LogDensity
-        With ``log_prior``, ``log_likelihood`` and ``sample_prior``, and ``log_prior_and_grad`` for gradients; or
-        the scaled view of one.
+        A density with ``log_prior``, ``log_likelihood`` and ``sample_prior``, and ``log_prior_and_grad`` for
+        gradients; or the scaled view of such a density.
     with_gradients : bool
 
     Raises
     ------
     ValueError
-        If the density lacks one of them.
+        If the density lacks one of these methods.
     """
 
     def __init__(self, density: LogDensity, with_gradients: bool) -> None:
@@ -78,10 +78,10 @@ class PriorAndLikelihood:
         if missing:
             lacking = f"got one without {', '.join(missing)}"
             raise ValueError(f"problem: tempering needs a density with {', '.join(needed)} ({lacking})")
-        self.solves_each = Target(density).solves_per_gradient if with_gradients else 1  # of one of `points`
+        self.solves_each = Target(density).solves_per_gradient if with_gradients else 1  # solves per point
 
     def points(self, u: FloatArray) -> Points:
-        """Evaluate prior and likelihood at u, shape (n, ndim), in one batch, and the gradients if need be."""
+        """Return priors and likelihoods at u, shape (n, ndim), and gradients if needed, from one batch."""
         theta = u if self.scaled is None else self.scaled.to_theta(u)
         if not self.with_gradients:
             return Points(u, self.density.log_prior(theta), _replace_failures(self.density.log_likelihood(theta)))
@@ -93,14 +93,14 @@ class PriorAndLikelihood:
         )
 
     def sample_prior(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Draw from the prior, shape (n, ndim)."""
+        """Return `n` draws from the prior, shape (n, ndim)."""
         theta = np.asarray(self.density.sample_prior(rng, n), dtype=float)
         u = theta if self.scaled is None else self.scaled.to_scaled(theta)
         return np.clip(u, self.given.lower, self.given.upper)
 
 
 class TemperedTarget(ExactGradient):
-    """The tempered densities of replicas, for one step of a kernel; it remembers what was evaluated last.
+    """The tempered densities of replicas, for one step of a kernel; remembers each replica's last evaluation.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class TemperedTarget(ExactGradient):
     t : ndarray, shape (replicas,)
         Inverse temperatures, above 0.
     start : Points
-        Where the replicas are, leading shape (replicas,).
+        The replicas before the step, leading shape (replicas,).
     """
 
     def __init__(self, parts: PriorAndLikelihood, t: FloatArray, start: Points) -> None:
@@ -117,21 +117,22 @@ class TemperedTarget(ExactGradient):
         self.last = start.each(np.copy)
 
     def log_prob(self, position: FloatArray, chain: Index) -> FloatArray:
-        """Return the log-densities at points, shape (n, ndim), of the replicas that the index `chain` picks."""
+        """Return the tempered log-densities at `position`, shape (n, ndim), of the replicas of index `chain`."""
         return self._evaluate(position, chain).log_prob(self.t[chain])
 
     def log_prob_and_grad(self, position: FloatArray, chain: Index) -> tuple[FloatArray, FloatArray]:
-        """Return `log_prob` and its gradient."""
+        """Return the tempered log-densities, and their gradients."""
         points, t = self._evaluate(position, chain), self.t[chain]
         gradient = points.gradient(t)
         assert gradient is not None  # the parts were made with gradients
         return points.log_prob(t), gradient
 
     def at(self, position: FloatArray) -> tuple[Points, IntArray]:
-        """Return the evaluations where the replicas have arrived, and the solves that they took.
+        """Return the replicas at their positions after the step, and the number of solves per replica.
 
-        Usually none, as a kernel ends where it was or at the point that it evaluated last. Only if an interval of
-        the coordinate-wise slice is given up does a replica stay where the axis before had brought it.
+        Usually no solves are needed, as a replica ends at its start or at the point that was evaluated last. The
+        exception is the coordinate-wise slice: if an interval is given up, the replica stays at the position
+        reached along the previous axis.
         """
         n_solves = np.zeros(len(position), dtype=np.int64)
         points = self.last.each(np.copy)

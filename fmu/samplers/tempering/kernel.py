@@ -1,4 +1,4 @@
-"""Parallel tempering, one step at a time: draws from the prior, moves at every rung, swaps between rungs."""
+"""The kernel of parallel tempering: draws from the prior, moves at every rung, and swaps between rungs."""
 
 from __future__ import annotations
 
@@ -19,13 +19,18 @@ LOG_LIKELIHOOD = "rung_log_likelihood"
 
 @dataclass(frozen=True)
 class TemperingKernel:
-    """Parallel tempering bound to a density; each rung above the prior has one of the `kernels`.
+    """Parallel-tempering kernel bound to a density; each rung above the prior has one of the `kernels`.
 
-    The extra arrays of its State are what is known of all replicas, leading shape (rungs, chains), named
-    ``rung_position`` and so on after the fields of `Points`; ``heading``, (rungs, chains), 1 for a replica that
-    was last at the posterior, 2 for one that has been at the prior since then, else 0; and ``n_steps`` taken, ().
-    The extra statistics of its Info include ``round_trips``, and `Info.parts` is that of the replicas' own steps,
-    with leading dimension (rungs − 1) · chains, rung by rung, from the first above the prior.
+    The extra arrays of its State are:
+
+    - the fields of `Points` for all replicas, leading shape (rungs, chains), named ``rung_position`` etc.;
+    - ``heading``, (rungs, chains): 1 for a replica that was last at the posterior, 2 for a replica that has been
+      at the prior since then, else 0;
+    - ``n_steps``, (): the number of steps taken.
+
+    The extra statistics of its Info include ``round_trips``. `Info.parts` contains the diagnostics of the
+    replicas' own steps, with leading dimension (rungs − 1) · chains, rung by rung from the first rung above the
+    prior.
     """
 
     parts: PriorAndLikelihood
@@ -36,7 +41,7 @@ class TemperingKernel:
     _joined: dict[int, LocalKernel] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def init(self, positions: FloatArray) -> tuple[State, Info]:
-        """Put all replicas of a chain at its start, one solve per chain."""
+        """Put all replicas of a chain at the start of the chain, at one solve per chain."""
         points, rungs, chains = self.parts.points(positions), len(self.temperatures), len(positions)
         gradient = points.gradient(np.ones(chains))
         log_prob = points.log_prob(np.ones(chains))
@@ -49,10 +54,10 @@ class TemperingKernel:
         return state, Info(np.zeros(chains, dtype=bool), log_prob, solves, gradients)
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Draw from the prior, move the replicas above it, and swap."""
+        """Draw from the prior, move the replicas at the other rungs, and swap replicas."""
         old, heading, n_steps = replicas_of(state), state.extra["heading"], int(state.extra["n_steps"]) + 1
         rungs = len(self.temperatures)
-        if len(heading) != rungs:  # on another ladder, a rung takes the replica that was nearest in rank
+        if len(heading) != rungs:  # the ladder has changed: a rung takes the replica of nearest rank
             nearest = np.round(np.linspace(0, len(heading) - 1, rungs)).astype(np.int64)
             old, heading = old.each(lambda a: a[nearest]), np.zeros((rungs, heading.shape[1]), dtype=np.int64)
         chains = len(state.position)
@@ -85,7 +90,7 @@ class TemperingKernel:
         return State(cold.position, cold.log_prob(np.ones(len(cold.log_prior))), extra=extra)
 
     def _move(self, rng: np.random.Generator, points: Points) -> tuple[Points, Info]:
-        """Advance the replicas above the prior by one step of their kernels, as one array."""
+        """Return the replicas above the prior after one step of their kernels, and its diagnostics."""
         rungs, chains = points.log_prior.shape
         t = np.repeat(self.temperatures[1:], chains)
         start = points.each(lambda a: a.reshape(rungs * chains, *a.shape[2:]))
@@ -99,7 +104,7 @@ class TemperingKernel:
         return end.each(lambda a: a.reshape(rungs, chains, *a.shape[1:])), info
 
     def _order_after_swaps(self, rng: np.random.Generator, log_likelihood: FloatArray, first: int) -> IntArray:
-        """Return the rung of each rung's replica before the swaps of the even or odd pairs, (rungs, chains).
+        """Return the rung from which each rung takes its replica in swaps of even or odd pairs, (rungs, chains).
 
         A swap of rungs k and k + 1 is accepted with probability min(1, exp((t_{k+1} − t_k)(l_k − l_{k+1}))), where
         l is the log-likelihood: the priors cancel in the ratio of the joint densities after and before the swap.
@@ -109,19 +114,19 @@ class TemperingKernel:
         order = np.repeat(np.arange(rungs)[:, None], chains, axis=1)
         gain = np.diff(self.temperatures)[lower, None] * (log_likelihood[lower] - log_likelihood[lower + 1])
         swapped = accept(rng, gain)
-        # the pairs (first, first + 1), (first + 2, …) share no rung, so that all swap at once
+        # the pairs (first, first + 1), (first + 2, …) share no rung, so that all pairs can swap at once
         order[lower] += swapped
         order[lower + 1] -= swapped
         return order
 
 
 def _take_in_order(values: AnyArray, order: IntArray) -> AnyArray:
-    """Return values (rungs, chains, ...) in an order of rungs that differs between chains."""
+    """Return the values (rungs, chains, ...) reordered along the rungs by `order`, shape (rungs, chains)."""
     return values[order, np.arange(order.shape[1])]
 
 
 def _update_headings(heading: IntArray) -> tuple[IntArray, IntArray]:
-    """Update the headings at the ends of the ladder, and count the round trips completed, shape (chains,)."""
+    """Return the headings updated at the ends of the ladder, and the round trips completed, shape (chains,)."""
     heading = heading.copy()
     heading[0] = np.where(heading[0] == 1, 2, heading[0])
     round_trips = (heading[-1] == 2).astype(np.int64)
@@ -130,18 +135,19 @@ def _update_headings(heading: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def replicas_of(state: State) -> Points:
-    """Return the replicas in a state of tempering, leading shape (rungs, chains)."""
+    """Return the replicas in a state of `TemperingKernel`, leading shape (rungs, chains)."""
     return Points(*(state.extra.get(f"rung_{name}") for name in Points._fields))  # type: ignore[arg-type]
 
 
 def side_by_side(kernels: Sequence[LocalKernel], chains: int) -> LocalKernel:
-    """Return the kernel that moves the replicas of all rungs as one array, rung by rung and `chains` in each.
+    """Return the kernel that moves the replicas of all rungs as one array, ordered by rung.
 
     Parameters
     ----------
     kernels : sequence of LocalKernel
-        One per rung, all of one kind.
+        One kernel per rung, all of the same class.
     chains : int
+        Number of replicas at each rung.
     """
     first = kernels[0]
     return first if all(kernel is first for kernel in kernels) else first.join(kernels, chains)

@@ -1,8 +1,8 @@
-"""Parallel tempering: chains between prior and posterior that swap places, so that no mode traps one for long.
+"""Parallel tempering: replicas between prior and posterior swap positions, so that no mode traps a chain for long.
 
-The inverse temperatures t_k are a ladder. Neighbouring rungs k and k+1 propose to swap, which is rejected with
-probability r_k. The sum Λ of all r_k hardly depends on where the rungs stand as long as they are many: it is the
-communication barrier between prior and posterior. Replicas travel fastest where all r_k are equal, with about 2Λ
+The inverse temperatures t_k form a ladder. A swap between the neighbouring rungs k and k+1 is rejected with
+probability r_k. The sum Λ of all r_k is the communication barrier between prior and posterior; with many rungs it
+hardly depends on the positions of the rungs. Replicas travel fastest if all r_k are equal and there are about 2Λ
 rungs.
 """
 
@@ -25,44 +25,46 @@ from fmu.samplers.tempering.kernel import TemperingKernel, replicas_of
 from fmu.types import FloatArray, LogDensity
 
 FEWEST, MOST = 8, 64
-"""Rungs that a learnt ladder has: fewer would do for travelling, but give coarse evidences."""
+"""Smallest and largest number of rungs of a learnt ladder; fewer rungs give inaccurate evidences."""
 FIRST = 12
-"""Rungs before anything is known."""
+"""Number of rungs before the ladder is learnt."""
 _POWER = 5.0
-"""The first rungs lie at (k/K)⁵ (Friel & Pettitt 2008): posteriors are far narrower than priors."""
-_SHORTEST = 20  # steps of a stage of warm-up
-_LEAST = 1e-3  # rejection of a swap that the interpolation assumes at least, so that the barrier increases
+"""Exponent of the first ladder, with rungs at (k/K)⁵ (Friel & Pettitt 2008): posteriors are far narrower than
+priors."""
+_SHORTEST = 20  # fewest steps of a stage of the warm-up
+_LEAST = 1e-3  # smallest rejection probability that the interpolation uses, so that the barrier increases
 
 
 @check_arguments
 @dataclass(frozen=True)
 class Tempering(Sampler):
-    """Parallel tempering over one of the other samplers.
+    """Parallel tempering, with the replicas moved by one of the local samplers.
 
-    A chain is a ladder of replicas. Replica k samples prior · likelihood^t_k, with t from 0 (the prior, drawn from
-    independently) to 1 (the posterior, whose draws are the chain's). After each step neighbours propose to swap,
-    the even and the odd pairs in turn: a replica that finds another mode near the prior carries it to the
-    posterior. Warm-up learns the ladder on which all swaps are rejected equally often, and the kernel's settings
-    for every rung. The log-likelihoods at all rungs give the evidence, see `fmu.evidence`.
+    Each chain is a ladder of replicas. Replica k samples prior · likelihood^t_k, with t_k from 0 (independent
+    draws from the prior) to 1 (the posterior, whose draws are those of the chain). After every `swap_every` steps,
+    swaps between neighbouring replicas are proposed, for the even and the odd pairs in turn: a replica that finds
+    another mode near the prior carries this mode to the posterior. Warm-up learns the ladder on which all swaps
+    are rejected equally often, and the kernel's settings for every rung. The log-likelihoods at all rungs give the
+    evidence, see `fmu.evidence`.
 
     Parameters
     ----------
     kernel : str or LocalSampler
-        What moves the replicas at t > 0, such as "slice", "mh" or "hmc", or settings; after warm-up a tuple of
-        settings, one for each of these rungs.
+        Sampler that moves the replicas at t > 0: a name such as "slice", "mh" or "hmc", or settings; after warm-up
+        a tuple of settings, one for each of these rungs.
     temperatures : array_like, shape (rungs,), optional
-        Inverse temperatures from 0 to 1, which are then not learnt.
+        Inverse temperatures from 0 to 1. If they are not given, warm-up learns them.
     rungs : int, optional
-        Length of the ladder that is learnt. If not given it is about 2Λ + 1, where Λ is the communication barrier
-        found in warm-up: half of all swaps then succeed, which is the best use of the solves (Syed et al. 2022,
-        section 4.3). At least 8, at most 64, and 12 to begin with.
+        Number of rungs of the learnt ladder. If it is not given, it is about 2Λ + 1, where Λ is the communication
+        barrier found in warm-up: half of all swaps then succeed, which is the best use of the solves (Syed et al.
+        2022, section 4.3). It is then at least 8 and at most 64, and 12 at the beginning of the warm-up.
     swap_every : int
-        Steps from one round of swaps to the next.
+        Number of steps between two rounds of swaps.
 
     Raises
     ------
     ValueError
-        If a setting is out of range or does not fit the others.
+        If a setting is out of range or does not fit the other settings.
 
     References
     ----------
@@ -108,8 +110,8 @@ class Tempering(Sampler):
         Raises
         ------
         ValueError
-            If the density is not made of a likelihood and a prior that can be drawn from, or a setting of the
-            kernel does not fit it.
+            If the density does not consist of a likelihood and a prior that can be drawn from, or a setting of
+            the kernel does not fit the density.
         """
         t = first_ladder(self.rungs) if self.temperatures is None else np.asarray(self.temperatures)
         kernels = {id(kernel): kernel.bind(density) for kernel in self._kernels(1)}
@@ -118,7 +120,7 @@ class Tempering(Sampler):
         return TemperingKernel(parts, t, bound, self.swap_every)
 
     def tuner(self, density: LogDensity, chains: int, steps: int) -> LadderTuner | None:
-        """Return a tuner that learns ladder and kernels in `steps` warm-up steps; None if none is needed."""
+        """Return a tuner that learns ladder and kernels in `steps` warm-up steps; None if nothing is learnt."""
         learns = not self._is_by_rung and self.kernel.tuner(density, chains, steps) is not None
         return LadderTuner(self, density, chains, steps) if learns or self.temperatures is None else None
 
@@ -128,22 +130,22 @@ class Tempering(Sampler):
         return isinstance(self.kernel, tuple)
 
     def _kernels(self, rungs: int) -> tuple[LocalSampler, ...]:
-        """Return the settings at the rungs above the prior."""
+        """Return the kernels' settings at the rungs above the prior, of which there are `rungs`."""
         return self.kernel if self._is_by_rung else (self.kernel,) * rungs
 
 
 class LadderTuner:
-    """Learns the ladder in stages of the warm-up, and in every stage again the kernel's settings at each rung.
+    """Tuner of the ladder, which changes after each stage of the warm-up, and of the kernel at each rung.
 
-    Each rung above the prior has a tuner of its own, which sees the chains at that rung. The last stage, half of
-    the warm-up, uses the ladder of the draws.
+    Each rung above the prior has its own tuner, which learns from the replicas at that rung and starts anew in
+    every stage. The last stage, half of the warm-up, already uses the ladder of the draws.
     """
 
     def __init__(self, sampler: Tempering, density: LogDensity, chains: int, steps: int) -> None:
         self.sampler, self.density, self.chains = sampler, density, chains
         self.lengths = [steps] if sampler.temperatures is not None else stages(steps)
         self.bound = replace(sampler.bind(density), records=False)
-        self.log_likelihood: list[FloatArray] = []  # (chains, rungs) of every step of a stage but the last
+        self.log_likelihood: list[FloatArray] = []  # (chains, rungs), of each step; not in the last stage
         self._begin(self.bound.temperatures)
 
     def update(self, state: State, info: Info) -> None:
@@ -174,7 +176,7 @@ class LadderTuner:
         }
 
     def restore(self, state: Tree) -> None:
-        """Take over what another tuner had learnt."""
+        """Restore the state that another tuner returned."""
         self.lengths = list(state["lengths"])
         self._begin(state["temperatures"])
         self.log_likelihood = list(state["log_likelihood"])
@@ -184,7 +186,7 @@ class LadderTuner:
             self._take_kernels([tuner.kernel for tuner in self.tuners])
 
     def _begin(self, temperatures: FloatArray) -> None:
-        """Begin a stage on a ladder."""
+        """Begin a stage of the warm-up with a ladder of inverse temperatures."""
         self.temperatures = temperatures
         self.log_likelihood = []
         above = len(temperatures) - 1
@@ -197,7 +199,7 @@ class LadderTuner:
         self.kernel: TemperingKernel = replace(self.bound, temperatures=self.temperatures, kernels=tuple(kernels))
 
     def _tell_the_tuners(self, state: State, info: Info) -> None:
-        """Show every rung's tuner the replicas at its rung, with the density tempered as it is there."""
+        """Update every rung's tuner with the replicas at that rung and their tempered log-densities."""
         parts, t = info.parts, self.temperatures[1:, None]
         assert parts is not None  # TemperingKernel returns them
         above = replicas_of(state).each(lambda a: a[1:])
@@ -215,7 +217,7 @@ class LadderTuner:
 
 
 def ladder(name: str, value: ArrayLike) -> tuple[float, ...]:
-    """Return inverse temperatures in ascending order; ValueError unless they are distinct, from 0 to 1."""
+    """Return inverse temperatures in ascending order; raise ValueError unless they are distinct, from 0 to 1."""
     t = tuple(sorted(vector(name, value)))
     if len(t) < 2 or t[0] != 0.0 or t[-1] != 1.0 or len(set(t)) < len(t):
         raise ValueError(f"{name}: must be distinct inverse temperatures from 0 to 1, with both (got {value!r})")
@@ -223,12 +225,15 @@ def ladder(name: str, value: ArrayLike) -> tuple[float, ...]:
 
 
 def first_ladder(rungs: int | None) -> FloatArray:
-    """Return the ladder to begin with."""
+    """Return the initial inverse temperatures, shape (rungs,); `FIRST` of them if `rungs` is None."""
     return np.linspace(0.0, 1.0, rungs or FIRST) ** _POWER
 
 
 def stages(steps: int) -> list[int]:
-    """Return the lengths of the stages of a warm-up, between which the ladder changes; each is twice the last."""
+    """Return the lengths, in steps, of the stages of a warm-up, between which the ladder changes.
+
+    Each stage but the first is about as long as all stages before it.
+    """
     lengths = []
     while steps >= 2 * _SHORTEST:
         lengths.append(steps - steps // 2)
@@ -237,9 +242,10 @@ def stages(steps: int) -> list[int]:
 
 
 def rejections(log_likelihood: FloatArray, temperatures: FloatArray) -> FloatArray:
-    """Return how often swaps between neighbouring rungs are rejected, shape (..., rungs − 1).
+    """Return the probability that a swap between neighbouring rungs is rejected, shape (..., rungs − 1).
 
-    This is the mean of 1 − min(1, exp((t_{k+1} − t_k)(l_k − l_{k+1}))).
+    This is the mean over the draws of 1 − min(1, exp((t_{k+1} − t_k)(l_k − l_{k+1}))), where l_k is the
+    log-likelihood at rung k.
 
     Parameters
     ----------
@@ -251,7 +257,7 @@ def rejections(log_likelihood: FloatArray, temperatures: FloatArray) -> FloatArr
 
 
 def adapt_ladder(temperatures: FloatArray, rejection: FloatArray, rungs: int | None) -> FloatArray:
-    """Return the ladder on which all swaps are expected to be rejected equally often.
+    """Return the inverse temperatures at which all swaps are expected to be rejected equally often.
 
     The barrier from 0 to each rung, Λ(t_k) = r_0 + … + r_{k−1}, is interpolated monotonically and cut into equal
     parts (Syed et al. 2022).
@@ -261,7 +267,8 @@ def adapt_ladder(temperatures: FloatArray, rejection: FloatArray, rungs: int | N
     temperatures : ndarray, shape (rungs,)
     rejection : ndarray, shape (rungs − 1,)
     rungs : int, optional
-        Their number; if not given it follows from the barrier, so that half of all swaps are expected to succeed.
+        Number of rungs. If it is not given, it follows from the barrier, so that half of all swaps are expected to
+        succeed.
     """
     from scipy.interpolate import PchipInterpolator
 

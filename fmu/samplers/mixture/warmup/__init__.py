@@ -1,4 +1,4 @@
-"""How warm-up learns a mixture: which steps are made, what is fitted to them, and which maxima join.
+"""The warm-up of the mixture sampler: choice of the steps, fits of the mixture, and the search for missed maxima.
 
 Reading order: `local_draws`, `unknown_maxima`, `rounds`; then `tuner`.
 """

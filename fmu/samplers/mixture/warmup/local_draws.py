@@ -1,4 +1,4 @@
-"""What warm-up has evaluated, and the mixture that the draws of its local steps show."""
+"""Points evaluated in warm-up, and a mixture fitted to the draws of local steps."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from fmu.samplers.mixture.warp import Warp
 from fmu.types import FloatArray, IntArray, LogDensity
 
 FAR = 10.0
-"""Points with a log-density further below the median, plus one per coordinate, are on the way to a maximum."""
+"""Points with a log-density this far below the median, plus one per coordinate, are not yet near a maximum."""
 _APART = 3.0
-"""Standard deviations, along the line between two chains' means, beyond which the chains are apart."""
-_LEAST_MOVE = 1e-8  # in scaled units
+"""Distance between the means of two separated chains, in standard deviations along the line between the means."""
+_LEAST_MOVE = 1e-8  # smallest extent of draws that have moved, in scaled units
 
 
 class Evaluated(NamedTuple):
-    """Points (n, ndim) at which the density was evaluated, its logarithm there (n,), and gradients or NaN."""
+    """Points (n, ndim), their log-densities (n,), and the gradients of the log-density (n, ndim) or NaN."""
 
     position: FloatArray
     log_prob: FloatArray
@@ -27,22 +27,22 @@ class Evaluated(NamedTuple):
 
     @classmethod
     def none(cls, ndim: int) -> Evaluated:
-        """Return no points."""
+        """Return an empty set of points in `ndim` coordinates."""
         return cls(np.empty((0, ndim)), np.empty(0), np.empty((0, ndim)))
 
     def with_more(self, position: FloatArray, log_prob: FloatArray, slope: FloatArray | None = None) -> Evaluated:
-        """Return these points and others."""
+        """Return these points followed by further points; gradients that are not given are NaN."""
         more = position, log_prob, np.full_like(position, np.nan) if slope is None else slope
         return Evaluated(*(np.concatenate(both) for both in zip(self, more, strict=True)))
 
 
 def fit_to_draws(draws: Evaluated, chains: int, density: LogDensity) -> Mixture:
-    """Return a mixture fitted to the later half of local steps' draws, each group of chains by itself.
+    """Return a mixture fitted to the later half of the draws of local steps, with a component per group of chains.
 
     Parameters
     ----------
     draws : Evaluated
-        Of one step after the other, each of all chains.
+        The draws of all chains at the first step, then at the second step, etc.
     chains : int
     density : LogDensity
     """
@@ -62,9 +62,10 @@ def fit_to_draws(draws: Evaluated, chains: int, density: LogDensity) -> Mixture:
 
 
 def groups_of_chains(u: FloatArray) -> IntArray:
-    """Return the group of each chain of u (steps, chains, ndim): apart where chains are at separated maxima.
+    """Return the group of each chain of u (steps, chains, ndim), shape (chains,).
 
-    Two chains are together if their means are within `_APART` standard deviations along the line between them.
+    Chains at separated maxima are in different groups. Two chains are in one group if the distance between their
+    means is within `_APART` standard deviations along the line between the means.
     """
     mean = u.mean(axis=0)
     group = np.arange(len(mean))
@@ -79,11 +80,11 @@ def groups_of_chains(u: FloatArray) -> IntArray:
 
 
 def _has_moved(u: FloatArray) -> bool:
-    """Say whether draws (n, ndim) have been at enough points to have a covariance."""
+    """Return True if the draws (n, ndim) have enough distinct points for a covariance."""
     return len(np.unique(u, axis=0)) > u.shape[1] and bool(np.all(np.ptp(u, axis=0) > _LEAST_MOVE))
 
 
 def first_warp(density: LogDensity) -> Warp:
-    """Return the warp before anything is learnt: coordinates with a lower bound alone are bent."""
+    """Return the initial warp, which bends the coordinates that have a lower bound but no upper bound."""
     bent = np.isfinite(density.lower) & ~np.isfinite(density.upper)
     return Warp(density.lower, density.upper, bent)

@@ -1,4 +1,4 @@
-"""How a mixture for a bent density is learnt: by rounds of candidates, each fitted to all that came before."""
+"""Fits of a mixture to a bent density in rounds of candidates: each fit uses the candidates of all rounds."""
 
 from __future__ import annotations
 
@@ -13,33 +13,34 @@ from fmu.samplers.mixture.importance import cut_largest, even_out, sum_densities
 from fmu.types import FloatArray
 
 PER_ROUND = 2000
-"""Candidates of a round."""
+"""Number of candidates of a round."""
 ENOUGH = 0.45
-"""Efficiency of two rounds at which no further one is drawn."""
+"""Efficiency of two successive rounds at which no further round is drawn."""
 _TWICE = 2
 _MILDER = 0.8
 _LEAST_POINTS = 60
-"""Effective points per coordinate that a fit is to have, by an exponent on the weights below 1."""
+"""Effective points per coordinate below which the weights for a fit are raised to a power below 1."""
 _MOST_PART = 0.2
-_SAMPLE = 1000  # draws that tell the efficiency of a mixture
+_SAMPLE = 1000  # draws from which the efficiency of a mixture is estimated
 _FEWEST = 200
-"""Candidates that are not worth a round."""
+"""Smallest number of candidates of a round."""
 
 
 class Rounds:
-    """Candidates with their weights over all mixtures that they came from (Cornuet et al. 2012).
+    """Candidates of several rounds, weighted over the mixtures of all rounds (Cornuet et al. 2012).
 
     Attributes
     ----------
     target : Target
     position : ndarray, shape (n, ndim)
+        The candidates with a finite log-density.
     log_prob : ndarray, shape (n,)
     mixtures : list
-        Each draws a round, the later ones fitted to the rounds before.
+        The mixture of each round; the later mixtures are fitted to the previous rounds.
     counts, found : list of int
-        Candidates of each round, and those with a finite log-density.
+        Numbers of candidates of each round, and of candidates with a finite log-density.
     n_solves : int
-        Evaluations of the rounds so far.
+        Number of evaluations of all rounds so far.
     """
 
     def __init__(self, target: Target) -> None:
@@ -51,7 +52,7 @@ class Rounds:
         self._by_mixture = np.empty((0, 0))
 
     def draw(self, mixture: CurvedMixture, rng: np.random.Generator, n: int) -> None:
-        """Draw a round of `n` candidates from a mixture, and evaluate those inside the box."""
+        """Draw a round of `n` candidates from a mixture, and evaluate the candidates inside the box."""
         u = mixture.draw(rng, n)
         found = self.target.evaluate(u)
         self.n_solves += int(found.n_solves.sum())
@@ -67,14 +68,14 @@ class Rounds:
 
     @property
     def log_weight(self) -> FloatArray:
-        """Log-weights of the candidates, up to a constant; the largest cut."""
+        """Log-weights of the candidates up to a constant, shape (n,); the largest weights are truncated."""
         return cut_largest(self.log_prob - sum_densities(self._by_mixture, self.counts))
 
     def fit_mixture(self) -> CurvedMixture:
-        """Return the mixture that fits all candidates; LinAlgError if they span no Gaussian.
+        """Return the mixture fitted to all candidates; raise LinAlgError if the candidates do not span the space.
 
-        Where a few candidates have nearly all the weight, the weights are evened out: what is fitted is wider than
-        the density, and the next round comes nearer.
+        Where a few candidates have nearly all the weight, the weights are raised to a power below 1: the mixture
+        is then wider than the density, and the next round represents the density better.
         """
         log_w = self.log_weight
         log_w = even_out(log_w, min(_LEAST_POINTS * self.target.ndim, _MOST_PART * len(log_w)), _MILDER)
@@ -84,9 +85,10 @@ class Rounds:
     def efficiency(self, k: int) -> float:
         """Return the effective draws per candidate of an independence sampler with mixture k.
 
-        It is 1/E[2/a(x) − 1], with the rate a(x) at which candidates are accepted at x, over draws x of the
-        density: those of all rounds, by their weights, so that a mixture that misses what another one knows is
-        seen to be poor (Liu 1996, Statistics and Computing 6, 113-119).
+        The efficiency is 1/E[2/a(x) − 1], where a(x) is the rate at which candidates are accepted at x, and the
+        expectation is over draws x of the density. These draws are resampled from the candidates of all rounds by
+        weight, so that a mixture is rated as poor if it misses a region that another mixture covers (Liu 1996,
+        Statistics and Computing 6, 113-119).
         """
         first, own = int(sum(self.found[:k])), self.found[k]
         if not own:
@@ -103,7 +105,9 @@ class Rounds:
 def learn_in_rounds(
     target: Target, u: FloatArray, rng: np.random.Generator, most: int
 ) -> tuple[CurvedMixture | None, float, int]:
-    """Return a mixture for a density, its efficiency, and the evaluations that it took.
+    """Return a mixture fitted to a density, the efficiency of the mixture, and the number of evaluations taken.
+
+    The mixture is None if no round was drawn.
 
     Parameters
     ----------
@@ -112,11 +116,11 @@ def learn_in_rounds(
         Points where the density is high, such as the draws of local steps.
     rng : Generator
     most : int
-        No more candidates than this.
+        Largest number of candidates.
     """
     rounds = Rounds(target)
     n, good = min(PER_ROUND, most), 0
-    with suppress(np.linalg.LinAlgError):  # go on with what there is
+    with suppress(np.linalg.LinAlgError):  # continue with the rounds drawn so far
         mixture = fit_curved(u, np.ones(len(u)), target.lower, target.upper)
         while n >= _FEWEST:
             rounds.draw(mixture, rng, n)

@@ -1,4 +1,4 @@
-"""The fits of the mixture in warm-up, each to all evaluations so far."""
+"""The tuner of the mixture sampler, which fits the mixture in warm-up to all evaluations so far."""
 
 from __future__ import annotations
 
@@ -22,45 +22,45 @@ from fmu.samplers.slice import Slice
 from fmu.types import FloatArray, IntArray, LogDensity
 
 _LOCAL_PART = 0.5
-"""Part of the warm-up that local steps take where no component is known."""
+"""Fraction of the warm-up that consists of local steps if no component is known."""
 _FITS = (0.05, 0.1, 0.2, 0.4, 0.7, 1.0)
-"""Parts of the rest of the warm-up after which the mixture is fitted again."""
+"""Fractions of the rest of the warm-up after which the mixture is fitted again."""
 _SAMPLE = 1000  # draws of a mixture that give its covariance
 _JUDGED = 3
-"""Fits after which a mixture has had its chance: from this one on, rarely accepted candidates give way."""
+"""Index of the first fit after which the candidates' acceptance rate decides whether local steps prevail."""
 _RARE, _OFTEN = 0.1, 0.3
-"""Acceptance rate of candidates, in the chain with the lowest, below which most steps are local ones, and above
-which most are candidates again. A local step gives some 0.05 effective draws per evaluation."""
+"""Smallest acceptance rate of candidates among the chains below which most steps are local steps, and above which
+most steps are candidates again. A local step gives about 0.05 effective draws per evaluation."""
 _LOCAL_STEPS = 3
-"""Local steps per candidate where those are rarely accepted."""
+"""Local steps per candidate if candidates are rarely accepted."""
 _ENOUGH_JUMPS, _ENOUGH_STEPS = 20, 100
-"""Candidates per chain that tell their acceptance rate, and local steps that tell their own metric."""
+"""Candidates per chain from which an acceptance rate is estimated, and local steps that learn their own metric."""
 _LEAST_WALK, _WALK_SOLVES = 50, 1000
-"""Local steps that give a first idea of a density, and evaluations of a chain after which they are enough."""
+"""Numbers of local steps, and of evaluations per chain, after which local steps show the density roughly."""
 _CANDIDATES = 5
-"""Most candidates of the rounds in which a curved mixture is learnt, per step of the warm-up and chain."""
+"""Largest number of candidates for the fit of a curved mixture, per step of the warm-up and chain."""
 _WORTH = 0.02
-"""Effective draws per candidate of a curved mixture below which local steps give more."""
+"""Effective draws per candidate of a curved mixture below which local steps are more efficient."""
 _CURVED_CYCLE = 1, 79
-"""Local steps, then candidates, of a curved mixture."""
+"""Numbers of local steps and of candidates of a curved mixture, in turn."""
 _HEAVY, _FITS_BADLY = 1.6, 0.8
-"""Kurtosis, over that of a Gaussian, above which tails are heavy, and effective share below which Gaussians do not
-follow them."""
+"""Kurtosis, relative to a Gaussian's, above which tails are heavy, and effective share below which Gaussians do
+not fit heavy tails."""
 
 
 class MixtureTuner:
-    """Fits the mixture again and again, to all candidates so far, weighted by the mixtures that they came from.
+    """Tuner that fits the mixture several times to all candidates so far, weighted over the mixtures so far.
 
-    Where no component is known, local steps take the first half of the warm-up, and the first fit is to their
-    draws, with the gradients if those were evaluated. Where a chain or a candidate has found a maximum that the
-    mixture does not know, it is given a component. The local steps after the first fit have a metric from the
-    covariance of the mixture.
+    If no component is known, at most the first half of the warm-up consists of local steps. The first fit is to
+    the draws of these steps, with the gradients if gradients were evaluated. If a chain or a candidate has found a
+    maximum that the mixture misses, the mixture gets a component there. The local steps after the first fit have a
+    metric from the covariance of the mixture.
 
-    Where candidates are still rarely accepted in some chain after the first fits, the steps go to local ones,
-    which learn a metric of their own from their draws. Further fits are to these draws. Candidates come back when
-    they are accepted often. Once the draws show the density roughly, a `CurvedMixture` is learnt from rounds of
-    candidates; it stays if its candidates are accepted. It is also learnt where the density is infinite at a
-    wall or has heavy tails.
+    If candidates are still rarely accepted in some chain after the first fits, most steps become local steps,
+    which learn their own metric from their draws, and further fits also use these draws. Most steps are candidates
+    again once candidates are often accepted. If most chains rarely accept candidates, a `CurvedMixture` is fitted
+    in rounds of candidates as soon as the draws show the density roughly. The curved mixture is kept if it is
+    efficient enough. It is also fitted if the density is infinite at a wall or has heavy tails.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class MixtureTuner:
         The settings to complete.
     density : LogDensity
     chains, steps : int
-        Of the warm-up.
+        Numbers of chains and of warm-up steps.
     """
 
     def __init__(self, sampler: Any, density: LogDensity, chains: int, steps: int) -> None:
@@ -76,13 +76,13 @@ class MixtureTuner:
         self.done = 0
         self.first = 0 if sampler.components is not None else max(int(_LOCAL_PART * steps), 1)
         self.target = Target(density)
-        self.stages: list[Mixture | CurvedMixture] = []  # of each fit, the last one in use
-        self.counts: list[int] = []  # of the candidates of each that were evaluated
-        self.drawn = self.visited = self.walked = Evaluated.none(density.ndim)  # `walked` as local steps prevail
-        self.accepted, self.jumped = np.zeros(chains), 0  # of the candidates since the last fit
-        self.switched = -1  # step at which local steps began to prevail; -1 where they do not
-        self.walk = 0, 0.0  # local steps before there was a mixture, or as they prevail, and evaluations per chain
-        self.is_bent = self.has_tried = False  # what a curved mixture is for, and whether one was learnt
+        self.stages: list[Mixture | CurvedMixture] = []  # mixture of each fit; the last one is in use
+        self.counts: list[int] = []  # evaluated candidates of each mixture
+        self.drawn = self.visited = self.walked = Evaluated.none(density.ndim)  # walked: if local steps prevail
+        self.accepted, self.jumped = np.zeros(chains), 0  # sums over candidates since the last fit
+        self.switched = -1  # step at which local steps began to prevail; -1 if they do not
+        self.walk = 0, 0.0  # local steps without a mixture or while they prevail, and their solves per chain
+        self.is_bent = self.has_tried = False  # a curved mixture is needed; a fit of one was tried
         self.covariance: FloatArray | None = None
         self.local_settings = sampler.local_of(density)
         self.local: Tuner | None = None
@@ -100,16 +100,16 @@ class MixtureTuner:
 
     @property
     def gaussians(self) -> Mixture | None:
-        """The mixture in use if it is one of Gaussians, which further fits improve; else None."""
+        """The mixture in use if it is a `Mixture`, which further fits can improve; else None."""
         return None if self.mixture is None else self.mixture.gaussians
 
     @property
     def fit_at(self) -> list[int]:
-        """Steps after which the mixture is fitted again."""
+        """Numbers of steps after which the mixture is fitted again."""
         return [self.first + int(part * (self.steps - self.first)) for part in _FITS]
 
     def update(self, state: State, info: Info) -> IntArray | None:
-        """Learn from one step; return the evaluations of each chain that this took, shape (chains,)."""
+        """Learn from one step; return the number of evaluations this took per chain, shape (chains,), or None."""
         self.done += 1
         if info.parts is not None:
             if self.local is not None:
@@ -172,7 +172,7 @@ class MixtureTuner:
         }
 
     def restore(self, state: Tree) -> None:
-        """Take over what another tuner had learnt."""
+        """Restore the state that another tuner returned."""
         self.done, self.first = state["done"], int(state["first"])
         self.walk = int(state["walk"][0]), float(state["walk"][1])
         self.is_bent, self.has_tried = bool(state["is_bent"]), bool(state["has_tried"])
@@ -195,19 +195,20 @@ class MixtureTuner:
         self._take_kernel()
 
     def _begin_with(self, mixture: Mixture | CurvedMixture) -> None:
-        """Take the first mixture, and local steps of its shape."""
+        """Use `mixture`, and local steps adapted to its covariance."""
         self._take(mixture)
         self._take_covariance(mixture.covariance_within(np.random.default_rng(0), _SAMPLE))
 
     def _fit_to_draws(self) -> None:
-        """Take the first mixture, fitted to the local steps' draws."""
+        """Use a first mixture, fitted to the draws of the local steps."""
         self._begin_with(fit_to_draws(self.visited, self.chains, self.density))
 
     def _fit(self, state: State) -> IntArray | None:
         """Fit the mixture to all candidates so far, weighted over all mixtures so far (Cornuet et al. 2012).
 
-        Maxima that it does not know are looked for before, since their candidates would spoil the fit, and after,
-        since a fit may lose one. Return the evaluations of each chain that this took.
+        Maxima that the mixture misses are searched for before the fit, since candidates near such maxima would
+        spoil the fit, and after the fit, since a fit may lose a maximum. Return the number of evaluations this
+        took per chain, shape (chains,), or None if there was nothing to fit.
         """
         u, log_prob, _ = self.drawn
         known = np.isfinite(log_prob)
@@ -221,7 +222,7 @@ class MixtureTuner:
         new, spent = find_unknown_maxima(mixture, seen, self.target)
         old = add_maxima(mixture, new).responsibilities(u)[: len(mixture.quadratics)].sum(axis=0) > 0.5
         if np.count_nonzero(old) > n_coefficients(self.density.ndim):
-            with suppress(np.linalg.LinAlgError):  # go on with the mixture that there is
+            with suppress(np.linalg.LinAlgError):  # continue with the present mixture
                 mixture = refit_mixture(Points.weigh_draws(u[old], log_prob[old], seen.log_q[:n][old]), mixture)
         mixture = add_maxima(mixture, new)
         if len(self.walked.log_prob) > _ENOUGH_JUMPS * self.chains:
@@ -238,7 +239,7 @@ class MixtureTuner:
         return spent
 
     def _better_of(self, one: Mixture, other: Mixture) -> Mixture:
-        """Return the mixture from which the draws of local steps would come with the larger effective share."""
+        """Return the mixture that has the larger effective share for the draws of local steps."""
         u, log_prob, _ = self.walked
         points = Points(u, log_prob, np.ones(len(u)))
         shares = [np.nan_to_num(points.effective_share(mixture.log_density(u))) for mixture in (one, other)]
@@ -246,14 +247,15 @@ class MixtureTuner:
 
     @property
     def _has_walked(self) -> bool:
-        """Whether local steps have shown a density on which they are long; on others they may go on."""
+        """Whether local steps have taken enough steps and evaluations to show the density roughly."""
         return self.walk[0] >= _LEAST_WALK and self.walk[1] >= _WALK_SOLVES
 
     def _choose_steps(self, state: State) -> IntArray | None:
-        """Let local steps prevail where some chain rarely accepts a candidate, until all accept them often.
+        """Let local steps prevail if some chain rarely accepts candidates, until all chains accept them often.
 
-        Where most chains rarely do, or the tails are heavy, learn a curved mixture, if their draws are there
-        already. Return the evaluations that this took.
+        If most chains rarely accept candidates, or the density is infinite at a wall or has heavy tails, fit a
+        curved mixture, provided that there are enough local draws. Return the number of evaluations this took per
+        chain, shape (chains,), or None.
         """
         if self.jumped < _ENOUGH_JUMPS or self.sampler.local_steps >= self.sampler.jumps_with(WIDE):
             return None
@@ -275,12 +277,12 @@ class MixtureTuner:
 
     @property
     def _can_learn(self) -> bool:
-        """Whether there are local draws enough from which to learn a curved mixture, for the first time."""
+        """Whether there are enough local draws to fit a curved mixture, and no such fit was tried before."""
         draws = self.walked if self.switched >= 0 else self.visited
         return not self.has_tried and len(draws.log_prob) >= _LEAST_WALK * self.chains
 
     def _weighted_candidates(self) -> Points | None:
-        """Return the candidates so far with their weights; None if there are none, or the mixture is curved."""
+        """Return the candidates so far with weights; None if there are no candidates or the mixture is curved."""
         u, log_prob, _ = self.drawn
         known = np.isfinite(log_prob)
         if self.gaussians is None or not known.any():
@@ -288,16 +290,17 @@ class MixtureTuner:
         return Points.weigh_draws(u[known], log_prob[known], self._log_density_so_far(u[known]))
 
     def _is_infinite(self, points: Points | None) -> bool:
-        """Say whether the density is infinite at a wall, by the candidates so far; no Gaussian is."""
+        """Return True if the candidates so far show that the density is infinite at a wall, unlike a Gaussian."""
         if points is None:
             return False
         shapes = fit_infinite_margins(points.position, points.weight, self.density.lower, self.density.upper)
         return bool(np.isfinite(shapes).any())
 
     def _has_heavy_tails(self, points: Points | None) -> bool:
-        """Say whether a density around one maximum falls off more slowly than Gaussians, which fit it badly.
+        """Return True if a density with one maximum has heavier tails than Gaussians, which fit it badly.
 
-        The weights P/q of Gaussian candidates then have no bound, and an evidence from them has a wrong error.
+        The weights P/q of Gaussian candidates are then unbounded, and the standard error of an evidence computed
+        from these weights is wrong.
         """
         mixture = self.gaussians
         if points is None or mixture is None or not len(self.visited.log_prob):
@@ -308,14 +311,15 @@ class MixtureTuner:
         return not share >= _FITS_BADLY and measure_kurtosis(points.under(mixture.warp)[0], points.weight) > _HEAVY
 
     def _learn_curved(self, state: State) -> IntArray:
-        """Learn a curved mixture from where local steps were; return the evaluations that this took.
+        """Fit a curved mixture, starting from the draws of local steps.
 
-        If its candidates are rarely accepted as well, local steps prevail.
+        If the candidates of the curved mixture are rarely accepted, too, let local steps prevail. Return the
+        number of evaluations this took per chain, shape (chains,).
         """
         self.has_tried = True
         draws = self.walked if self.switched >= 0 else self.visited
         later = draws.position[len(draws.position) // 3 :]
-        rng = np.random.default_rng(state.position.view(np.uint64).ravel())  # another one for another seed
+        rng = np.random.default_rng(state.position.view(np.uint64).ravel())  # depends on the seed of the run
         most = _CANDIDATES * self.steps * self.chains
         mixture, efficiency, n_solves = learn_in_rounds(self.target, later, rng, most)
         if mixture is not None and efficiency >= (_WORTH if self.is_bent else ENOUGH):
@@ -328,14 +332,17 @@ class MixtureTuner:
         return spent
 
     def _prefer_local(self) -> None:
-        """Begin local steps that learn their metric from their draws; from the mixture where they are too few."""
+        """Begin local steps that learn their metric from their draws, if enough steps remain.
+
+        Otherwise the metric from the mixture stays in use.
+        """
         steps = (self.steps - self.switched) * _LOCAL_STEPS // (_LOCAL_STEPS + 1)
         if steps >= _ENOUGH_STEPS:
             self.local_settings = self.sampler.local_of(self.density)
             self.local = self.local_settings.tuner(self.density, self.chains, steps)
 
     def _cycle(self, wide: float) -> tuple[int, int]:
-        """Return so many local steps, then so many candidates."""
+        """Return the numbers of local steps and of candidates, which are taken in turn."""
         if self.switched >= 0:
             return _LOCAL_STEPS, 1
         if self.gaussians is None:
@@ -343,14 +350,14 @@ class MixtureTuner:
         return self.sampler.local_steps, self.sampler.jumps_with(wide)
 
     def _at_last(self, mixture: Mixture, points: Points) -> Mixture:
-        """Return the mixture with the share of wider copies that was asked for; if none, less where it is good."""
+        """Return the mixture with the final share of wider copies: `wide` if given, less if the fit is good."""
         if self.sampler.wide is not None:
             return mixture.with_wide(self.sampler.wide)
         less = mixture.with_wide(LESS_WIDE)
         return less if points.effective_share(less.log_density(points.position)) >= GOOD else mixture
 
     def _log_density_so_far(self, u: FloatArray) -> FloatArray:
-        """Return the logarithm of the density of all candidates so far at points u (n, ndim), up to a constant."""
+        """Return the log-density of all candidates so far at points u (n, ndim), up to a constant, shape (n,)."""
         of_stages = [stage.log_density(u) for stage, n in zip(self.stages, self.counts, strict=True) if n]
         return sum_densities(of_stages, [n for n in self.counts if n])
 
@@ -364,7 +371,7 @@ class MixtureTuner:
         remaining = max((self.steps - self.first) * self.sampler.local_steps // cycle, 1)
         local = self.sampler.local_of(self.density)
         if self.gaussians is None and self.sampler.local is None:
-            local = Slice()  # the gradients of such a density say little of what is a standard deviation away
+            local = Slice()  # gradients of such a density are not informative at a standard deviation's distance
         self.local_settings = local.take_covariance(covariance)
         self.local = self.local_settings.tuner(self.density, self.chains, remaining)
 
@@ -375,7 +382,7 @@ class MixtureTuner:
 
 
 def _sum(one: IntArray | None, other: IntArray | None) -> IntArray | None:
-    """Return the sum of two numbers of evaluations, either of which may be none."""
+    """Return the sum of two arrays of numbers of evaluations, either of which may be None."""
     if one is None or other is None:
         return other if one is None else one
     return one + other

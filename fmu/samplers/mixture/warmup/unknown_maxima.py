@@ -1,4 +1,4 @@
-"""The search for maxima that have no component in a mixture: its density is too low there, beyond a valley."""
+"""Search for maxima without a component in a mixture, where the density of the mixture is too low."""
 
 from __future__ import annotations
 
@@ -14,24 +14,25 @@ from fmu.samplers.mixture.warmup.local_draws import FAR
 from fmu.types import BoolArray, FloatArray, IntArray
 
 _UNKNOWN, _VALLEY = 1.0, 3.0
-"""A point where log w exceeds its median by the first is where the mixture has too little. It is near a maximum
-that the mixture does not know if the log-density between it and its component drops by the second: more than what
-local steps cross by themselves."""
-_LOWEST = -5.0  # of the logarithm of a new component's share
-_CHECKED = 5  # points per fit
-_BETWEEN = np.arange(6) / 6.0  # from the component to the point
+"""The density of the mixture is too low at a point where log w exceeds its median by `_UNKNOWN`. The point is near
+a maximum that the mixture misses if the log-density between the point and its component drops by `_VALLEY`, which
+is more than local steps can cross."""
+_LOWEST = -5.0  # smallest logarithm of a new component's share
+_CHECKED = 5  # largest number of points that are checked per fit
+_BETWEEN = np.arange(6) / 6.0  # relative positions on the line from the component to the point
 
 
 class Seen(NamedTuple):
-    """Points at which a fit looks: candidates, where the chains are, and where they were before the first fit.
+    """Points searched for maxima: candidates, then the chains' positions, then positions before the first fit.
 
     Attributes
     ----------
     position : ndarray, shape (n, ndim)
     log_prob : ndarray, shape (n,)
     log_q : ndarray, shape (n,)
-        Logarithm of the density of all candidates so far, up to a constant.
+        Log-density of all candidates so far, up to a constant.
     candidates, chains : int
+        Numbers of candidates and of chains.
     """
 
     position: FloatArray
@@ -48,20 +49,20 @@ class Seen(NamedTuple):
 
 
 class NewMaximum(NamedTuple):
-    """A maximum, as a quadratic in coordinates that are not warped, and its mass relative to the mixture."""
+    """A maximum, as a quadratic in coordinates without warp, and its probability relative to the mixture's."""
 
     quadratic: Quadratic
     mass: float
 
 
 def find_unknown_maxima(mixture: Mixture, seen: Seen, target: Target) -> tuple[list[NewMaximum], IntArray]:
-    """Return the maxima that a mixture does not know, and the evaluations of each chain that this took.
+    """Return the list of maxima that a mixture misses, and the number of evaluations per chain, shape (chains,).
 
-    They are climbed to from where chains are, candidates, or where chains were before the first fit, if log w is
-    above its median there, and a valley lies between the point and the component that accounts for it. A chain at
-    a low maximum without a component would hardly leave it. The others must be as high as the draws, and log w
-    above its median for the candidates of all mixtures so far, too: a maximum that those showed to be slight is
-    not climbed to again.
+    The search climbs from a point of `seen` if log w = log P − log q is well above its median there, and a valley
+    lies between the point and the component responsible for the point. Positions of chains are checked first, as a
+    chain at a low maximum without a component would hardly leave this maximum. All other points must have a
+    log-density close to that of the chains, and a log w well above its median for the candidates of all mixtures
+    so far, too: a maximum that earlier candidates showed to be minor is not climbed again.
     """
     u, log_prob, log_q, n, _ = seen
     is_chain = seen.is_chain
@@ -95,7 +96,7 @@ def find_unknown_maxima(mixture: Mixture, seen: Seen, target: Target) -> tuple[l
 
 
 def add_maxima(mixture: Mixture, maxima: Sequence[NewMaximum]) -> Mixture:
-    """Return the mixture with a component at each maximum; later fits correct its weight and shape."""
+    """Return the mixture with a component added at each maximum; later fits correct weights and shapes."""
     if not maxima:
         return mixture
     new = [mixture.warp.quadratic(one.quadratic) for one in maxima]
@@ -105,13 +106,13 @@ def add_maxima(mixture: Mixture, maxima: Sequence[NewMaximum]) -> Mixture:
 
 
 class _Counted:
-    """A target's log-density, with the solves counted."""
+    """Callable log-density of a target that counts the solves."""
 
     def __init__(self, target: Target) -> None:
         self.target, self.n_solves = target, 0
 
     def __call__(self, u: FloatArray) -> FloatArray:
-        """Return the log-density at points u (n, ndim), -inf outside the box."""
+        """Return the log-densities at points u (n, ndim), shape (n,); -inf outside the box."""
         found = self.target.evaluate(u)
         self.n_solves += int(found.n_solves.sum())
         return found.log_prob
