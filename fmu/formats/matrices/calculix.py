@@ -8,8 +8,8 @@ The step of the input deck must be::
 Each line of a matrix has row, column and entry; only one entry of each symmetric pair is present. Line i of
 ``job.dof`` is ``node.direction`` of row i. CalculiX expands shells and beams into solids, so that several rows can
 have the name of one node. These rows get new node ids above those in the file, and the displacement of the
-original node is their mean. ``job.12d`` lists the expanded nodes; without that file, every name that occurs several
-times is taken as expanded.
+original node is their mean. ``job.12d`` lists the expanded nodes; without that file, every name that occurs more
+than once is taken as expanded.
 """
 
 from __future__ import annotations

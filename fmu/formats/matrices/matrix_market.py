@@ -155,7 +155,7 @@ def _sparse(file: BinaryIO, sizes: list[int], sign: float) -> sp.coo_array:
 
 
 def _full(values: FloatArray, rows: int, columns: int, sign: float) -> FloatArray:
-    """Return a full matrix from its values in column order; a symmetric matrix has those of the lower triangle."""
+    """Return a full matrix from its values in column order; of a symmetric matrix, from its lower triangle."""
     if not sign:
         return values.reshape((rows, columns), order="F")
     matrix = np.zeros((rows, columns))

@@ -52,8 +52,8 @@ def assemble(
         The argument that gave each matrix, for messages.
     mesh : Mesh, optional
         If nodes of the mesh have their own axes, matrices are rotated to global axes where all three displacements
-        (or rotations) of a node have rows. Otherwise the rows keep their axes, and the displacements (or rotations)
-        along global axes are weighted sums of rows.
+        (or rotations) of a node have rows. Otherwise the rows keep their axes, and displacements (or rotations)
+        along global axes are weighted sums of degrees of freedom.
 
     Raises
     ------
@@ -128,7 +128,7 @@ def _show_names(names: Sequence[DofName]) -> str:
 
 
 def _place_rows(matrix: Matrix, rows: Sequence[int], n_dof: int) -> sp.csr_array:
-    """Return a csr_array (n_dof, n_dof) with row and column i of a matrix moved to rows[i], and zeros elsewhere."""
+    """Return a csr_array (n_dof, n_dof) with row and column i of a matrix at rows[i]; other entries are zero."""
     entries, at = sp.coo_array(matrix), np.asarray(rows)
     return sp.csr_array((entries.data, (at[entries.row], at[entries.col])), shape=(n_dof, n_dof))
 
@@ -136,7 +136,7 @@ def _place_rows(matrix: Matrix, rows: Sequence[int], n_dof: int) -> sp.csr_array
 def _turn_axes(
     dofs: Sequence[DofName], axes: Mapping[int, FloatArray]
 ) -> tuple[sp.csr_array | None, dict[DofName, dict[DofName, float]], list[str]]:
-    """Return T of u = T u_global (None if no rotation), global motions of nodes that keep their axes, and notes."""
+    """Return T of u = T u_global (None if no rotation), the weighted sums for rows that keep axes, and notes."""
     index = {dof: i for i, dof in enumerate(dofs)}
     place: dict[tuple[int, int], float] = {}
     motions: dict[DofName, dict[DofName, float]] = {}

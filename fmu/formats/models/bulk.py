@@ -1,9 +1,9 @@
 """Reader of nodes, elements, axes and matrix rows in Nastran bulk data, ``.bdf``, ``.dat`` or ``.nas``.
 
 Matrices are along the axes of each node's output coordinate system, CD. Rows of OP4 files have no names: the rows
-of the g-set are the nodes in ascending order with six components each, and scalar points with one component. Of the
-smaller sets, this module knows the a-set if ASET entries define it, and otherwise the f-set: the g-set without the
-components that GRID, SPC and SPC1 hold.
+of the g-set are the nodes in ascending order with six components each, and scalar points with one component. The
+smaller sets that this module knows are the a-set, if ASET entries define it, and otherwise the f-set: the g-set
+without the components that GRID, SPC and SPC1 hold.
 """
 
 from __future__ import annotations

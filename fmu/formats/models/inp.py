@@ -92,7 +92,7 @@ def parse(lines: Iterator[str]) -> Mesh:
         elif reading == "ELEMENT":
             ahead += [_id(word.strip(), number) for word in line.split(",") if word.strip()]
             if len(ahead) > needed:
-                if len(ahead) > needed + 1 and kind not in ("line", "line3"):  # line elements may name a further node
+                if len(ahead) > needed + 1 and kind not in ("line", "line3"):  # these may name a further node
                     raise ValueError(f"line {number}: a {kind} has {needed} nodes (got {len(ahead) - 1})")
                 ends = ahead[1 : needed + 1]
                 elements.append((ends[0], ends[2], ends[1]) if kind == "line3" else tuple(ends))

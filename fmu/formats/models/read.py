@@ -253,7 +253,7 @@ def read_beside(path: Path) -> list[Path]:
 
 
 def _is_pair(K: str, M: str) -> bool:
-    """Return True if two names are of a stiffness and its mass: ``K`` and ``M``, ``model.Kaa`` and ``model.Maa``."""
+    """Return True if two names are a stiffness and its mass: ``K`` and ``M``, ``model.Kaa`` and ``model.Maa``."""
     rest = [re.split(r"[./]", name) for name in (K, M)]
     if rest[0][:-1] != rest[1][:-1]:
         return False
@@ -281,7 +281,7 @@ def _require_file(path: Path) -> None:
 
 
 def _name_argument[Read](argument: str, read: Callable[[], Read]) -> Read:
-    """Return what `read` returns; its ValueError is raised again as an error of the argument."""
+    """Return the result of `read`; its ValueError is raised again as an error of the argument."""
     try:
         return read()
     except ValueError as error:
