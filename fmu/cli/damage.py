@@ -22,7 +22,7 @@ BEYOND = (0.05, 0.1)
 
 
 def echo_losses(trace: xr.DataTree, diagnosis: Diagnosis, beyond: Sequence[float] = BEYOND) -> None:
-    """Print losses, and values before and after, for each later state, and why probabilities are unreliable."""
+    """Print losses, with values before and after, for each later state, and a warning if P is unreliable."""
     from fmu.analysis.trace.damage import ANY, before_and_after, before_in_words, damage, probably, state_in_words
 
     table, values = damage(trace, beyond), before_and_after(trace)

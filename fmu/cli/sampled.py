@@ -71,7 +71,7 @@ def sample_problem(
     from fmu.samplers.registry import plan_steps
 
     with _explain_failure(problem), _spread(problem, engine, asked.orders["groups"]) as workers:
-        maxima = kept_maxima(running.folder)  # if they are of another posterior, the checkpoints refuse it
+        maxima = kept_maxima(running.folder)  # may be of another posterior: the checkpoints refuse that
         if maxima is None and is_searchable(problem):
             starts = asked.orders["starts"] or default_starts(problem)
             if speaks and (sys.stderr.isatty() or starts != STARTS):  # it may take long

@@ -97,7 +97,7 @@ def may_learn_more(problem: UpdatingProblem, orders: Orders) -> bool:
 def of_its_surrogate(asked: KeptProblem, problem: UpdatingProblem, running: RunDirectory) -> KeptProblem:
     """Return the run's problem and options, after saving the solved points of its surrogate in the options.
 
-    A run that is resumed with more solves has another surrogate, and the draws of the earlier one are removed.
+    A run that is resumed with more solves has a new surrogate; the draws of the earlier surrogate are removed.
     """
     design = problem.model.configuration()["design"]
     is_other = asked.orders.get("design", design) != design

@@ -126,7 +126,7 @@ def _is_dense(dataset: h5py.Dataset) -> bool:
 
 
 def _part(group: h5py.Group, name: str) -> AnyArray:
-    """Return one array of a sparse matrix; RefusedError if it is a soft or external link."""
+    """Return one array of a sparse matrix; RefusedError for a group, or for a soft or external link."""
     if not _is_inside(group, name) or not _is_dataset(group[name]):
         raise RefusedError(f"must have numbers in {group.name}/{name} (it is a group, or a link elsewhere)")
     return _numbers(group[name])

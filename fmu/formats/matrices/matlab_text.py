@@ -121,7 +121,7 @@ def _size(text: str, words: tuple[str, str] | None) -> tuple[int, int] | None:
 
 
 def _table(text: str, name: str, at: int) -> tuple[FloatArray, int]:
-    """Return the two-dimensional array of numbers up to the closing bracket, and the position after that."""
+    """Return the two-dimensional array of numbers up to the closing bracket, and the next position."""
     end = text.find("]", at)
     if end < 0:
         raise ValueError(f"{name} is cut short")

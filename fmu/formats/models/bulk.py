@@ -118,7 +118,7 @@ def _system(deck: _Deck, way: Literal["1", "2"], kind: Kind, fields: list[str]) 
 
 
 def _members(deck: _Deck, name: str, fields: list[str]) -> None:
-    """Add the components in an entry to those that are kept (ASET) or held (SPC)."""
+    """Add the components named in an entry to the kept components (ASET) or the held components (SPC)."""
     into = deck.kept if name.startswith("ASET") else deck.held
     skipped = 0 if name.startswith("ASET") else 1
     if name.endswith("1"):

@@ -61,7 +61,7 @@ class Systems:
     _places: dict[int, FloatArray] = field(default_factory=dict)
 
     def place(self, node: int, depth: int = 0) -> FloatArray:
-        """Return the position of a node along global axes, shape (3,)."""
+        """Return the position of a node in global coordinates, shape (3,)."""
         if node not in self._places:
             if node not in self.given:
                 raise RefusedError(f"must have the node {node}, a point of a coordinate system (it has not)")
@@ -70,7 +70,7 @@ class Systems:
         return self._places[node]
 
     def axes(self, system: int, node: int) -> FloatArray:
-        """Return the unit vectors (rows) of a system at a node, in global axes, shape (3, 3)."""
+        """Return the unit vectors (rows) of a system at a node, in global coordinates, shape (3, 3)."""
         if system == 0:
             return np.eye(3)
         origin, own = self._frame(system, 0)
@@ -90,7 +90,7 @@ class Systems:
         return np.asarray(tilted @ about_z @ own)
 
     def _from(self, system: int, coordinates: FloatArray, depth: int) -> FloatArray:
-        """Return the position along global axes, shape (3,), of a point given in a system."""
+        """Return the position in global coordinates, shape (3,), of a point given in a system."""
         if system == 0:
             return np.asarray(coordinates, dtype=float)
         origin, own = self._frame(system, depth + 1)
@@ -107,7 +107,7 @@ class Systems:
         return np.asarray(origin + local @ own)
 
     def _frame(self, system: int, depth: int) -> tuple[FloatArray, FloatArray]:
-        """Return the origin (3,) and the unit vectors (rows) of a system, in global axes."""
+        """Return the origin (3,) and the unit vectors (rows of (3, 3)) of a system, in global coordinates."""
         if system in self._frames:
             return self._frames[system]
         if system not in self.definitions:

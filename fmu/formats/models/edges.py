@@ -8,7 +8,7 @@ from fmu.formats.models.exported import ExportedModel, Mesh
 from fmu.types import FloatArray, IntArray
 
 MOST_EDGES = 1000
-"""Number of edges above which only those at a border, at an angle or between two boxes in space are drawn."""
+"""Number of edges above which only edges at a border, at an angle or between two boxes in space are drawn."""
 _BOXES = (10, 5, 2, 1)
 """Numbers of boxes along the longest side of a mesh; the first to give at most 2 `MOST_EDGES` lines is used."""
 _ANGLE = np.cos(np.radians(30.0))
@@ -85,7 +85,7 @@ def _outer(faces: IntArray) -> IntArray:
 
 
 def _of_faces(faces: IntArray, coordinates: FloatArray) -> IntArray:
-    """Return the edges of faces (n, 2): all, or if there are many, those that show the shape, see `MOST_EDGES`."""
+    """Return all edges of faces (n, 2), or if there are many, the edges that show the shape, see `MOST_EDGES`."""
     if not len(faces):
         return np.zeros((0, 2), dtype=np.int64)
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)

@@ -112,9 +112,9 @@ class ExportedModel:
     notes : tuple of str
         One sentence for each omission or assumption.
     motions : mapping of (node id, direction) to mapping of (node id, direction) to float
-        Displacements and rotations along global axes that are weighted sums of several `dofs`, such as those of a
-        shell's middle surface in a model with nodes on both faces. They take precedence over `dofs` of the same
-        name.
+        Displacements and rotations along global axes that are weighted sums of several `dofs`, such as the
+        displacement of a shell's middle surface in a model with nodes on both faces. They take precedence over
+        `dofs` of the same name.
     """
 
     stiffness: sp.csr_array

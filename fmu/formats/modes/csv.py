@@ -60,7 +60,7 @@ class _Row(NamedTuple):
 
 
 def read_frequencies(path: Path) -> MeasuredModes:
-    """Return the modes of a table of frequencies.
+    """Return the modes in a table of frequencies, without shapes.
 
     Raises
     ------

@@ -211,7 +211,7 @@ def load_pyoma(path: Path) -> dict[str, AnyArray]:
 
 
 def _parts(result: object) -> dict[str, ArrayLike | None]:
-    """Return a dict of the attributes of a result that are used; None for missing or meaningless ones."""
+    """Return a dict of the attributes of a result that are used; None for a missing or meaningless attribute."""
     given = {name: _attribute(result, name) for name in _KEPT}
     if _attribute(result, "setups_used") is not None:
         given["Fn_std"] = given["Phi_std"] = None

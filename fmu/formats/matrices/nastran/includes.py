@@ -48,7 +48,7 @@ def deck_lines(path: Path) -> Iterator[str]:
 
 
 def included_files(path: Path) -> list[Path]:
-    """Return the paths of the files that a deck includes, each once, based on its folder; see `deck_lines`."""
+    """Return a list of the files that a deck includes, each once, as paths in its folder; see `deck_lines`."""
     folder, found = path.parent.resolve(), dict[Path, None]()
     for _ in _lines(path, folder, (path.resolve(),), _Count(), found):
         pass
