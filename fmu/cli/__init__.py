@@ -1,9 +1,9 @@
-"""The shell commands: they read arguments and write tables and files; the rest of fmu does the work.
+"""The shell commands, which read arguments and write tables and files; the rest of fmu does the computations.
 
 Reading order: `run`, then `sampled`, which it calls; `compare`, `problems`, `results` and `watch` are the other
 commands.
 
-Nothing heavy is imported before a command needs it.
+Large libraries are imported only when a command needs them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""``fmu compare``: several samplers on one problem to one criterion, or the samplers of a run side by side."""
+"""The command ``fmu compare``: several samplers on one problem with one criterion, or the samplers of a run."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from fmu.cli.tables import echo_comparison
 from fmu.samplers.registry import COMPARED
 
 MAX_SOLVES = 300_000
-"""Enough for emcee to pass its own tests on the built-in cantilevers."""
+"""Default limit of solves: enough for emcee to pass its own tests on the built-in cantilevers."""
 _LIKE_RUN = {"pairing", "seed", "overwrite", "chains", "starts", "workers", "progress", "reports"}
 
 
 def _as_in_run(command: click.Command) -> click.Command:
-    """Add the options that ``fmu run`` has too."""
+    """Return a command with the options that it shares with ``fmu run``."""
     command.params += [option for option in run.params if option.name in _LIKE_RUN]
     return command
 
@@ -47,7 +47,7 @@ def compare(context: click.Context, case: str, out: Path | None, pairing: str | 
 
 
 def _compare_run(directory: Path) -> None:
-    """Compare the traces of a run."""
+    """Print a comparison of the traces of a run."""
     from fmu.analysis.convergence.diagnostics import summary
     from fmu.analysis.trace.conversion import load_traces
     from fmu.runs.words import why_no_traces

@@ -1,4 +1,4 @@
-"""Losses between states of a structure, as tables on a terminal; and ``fmu damage``."""
+"""Tables of losses between states of a structure on a terminal, and the command ``fmu damage``."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 _WIDTH = 80
 BEYOND = (0.05, 0.1)
-"""Losses whose probability of being exceeded is printed."""
+"""Losses for which the probability of exceedance is printed."""
 
 
 def echo_losses(trace: xr.DataTree, diagnosis: Diagnosis, beyond: Sequence[float] = BEYOND) -> None:
-    """Print losses and values before and after each later state, and the doubts about their probabilities."""
+    """Print losses, with values before and after, for each later state, and a warning if P is unreliable."""
     from fmu.analysis.trace.damage import ANY, before_and_after, before_in_words, damage, probably, state_in_words
 
     table, values = damage(trace, beyond), before_and_after(trace)

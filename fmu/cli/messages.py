@@ -1,4 +1,4 @@
-"""Standard error: an error is one line, without a traceback; a warning of fmu is a note."""
+"""Messages on standard error: errors as one line without a traceback, and warnings of fmu as notes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STOPPED = 130  # what a shell reports for a command that Ctrl-C ended
 
 
 class _Unbroken:
-    """Standard output that goes nowhere once its reader has gone, as ``head`` does: the command goes on."""
+    """Standard output that is discarded once its reader, such as ``head``, has ended; the command continues."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -38,7 +38,7 @@ class _Unbroken:
         return len(text)
 
     def flush(self) -> None:
-        """Write what is held back."""
+        """Write buffered text."""
         try:
             self._stream.flush()
         except BrokenPipeError:
@@ -51,14 +51,14 @@ class _Unbroken:
 
 
 class Commands(click.Group):
-    """A group of commands that end with an exit code, and with one line where there is an error."""
+    """A group of commands that end with an exit code, and report an error on one line."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the commands in the order in which they are used."""
+        """Return the names of the commands in the order of their use."""
         return list(self.commands)
 
     def main(self, *args: Any, **kwargs: Any) -> NoReturn:
-        """Run a command and exit with its code, even if nobody reads its output any more."""
+        """Run a command and exit with its code, even if the reader of its output has ended."""
         if sys.stdout is sys.__stdout__ and sys.stdout is not None:
             sys.stdout = _Unbroken(sys.stdout)
         try:
@@ -84,7 +84,7 @@ class Commands(click.Group):
 
 
 def _of_system(error: OSError) -> str:
-    """Return an error of the system as a sentence with its file, and what to do where there is no room."""
+    """Return a sentence on a system error with the file concerned and, if the disk is full, advice."""
     where = error.filename or "standard output, or a file of the output directory"
     if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         return (
@@ -95,7 +95,7 @@ def _of_system(error: OSError) -> str:
 
 
 def _fail(message: str, *mistakes: object, code: int = BAD_INPUT) -> NoReturn:
-    """Print one line, and one more for each of the first mistakes in a file; exit."""
+    """Print an error message on one line, and one line for each of the first errors in a file; exit."""
     from fmu.formats.shown import list_mistakes, one_line
 
     click.echo(f"Error: {one_line(message)}", err=True)
@@ -106,7 +106,7 @@ def _fail(message: str, *mistakes: object, code: int = BAD_INPUT) -> NoReturn:
 
 @contextmanager
 def warnings_as_notes() -> Iterator[None]:
-    """Print warnings of stores, rounding and reduced models as notes, without the line of code they come from."""
+    """Print warnings on stores, rounding, surrogates and the like as notes, without their line of code."""
     from fmu.fem.programs.store import StoreWarning
     from fmu.posterior.reduction.train_reduced import ReductionWarning
     from fmu.posterior.rounding import RoundingWarning

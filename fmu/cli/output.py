@@ -1,4 +1,4 @@
-"""Output directories: checked before hours of work are spent."""
+"""Checks of output directories before a long computation starts."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ def claim_directory(directory: Path, overwrite: bool) -> Iterator[Path]:
         yield directory
     except BaseException:
         for path in made:
-            with suppress(OSError):  # it holds results
+            with suppress(OSError):  # the directory holds results
                 path.rmdir()
         raise
 
 
 def _is_left_empty(directory: Path) -> bool:
-    """Return whether a directory holds only the files of a run that was killed in its first seconds."""
+    """Return True if a directory holds only the files of a run that was killed in its first seconds."""
     from fmu.runs.lock import FILE, LOCK, PHASE
 
     if directory.is_symlink() or not directory.is_dir():
@@ -43,7 +43,7 @@ def _is_left_empty(directory: Path) -> bool:
 
 
 def make_writable(directory: Path) -> None:
-    """Make an output directory if there is none; ValueError if that fails or it cannot be written to."""
+    """Make an output directory if there is none; ValueError if it cannot be made or written to."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
         why = "" if os.access(directory, os.W_OK) else "no permission"

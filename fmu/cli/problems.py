@@ -1,4 +1,4 @@
-"""Problem files: ``fmu cases``, ``init``, ``schema`` and ``check``; and how a command finds its problem."""
+"""Commands on problem files, ``fmu cases``, ``init``, ``schema`` and ``check``; and the loading of a problem."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def pairing_option[Command: Callable[..., object]](command: Command) -> Command:
-    """Add the option ``--pairing``."""
+    """Return a command with the option ``--pairing`` added."""
     text = (
         "How computed modes are paired with measured ones: by shape, by number in the spectrum, or softly by "
         "shape (no jumps).  [default: as in the file]"
@@ -33,12 +33,12 @@ def pairing_option[Command: Callable[..., object]](command: Command) -> Command:
 
 
 def problem_of(case: str, pairing: str | None) -> KeptProblem:
-    """Return the file of a built-in case or of a user, read but not built, with the pairing to use.
+    """Return the problem file of a built-in case or of a user, read but not built, with the pairing to use.
 
     Raises
     ------
     click.BadParameter
-        If `case` is neither.
+        If `case` is neither a built-in case nor the name of a ``.toml`` file.
     ConfigurationError
         If the file is broken.
     FileNotFoundError
@@ -55,7 +55,7 @@ def problem_of(case: str, pairing: str | None) -> KeptProblem:
 
 
 def build_problem(problem: KeptProblem, engine: Engine | None = None) -> UpdatingProblem:
-    """Build a problem; an engine, if one is given, trains its reduced model."""
+    """Return the problem built from its file; an engine, if given, trains the reduced model."""
     if sys.stderr.isatty():  # a large structure takes minutes, once
         click.echo(f"Preparing {problem.file.name} …", err=True)
     return problem.load(engine)

@@ -1,4 +1,4 @@
-"""``fmu run``: the options, and the run from them to the report."""
+"""The command ``fmu run``: its options, and the run from the options to the report."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ _FREE = {"resume", "workers", "cluster", "progress", "reports", "max_failure_rat
 """Options that may change when a run is resumed: the draws do not depend on them."""
 
 ALL = "all"
-"""Name of the option that stands for all samplers to compare."""
+"""Value of ``--sampler`` that stands for all samplers that ``fmu compare`` runs."""
 _GARBAGE, _GARBAGE_OF_PAGES = 100_000, 1_000_000
-"""New objects after which Python looks for unused ones: looking often takes a tenth of a short run. When pages
-are written, nearly all of them are in use, and small."""
+"""Numbers of new objects after which Python collects garbage: frequent collections take a tenth of a short run.
+When pages are written, nearly all new objects are small and in use."""
 
 
 def _option[Command: Callable[..., object]](
     name: str, kind: click.ParamType | type | None, text: str, **more: Any
 ) -> Callable[[Command], Command]:
-    """Return an option; if it is an argument of `fmu.sample` with a default value, it has the same one."""
+    """Return a decorator that adds an option, with the default of an argument of `fmu.sample` of the same name."""
     default = DEFAULTS.get(name.removeprefix("--").replace("-", "_"))
     if default is not None:
         more |= {"default": default, "show_default": True}
@@ -123,7 +123,7 @@ def run(
     given.
     """
     gc.set_threshold(_GARBAGE)
-    atexit.register(gc.freeze)  # or Python would look for unused objects once more, when the process ends
+    atexit.register(gc.freeze)  # or Python would collect garbage once more when the process ends
     with ExitStack() as stack:
         stack.enter_context(stoppable())
         if resume is None:
@@ -134,9 +134,9 @@ def run(
             asked, directory = _read_resumed(context, resume, orders), resume
             make_writable(directory)
         speaks = progress != "json"  # JSON lines on standard error are for programs
-        if speaks and sys.stderr.isatty():  # what follows is silent for a second or more
+        if speaks and sys.stderr.isatty():  # the next steps print nothing for a second or more
             click.echo(f"{asked.file.stem}, paired by {asked.pairing}: results go to {directory}", err=True)
-        import arviz_base  # noqa: F401  # it looks at the source of all functions being called: here they are few
+        import arviz_base  # noqa: F401  # it inspects the source of all functions on the call stack: few here
 
         from fmu.engines import engine
         from fmu.runs.run_directory import RunDirectory
@@ -184,7 +184,7 @@ def _tell_stop(directory: Path, where: str = "") -> int:
 
 
 def _read_order(context: click.Context, case: str | None, pairing: str | None, orders: Orders) -> KeptProblem:
-    """Return the problem and the options of a new run; an error if they conflict."""
+    """Return the problem and the options of a new run; raise an error if options conflict."""
     if case is None:
         raise click.MissingParameter(ctx=context, param_hint="'CASE'", param_type="argument")
     problem = problem_of(case, pairing)
@@ -213,7 +213,7 @@ def _read_order(context: click.Context, case: str | None, pairing: str | None, o
 
 
 def _read_resumed(context: click.Context, directory: Path, orders: Orders) -> KeptProblem:
-    """Return the problem and the options of the run in a directory; BadParameter if one must not be changed."""
+    """Return the problem and options of the run in a directory; BadParameter if a fixed option was changed."""
     from fmu.runs.run_directory import folder_of_order
 
     default = ParameterSource.DEFAULT
@@ -240,9 +240,9 @@ def _read_resumed(context: click.Context, directory: Path, orders: Orders) -> Ke
 def _begin_run(
     asked: KeptProblem, running: RunDirectory, engine: Engine, *, new: bool, overwrite: bool
 ) -> UpdatingProblem:
-    """Build the problem, and save what a new run was asked for, so that it can be resumed.
+    """Return the problem, and save the options of a new run, so that the run can be resumed.
 
-    With --overwrite that replaces an earlier run, which must not be lost to a problem that cannot be built.
+    With --overwrite, options are saved only after the problem is built: an earlier run is kept if that fails.
     """
     if new and not overwrite:
         running.begin(asked)
@@ -272,7 +272,7 @@ def _echo_estimate(problem: UpdatingProblem, orders: Orders, workers: int) -> No
 
 @contextmanager
 def _reporting(progress: str, running: RunDirectory) -> Iterator[Report | None]:
-    """Show the progress of a block as `progress` says, and note its phases in the directory of the run."""
+    """Yield the report of progress that `progress` selects, and note the phases in the directory of the run."""
     with ExitStack() as stack:
         report: Report | None = None
         if progress == "json":

@@ -1,4 +1,4 @@
-"""The work of ``fmu run``: search for maxima, draw with each sampler, write and print the results."""
+"""The steps of ``fmu run``: search for maxima, draw with each sampler, write and print the results."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Sampled(NamedTuple):
 
     @property
     def limited(self) -> list[str]:
-        """The samplers that ended at their limit of solves: they can be resumed with a larger one."""
+        """Names of the samplers that ended at their limit of solves, and can be resumed with a larger limit."""
         return [name for name, trace in self.traces.items() if "limit" in trace.attrs]
 
 
@@ -54,15 +54,15 @@ def sample_problem(
     report: Report | None,
     speaks: bool,
 ) -> Sampled:
-    """Sample a problem with every sampler asked for that has not finished yet, and write the results of each.
+    """Sample a problem with every requested sampler that has not finished yet, and write the results of each.
 
-    The maxima are printed once they are found, and table and verdict of a sampler once its draws are there:
-    certificates and modes left out take further solves and come after that.
+    The maxima are printed once they are found, and the table and verdict of a sampler once its draws are complete;
+    certificates and predictions of left-out modes need further solves and follow later.
 
     Raises
     ------
     StoppedRun
-        If Ctrl-C or SIGTERM stopped a sampler; what it had drawn is written too.
+        If Ctrl-C or SIGTERM stopped a sampler; the draws up to then are written too.
     """
     from fmu.analysis.convergence.diagnosis import maxima_of
     from fmu.analysis.maxima.search import STARTS, default_starts, find_map, is_searchable
@@ -71,14 +71,14 @@ def sample_problem(
     from fmu.samplers.registry import plan_steps
 
     with _explain_failure(problem), _spread(problem, engine, asked.orders["groups"]) as workers:
-        maxima = kept_maxima(running.folder)  # of another posterior: the checkpoints refuse that
+        maxima = kept_maxima(running.folder)  # may be of another posterior: the checkpoints refuse that
         if maxima is None and is_searchable(problem):
             starts = asked.orders["starts"] or default_starts(problem)
             if speaks and (sys.stderr.isatty() or starts != STARTS):  # it may take long
                 click.echo(f"Searching for posterior maxima from {starts} starts …", err=True)
             maxima = find_map(problem, starts)
             keep_maxima(running.folder, maxima, problem)
-        if maxima is not None and not asked.orders.get("exact"):  # those of the model are not known yet
+        if maxima is not None and not asked.orders.get("exact"):  # the maxima of the model are not known yet
             end_bars(report)
             echo_maxima(maxima)
         outcome = Sampled(maxima, {}, {})
@@ -107,7 +107,7 @@ def sample_problem(
                 with shielded():
                     running.finish_sampler(name, asked)
     end_bars(report)
-    if asked.orders.get("exact"):  # those of the model, and not of its surrogate
+    if asked.orders.get("exact"):  # the maxima of the model, and not of its surrogate
         outcome = outcome._replace(maxima=maxima_of(next(iter(outcome.traces.values()))))
         if outcome.maxima is not None:
             echo_maxima(outcome.maxima)
@@ -125,9 +125,9 @@ def _tell_draws(
     report: Report | None,
     trace: xr.DataTree,
 ) -> None:
-    """Print and write the summary of a sampler's draws, its verdict, and how to go on if it ended at its limit.
+    """Print and write the summary of a sampler's draws, its verdict, and how to continue if it reached its limit.
 
-    The verdict is not yet compared with samplers that are still to draw.
+    The verdict does not yet include a comparison with samplers that have not drawn.
     """
     from fmu.analysis.convergence.diagnosis import diagnose_all
     from fmu.analysis.convergence.diagnostics import summary
@@ -149,13 +149,13 @@ def _tell_draws(
 
 
 def _is_certified(problem: UpdatingProblem, orders: Orders) -> bool:
-    """Say whether the model has no surrogate, or a certified one, or draws are made exact."""
+    """Return True if the model has no surrogate or a certified surrogate, or the draws are made exact."""
     certificate = problem.model.certificate
     return certificate is None or bool(orders.get("exact")) or certificate.ok
 
 
 def _until(orders: Orders) -> dict[str, object]:
-    """Return the options of a run that are arguments of `fmu.sample`; without draws, when its sampling ends."""
+    """Return a dict of a run's arguments of `fmu.sample`, with criteria for the end if `draws` is not given."""
     from fmu.analysis.convergence.remedies import ESS_LIMIT
 
     arguments = {key: order for key, order in orders.items() if key in sampling.DEFAULTS}
@@ -165,7 +165,7 @@ def _until(orders: Orders) -> dict[str, object]:
 
 
 def _limit(orders: Orders) -> int:
-    """Return the limit of solves of a sampler: with a surrogate, of solves of the model itself."""
+    """Return the limit of a sampler's solves; with a surrogate, which is fast to solve, at least the default."""
     return max(orders["max_solves"], MAX_SOLVES if orders.get("surrogate") else 0)
 
 
@@ -176,7 +176,7 @@ def _draw_trace(
     running: RunDirectory,
     **arguments: object,
 ) -> xr.DataTree:
-    """Draw with one sampler and write its trace; StoppedRun says which sampler was stopped."""
+    """Return the trace of one sampler, after drawing and writing it; StoppedRun names the stopped sampler."""
     from fmu.samplers.loop.saving import TooManyFailuresError
     from fmu.samplers.registry import make_sampler
 
@@ -219,7 +219,7 @@ def _write_csv(table: pd.DataFrame, path: Path) -> None:
 
 
 def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Orders) -> int:
-    """Print evidences, comparison and the verdict on the model, and write the comparison; return the exit code."""
+    """Print the evidences, comparison and verdict on the model, write the comparison, and return the exit code."""
     from fmu.analysis.certificate import exact_in_words
     from fmu.analysis.convergence.diagnosis import choose_run, is_enough
     from fmu.analysis.evidence import found_evidences
@@ -257,7 +257,7 @@ def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Or
 
 
 def _echo_failed_points(name: str, trace: xr.DataTree, directory: Path, problem: UpdatingProblem) -> None:
-    """Say how many points inside the bounds had no finite log-probability, if there were any."""
+    """Print the number of points inside the bounds without a finite log-probability, if there were any."""
     groups = (trace[group] for group in ("warmup_sample_stats", "sample_stats"))
     failed = sum(int(stats["n_nonfinite"].sum()) for stats in groups if "n_nonfinite" in stats)
     if failed:
@@ -270,9 +270,9 @@ def _echo_failed_points(name: str, trace: xr.DataTree, directory: Path, problem:
 
 @contextmanager
 def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Iterator[Engine]:
-    """Give the engine that advances groups of chains.
+    """Yield the engine that advances groups of chains.
 
-    A user's function is expensive: unless groups are asked for, the workers share the evaluations of each step,
+    A user's function is expensive: unless groups are requested, the workers share the evaluations of each step,
     and the chains advance in this process.
     """
     from fmu.engines.base import InProcess
@@ -286,7 +286,7 @@ def _spread(problem: UpdatingProblem, engine: Engine, groups: int | None) -> Ite
 
 @contextmanager
 def _explain_failure(problem: UpdatingProblem) -> Iterator[None]:
-    """Add the first failure of the user's function, if there is one, to an error."""
+    """Add the first failure of the user's function, if there is one, to the message of a ValueError."""
     try:
         yield
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""Surrogates in ``fmu run``: whether one replaces a slow model, and what is printed about it."""
+"""Surrogates in ``fmu run``: whether a surrogate replaces a slow model, its construction, and the messages."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ if TYPE_CHECKING:
     from fmu.runs.run_directory import RunDirectory
 
 MAX_SOLVES = 2_000_000
-"""Solves of a sampler, warm-up included, after which a run that has not converged ends, unless told otherwise."""
+"""Default limit of a sampler's solves, warm-up included; a run that has not converged ends there."""
 NO_SURROGATE = (
     "--exact: no surrogate stands for this model, so that its draws are exact anyway: leave out --exact, or ask "
     "for a surrogate where one is possible (--surrogate)."
 )
 _MOST = 8
-"""Proposals for exact draws, over those that are solved first, unless told otherwise."""
+"""Default limit of the proposals for exact draws, relative to the number that is solved first."""
 _THINNED = 4
-"""ESS of the surrogate's draws, over their number when they are thinned, at most."""
+"""ESS at which the surrogate's sampler first ends, relative to the number of proposals that is solved first."""
 
 
 def wants_surrogate(problem: UpdatingProblem, asked: bool | None) -> bool:
-    """Return whether to learn a surrogate: on request, or where a solve of a user's function is slow.
+    """Return True if a surrogate is to be built: on request, or if a solve of the user's function is slow.
 
     Raises
     ------
     click.UsageError
-        If one is asked for that is not possible.
+        If a surrogate is requested but not possible.
     """
     from fmu.analysis.estimate import seconds_of_a_solve
     from fmu.fem.programs.solves import SLOW_S
@@ -52,7 +52,7 @@ def wants_surrogate(problem: UpdatingProblem, asked: bool | None) -> bool:
 
 
 def with_surrogate(problem: UpdatingProblem, orders: Orders, engine: Engine, speaks: bool) -> UpdatingProblem:
-    """Learn the surrogate; print its cost beforehand and its certificate afterwards."""
+    """Return the problem with its surrogate; print the cost before it is built, and its certificate afterwards."""
     from fmu.analysis.estimate import seconds_of_a_solve, time_in_words
     from fmu.surrogates.delayed_acceptance import proposals
     from fmu.surrogates.learning import certificate_of, expected_solves, surrogate
@@ -80,7 +80,7 @@ def with_surrogate(problem: UpdatingProblem, orders: Orders, engine: Engine, spe
 
 
 def _budget(problem: UpdatingProblem, orders: Orders) -> int:
-    """Return the limit of solves of a surrogate: the requested one, but at most the default for exact draws."""
+    """Return the limit of solves of a surrogate: the requested limit, and for exact draws at most the default."""
     from fmu.surrogates.learning import most_solves
 
     by_default, most = most_solves(problem), int(orders["max_solves"])
@@ -88,16 +88,16 @@ def _budget(problem: UpdatingProblem, orders: Orders) -> int:
 
 
 def may_learn_more(problem: UpdatingProblem, orders: Orders) -> bool:
-    """Return whether a surrogate ended because it had no solves left for another certificate."""
+    """Return True if a surrogate was finished because too few solves were left for another certificate."""
     from fmu.surrogates.learning import CHECKS, certificate_of
 
     return _budget(problem, orders) - certificate_of(problem).solves < CHECKS
 
 
 def of_its_surrogate(asked: KeptProblem, problem: UpdatingProblem, running: RunDirectory) -> KeptProblem:
-    """Note the solves from which the surrogate of a run learnt in the options of the run; return them.
+    """Return the run's problem and options, after saving the solved points of its surrogate in the options.
 
-    A run that is resumed with more solves has another surrogate. What was drawn of the earlier one is removed.
+    A run that is resumed with more solves has a new surrogate; the draws of the earlier surrogate are removed.
     """
     design = problem.model.configuration()["design"]
     is_other = asked.orders.get("design", design) != design
@@ -114,20 +114,20 @@ def of_its_surrogate(asked: KeptProblem, problem: UpdatingProblem, running: RunD
 def exact_draws(
     problem: UpdatingProblem, name: str, *, until_ess: float, most: int | None, workers: Engine, **arguments: Any
 ) -> xr.DataTree:
-    """Return exact draws that have a surrogate's draws as proposals, from a longer run if more are needed.
+    """Return exact posterior draws with a surrogate's draws as proposals, from a longer run if more are needed.
 
     Parameters
     ----------
     problem : UpdatingProblem
-        With a surrogate.
+        Problem with a surrogate.
     name : str
-        Sampler of the surrogate's posterior.
+        Sampler that draws from the surrogate's posterior.
     until_ess : float
     most : int, optional
-        Solves after which it ends, those of the surrogate included; by default ten for every effective draw.
+        Limit of solves, including the surrogate's; by default ten exact solves for every effective draw.
     workers : Engine
     **arguments
-        Of `fmu.sample`.
+        Arguments of `fmu.sample`.
     """
     from fmu.sampling import sample
     from fmu.surrogates.delayed_acceptance import delayed_acceptance, proposals
@@ -141,7 +141,7 @@ def exact_draws(
             f"max_solves: must leave some for exact draws (got {most}, and the surrogate took {learnt})"
         )
     enough = _THINNED * first
-    tell_draws = arguments.pop("on_draws", None)  # of the model's draws, not of the surrogate's
+    tell_draws = arguments.pop("on_draws", None)  # called with the model's draws, not the surrogate's
     while True:
         trace = sample(problem, name, until_ess=enough, workers=workers, **arguments)
         found = delayed_acceptance(problem, trace, until_ess=until_ess, max_solves=left, engine=workers)

@@ -1,4 +1,4 @@
-"""Tables and verdicts as text on a terminal."""
+"""Output of tables and verdicts as text on a terminal."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ _IN_WORDS = {
     "n_gradients": "gradients", "gradient_cost": "solves that a gradient costs",
     "wall_s": "time, s", "ess_per_solve": "ESS per solve", "ess_per_s": "ESS per second",
 }  # fmt: skip
-"""Columns of `fmu.summary` and `fmu.compare` as they are printed; others are printed as they are called."""
+"""Printed headings of columns of `fmu.summary` and `fmu.compare`; other columns keep their names."""
 
 
 def echo_maxima(maxima: Maxima, most_rows: int = 40) -> None:
-    """Print the maxima of the posterior; if the table has more rows, only how probable they are."""
+    """Print the posterior maxima; if the table has more than `most_rows` rows, only their probabilities."""
     click.echo(f"Posterior maxima\n{maxima.as_text(most_rows)}")
     if len(maxima.side_by_side()) > most_rows:
         click.echo("Parameters and frequencies at the maxima are in map.csv.")
@@ -42,11 +42,11 @@ def echo_maxima(maxima: Maxima, most_rows: int = 40) -> None:
 
 
 def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
-    """Print the summary of a sampler's trace; the sd decides how many digits of means and intervals are shown.
+    """Print the summary of a sampler's trace, with means and intervals rounded according to the sd.
 
-    Behind each end of an interval stands its Monte-Carlo standard error. A last column says what each value comes
-    from, if that is known; those that the data did not inform are dim.
-    Losses between groups of tests have a table of their own (`fmu.cli.damage.echo_losses`).
+    Each end of an interval is followed by its Monte-Carlo standard error. The last column gives the basis of each
+    value, such as data or prior, if known; rows that the data did not inform are dimmed. Losses between groups of
+    tests have a separate table (`fmu.cli.damage.echo_losses`).
     """
     from fmu.analysis.information import information
     from fmu.analysis.trace.damage import is_loss
@@ -78,7 +78,7 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
 
 
 def echo_verdict(name: str, found: Diagnosis, width: int = 0) -> None:
-    """Print the verdict on a sampler's run and its reasons; names take up at least `width` columns."""
+    """Print the verdict on a sampler's run and its reasons; the name fills at least `width` columns."""
     width = max(width, len(name)) + 2
     indent = " " * width
     click.echo(wrap_text(found.verdict, f"{name:{width}}", indent))
@@ -89,9 +89,9 @@ def echo_verdict(name: str, found: Diagnosis, width: int = 0) -> None:
 def echo_comparison(
     traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.DataFrame], *, with_verdicts: bool = True
 ) -> tuple[pd.DataFrame, dict[str, Diagnosis]]:
-    """Print a table with one column per sampler, the verdicts if wanted, and the warnings about the model.
+    """Print a table with one column per sampler, the verdicts if requested, and the warnings about the model.
 
-    Of several samplers, also what each cost, beside the baseline, and whether they agree.
+    For several samplers, the costs beside the baseline and the agreement of the samplers are printed too.
 
     Returns
     -------
@@ -126,7 +126,7 @@ def echo_comparison(
 def _echo_costs(
     traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.DataFrame], verdicts: Mapping[str, Diagnosis]
 ) -> pd.DataFrame:
-    """Print whether samplers agree, and what each cost beside the baseline; return the costs."""
+    """Print whether the samplers agree, and their costs beside the baseline; return the table of costs."""
     from fmu.analysis.convergence.agreement import agreement
     from fmu.analysis.convergence.comparison import COUNTED, at_both_points, cost_rows, costs_side_by_side
 
@@ -147,7 +147,7 @@ def _echo_list(title: str, items: Iterable[str]) -> None:
 
 
 def echo_evidences(found: Sequence[FoundEvidence]) -> None:
-    """Print the log-evidences, if there are any, each with the method and how reliable it is."""
+    """Print the log-evidences, if there are any, each with its method and reliability."""
     if found:
         click.echo()
     for one in found:
@@ -162,14 +162,14 @@ def _summary_cell(name: str, value: float, sd: float) -> str:
 
 
 def _beside_the_ends(columns: list[str]) -> list[str]:
-    """Return the columns of a summary with the error of each end of an interval after it."""
+    """Return the column names of a summary, with the standard error of an interval's end after that end."""
     errors = {column.removeprefix("mcse_"): column for column in columns if column.startswith("mcse_eti")}
     others = [column for column in columns if column not in errors.values()]
     return [name for column in others for name in (column, errors.get(column)) if name is not None]
 
 
 def _cell(name: str, value: object) -> str:
-    """Format a value of the comparison: whole numbers in full, a dash for what does not apply."""
+    """Return the text of a value of the comparison: whole numbers in full, a dash if it does not apply."""
     if str(value) == "<NA>":
         return MISSING
     if not isinstance(value, float):

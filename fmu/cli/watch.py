@@ -1,4 +1,4 @@
-"""``fmu watch``: how far a run has got, as a table or as JSON."""
+"""The command ``fmu watch``: the progress of a run, as a table, as JSON or as a web page."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from fmu.tables import text_table, wrap_text
 if TYPE_CHECKING:
     from fmu.runs.status import RunReading
 
-_LEFT_OUT = ("chains",)  # what the table of a terminal has no room for
+_LEFT_OUT = ("chains",)  # columns for which a terminal has no room
 _CLEAR = "\033[H\033[2J"
 
 
@@ -79,8 +79,8 @@ def _serve(directory: Path, every: float, host: str, port: int) -> Never:
             click.echo(f"From another machine: ssh -L {there} {socket.gethostname()}, and the same address there.")
         click.echo("Ctrl-C closes the page; the run goes on.")
         sys.stdout.flush()
-        # Python would end the threads of open pages anywhere, and one with a lock of HDF5 keeps the process alive;
-        # a KeyboardInterrupt can get lost where an object is being deleted
+        # at exit, Python would stop the threads of open pages at any point, and a thread that holds the lock of
+        # HDF5 keeps the process alive; a KeyboardInterrupt can be lost while an object is being deleted
         signal.signal(signal.SIGINT, lambda *_: os._exit(0))
         with suppress(KeyboardInterrupt):
             server.serve_forever()
@@ -110,7 +110,7 @@ def _lines(reading: RunReading) -> Iterator[str]:
 
 
 def _table(rows: list[tuple[str, ...]]) -> str:
-    """Return a table without its empty columns."""
+    """Return the text of a table of rows, without the empty columns."""
     from fmu.runs.words import HEADER, WORDS
 
     columns = [

@@ -1,4 +1,4 @@
-"""Files of other programs: matrices, meshes and measured modes.
+"""Readers of files from other programs: matrices, meshes and measured modes.
 
-Reading order: files, shown; then matrices, models and modes, one file a format.
+Reading order: files, shown; then matrices, models and modes, one file per format.
 """

@@ -1,4 +1,4 @@
-"""How programs write their stiffness and mass, for those who have another file of theirs."""
+"""Instructions for exporting stiffness and mass from finite-element programs, by the suffix of a file."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ _PROGRAMS = {
     ".inp": ("CalculiX", "Abaqus"),
     ".dat": ("Nastran", "CalculiX", "Ansys"),
 }
-"""Whose files a suffix may be of."""
+"""Programs whose files may have the suffix."""
 
 
 def how_to_export(suffix: str) -> str:
-    """Return sentences on how the program of a file writes its matrices; empty if it is not known.
+    """Return text on how the programs that use a suffix export their matrices; empty for an unknown suffix.
 
     Parameters
     ----------
     suffix : str
-        Of the file, in lower case, such as ``".op2"``.
+        Suffix of the file name in lower case, such as ``".op2"``.
     """
     said = "; ".join(f"{program}: {_HOW[program]}" for program in _PROGRAMS.get(suffix, ()))
     return said and f". How to get K and M out of {said}. The template of fmu init exports reads them"

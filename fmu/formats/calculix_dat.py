@@ -1,14 +1,14 @@
-"""Frequencies and displacements of modes that CalculiX prints into ``job.dat``.
+"""Reader of the natural frequencies and modal displacements that CalculiX prints to ``job.dat``.
 
-The step of the input deck, with the nodes of the sensors in a set::
+The step of the input deck must be as follows, with the sensor nodes in a set::
 
     *FREQUENCY
     10
     *NODE PRINT, NSET=SENSORS
     U
 
-Shells and beams are expanded into solids, but this file has the motion of their own nodes. Frequencies have seven
-figures.
+CalculiX expands shells and beams into solids, but this file has the displacements of the original nodes.
+Frequencies have seven significant digits.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from fmu.formats.shown import quote
 from fmu.types import FloatArray
 
 DIRECTIONS = ("x", "y", "z")
-"""Of the displacements that ``*NODE PRINT`` gives."""
+"""Directions of the displacements that ``*NODE PRINT`` gives."""
 LARGEST_FILE = 2**29
 _TABLE = "E I G E N V A L U E   O U T P U T"
 _MODE = re.compile(r"^\s*E I G E N V A L U E    N U M B E R\s+(\d+)\s*$", re.MULTILINE)
@@ -34,12 +34,12 @@ _COLUMNS, _FREQUENCY = 5, 3
 
 
 def read_frequencies(path: Path) -> FloatArray:
-    """Return the frequencies in Hz (n,) of the last step.
+    """Return the natural frequencies of the last step in Hz, shape (n,).
 
     Raises
     ------
     ValueError
-        If the file does not exist, has no eigenvalues, or a word is not a number.
+        If the file does not exist, is too large, has no eigenvalues, or a word is not a number.
     """
     text = _last_step(path)
     first = _MODE.search(text)
@@ -47,20 +47,20 @@ def read_frequencies(path: Path) -> FloatArray:
 
 
 def read_displacements(path: Path, n_modes: int, nodes: Collection[int] | None = None) -> dict[int, FloatArray]:
-    """Return the displacements (n_modes, 3) of nodes in the modes of the last step, along global axes.
+    """Return a dict of node id to modal displacements (n_modes, 3) in the last step, along global axes.
 
     Parameters
     ----------
     path : Path
     n_modes : int
-        How many modes the step has, see `read_frequencies`.
+        Number of modes in the step, see `read_frequencies`.
     nodes : collection of int, optional
-        By default all that are printed.
+        Ids of the nodes; by default all nodes printed in every mode.
 
     Raises
     ------
     ValueError
-        If the file lacks a node or a mode, or a word is not a number.
+        If the file does not exist or lacks a node or a mode, or a word is not a number.
     """
     text = _last_step(path)
     begins = [match.start() for match in _MODE.finditer(text)]
@@ -86,7 +86,7 @@ def _last_step(path: Path) -> str:
 
 
 def _frequencies(text: str, name: str) -> FloatArray:
-    """Return column 4 of the first table: number, eigenvalue, ω, f, imaginary part of ω."""
+    """Return column 4 (f, Hz) of the first table: mode number, eigenvalue, ω, f, imaginary part of ω."""
     found: list[float] = []
     for line in text.splitlines():
         words = line.split()
@@ -102,7 +102,7 @@ def _frequencies(text: str, name: str) -> FloatArray:
 
 
 def _displacements(blocks: Sequence[str], n_modes: int, name: str) -> list[dict[int, list[str]]]:
-    """Return the three displacements of each node, as words, in each mode, from all tables of displacements."""
+    """Return a list with, for each mode, a dict of node id to the node's three displacements as words."""
     if len(blocks) != n_modes:
         rule = f"has shapes of {len(blocks)} modes and frequencies of {n_modes}"
         raise ValueError(f"{name} {rule}: the deck needs *NODE PRINT with U for the nodes of the sensors")
@@ -121,7 +121,7 @@ def _displacements(blocks: Sequence[str], n_modes: int, name: str) -> list[dict[
 
 
 def _number(word: str, name: str) -> float:
-    """Return a number as Fortran writes it, without the letter before an exponent of three digits."""
+    """Return the value of a Fortran number, in which an exponent of three digits has no letter before it."""
     try:
         return float(_NO_LETTER.sub(r"E\1", word))
     except ValueError:

@@ -1,6 +1,6 @@
 """Input decks of other programs as templates, with ``{E1}`` where the value of the parameter E1 belongs.
 
-A deck is any text, as bulk data of Nastran, APDL, an ``.inp`` of Abaqus or CalculiX, or a script of OpenSees::
+A deck is any text, such as Nastran bulk data, APDL, an ``.inp`` of Abaqus or CalculiX, or an OpenSees script::
 
     $ E1: {E1}, sd {E1 sd}                          ! sd: of the posterior, in `fmu export` alone
     MAT1    1       {E1:8}                0.3     7850.
@@ -10,9 +10,9 @@ A deck is any text, as bulk data of Nastran, APDL, an ``.inp`` of Abaqus or Calc
     {E1}, 0.3
     ops.uniaxialMaterial("Elastic", 1, {E1})
 
-``{E1:8}`` and ``{E1:16}`` fill so many columns, as Nastran's small and large fields have; ``{E1:.9e}`` is one of
-Python's formats e, f and g. Braces around anything
-that is not a single word, as in Tcl or Python, are no placeholders; ``{{word}}`` stands for ``{word}``.
+``{E1:8}`` and ``{E1:16}`` fill 8 and 16 columns, the widths of Nastran's small and large fields; ``{E1:.9e}`` uses
+a number format of Python (e, f or g). Braces around anything that is not a single word, as in Tcl or Python, are
+not placeholders; ``{{word}}`` stands for ``{word}``.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from fmu.formats.shown import list_mistakes, names_shown
 MESH_MODES, UPDATED_MODES, MEASURED_MODES = "modes.vtu", "updated.uff", "measured.uff"
 VALUES, STIFFNESS, MASS, DOFS, PROBLEM = "theta.csv", "K.mtx", "M.mtx", "dofs.csv", "updated.toml"
 EXPORTED = (VALUES, STIFFNESS, MASS, DOFS, PROBLEM, MESH_MODES, UPDATED_MODES, MEASURED_MODES)
-"""Files that `fmu.report.export.export` writes besides; no deck may have such a name."""
+"""Names of the other files that `fmu.report.export.export` writes; no deck may have one of these names."""
 LARGEST_DECK = 2**26
-"""Bytes."""
+"""Largest size of a deck, bytes."""
 WIDEST = 20
-"""Characters that Abaqus and CalculiX read of a number; what is longer they cut off, its exponent first."""
+"""Number of characters of a number that Abaqus and CalculiX read; they cut off the rest, such as the exponent."""
 FIELDS = (8, 16)
-"""Columns of Nastran's small and large fields."""
+"""Widths of Nastran's small and large fields, columns."""
 _BRACES = re.compile(r"\{\{(\w+)\}\}|\{([^{}\n]+?)(?::(\d{1,2}|\.\d{1,2}[eEfgG]))?\}")
 _WORD = re.compile(r"[^\W\d]\w*")
 
 
 def read_deck(path: Path) -> str:
-    """Read the text of a deck, with its line ends and bytes that are not UTF-8; ValueError if it is no text."""
+    """Return the text of a deck, line ends and non-UTF-8 bytes preserved; ValueError if it is not a text file."""
     wrong = why_no_file(path) or too_large(path, LARGEST_DECK)
     if wrong:
         raise ValueError(f"must be a text file ({wrong})")
@@ -55,12 +55,12 @@ def write_deck(path: Path, text: str) -> None:
 
 
 def placeholders(text: str) -> set[str]:
-    """Return the names of everything in a deck that may be a placeholder."""
+    """Return the set of names in braces in a deck; each may be a placeholder."""
     return {match[2] for match in _BRACES.finditer(text) if match[2] is not None}
 
 
 def filled_name(name: str) -> str:
-    """Return the name of the deck that a template gives: ``"plate.inp"`` for ``"plate.inp.in"``.
+    """Return the file name of the deck that a template produces: ``"plate.inp"`` for ``"plate.inp.in"``.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def filled_name(name: str) -> str:
 
 
 def fill_deck(text: str, values: Mapping[str, float]) -> str:
-    """Return a deck with numbers for its placeholders.
+    """Return the text of a deck with its placeholders replaced by numbers.
 
     Parameters
     ----------
@@ -85,7 +85,8 @@ def fill_deck(text: str, values: Mapping[str, float]) -> str:
     Raises
     ------
     ValueError
-        Names every placeholder that is none of `values` or has another width, with its line; or there is none.
+        If a placeholder is not one of `values` or has a width other than 8 and 16 (the message lists each with its
+        line), or if the deck has no placeholder.
     """
     wrong = list(_mistakes(text, values))
     if not wrong and not placeholders(text) & values.keys():
@@ -118,17 +119,17 @@ def _mistakes(text: str, values: Mapping[str, float]) -> Iterator[str]:
 
 
 def number(value: float) -> str:
-    """Return a number with a decimal point, all digits that fit into `WIDEST` characters: ``"2.1e+11"``."""
+    """Return the text of a number with a decimal point, in at most `WIDEST` characters: ``"2.1e+11"``."""
     return _shortest(value, WIDEST, "e")
 
 
 def columns(value: float, width: int) -> str:
-    """Return a number that fills 8 or 16 columns, its exponent written as Nastran does: ``"2.0735+9"``."""
+    """Return the text of a number in 8 or 16 columns, with its exponent written as in Nastran: ``"2.0735+9"``."""
     return _shortest(value, width, "").ljust(width)
 
 
 def _shortest(value: float, width: int, exponent: str) -> str:
-    """Return the text of at most `width` characters that is closest to `value`; the shortest of several."""
+    """Return the text of at most `width` characters closest to `value`; of equally close texts, the shortest."""
     ways = set()
     for digits in range(1, 18):
         mantissa, power = f"{value:.{digits - 1}e}".split("e")
@@ -143,5 +144,5 @@ def _shortest(value: float, width: int, exponent: str) -> str:
 
 
 def _read(text: str) -> float:
-    """Return the number in a field of Nastran, where an exponent has no letter."""
+    """Return the value of a number from a Nastran field, where an exponent has no letter."""
     return float(re.sub(r"(?<=[\d.])([+-])", r"e\1", text) if "e" not in text else text)

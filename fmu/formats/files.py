@@ -1,4 +1,4 @@
-"""Checks before a file is read: whether there is one, and how large it is."""
+"""Checks before a file is read: whether the file exists, and how large it is."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pathlib import Path
 
 
 def why_no_file(path: Path) -> str:
-    """Say why there is no regular file to read at a path; empty if there is one."""
+    """Return the reason why a path is not a readable regular file; an empty string if it is one."""
     shown = str(path) if len(str(path)) <= 200 else f"{str(path)[:200]}…"
     try:
         mode = path.stat().st_mode
-    except (FileNotFoundError, NotADirectoryError, ValueError):  # ValueError: of a NUL in the name
+    except (FileNotFoundError, NotADirectoryError, ValueError):  # ValueError: the name contains a NUL
         return f"no such file: {shown}"
-    except OSError as error:  # of a loop of links, a name that is too long, a folder that is closed
+    except OSError as error:  # a loop of links, a name that is too long, a folder without permission
         return f"{shown}: {(error.strerror or 'it cannot be read').lower()}"
     if stat.S_ISDIR(mode):
         return f"{shown} is a directory"
@@ -24,6 +24,6 @@ def why_no_file(path: Path) -> str:
 
 
 def too_large(path: Path, most: int) -> str:
-    """Return a complaint about a file of more than `most` bytes; empty if it has no more."""
+    """Return an error message if a file has more than `most` bytes; otherwise an empty string."""
     size = path.stat().st_size
     return f"must have at most {most} bytes (got {size})" if size > most else ""

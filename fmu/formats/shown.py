@@ -1,4 +1,4 @@
-"""Values, names and errors in messages: short, on one line and without control characters."""
+"""Text for messages: values, names and errors, shortened, on one line and without control characters."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from reprlib import Repr
 from fmu.numbers import whole
 
 MOST = 60
-"""Characters of a value."""
+"""Largest number of characters shown of a value."""
 MOST_NAMES = 12
-"""Names in a list of what is known."""
+"""Largest number of names shown in a list."""
 MOST_OF_A_LINE = 1000
 MOST_TOLD = 20
-"""Mistakes that are listed one by one."""
+"""Largest number of error messages listed individually."""
 _DIGITS_A_BIT = 0.30103
 
 
 class _Shown(Repr):
-    """Like `repr`, but shows only the beginning of long values, at constant cost; dates as in TOML."""
+    """A `repr` that shows only the beginning of long values, at constant cost; dates and booleans as in TOML."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -47,19 +47,19 @@ _SHOWN = _Shown()
 
 
 def quote(value: object) -> str:
-    """Return a value as text, at most `MOST` characters of it."""
+    """Return the text of a value, cut after about `MOST` characters."""
     text = _SHOWN.repr(value)
     return text if len(text) <= MOST + 2 or text.endswith(" …") else f"{text[:MOST]} …"
 
 
 def names_shown(names: Collection[object]) -> str:
-    """Return names with commas between them, the first few if they are many."""
+    """Return a comma-separated list of names; of more than `MOST_NAMES` names, the first ones and the total."""
     first = ", ".join(_cut(str(name), MOST) for name in islice(names, MOST_NAMES))
     return first if len(names) <= MOST_NAMES else f"{first}, … ({len(names)} in all)"
 
 
 def one_line(text: str, most: int = MOST_OF_A_LINE) -> str:
-    """Return a text in one line of printable characters; others, which could move a cursor, are escaped."""
+    """Return a text on one line; characters that are not printable, and could move a cursor, are escaped."""
     line = " ".join(_cut(text, 4 * most).split())
     if not line.isprintable():
         line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
@@ -67,14 +67,14 @@ def one_line(text: str, most: int = MOST_OF_A_LINE) -> str:
 
 
 def list_mistakes(mistakes: Sequence[object]) -> list[str]:
-    """Return a line for each of the first mistakes, and one that says how many more there are."""
+    """Return one line for each of the first `MOST_TOLD` error messages, and a line with the number of the rest."""
     lines = [one_line(str(mistake)) for mistake in mistakes[:MOST_TOLD]]
     more = len(mistakes) - MOST_TOLD
     return [*lines, f"… and {whole(more)} more"] if more > 0 else lines
 
 
 def in_words(error: BaseException) -> str:
-    """Return the type and the text of an error on one line; getting its text may fail."""
+    """Return the type and the text of an error on one line, even if converting the error to text fails."""
     name = type(error).__name__ or "an error"
     try:
         text = one_line(str(error), 500)

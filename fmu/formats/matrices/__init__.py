@@ -1,6 +1,6 @@
-"""Stiffness and mass matrices from files of other programs.
+"""Readers of stiffness and mass matrices from files of other programs.
 
-Reading order: read, limits; then one file a format.
+Reading order: read, limits; then one file per format.
 """
 
 from fmu.formats.matrices import (

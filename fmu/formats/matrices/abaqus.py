@@ -1,6 +1,6 @@
-"""Global matrices as text, written by Abaqus to ``.mtx`` files.
+"""Reader of the global matrices that Abaqus writes as text to ``.mtx`` files.
 
-In a step of its own::
+A separate step in the input deck::
 
     *STEP
     *MATRIX GENERATE, STIFFNESS, MASS
@@ -8,7 +8,7 @@ In a step of its own::
     *END STEP
 
 gives ``job_STIF1.mtx`` and ``job_MASS1.mtx``, with lines of row node, row degree of freedom, column node, column
-degree of freedom, entry; of a symmetric matrix each pair of entries may be there once. ``FORMAT=COORDINATE`` gives
+degree of freedom, entry; a symmetric matrix may have only one entry of each pair. ``FORMAT=COORDINATE`` gives
 lines of row, column, entry, without the names of the degrees of freedom.
 """
 
@@ -23,18 +23,18 @@ from fmu.formats.matrices.limits import entries_within, rows_within, tables
 from fmu.types import DIRECTIONS, FloatArray, IntArray
 
 LARGEST_NUMBER = 10**9
-"""Of a node, a row or a column."""
+"""Largest number of a node, a row or a column."""
 HELD = 1e30
-"""Abaqus keeps the degrees of freedom held by supports, with 1e36 on the diagonal of the stiffness."""
+"""Diagonal stiffness from which a degree of freedom is taken as held by a support; Abaqus writes 1e36 there."""
 
 
 def parse(file: BinaryIO) -> tuple[sp.csr_array, tuple[tuple[int, str], ...] | None]:
-    """Return the matrix of a file and, of ``MATRIX INPUT``, its degrees of freedom (node, direction).
+    """Return the matrix in a file and, for ``MATRIX INPUT``, its degrees of freedom (node, direction).
 
     Returns
     -------
     matrix : scipy.sparse.csr_array, shape (n_dof, n_dof)
-        Mirrored where ``MATRIX INPUT`` has each pair of entries once; degrees of freedom in ascending order.
+        Mirrored where ``MATRIX INPUT`` has one entry of each pair; degrees of freedom in ascending order.
     dofs : tuple or None
 
     Raises
@@ -42,7 +42,7 @@ def parse(file: BinaryIO) -> tuple[sp.csr_array, tuple[tuple[int, str], ...] | N
     ValueError
         If the lines have neither three nor five numbers, or a degree of freedom is not one of 1 to 6.
     RefusedError
-        If there are too many of them.
+        If there are too many entries or rows.
     """
     places, entries, n = [], [], 0
     for rows in tables(file, None, cleaned=_without_keywords):
@@ -73,14 +73,14 @@ def parse(file: BinaryIO) -> tuple[sp.csr_array, tuple[tuple[int, str], ...] | N
 
 
 def _without_keywords(text: str) -> str:
-    """Return only the lines of numbers, with blanks in place of commas."""
+    """Return a text without its keyword lines, and with blanks in place of commas."""
     if "*" in text:
         text = "\n".join(line for line in text.splitlines() if not line.lstrip().startswith("*"))
     return text.replace(",", " ")
 
 
 def _places(names: FloatArray) -> IntArray:
-    """Return row and column of each entry, shape (n, 2): as they are, or 8 times the node and its direction."""
+    """Return the row and column of each entry (n, 2): as given, or coded as 8 × node + degree of freedom."""
     if np.any(names != np.floor(names)) or np.any(names < 1) or np.any(names > LARGEST_NUMBER):
         raise ValueError(
             f"nodes, degrees of freedom, rows and columns must be whole numbers from 1 to {LARGEST_NUMBER}"

@@ -1,6 +1,6 @@
-"""The stiffness and mass of Ansys in its ``.full`` file, read by ansys-mapdl-reader in a process of its own.
+"""Reader of stiffness and mass in Ansys ``.full`` files, by ansys-mapdl-reader in a separate process.
 
-A modal analysis leaves ``file.full`` (``WRFULL,1`` stops after writing it). Rows that supports hold are empty.
+A modal analysis leaves ``file.full`` (``WRFULL,1`` stops after writing it). Rows held by supports are empty.
 The library crashes the process on broken files, and so does mapdl-archive.
 """
 
@@ -30,12 +30,12 @@ NAMES = ("stiffness", "mass")
 
 
 def full_arrays(path: Path) -> dict[str, AnyArray]:
-    """Return the arrays in a ``.full`` file; needs ansys-mapdl-reader.
+    """Return a dict of the arrays in a ``.full`` file; needs ansys-mapdl-reader.
 
     Raises
     ------
     ValueError
-        If it is cut short, or has constraint equations, which the library does not apply.
+        If the file is cut short, or has constraint equations, which the library does not apply.
     """
     from ansys.mapdl.reader.common import read_table
     from ansys.mapdl.reader.full import FullFile
@@ -65,12 +65,12 @@ def full_arrays(path: Path) -> dict[str, AnyArray]:
 
 @lru_cache(maxsize=1)
 def _arrays(path: Path, _modified: int, _size: int) -> dict[str, AnyArray]:
-    """Return the arrays of a file, of which the stiffness and the mass are asked for one after the other."""
+    """Return the dict of arrays in a file, cached because stiffness and mass are read one after the other."""
     return read_isolated(f"{__name__}:full_arrays", path, LIBRARY, EXTRA)
 
 
 def _read(path: Path, variable: str | None) -> Labelled:
-    """Return one of the matrices, both triangles filled, with the names of its rows."""
+    """Return the stiffness or the mass matrix, both triangles filled, with the names of its rows."""
     status = path.stat()
     found = _arrays(path, status.st_mtime_ns, status.st_size)
     name = choose_variable([name for name in NAMES if f"{name}_row" in found], variable)

@@ -1,14 +1,15 @@
-"""Matrices of CalculiX: ``job.sti``, ``job.mas`` and the names of their rows, ``job.dof``.
+"""Reader of the CalculiX matrices ``job.sti`` and ``job.mas``, with the names of their rows from ``job.dof``.
 
-In the step of the input deck::
+The step of the input deck must be::
 
     *FREQUENCY, SOLVER=MATRIXSTORAGE
     10
 
-Each line of a matrix has row, column and entry, each pair of entries once; line i of ``job.dof`` is
-``node.direction`` of row i. CalculiX expands shells and beams into solids, so that several rows can have the name
-of one node: they are given numbers of their own above those of the file, and the node's motion is their mean.
-``job.12d`` says which nodes these are; where it is missing, every name that is there several times is one.
+Each line of a matrix has row, column and entry; only one entry of each symmetric pair is present. Line i of
+``job.dof`` is ``node.direction`` of row i. CalculiX expands shells and beams into solids, so that several rows can
+have the name of one node. These rows get new node ids above those in the file, and the displacement of the
+original node is their mean. ``job.12d`` lists the expanded nodes; without that file, every name that occurs more
+than once is taken as expanded.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from fmu.types import DIRECTIONS
 
 LARGEST_NODE = 10**9
 _MOST_NODES = 100
-"""Of an element."""
+"""Largest number of nodes of an element."""
 
 
 def parse(file: BinaryIO, n_dof: int) -> sp.csr_array:
@@ -47,9 +48,9 @@ def parse(file: BinaryIO, n_dof: int) -> sp.csr_array:
     Raises
     ------
     ValueError
-        If the lines are not whole row, whole column and entry, or rows lie outside.
+        If a line is not row, column and entry, with row and column whole numbers from 1.
     RefusedError
-        If there are too many entries.
+        If there are too many entries, or the number of rows is not `n_dof`.
     """
     rows, columns, entries, n = [], [], [], 0
     for table in tables(file, None):
@@ -77,7 +78,7 @@ def parse(file: BinaryIO, n_dof: int) -> sp.csr_array:
 
 
 def names(path: Path) -> list[tuple[int, str]]:
-    """Return node and direction of each line of a ``.dof`` file; a name may be there several times.
+    """Return the list of (node, direction), one per line of a ``.dof`` file; a name may occur several times.
 
     Raises
     ------
@@ -111,14 +112,15 @@ def _read(path: Path, variable: str | None) -> Labelled:
 
 
 class _Expansion(NamedTuple):
-    """How nodes of shells and beams became nodes of solids.
+    """The expansion of shell and beam nodes into nodes of solids.
 
     Attributes
     ----------
     copies : dict of int to int
-        How many nodes stand for one: on both faces of a shell, in the middle too, or around a beam.
+        Number of solid nodes per original node: on both faces and possibly in the middle of a shell, or around a
+        beam.
     rigid : set of int
-        Nodes whose copies move as a rigid body with them ("knots"): their rows are those of the node itself.
+        Original nodes whose copies move with them as a rigid body ("knots"); their rows are those of the original.
     """
 
     copies: dict[int, int]
@@ -126,7 +128,7 @@ class _Expansion(NamedTuple):
 
 
 def _expansion(path: Path) -> _Expansion:
-    """Read the expanded nodes from ``job.12d``, which CalculiX writes beside; none if there is no such file."""
+    """Return the expanded nodes listed in ``job.12d``; an empty expansion if there is no such file."""
     found = _Expansion({}, set())
     if why_no_file(path) or too_large(path, LARGEST_FILE):
         return found
@@ -149,16 +151,16 @@ def _expansion(path: Path) -> _Expansion:
 
 
 def _copies(is_shell: bool, k: int, n: int) -> int:
-    """Return how many nodes CalculiX makes of the k-th of the n nodes of an element."""
+    """Return the number of solid nodes that CalculiX makes of node k, from 0, of the n nodes of an element."""
     if is_shell:
         return 3 if n >= 6 and k < n // 2 else 2
     return 8 if n == 3 and k != 1 else 4
 
 
 def _apart(read: list[tuple[int, str]], expansion: _Expansion) -> tuple[tuple[tuple[int, str], ...], Motions]:
-    """Return names of rows, no two the same, and the motions that are means of several rows.
+    """Return distinct names of the rows, and the displacements of original nodes as means of several rows.
 
-    Where a support holds some of the nodes that stand for one, the rest says nothing about the motion of that one.
+    If a support holds some copies of a node, the mean of the others is not the node's displacement; it is omitted.
     """
     counts: dict[tuple[int, str], int] = {}
     for name in read:

@@ -1,7 +1,7 @@
-"""The Harwell–Boeing format of sparse matrices, which Ansys writes with ``HBMAT`` in ``/AUX2``.
+"""Reader of Harwell–Boeing files of sparse matrices, which Ansys writes with ``HBMAT`` in ``/AUX2``.
 
 I. S. Duff, R. G. Grimes, J. G. Lewis (1992), *User's guide for the Harwell–Boeing sparse matrix collection*. SciPy
-reads the unsymmetric kind only, and no right-hand sides.
+reads only unsymmetric matrices, and no right-hand sides.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from fmu.formats.matrices.limits import Labelled, MatrixFormat, check_indices, e
 from fmu.types import FloatArray
 
 LONGEST_LINE = 4096
-"""Bytes; the format has 80."""
+"""Longest line that is accepted, bytes; the format has lines of 80."""
 
 
 def parse(file: BinaryIO) -> sp.csc_array:
-    """Return the real assembled matrix of a file, right-hand sides left out.
+    """Return the real assembled matrix in a file; right-hand sides are skipped.
 
     Returns
     -------
     scipy.sparse.csc_array, shape (n_rows, n_columns)
-        A symmetric matrix (``RSA``), stored in the file as one triangle, is returned with both.
+        A symmetric matrix (``RSA``), stored in the file as one triangle, is returned with both triangles.
 
     Raises
     ------
     ValueError
-        If the matrix is of another kind, or the text does not have the numbers that it announces.
+        If the matrix is not real and assembled, or the text does not match its header.
     RefusedError
-        If it announces more than a model can have.
+        If the matrix has more rows or entries than `fmu.formats.matrices.limits` allows.
     """
     lines = list(_lines(file, 4))
     counts = [_count(lines[1], at) for at in (14, 28, 42)]
@@ -73,7 +73,7 @@ def _lines(file: BinaryIO, count: int) -> Iterator[str]:
 
 
 def _count(line: str, at: int) -> int:
-    """Return a count of the header, in its 14 columns."""
+    """Return the count in the 14 columns of a header line from column `at`."""
     word = line[at : at + 14].strip()
     if not word.isdecimal():
         raise ValueError(f"its header must have counts (got {word!r})")
@@ -81,9 +81,9 @@ def _count(line: str, at: int) -> int:
 
 
 def _numbers(file: BinaryIO, n_lines: int, fortran: str, expected: int) -> FloatArray:
-    """Return the numbers on lines of fixed columns, as of ``(10I8)`` or ``(1P,3D26.18)``.
+    """Return the numbers on lines of fixed-width columns, such as ``(10I8)`` or ``(1P,3D26.18)``.
 
-    Where blanks part as many as are expected, columns do not matter: SciPy writes wider ones than it announces.
+    If blanks separate the expected number of words, widths are ignored: SciPy writes wider columns than stated.
     """
     if n_lines > expected:
         raise ValueError(f"it announces {n_lines} lines for {expected} numbers")

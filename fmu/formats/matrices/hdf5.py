@@ -1,6 +1,6 @@
-"""Matrices in HDF5 files, such as the files of MATLAB 7.3.
+"""Reader of matrices in HDF5 files, such as the files of MATLAB 7.3.
 
-A matrix is a dataset of two dimensions, or a group with the arrays of a sparse one: ``data``, ``indices``,
+A matrix is a two-dimensional dataset, or a group with the arrays of a sparse matrix: ``data``, ``indices``,
 ``indptr`` and ``shape`` (CSR, or CSC if its attribute ``format`` says so); ``data``, ``row``, ``col`` and
 ``shape`` (COO); or MATLAB's ``data``, ``ir`` and ``jc``. ``shape`` may be a dataset or an attribute.
 
@@ -38,24 +38,24 @@ if TYPE_CHECKING:
     type _Member = h5py.Group | h5py.Dataset | h5py.Datatype
 
 DEEPEST = 20
-"""Groups within each other."""
+"""Largest depth of nested groups."""
 _COMPRESSED, _COORDINATE = {"data", "indices", "indptr"}, {"data", "row", "col"}
 _FORMAT = ("format", "encoding-type", "h5sparse_format")
 
 
 def read(path: Path, variable: str | None) -> Labelled:
-    """Return a matrix of a file.
+    """Return a matrix in an HDF5 file.
 
     Parameters
     ----------
     path : Path
     variable : str, optional
-        Its path in the file; not needed if there is only one.
+        Path of the matrix in the file; not needed if the file has only one matrix.
 
     Raises
     ------
     Exception
-        Whatever h5py and SciPy make of a broken file.
+        Any error that h5py and SciPy raise on a broken file.
     """
     import h5py
 
@@ -71,7 +71,7 @@ def read(path: Path, variable: str | None) -> Labelled:
 
 
 def _members(file: h5py.File) -> Iterator[tuple[str, _Member]]:
-    """Yield each group and dataset of a file once, without parts of sparse matrices and links to other files."""
+    """Yield each group and dataset of a file once by path; parts of sparse matrices and links are skipped."""
     ahead, seen = [("/", file)], {file["/"]}
     for _ in range(MOST_NAMES):
         if not ahead:
@@ -100,7 +100,7 @@ def _is_group(member: _Member) -> bool:
 
 
 def _is_inside(group: h5py.Group, name: str) -> bool:
-    """Say whether a member is in the file itself, and not behind a link to another place."""
+    """Return True if a member is stored in the file itself, and is not a soft or external link."""
     import h5py
 
     return isinstance(group.get(name, getlink=True), h5py.HardLink)
@@ -126,16 +126,16 @@ def _is_dense(dataset: h5py.Dataset) -> bool:
 
 
 def _part(group: h5py.Group, name: str) -> AnyArray:
-    """Return a part of a sparse matrix; links to other places are not followed."""
+    """Return one array of a sparse matrix; RefusedError for a group, or for a soft or external link."""
     if not _is_inside(group, name) or not _is_dataset(group[name]):
         raise RefusedError(f"must have numbers in {group.name}/{name} (it is a group, or a link elsewhere)")
     return _numbers(group[name])
 
 
 def _numbers(dataset: h5py.Dataset) -> AnyArray:
-    """Read a dataset after checking that it holds numbers, in this file, and not too many.
+    """Return the array of a dataset, after checking that it is numeric, stored in this file and not too large.
 
-    A dataset may be stored in other files, and its chunks, each read as a whole, may be larger than it is.
+    A dataset may be stored in other files, and its chunks, each read as a whole, may be larger than the dataset.
     """
     if dataset.dtype.kind not in "fiubc":
         raise RefusedError(f"must have numbers in {dataset.name} (got {dataset.dtype})")
@@ -167,7 +167,7 @@ def _sparse(group: h5py.Group) -> sp.sparray:
 
 
 def _sizes(given: ArrayLike, n: int) -> tuple[int, ...]:
-    """Return numbers of rows and columns."""
+    """Return `n` sizes, such as the numbers of rows and columns, as ints from 1 to `MOST_DOFS`."""
     sizes = np.ravel(given)
     if len(sizes) != n or sizes.dtype.kind not in "iuf" or not np.all((sizes >= 1) & (sizes <= MOST_DOFS)):
         raise RefusedError(f"must have a shape of {n} numbers from 1 to {MOST_DOFS} (got {quote(sizes.tolist())})")

@@ -1,4 +1,4 @@
-"""Readers of libraries that crash on broken files, each called in a process of its own."""
+"""Calls of library readers that crash on broken files, each in a separate process."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from fmu.formats.shown import one_line
 from fmu.types import AnyArray
 
 LONGEST = 300
-"""Seconds that a reader may take."""
+"""Longest time that a reader may take, s."""
 LARGEST_MEMORY = 2**33
-"""Bytes of addresses that a reader may use, where the system can limit them."""
+"""Largest address space of a reader's process, bytes, on systems that can limit it."""
 _TOLD = 3
-"""Exit code of a reader that says what is wrong."""
+"""Exit code of a reader's process that reported an error."""
 
 
 def read_isolated(reader: str, path: Path, library: str, extra: str) -> dict[str, AnyArray]:
-    """Return the arrays that ``reader(path)`` returns, called in another process.
+    """Return the dict of arrays that ``reader(path)`` returns in a separate process.
 
     Parameters
     ----------
     reader : str
-        ``"module:function"``.
+        Name of the reader, ``"module:function"``.
     path : Path
     library : str
         The module that the reader imports.
     extra : str
-        The extra of fmu that installs it.
+        The extra of fmu that installs the library.
 
     Returns
     -------
@@ -86,7 +86,7 @@ def main() -> None:
 
         resource.setrlimit(resource.RLIMIT_AS, (LARGEST_MEMORY, LARGEST_MEMORY))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    except (ImportError, ValueError, OSError):  # not a system that has such limits
+    except (ImportError, ValueError, OSError):  # the system has no such limits
         pass
     try:
         np.savez(out, **pkgutil.resolve_name(name)(Path(path)))
@@ -98,5 +98,5 @@ def main() -> None:
 def _is_installed(library: str) -> bool:
     try:
         return importlib.util.find_spec(library) is not None
-    except ModuleNotFoundError:  # of a package above it
+    except ModuleNotFoundError:  # the parent package is missing
         return False

@@ -1,4 +1,4 @@
-"""The interface of a matrix format, limits on the size of a file's content, and numbers from text within them."""
+"""Interface of a matrix format, limits on file sizes, and readers of numbers from text within these limits."""
 
 from __future__ import annotations
 
@@ -16,23 +16,24 @@ from fmu.formats.shown import names_shown
 from fmu.types import FloatArray
 
 LARGEST_FILE = 2**30
-"""Bytes of a file; more is refused before it is read."""
+"""Largest size of a file, bytes; a larger file is refused before it is read."""
 LARGEST_CONTENT = 2**29
-"""Bytes of a file's content after decompression."""
+"""Largest size of a file's content after decompression, bytes."""
 MOST_DOFS = 2**20
 MOST_ENTRIES = 2**24
-"""In one matrix: 4096 full rows, or 100 000 rows of a solid with 160 each. Reading takes less than 1 GiB."""
+"""Largest number of entries of a matrix: 4096 full rows, or 100 000 rows of a solid model with 160 entries each.
+Reading them takes less than 1 GiB of memory."""
 MOST_NAMES = 10_000
-"""Variables in a file, and members of its groups."""
+"""Largest number of variables in a file, and of members of a group."""
 BLOCK = 2**22
-"""Bytes that are read at a time; no line of numbers may be longer."""
+"""Number of bytes read at a time; no line of numbers may be longer."""
 MOST_IDLE = 4
-"""Consecutive blocks without a number."""
+"""Largest number of consecutive blocks without a number."""
 
 
 type Matrix = sp.sparray | FloatArray
 DofName = tuple[int, str]
-"""Node id, and one of `fmu.types.DIRECTIONS`."""
+"""Node id and direction, one of `fmu.types.DIRECTIONS`."""
 Motions = Mapping[DofName, Mapping[DofName, float]]
 
 
@@ -44,11 +45,11 @@ class Labelled(NamedTuple):
     matrix : ndarray or sparse array, shape (n_dof, n_dof)
     dofs : tuple of (node, direction), optional
     motions : mapping of (node, direction) to mapping of (node, direction) to float
-        Motions that are weighted sums of several degrees of freedom.
+        Displacements and rotations that are weighted sums of several degrees of freedom, with their weights.
     fill : bool
-        Whether a matrix that has only one triangle is taken for a symmetric one.
+        Whether a matrix with entries in one triangle only is treated as symmetric.
     notes : tuple of str
-        What was filled in, a sentence each.
+        One sentence for each triangle that was filled in.
     """
 
     matrix: Matrix
@@ -79,12 +80,12 @@ class MatrixFormat:
 
 
 class RefusedError(Exception):
-    """A readable file that does not hold what is needed, or holds too much.
+    """The error for a readable file that lacks the required content, or holds too much.
 
     Attributes
     ----------
     record : ArgumentError
-        Its key is ``variable`` where the name of the matrix is at fault, and empty otherwise.
+        The error's key is ``variable`` if the name of the matrix is at fault, and empty otherwise.
     """
 
     def __init__(self, rule: str, key: str = "") -> None:
@@ -93,15 +94,16 @@ class RefusedError(Exception):
 
 
 class NoMatrixError(RefusedError):
-    """A readable file without a matrix."""
+    """The error for a readable file without a matrix."""
 
 
 class SeveralError(RefusedError):
-    """A file with several matrices, of which none was named.
+    """The error for a file with several matrices if the name of one was not given.
 
     Attributes
     ----------
     names : tuple of str
+        Names of the matrices.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
@@ -121,27 +123,27 @@ def choose_variable(names: Sequence[str], variable: str | None) -> str:
 
 
 def fitting(n_bytes: int) -> None:
-    """Refuse to read more than `LARGEST_CONTENT` bytes, counted after decompression."""
+    """Raise RefusedError for more than `LARGEST_CONTENT` bytes, counted after decompression."""
     if n_bytes > LARGEST_CONTENT:
         raise RefusedError(f"must hold at most {LARGEST_CONTENT} bytes (got {n_bytes})")
 
 
 def entries_within(n_entries: int) -> None:
-    """Refuse to read more than `MOST_ENTRIES` numbers."""
+    """Raise RefusedError for more than `MOST_ENTRIES` entries."""
     if n_entries > MOST_ENTRIES:
         raise RefusedError(f"must have at most {MOST_ENTRIES} entries, both triangles counted (got {n_entries})")
 
 
 def rows_within(n_rows: int) -> None:
-    """Refuse a matrix of more than `MOST_DOFS` rows."""
+    """Raise RefusedError for a matrix of more than `MOST_DOFS` rows."""
     if n_rows > MOST_DOFS:
         raise RefusedError(f"must have at most {MOST_DOFS} degrees of freedom (got {n_rows})")
 
 
 def check_indices(matrix: sp.sparray) -> None:
-    """Raise ValueError if an index of a compressed sparse matrix lies outside.
+    """Raise ValueError if an index of a compressed sparse matrix is out of range.
 
-    SciPy's own full check misses inner pointers where the last is zero, or where their difference overflows.
+    SciPy's full check misses wrong index pointers if the last pointer is zero or a difference overflows.
     """
     if matrix.format not in ("csr", "csc"):
         return
@@ -151,12 +153,12 @@ def check_indices(matrix: sp.sparray) -> None:
 
 
 def mirror_triangle(matrix: sp.sparray) -> sp.csr_array:
-    """Return a symmetric csr_array from a file that has each pair of symmetric entries once.
+    """Return the symmetric csr_array of a matrix with only one entry of each symmetric pair.
 
     Raises
     ------
     RefusedError
-        If it has both entries of a pair.
+        If the matrix has both entries of a pair.
     """
     upper, lower = sp.triu(matrix, 1, format="csr"), sp.tril(matrix, -1, format="csr")
     if upper.astype(bool).multiply(lower.T.astype(bool)).nnz:
@@ -165,14 +167,15 @@ def mirror_triangle(matrix: sp.sparray) -> sp.csr_array:
 
 
 def from_triplets(table: FloatArray, name: str, size: tuple[int, int] | None = None) -> Labelled:
-    """Return the sparse matrix of a table (n, 3) of rows, columns, from 1, and entries.
+    """Return the sparse matrix given by a table (n, 3) of row, column (both counted from 1) and entry.
 
-    Entries of the same place are added, as MATLAB's ``sparse`` does. A lone triangle is to be filled in.
+    Entries with the same row and column are added, as in MATLAB's ``sparse``. If only one triangle has entries,
+    the matrix is treated as symmetric (`Labelled.fill`).
 
     Raises
     ------
     ValueError
-        If rows and columns are not whole numbers from 1, or lie outside `size`.
+        If a row or column is not a whole number from 1, or is larger than `size`.
     RefusedError
         If the matrix is too large.
     """
@@ -187,7 +190,7 @@ def from_triplets(table: FloatArray, name: str, size: tuple[int, int] | None = N
 
 
 def text_blocks(file: BinaryIO) -> Iterator[str]:
-    """Yield the text of a file in parts that end with a line; memory stays within a few blocks.
+    """Yield the text of a file in parts that end at a line end; memory use stays within a few blocks.
 
     Raises
     ------
@@ -208,7 +211,7 @@ def text_blocks(file: BinaryIO) -> Iterator[str]:
 
 
 def text_lines(file: BinaryIO) -> Iterator[str]:
-    """Yield the lines of a text without their ends; see `text_blocks`."""
+    """Yield the lines of a text without their line-end characters; see `text_blocks`."""
     for text in text_blocks(file):
         yield from (line.rstrip("\r") for line in text.removesuffix("\n").split("\n"))
 
@@ -219,7 +222,7 @@ def tables(
     delimiter: str | None = None,
     cleaned: Callable[[str], str] = str,
 ) -> Iterator[FloatArray]:
-    """Yield the rows of numbers in a text, some (n, columns) at a time; empty lines are skipped.
+    """Yield arrays (n, columns) of consecutive rows of numbers in a text; empty lines are skipped.
 
     Parameters
     ----------

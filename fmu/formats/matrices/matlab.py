@@ -1,7 +1,7 @@
-"""Numeric matrices, full and sparse, in MATLAB's files of version 5 to 7 (7.3 is HDF5).
+"""Reader of full and sparse numeric matrices in MATLAB files of versions 5 to 7 (version 7.3 is HDF5).
 
-MathWorks, *MAT-file format*, level 5. SciPy's reader crashes the process on some broken files; this one reads
-matrices of numbers only, and raises an error where a file is cut short.
+MathWorks, *MAT-file format*, level 5. SciPy's reader crashes the process on some broken files; this reader reads
+numeric matrices only, and raises an error if a file is cut short.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ _MATRIX, _COMPRESSED = 14, 15
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _STRUCT, _SPARSE, _FULL = 2, 5, range(6, 16)
 _FIELDS = 5
-"""Parts of a struct before its fields: flags, dimensions, name, length of the names of fields, these names."""
+"""Number of parts of a struct before its fields: flags, dimensions, name, length of field names, field names."""
 _COMPLEX = 0x0800
 _NAMES = "dofs"
 _NO_PART = (0, memoryview(b""))
 _HEAD = 4096
-"""Flags, dimensions and name lie within the first so many bytes."""
+"""Number of bytes at the beginning of a variable that hold its flags, dimensions and name."""
 
 
 class _Variable(NamedTuple):
-    """The header of a matrix and the position of its bytes; `field` is its number in a struct."""
+    """The header of a matrix and the position of its bytes; `field` is the index of its part in a struct."""
 
     kind: int
     shape: tuple[int, ...]
@@ -53,18 +53,18 @@ class _Variable(NamedTuple):
 
 
 def parse(file: BinaryIO, n_bytes: int, variable: str | None) -> Labelled:
-    """Return a matrix of a file, with the names of its rows if the file has them.
+    """Return a matrix in a MATLAB file, with the names of its rows if the file has them.
 
-    A matrix in a struct is named ``model.K``. The names are a matrix ``dofs`` beside it, a row per degree of
-    freedom: node, and 1 to 6 for x, y, z, rx, ry, rz.
+    A matrix in a struct is named ``model.K``. The names of its rows are a matrix ``dofs`` in the same struct or
+    file, one row per degree of freedom: node id, and 1 to 6 for x, y, z, rx, ry, rz.
 
     Parameters
     ----------
     file : binary file
     n_bytes : int
-        Its size.
+        Size of the file.
     variable : str, optional
-        Its name; not needed if there is only one, apart from scalars.
+        Name of the matrix; not needed if the file has only one matrix, scalars not counted.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def parse(file: BinaryIO, n_bytes: int, variable: str | None) -> Labelled:
     ValueError
         If the content is broken.
     RefusedError
-        If there is no such matrix, it is complex or too large.
+        If there is no such matrix, or the matrix is complex or too large.
     """
     file.seek(126)
     order = {b"IM": "<", b"MI": ">"}.get(file.read(2))
@@ -98,7 +98,7 @@ def _is_names(name: str) -> bool:
 
 
 def _dofs(table: Matrix) -> tuple[tuple[int, str], ...]:
-    """Return the names of rows from numbers of nodes and directions, shape (n, 2)."""
+    """Return the names (node, direction) of rows from a table (n, 2) of node ids and direction numbers."""
     rows = sp.coo_array(table).toarray()
     is_whole = np.all(rows == np.floor(rows)) and np.all(rows >= 1) and np.all(rows < 2**31)
     if not is_whole or rows[:, 1].max(initial=1) > len(DIRECTIONS):
@@ -107,7 +107,7 @@ def _dofs(table: Matrix) -> tuple[tuple[int, str], ...]:
 
 
 def _matrix(file: BinaryIO, one: _Variable, order: str) -> Matrix:
-    """Return a matrix, an ndarray or a csc_array."""
+    """Return a matrix of a file as an ndarray or a csc_array."""
     if one.kind & _COMPLEX:
         raise RefusedError("must hold a real matrix (it is complex)")
     rows, columns = one.shape
@@ -184,7 +184,7 @@ def _fields(body: memoryview, struct: _Variable, order: str) -> Iterator[tuple[s
 
 
 def _body(file: BinaryIO, one: _Variable) -> memoryview:
-    """Return the bytes of a matrix."""
+    """Return the decompressed bytes of a matrix."""
     fitting(one.size)
     file.seek(one.start)
     content = file.read(one.size)
@@ -198,12 +198,12 @@ def _body(file: BinaryIO, one: _Variable) -> memoryview:
 
 
 def _parts(body: memoryview, order: str, *, cut: bool = False) -> Iterator[tuple[int, memoryview]]:
-    """Yield the type and the bytes of each part of a matrix; with `cut`, a truncated last part is left out."""
+    """Yield the type and the bytes of each part of a matrix; with `cut`, a truncated last part is skipped."""
     at = 0
     while at + 8 <= len(body):
         kind, size = np.frombuffer(body, f"{order}u4", 2, at).tolist()
         start = at + 8
-        if kind >> 16:  # up to four bytes, in the tag itself
+        if kind >> 16:  # up to four bytes of data, stored in the tag itself
             kind, size, start = kind & 0xFFFF, kind >> 16, at + 4
         at = start + size + -(start + size) % 8
         if start + size > len(body):

@@ -1,9 +1,10 @@
-"""Matrices as MATLAB and Octave code, ``.m``, which is read and never executed.
+"""Reader of matrices in MATLAB and Octave code, ``.m``; the code is never executed.
 
-Known are ``K = [2 -1; -1 2];``, ``K = sparse([1 2], [1 2], [5.0 6.0], 2, 2);`` with or without the last two, and
-``K = spconvert([1 1 5.0; 2 2 6.0]);``. The table of rows, columns and entries may be named first, as Sierra writes
-it: ``a = [1 1 5.0; 2 2 6.0];``, then ``K = sparse(a(:,1), a(:,2), a(:,3), n, n);`` or ``K = spconvert(a);``. Other
-statements are skipped; numbers must be written out.
+Known statements are ``K = [2 -1; -1 2];``, ``K = sparse([1 2], [1 2], [5.0 6.0], 2, 2);``, in which the last two
+arguments are optional, and ``K = spconvert([1 1 5.0; 2 2 6.0]);``. The table of rows, columns and entries may be
+assigned to a variable first, as Sierra does: ``a = [1 1 5.0; 2 2 6.0];``, then
+``K = sparse(a(:,1), a(:,2), a(:,3), n, n);`` or ``K = spconvert(a);``. Other statements are skipped; numbers must
+be literal.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ _SIZE = re.compile(r"\s*(?:,\s*(\d{1,9})\s*,\s*(\d{1,9})\s*)?\)")
 
 
 class _Place(NamedTuple):
-    """The function that makes a matrix, the position of its numbers, and the words for its size."""
+    """The function that builds a matrix, the position of its numbers in the text, and the words for its size."""
 
     function: str
     at: int
@@ -51,7 +52,7 @@ class _Place(NamedTuple):
 
 
 def _places(text: str) -> tuple[dict[str, _Place], set[str]]:
-    """Return where each matrix is, by name, and the names of the tables from which sparse ones are made."""
+    """Return a dict of matrix name to `_Place`, and the names of the tables used to build sparse matrices."""
     places: dict[str, _Place] = {}
     tables: set[str] = set()
     at = 0
@@ -84,7 +85,7 @@ def _read(path: Path, variable: str | None) -> Labelled:
 
 
 def _matrix(text: str, name: str, place: _Place) -> Labelled:
-    """Return the matrix whose numbers begin at a place."""
+    """Return the matrix whose numbers begin at the position in `place`."""
     table, at = _table(text, name, place.at)
     if not place.function:
         entries_within(table.size)
@@ -109,7 +110,7 @@ def _matrix(text: str, name: str, place: _Place) -> Labelled:
 
 
 def _size(text: str, words: tuple[str, str] | None) -> tuple[int, int] | None:
-    """Return numbers of rows and columns, written out or assigned to a name; None where they are computed."""
+    """Return the numbers of rows and columns, literal or assigned to a variable; None if not given in this way."""
     found = []
     for word in words or ():
         number = re.fullmatch(r"\d{1,9}", word) or re.search(rf"(?<![\w.]){word}\s*=\s*(\d{{1,9}})\s*[;,\n]", text)
@@ -120,7 +121,7 @@ def _size(text: str, words: tuple[str, str] | None) -> tuple[int, int] | None:
 
 
 def _table(text: str, name: str, at: int) -> tuple[FloatArray, int]:
-    """Return the numbers up to the closing bracket, two-dimensional, and the position after it."""
+    """Return the two-dimensional array of numbers up to the closing bracket, and the next position."""
     end = text.find("]", at)
     if end < 0:
         raise ValueError(f"{name} is cut short")

@@ -1,7 +1,7 @@
-"""Matrix Market, the text format that most programs can write.
+"""Reader of Matrix Market files, a text format that most programs can write.
 
 R. F. Boisvert, R. Pozo, K. A. Remington (1996), *The Matrix Market exchange formats: initial design*, NISTIR 5935.
-SciPy's reader crashes the process on some broken files; this one raises an error.
+SciPy's reader crashes the process on some broken files; this reader raises an error.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from fmu.types import FloatArray
 
 BANNER = b"%%matrixmarket"
 LONGEST_LINE = 4096
-"""Bytes of the banner, of a comment and of the line of sizes."""
+"""Largest length of the banner, of a comment and of the line of sizes, bytes."""
 MOST_COMMENTS = 100_000
 SHORTEST_ENTRY = {"coordinate": 6, "array": 2}
-"""Bytes: ``1 1 1`` and the end of the line, or ``1`` and that."""
+"""Smallest number of bytes of an entry: ``1 1 1`` or ``1``, and the end of the line."""
 _SYMMETRIES = {"general": 0.0, "symmetric": 1.0, "skew-symmetric": -1.0}
 
 
 def _read(path: Path, variable: str | None) -> Labelled:
-    """Return the matrix of a file, which may be the text that Abaqus calls ``.mtx``."""
+    """Return the matrix in a Matrix Market file, or in a text file that Abaqus wrote with the suffix ``.mtx``."""
     is_compressed = path.suffix.lower() == ".gz"
     with gzip.open(path) if is_compressed else open(path, "rb") as file:
         start = file.read(len(BANNER))
@@ -46,14 +46,14 @@ def _read(path: Path, variable: str | None) -> Labelled:
 
 
 def parse(file: BinaryIO, n_bytes: int | None = None) -> Matrix:
-    """Return the real matrix of a file, with both of its triangles.
+    """Return the real matrix in a Matrix Market file, with both triangles.
 
     Parameters
     ----------
     file : binary file
-        At its beginning.
+        Positioned at its beginning.
     n_bytes : int, optional
-        Its size, to compare with the number of entries that it announces before they are read.
+        Size of the file; the number of entries in the header is checked against it before the entries are read.
 
     Returns
     -------
@@ -62,9 +62,10 @@ def parse(file: BinaryIO, n_bytes: int | None = None) -> Matrix:
     Raises
     ------
     ValueError
-        If the text does not have the numbers that it announces.
+        If the header or a row of numbers is malformed, or an index is out of range.
     RefusedError
-        If the matrix is not real or has no values, or is too large.
+        If the matrix is not real, has no values or is too large, or does not have the number of entries in the
+        header.
     """
     layout, field, symmetry = _banner(_line(file))
     if field == "pattern":
@@ -95,7 +96,7 @@ def _line(file: BinaryIO) -> str:
 
 
 def _banner(line: str) -> list[str]:
-    """Return layout, field and symmetry."""
+    """Return the layout, field and symmetry in the banner, in lower case."""
     words = line.lower().split()
     if len(words) != 5 or words[1] != "matrix" or words[2] not in ("coordinate", "array"):
         raise ValueError(f"unknown kind {line.strip()[:100]!r}")
@@ -103,7 +104,7 @@ def _banner(line: str) -> list[str]:
 
 
 def _sizes(file: BinaryIO, layout: str) -> list[int]:
-    """Return numbers of rows and columns, and of entries in the coordinate layout."""
+    """Return the numbers of rows and columns and, in the coordinate layout, of entries."""
     for _ in range(MOST_COMMENTS):
         line = _line(file)
         if line.strip() and not line.startswith("%"):
@@ -117,7 +118,7 @@ def _sizes(file: BinaryIO, layout: str) -> list[int]:
 
 
 def _count_stored(rows: int, columns: int, sign: float) -> int:
-    """Return the number of values in the array format, which has only the lower triangle of a symmetric matrix."""
+    """Return the number of values in the array layout, which has only the lower triangle of a symmetric matrix."""
     if not sign:
         return rows * columns
     if rows != columns:
@@ -126,7 +127,7 @@ def _count_stored(rows: int, columns: int, sign: float) -> int:
 
 
 def _numbers(file: BinaryIO, announced: int, columns: int) -> FloatArray:
-    """Return a table of as many rows as were announced."""
+    """Return the table of numbers in a file, shape (announced, columns)."""
     found = np.empty((announced, columns))
     n = 0
     for rows in tables(file, "%"):
@@ -154,7 +155,7 @@ def _sparse(file: BinaryIO, sizes: list[int], sign: float) -> sp.coo_array:
 
 
 def _full(values: FloatArray, rows: int, columns: int, sign: float) -> FloatArray:
-    """Return a full matrix from its values column by column; of a symmetric one from the diagonal down."""
+    """Return a full matrix from its values in column order; of a symmetric matrix, from its lower triangle."""
     if not sign:
         return values.reshape((rows, columns), order="F")
     matrix = np.zeros((rows, columns))

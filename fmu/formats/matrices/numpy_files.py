@@ -1,6 +1,6 @@
-"""Matrices as NumPy and SciPy save them: ``.npz``, ``.npy``, and text with commas between numbers, ``.csv``.
+"""Readers of matrices saved by NumPy and SciPy, ``.npz`` and ``.npy``, and of comma-separated text, ``.csv``.
 
-Nothing is unpickled, and sizes are checked in the headers before anything is read.
+Nothing is unpickled, and sizes in the headers are checked before the numbers are read.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from fmu.types import FloatArray
 
 
 def shapes_in_archive(path: Path) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of the arrays in an ``.npz`` file by name, after checking their number and size.
+    """Return a dict of name to shape of the arrays in an ``.npz`` file, after checking their number and size.
 
     Raises
     ------
     RefusedError
-        If there are too many, or they hold too much.
+        If there are too many arrays, or they are too large.
     Exception
-        Whatever zipfile and NumPy make of a broken file.
+        Any error that zipfile and NumPy raise on a broken file.
     """
     with open(path, "rb") as file:
         file.seek(max(path.stat().st_size - 2**16, 0))
         end = file.read(2**16)
-    at = end.rfind(b"PK\x05\x06")  # the record that ends a ZIP archive has the bytes of its list of members at 12
+    at = end.rfind(b"PK\x05\x06")  # byte 12 of the record that ends a ZIP archive: the size of its directory
     if at >= 0 and int.from_bytes(end[at + 12 : at + 16], "little") > 200 * MOST_NAMES:
         raise RefusedError(f"must hold at most {MOST_NAMES} arrays")
     with zipfile.ZipFile(path) as archive:
@@ -60,16 +60,16 @@ def shape_in_header(file: IO[bytes]) -> tuple[int, ...]:
     Raises
     ------
     RefusedError
-        If it has too many numbers.
+        If the array is too large.
     ValueError
-        If it has Python objects, which are not unpickled.
+        If the array has Python objects, which are not unpickled, or sizes that are not whole numbers.
     Exception
-        Whatever NumPy makes of a broken header.
+        Any error that NumPy raises on a broken header.
     """
     major = np.lib.format.read_magic(file)[0]
     read_header = np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
     shape, _, dtype = read_header(file)
-    if not all(str(n).isdecimal() for n in shape):  # True is none
+    if not all(str(n).isdecimal() for n in shape):  # a bool is no size
         raise ValueError(f"it has an array of the shape {shape}")
     if dtype.hasobject:
         raise ValueError("it has Python objects, which are not read")
@@ -97,7 +97,7 @@ def _npy(path: Path, variable: str | None) -> Labelled:
 
 
 def _csv(path: Path, variable: str | None) -> Labelled:
-    """Return a full matrix, or rows of row, column and entry; a full one has no more rows than columns."""
+    """Return a full matrix, or a table (n, 3) of row, column and entry; RefusedError if a full one is too long."""
     found: list[FloatArray] = []
     n = 0
     with open(path, "rb") as file:

@@ -1,4 +1,4 @@
-"""Matrices from files, as finite-element programs and numerical software export them.
+"""Readers of matrices exported by finite-element programs and numerical software.
 
 =====================  ===============================================================================
 ``.mtx``, ``.mtx.gz``  Matrix Market; or the text that Abaqus calls ``.mtx`` (`fmu.formats.matrices.abaqus`)
@@ -14,14 +14,14 @@
 ``.sti``, ``.mas``     CalculiX, with names of the rows beside it in ``.dof`` (`fmu.formats.matrices.calculix`)
 =====================  ===============================================================================
 
-An array of n by 3 in any of them is rows, columns, from 1, and entries, as for MATLAB's ``spconvert``. Where
-only one triangle has entries, the other is filled in, and a note says so.
+An n × 3 array in any of these files is a sparse matrix: row, column (both counted from 1) and entry, as for
+MATLAB's ``spconvert``. Where only one triangle has entries, the other is filled in, and a note says so.
 
 Nothing is unpickled, and the size of a file's content is checked before it is read. Where SciPy's readers crash
-the process on broken files (``.mat``, ``.mtx``), the readers here are our own; Ansys's are read by a library that
-does so too, in a process of its own. pyNastran needs an older NumPy than this package.
+the process on broken files (``.mat``, ``.mtx``), fmu has its own readers. The library that reads Ansys files also
+crashes on broken files, so it runs in a separate process. pyNastran needs an older NumPy than this package.
 
-A stiffness that is linear in a property p, as in Young's modulus, takes two exports: with K at p = a and at p = b,
+A stiffness linear in a property p, such as Young's modulus, needs two exports: with K at p = a and at p = b,
 K(p) = K₀ + p K₁, where K₁ = (K(b) − K(a))/(b − a) and K₀ = K(a) − a K₁.
 """
 
@@ -58,7 +58,7 @@ Triangle = bool | Literal["lower", "upper"]
 SYMMETRIC = 1e-9
 """Largest asymmetry of a pair of entries, relative to the larger of them and to √(a_ii a_jj)."""
 _CANCELLED = 1e-13
-"""Of the largest number on the diagonal: an asymmetry that rounding alone leaves where large numbers cancel."""
+"""Asymmetry that rounding alone causes where large numbers cancel, relative to the largest diagonal entry."""
 _FORMAT_OF: dict[str, MatrixFormat] = {suffix: form for form in FORMATS for suffix in form.suffixes}
 ENTRIES_AT_A_TIME = 2**20
 
@@ -92,11 +92,12 @@ def read_labelled(
     ----------
     path : Path
     variable : str, optional
-        Which matrix of a file that can hold several; not needed if it holds one.
+        Name of the matrix in a file that can hold several; not needed if the file holds one matrix.
     triangle : bool or {"lower", "upper"}
-        The file has each pair of symmetric entries once: the other is filled in. With ``True`` whichever is there.
+        Whether the file has only one entry of each symmetric pair, so that the other entry is filled in. The names
+        also require that all off-diagonal entries lie in that triangle.
     fill : bool
-        Whether a matrix that has only one triangle is taken for a symmetric one.
+        Whether a matrix with entries in one triangle only is treated as symmetric.
 
     Returns
     -------
@@ -105,8 +106,8 @@ def read_labelled(
     Raises
     ------
     ValueError
-        If the file does not exist, is too large, of another kind, or holds no real, finite, square and symmetric
-        matrix. The text begins with ``variable:`` or ``triangle:`` where that is at fault.
+        If the file does not exist, is too large or of an unknown format, or holds no real, finite, square and
+        symmetric matrix. The message begins with ``variable:`` or ``triangle:`` if that argument is at fault.
     """
     suffix = _suffix(path)
     advice = how_to_export(suffix)
@@ -123,7 +124,7 @@ def read_labelled(
         raise ArgumentError("variable", f"a {suffix} file has one matrix, without a name", repr(variable))
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of readers, about what is refused below or changes in later versions
+            warnings.simplefilter("ignore")  # readers warn of content that is refused below, and of later versions
             found = _FORMAT_OF[suffix].read(path, variable)
             if _is_triplets(found.matrix):
                 found = from_triplets(np.asarray(found.matrix, dtype=float), variable or path.name)
@@ -148,7 +149,7 @@ def read_labelled(
 
 
 def symmetric_matrix(matrix: Matrix, triangle: Triangle = False) -> sp.csr_array:
-    """Return a symmetric real matrix as a csr_array of float; ValueError if it is none.
+    """Return a symmetric real matrix as a csr_array of float; ValueError if it is not real and symmetric.
 
     Parameters
     ----------
@@ -165,7 +166,7 @@ def _suffix(path: Path) -> str:
 
 
 def _is_triplets(matrix: Matrix) -> bool:
-    """Say whether an array has a row of row, column and entry for each entry of a sparse matrix."""
+    """Return True if an array is a table (n, 3) of the row, column and value of the entries of a sparse matrix."""
     if sp.issparse(matrix) or matrix.ndim != 2 or matrix.shape[1] != 3 or len(matrix) < 4:
         return False
     places = matrix[:, :2]
@@ -195,10 +196,10 @@ def _symmetric(matrix: sp.csr_array, triangle: Triangle) -> sp.csr_array:
     n = matrix.shape[0]
     transposed = sp.csr_array(matrix.T)
     root = np.sqrt(np.abs(matrix.diagonal()))
-    # what is left where large numbers cancel, as in Tᵀ K T of constraints, is of this size
+    # where large numbers cancel, as in Tᵀ K T of constraints, rounding errors are of this size
     rounding = _CANCELLED * float(np.max(root, initial=0.0)) ** 2
     step = max(ENTRIES_AT_A_TIME * n // max(matrix.nnz, 1), 1)
-    for first in range(0, n, step):  # some rows at a time: memory stays within what the matrix takes, twice
+    for first in range(0, n, step):  # a block of rows at a time, to use at most twice the memory of the matrix
         here, there = matrix[first : first + step], transposed[first : first + step]
         difference = (here - there).tocoo()
         if not difference.nnz:
@@ -216,7 +217,7 @@ def _symmetric(matrix: sp.csr_array, triangle: Triangle) -> sp.csr_array:
 
 
 def _triangle_alone(matrix: sp.csr_array) -> str:
-    """Return advice for a matrix of which only one triangle is given; empty for others."""
+    """Return advice if a matrix has entries in one triangle only; otherwise an empty string."""
     above, below = _off_diagonal(matrix)
     if above and below:
         return ""

@@ -1,10 +1,10 @@
-"""Models of other programs: their matrices with named degrees of freedom, nodes and elements.
+"""Readers of models from other programs: matrices with named degrees of freedom, nodes and elements.
 
-Reading order: exported, read, assembly, edges; then one file a format of meshes (bulk with coordinate_systems).
+Reading order: exported, read, assembly, edges; then one file per mesh format (bulk with coordinate_systems).
 The matrices are read by `fmu.formats.matrices`.
 """
 
 from fmu.formats.models import ansys, bulk, inp
 
 FORMATS = (inp.FORMAT, ansys.CDB, ansys.RST, bulk.FORMAT)
-"""Of files with nodes and elements."""
+"""Formats of files with nodes and elements."""

@@ -1,6 +1,6 @@
-"""Nodes and elements of Ansys: the archive that ``CDWRITE`` writes, ``.cdb``, and results, ``.rst``.
+"""Readers of the nodes and elements of Ansys: archives from ``CDWRITE``, ``.cdb``, and results, ``.rst``.
 
-They are read by mapdl-archive and ansys-mapdl-reader, in a process of its own: both crash on broken files.
+mapdl-archive and ansys-mapdl-reader read them in a separate process, since both libraries crash on broken files.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _KINDS = {
     14: {5: "pyramid", 13: "pyramid13"},
     27: {13: "pyramid13"},
 }
-"""By VTK's type of cell and the number of nodes."""
+"""Kinds of elements, as meshio names them, by VTK's cell type and the number of nodes."""
 
 
 class _Grid(Protocol):
@@ -46,14 +46,14 @@ class _Grid(Protocol):
 
 
 def cdb_arrays(path: Path) -> dict[str, AnyArray]:
-    """Return the grid of an archive as arrays; needs mapdl-archive."""
+    """Return the grid of an archive as a dict of arrays; needs mapdl-archive."""
     from mapdl_archive import Archive
 
     return _arrays(Archive(str(path)).grid)
 
 
 def rst_arrays(path: Path) -> dict[str, AnyArray]:
-    """Return the grid of a result file as arrays; needs ansys-mapdl-reader."""
+    """Return the grid of a result file as a dict of arrays; needs ansys-mapdl-reader."""
     from ansys.mapdl import reader
 
     return _arrays(reader.read_binary(str(path)).grid)
@@ -72,7 +72,7 @@ def _arrays(grid: _Grid) -> dict[str, AnyArray]:
 
 
 def node_axes(angles: FloatArray) -> FloatArray:
-    """Return the axes (rows) that THXY, THYZ, THZX of ``NROTAT`` give, degrees: about z, then x', then y''."""
+    """Return the axes (rows) of a node rotated by THXY, THYZ, THZX of ``NROTAT``, degrees: about z, x', y''."""
     (cz, cx, cy), (sz, sx, sy) = np.cos(np.radians(angles)), np.sin(np.radians(angles))
     about_z = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])

@@ -1,4 +1,4 @@
-"""Matrices on the same degrees of freedom, by name and along global axes."""
+"""Assembly of matrices on common degrees of freedom, matched by name and rotated to global axes."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from fmu.types import DIRECTIONS, FloatArray
 
 
 class Assembled[Node](NamedTuple):
-    """Matrices on the same rows.
+    """Matrices on common degrees of freedom.
 
     Attributes
     ----------
     matrices : list of csr_array, shape (n_dof, n_dof)
     dofs : list of (node, direction)
-        Ascending where the files name them by numbers of nodes.
+        Names of the rows; in ascending order if the nodes are numbers.
     motions : mapping
         See `fmu.formats.models.exported.ExportedModel`.
     notes : list of str
-        What was left out or assumed, a sentence each.
+        One sentence for each omission or assumption.
     """
 
     matrices: list[sp.csr_array]
@@ -39,25 +39,26 @@ class Assembled[Node](NamedTuple):
 def assemble(
     read: Sequence[Labelled], n_stiffness: int, where: Sequence[str], mesh: Mesh = NO_MESH
 ) -> Assembled[int]:
-    """Return matrices on the same degrees of freedom, without those that are held or empty.
+    """Return matrices on common degrees of freedom, without rows that are held or empty.
 
     Parameters
     ----------
     read : sequence of Labelled
-        A matrix with names of its rows may lack rows at which it is zero. A matrix without names has those of a
-        set of `mesh` with as many rows.
+        The matrices. A matrix with named rows may lack rows that are zero. A matrix without names gets the names
+        of the set of `mesh` that has the same number of rows.
     n_stiffness : int
-        How many of them, at the beginning, are of stiffness.
+        Number of stiffness matrices, which come first.
     where : sequence of str
-        Where each was given, for messages.
+        The argument that gave each matrix, for messages.
     mesh : Mesh, optional
-        Where its nodes have axes of their own, matrices are rotated to global axes if all three displacements (or
-        rotations) of a node are there. If not, the row keeps its axis, and the global motions are weighted sums.
+        If nodes of the mesh have their own axes, matrices are rotated to global axes where all three displacements
+        (or rotations) of a node have rows. Otherwise the rows keep their axes, and displacements (or rotations)
+        along global axes are weighted sums of degrees of freedom.
 
     Raises
     ------
     ValueError
-        If rows have no names, two matrices have no row in common, or no row is left.
+        If rows have no names, a matrix has no row in common with the first, or no row is left.
     """
     assumed: dict[str, None] = {}
     named = [_name_rows(one, at, mesh, assumed) for one, at in zip(read, where, strict=True)]
@@ -91,12 +92,12 @@ def assemble(
 
 
 def notes_of(read: Sequence[Labelled]) -> list[str]:
-    """Return the notes on matrices: assumptions and triangles filled in, each sentence once."""
+    """Return the list of distinct notes on matrices, such as on triangles that were filled in."""
     return list(dict.fromkeys(note for one in read for note in one.notes))
 
 
 def _name_rows(one: Labelled, where: str, mesh: Mesh, assumed: dict[str, None]) -> tuple[DofName, ...]:
-    """Return the names of the rows of a matrix, and add to `assumed` what this takes for granted."""
+    """Return the names of the rows of a matrix, and add the assumption made, if any, to `assumed`."""
     n = one.matrix.shape[0]
     if one.dofs is not None and len(one.dofs) != n:
         raise ArgumentError(where, f"must name {n} degrees of freedom", len(one.dofs))
@@ -127,7 +128,7 @@ def _show_names(names: Sequence[DofName]) -> str:
 
 
 def _place_rows(matrix: Matrix, rows: Sequence[int], n_dof: int) -> sp.csr_array:
-    """Return a matrix whose row i becomes rows[i] of n_dof, a csr_array; other rows are zero."""
+    """Return a csr_array (n_dof, n_dof) with row and column i of a matrix at rows[i]; other entries are zero."""
     entries, at = sp.coo_array(matrix), np.asarray(rows)
     return sp.csr_array((entries.data, (at[entries.row], at[entries.col])), shape=(n_dof, n_dof))
 
@@ -135,7 +136,7 @@ def _place_rows(matrix: Matrix, rows: Sequence[int], n_dof: int) -> sp.csr_array
 def _turn_axes(
     dofs: Sequence[DofName], axes: Mapping[int, FloatArray]
 ) -> tuple[sp.csr_array | None, dict[DofName, dict[DofName, float]], list[str]]:
-    """Return T of u = T u_global, None for none, the global motions of nodes that keep their axes, and notes."""
+    """Return T of u = T u_global (None if no rotation), the weighted sums for rows that keep axes, and notes."""
     index = {dof: i for i, dof in enumerate(dofs)}
     place: dict[tuple[int, int], float] = {}
     motions: dict[DofName, dict[DofName, float]] = {}

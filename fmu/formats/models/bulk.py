@@ -1,8 +1,9 @@
-"""Nodes, elements, axes and rows of the bulk data of Nastran, ``.bdf``, ``.dat`` or ``.nas``.
+"""Reader of nodes, elements, axes and matrix rows in Nastran bulk data, ``.bdf``, ``.dat`` or ``.nas``.
 
-Matrices have the axes of each node's output coordinate system, CD. Rows of OP4 files have no names: those of the
-g-set are the nodes in ascending order with six components each, scalar points with one. Of smaller sets this
-module knows the a-set where ASET entries give it, and else the f-set: g without what GRID, SPC and SPC1 hold.
+Matrices are along the axes of each node's output coordinate system, CD. Rows of OP4 files have no names: the rows
+of the g-set are the nodes in ascending order with six components each, and scalar points with one component. The
+smaller sets that this module knows are the a-set, if ASET entries define it, and otherwise the f-set: the g-set
+without the components that GRID, SPC and SPC1 hold.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ _ELEMENTS: dict[str, tuple[int, tuple[tuple[str, int], ...]]] = {
     "CPENTA": (2, (("wedge15", 15), ("wedge", 6))),
     "CHEXA": (2, (("hexahedron20", 20), ("hexahedron", 8))),
 }
-"""The field of the first node, and what it is with all midside nodes and without."""
+"""The field of the first node, and the kind and number of nodes with all midside nodes and without."""
 _ORDER = {"hexahedron20": _HEXAHEDRON, "wedge15": _WEDGE}
 _SET = ("ASET", "ASET1", "SPC", "SPC1")
 
@@ -98,7 +99,7 @@ def _element(deck: _Deck, name: str, fields: list[str]) -> None:
             deck.elements.append(tuple(found[k] for k in _ORDER.get(kind, range(count))))
             deck.kinds.append(kind)
             return
-    if name not in ("CBUSH",):  # which may end at the ground
+    if name not in ("CBUSH",):  # a CBUSH may be grounded at one end
         raise ValueError(f"{name} {fields[0]} must have {kinds[-1][1]} nodes (it lacks some)")
 
 
@@ -117,7 +118,7 @@ def _system(deck: _Deck, way: Literal["1", "2"], kind: Kind, fields: list[str]) 
 
 
 def _members(deck: _Deck, name: str, fields: list[str]) -> None:
-    """Take in members of the sets of rows that are kept, or held."""
+    """Add the components named in an entry to the kept components (ASET) or the held components (SPC)."""
     into = deck.kept if name.startswith("ASET") else deck.held
     skipped = 0 if name.startswith("ASET") else 1
     if name.endswith("1"):

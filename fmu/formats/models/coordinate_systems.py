@@ -1,8 +1,8 @@
-"""Coordinate systems of Nastran: places and axes of rectangular, cylindrical and spherical ones.
+"""Coordinate systems of Nastran: positions and axes in rectangular, cylindrical and spherical systems.
 
 MSC Nastran, *Quick reference guide*, CORD1x and CORD2x: the first point is the origin, the second lies on z, the
-third in the plane of x and z. In cylindrical ones coordinates are r, θ, z, in spherical ones r, θ from z, φ about
-z; angles in degrees. The axes of a node at which r or θ has no direction are those of θ = φ = 0.
+third in the plane of x and z. Cylindrical coordinates are r, θ and z; spherical coordinates are r, θ from z and φ
+about z; angles are in degrees. Where the direction of r or θ is undefined, the axes are those of θ = φ = 0.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from fmu.types import FloatArray
 Kind = Literal["R", "C", "S"]
 _NOWHERE = 1e-12
 DEEPEST = 200
-"""Systems that refer to each other."""
+"""Longest chain of systems that refer to each other."""
 
 
 @dataclass(frozen=True, eq=False)
 class Definition:
-    """A system by three points.
+    """A coordinate system defined by three points.
 
     Attributes
     ----------
     kind : {"R", "C", "S"}
         Rectangular, cylindrical or spherical.
     points : ndarray, shape (3, 3), optional
-        In the system `reference`.
+        Coordinates of the points (rows) in the system `reference`.
     reference : int
-        0 for the basic system.
+        Number of the reference system; 0 is the basic system.
     nodes : tuple of int
-        The nodes that are the points, where they are not given.
+        Ids of the nodes at the points, if `points` is None.
     """
 
     kind: Kind
@@ -46,13 +46,13 @@ class Definition:
 
 @dataclass(eq=False)
 class Systems:
-    """The systems and nodes of a deck, found in global axes when they are asked for.
+    """The coordinate systems and nodes of a deck, converted to global axes on request.
 
     Attributes
     ----------
     definitions : mapping of int to Definition
     given : mapping of int to (system, ndarray of shape (3,))
-        Of each node.
+        Coordinate system and coordinates of each node.
     """
 
     definitions: Mapping[int, Definition]
@@ -61,7 +61,7 @@ class Systems:
     _places: dict[int, FloatArray] = field(default_factory=dict)
 
     def place(self, node: int, depth: int = 0) -> FloatArray:
-        """Return the place of a node in global axes, shape (3,)."""
+        """Return the position of a node in global coordinates, shape (3,)."""
         if node not in self._places:
             if node not in self.given:
                 raise RefusedError(f"must have the node {node}, a point of a coordinate system (it has not)")
@@ -70,7 +70,7 @@ class Systems:
         return self._places[node]
 
     def axes(self, system: int, node: int) -> FloatArray:
-        """Return the unit vectors (rows) of a system at a node, in global axes, shape (3, 3)."""
+        """Return the unit vectors (rows) of a system at a node, in global coordinates, shape (3, 3)."""
         if system == 0:
             return np.eye(3)
         origin, own = self._frame(system, 0)
@@ -90,7 +90,7 @@ class Systems:
         return np.asarray(tilted @ about_z @ own)
 
     def _from(self, system: int, coordinates: FloatArray, depth: int) -> FloatArray:
-        """Return the place, in global axes, of a point given in a system."""
+        """Return the position in global coordinates, shape (3,), of a point given in a system."""
         if system == 0:
             return np.asarray(coordinates, dtype=float)
         origin, own = self._frame(system, depth + 1)
@@ -107,7 +107,7 @@ class Systems:
         return np.asarray(origin + local @ own)
 
     def _frame(self, system: int, depth: int) -> tuple[FloatArray, FloatArray]:
-        """Return the origin (3,) and the unit vectors (rows) of a system, in global axes."""
+        """Return the origin (3,) and the unit vectors (rows of (3, 3)) of a system, in global coordinates."""
         if system in self._frames:
             return self._frames[system]
         if system not in self.definitions:

@@ -1,4 +1,4 @@
-"""The lines that draw a mesh: line elements, and edges of faces; and which nodes are inside solids."""
+"""Lines for drawing a mesh, from line elements and edges of faces; and the nodes inside solids."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from fmu.formats.models.exported import ExportedModel, Mesh
 from fmu.types import FloatArray, IntArray
 
 MOST_EDGES = 1000
-"""Of a mesh with more, those are drawn that are at the border, at an angle, or between two boxes in space."""
+"""Number of edges above which only edges at a border, at an angle or between two boxes in space are drawn."""
 _BOXES = (10, 5, 2, 1)
-"""Along the longest side of a mesh: the first number that gives at most twice as many lines."""
+"""Numbers of boxes along the longest side of a mesh; the first to give at most 2 `MOST_EDGES` lines is used."""
 _ANGLE = np.cos(np.radians(30.0))
 FACES = {
     "triangle": ((0, 1, 2, 2),),
@@ -20,20 +20,20 @@ FACES = {
     "wedge": ((0, 1, 2, 2), (3, 4, 5, 5), (0, 1, 4, 3), (1, 2, 5, 4), (0, 2, 5, 3)),
     "hexahedron": ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
 }
-"""Corners around each face, the last one twice in a triangle."""
+"""Indices of the corners around each face; a triangle repeats its last corner."""
 SOLID_EDGES = {
     "tetra": ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)),
     "pyramid": ((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 4), (2, 4), (3, 4)),
     "wedge": ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)),
     "hexahedron": ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)),
 }
-"""Both ends of the edges that hold the midside nodes, in meshio's order."""
+"""Indices of the corners at both ends of each edge, in meshio's order of the midside nodes."""
 
 
 def edges(mesh: Mesh | ExportedModel) -> IntArray:
-    """Return the rows of `mesh.nodes` at both ends of each line to draw, shape (n_lines, 2), each once.
+    """Return the rows of `mesh.nodes` at both ends of each distinct line to draw, shape (n_lines, 2).
 
-    Midside nodes are left out. Solids are drawn by their surfaces.
+    Midside nodes are skipped. Of solids, only the surfaces are drawn.
     """
     lines, faces = _lines_and_faces(mesh)
     drawn = [lines, _of_faces(faces, mesh.coordinates)]
@@ -41,9 +41,9 @@ def edges(mesh: Mesh | ExportedModel) -> IntArray:
 
 
 def inside(mesh: Mesh | ExportedModel) -> IntArray:
-    """Return the rows of `mesh.nodes` inside solids, ascending: no sensor is there.
+    """Return the rows of `mesh.nodes` inside solids, where no sensor can be, in ascending order.
 
-    A midside node is on the surface where both ends of its edge are.
+    A midside node counts as on the surface if both ends of its edge are on the surface.
     """
     lines, faces = _lines_and_faces(mesh)
     row = {node: i for i, node in enumerate(mesh.nodes.tolist())}
@@ -60,7 +60,7 @@ def inside(mesh: Mesh | ExportedModel) -> IntArray:
 
 
 def _lines_and_faces(mesh: Mesh | ExportedModel) -> tuple[IntArray, IntArray]:
-    """Return rows of the ends of line elements (n, 2), and of the corners of faces on the surface (m, 4)."""
+    """Return the node rows at the ends of line elements (n, 2), and at the corners of surface faces (m, 4)."""
     row = {node: i for i, node in enumerate(mesh.nodes.tolist())}
     lines: list[tuple[int, int]] = []
     skin: list[tuple[int, ...]] = []
@@ -85,7 +85,7 @@ def _outer(faces: IntArray) -> IntArray:
 
 
 def _of_faces(faces: IntArray, coordinates: FloatArray) -> IntArray:
-    """Return the edges of faces: all, or if they are many, those that show the shape, see `MOST_EDGES`."""
+    """Return all edges of faces (n, 2), or if there are many, the edges that show the shape, see `MOST_EDGES`."""
     if not len(faces):
         return np.zeros((0, 2), dtype=np.int64)
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)

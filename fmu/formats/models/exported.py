@@ -20,25 +20,24 @@ MOST_ELEMENTS = 2**20
 
 
 class Mesh(NamedTuple):
-    """Nodes and elements.
+    """The nodes and elements of a model.
 
     Attributes
     ----------
     nodes : ndarray of int, shape (n_nodes,)
-        Ids, ascending.
+        Ids of the nodes, in ascending order.
     coordinates : ndarray, shape (n_nodes, 3)
-        Global axes, the file's unit.
+        Along global axes, in the file's unit of length.
     elements : tuple of tuple of int
         Ids of each element's nodes: corners in order, midside nodes may follow.
     kinds : tuple of str
         meshio's names: ``"line"``, ``"quad"``, ``"hexahedron20"`` …
     notes : tuple of str
-        What was left out, a sentence each.
+        One sentence for each omission.
     axes : mapping of int to ndarray, shape (3, 3)
-        Rows are the unit vectors of the axes along which a node's degrees of freedom are, where these are not the
-        global ones.
+        Unit vectors (rows) along which the degrees of freedom of a node are, if they are not along global axes.
     sets : mapping of str to tuple of (node, direction)
-        Rows that matrices without names can have, by what the program calls them.
+        Possible rows of matrices without names, by the program's name of the set, such as ``"g"``.
     """
 
     nodes: IntArray
@@ -61,7 +60,7 @@ def mesh_of(
     axes: Mapping[int, FloatArray] | None = None,
     sets: Mapping[str, tuple[DofName, ...]] | None = None,
 ) -> Mesh:
-    """Return the mesh of nodes by their ids, after checking it.
+    """Return a mesh with its nodes in ascending order of their ids, after checking it.
 
     Raises
     ------
@@ -88,9 +87,9 @@ def mesh_of(
 
 @dataclass(frozen=True, eq=False)
 class ExportedModel:
-    """Matrices of a structure with names of their degrees of freedom, as another program exported them.
+    """The matrices of a structure, exported by another program, with the names of their degrees of freedom.
 
-    A model with a factor of the stiffness as its parameter, sensors by node id, and pictures::
+    An example with a stiffness factor as the parameter, sensors at node ids, and pictures::
 
         read = fmu.read_model("job.sti", mesh="job.inp")
         model = fmu.SeparableModel.from_terms(
@@ -100,7 +99,7 @@ class ExportedModel:
     Attributes
     ----------
     stiffness, mass : scipy.sparse.csr_array, shape (n_dof, n_dof)
-        Symmetric, in the program's units: fmu takes them for SI units.
+        Symmetric, in the program's units; fmu assumes SI units.
     dofs : tuple of (node id, direction)
         One per row; a direction is one of ``"x" "y" "z" "rx" "ry" "rz"``, global axes.
     nodes : ndarray of int, shape (n_nodes,)
@@ -111,10 +110,11 @@ class ExportedModel:
     kinds : tuple of str
         meshio's names: ``"line"``, ``"triangle"``, ``"quad"``, ``"tetra"``, ``"hexahedron"``, ``"hexahedron20"`` …
     notes : tuple of str
-        What was left out or assumed, a sentence each.
+        One sentence for each omission or assumption.
     motions : mapping of (node id, direction) to mapping of (node id, direction) to float
-        Motions in global axes that are weighted sums of several `dofs`, such as that of a shell's middle surface
-        in a model that has nodes on both faces. They go before `dofs` where both have a name.
+        Displacements and rotations along global axes that are weighted sums of several `dofs`, such as the
+        displacement of a shell's middle surface in a model with nodes on both faces. They take precedence over
+        `dofs` of the same name.
     """
 
     stiffness: sp.csr_array
@@ -135,7 +135,7 @@ class MeshFormat:
     Attributes
     ----------
     suffixes : tuple of str
-        Of the file names, in lower case.
+        Suffixes of the file names, in lower case.
     read : callable
         ``read(path)`` returns a `Mesh`. A broken file may raise anything; the text of a `RefusedError` is shown
         unchanged.

@@ -1,7 +1,6 @@
-"""Nodes and elements of the input decks of Abaqus and CalculiX, ``.inp``.
+"""Reader of the nodes and elements in input decks of Abaqus and CalculiX, ``.inp``.
 
-meshio's reader of these files follows ``*INCLUDE`` to whatever path is named, has no limits, and knows fewer types
-of elements.
+meshio's reader of these files follows ``*INCLUDE`` to any path, has no size limits, and knows fewer element types.
 """
 
 from __future__ import annotations
@@ -44,14 +43,14 @@ LONGEST_KEYWORD = 10_000
 
 
 def parse(lines: Iterator[str]) -> Mesh:
-    """Return the nodes and elements of a deck.
+    """Return the mesh given by the lines of a deck.
 
     Raises
     ------
     RefusedError
         If the deck generates nodes, includes files, has parts, or too many nodes or elements.
     ValueError
-        If a line of numbers is none.
+        If a line of a node or an element is malformed.
     """
     nodes: dict[int, tuple[float, float, float]] = {}
     elements: list[tuple[int, ...]] = []
@@ -67,7 +66,7 @@ def parse(lines: Iterator[str]) -> Mesh:
             continue
         if line.startswith("*"):
             begun = line if line.endswith(",") and len(line) < LONGEST_KEYWORD else ""
-            if begun:  # options go on in the next line
+            if begun:  # options continue on the next line
                 continue
             reading, options = _keyword(line)
             if ahead:
@@ -93,7 +92,7 @@ def parse(lines: Iterator[str]) -> Mesh:
         elif reading == "ELEMENT":
             ahead += [_id(word.strip(), number) for word in line.split(",") if word.strip()]
             if len(ahead) > needed:
-                if len(ahead) > needed + 1 and kind not in ("line", "line3"):  # those may name a further node
+                if len(ahead) > needed + 1 and kind not in ("line", "line3"):  # these may name a further node
                     raise ValueError(f"line {number}: a {kind} has {needed} nodes (got {len(ahead) - 1})")
                 ends = ahead[1 : needed + 1]
                 elements.append((ends[0], ends[2], ends[1]) if kind == "line3" else tuple(ends))
@@ -113,7 +112,7 @@ TRANSFORMED = "The deck has *TRANSFORM: degrees of freedom are along global axes
 
 
 def kind_of(name: str) -> tuple[str, int]:
-    """Return meshio's name and the number of nodes of a type of element; empty and 0 for an unknown one."""
+    """Return meshio's name and the number of nodes of an element type; an empty name and 0 if it is unknown."""
     for pattern, kinds in _TYPES:
         found = re.match(pattern, name)
         if found is None:
@@ -128,7 +127,7 @@ def kind_of(name: str) -> tuple[str, int]:
 
 
 def _keyword(line: str) -> tuple[str, dict[str, str]]:
-    """Return a keyword and its options, in upper case and without blanks."""
+    """Return a keyword and the dict of its options, in upper case and without blanks."""
     word, *options = line[1:].upper().replace(" ", "").replace("\t", "").split(",")
     pairs = (option.partition("=") for option in options if option)
     return word, {key: value for key, _, value in pairs}

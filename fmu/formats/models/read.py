@@ -1,4 +1,4 @@
-"""Models from files of other programs: matrices, names of their degrees of freedom, and the mesh.
+"""Reader of models from files of other programs: matrices, names of their degrees of freedom, and the mesh.
 
 ==============  ===========================================================  =======================
 program         stiffness and mass                                           mesh
@@ -11,8 +11,8 @@ MATLAB          K and M of ``.mat`` or ``.m``, or in two files
 any other       two files of `fmu.formats.matrices.read`, names of rows
 ==============  ===========================================================  =======================
 
-Names of rows in a file of their own are lines ``node,direction`` with directions x, y, z, rx, ry, rz or 1 to 6.
-Units are the program's: fmu takes them for SI units.
+A separate file with names of rows has lines ``node,direction`` with directions x, y, z, rx, ry, rz or 1 to 6.
+Units are those of the program; fmu assumes SI units.
 """
 
 from __future__ import annotations
@@ -52,37 +52,36 @@ def read_model(
     variables: tuple[str, str] | None = None,
     tied_modes: str | Path | None = None,
 ) -> ExportedModel:
-    """Read stiffness, mass, names of the degrees of freedom and mesh of a model that another program exported.
+    """Read the stiffness, mass, names of degrees of freedom and mesh of a model exported by another program.
 
     Parameters
     ----------
     path : path
-        The stiffness, or both matrices.
+        File with the stiffness, or with both matrices.
     mass : path, optional
-        The mass, where it is in another file than the stiffness. By default that which the program writes beside
-        it: ``job.mas`` for ``job.sti``, ``job_MASS1.mtx`` for ``job_STIF1.mtx``.
+        File with the mass, if it is not in `path`. By default the file that the program writes beside the
+        stiffness: ``job.mas`` for ``job.sti``, ``job_MASS1.mtx`` for ``job_STIF1.mtx``.
     mesh : path or Mesh, optional
-        Nodes and elements. Nastran's OP4 needs it, for the names of the rows, and any matrices in which nodes have
-        axes of their own.
+        Nodes and elements. Needed for Nastran's OP4, to name the rows, and for matrices along the nodes' own axes.
     dofs : path, optional
-        Names of the rows, ``node,direction`` a line, where the matrices have none.
+        File with the names of the rows, one ``node,direction`` per line, if the matrices have no names.
     variables : tuple of str, optional
-        Names of stiffness and mass in files that hold several matrices. By default ``K…`` and ``M…`` with the same
-        rest, or ``stiffness`` and ``mass``.
+        Names of the stiffness and mass matrices in files with several matrices. By default ``K…`` and ``M…`` with
+        the same ending, or ``stiffness`` and ``mass``.
     tied_modes : path, optional
-        ``job.dat`` of CalculiX, with modes of the same model at all nodes (``*NODE PRINT`` with U): it shows how
-        the nodes move that ``*TIE`` leaves without rows, so that sensors can be there. Needs `mesh`.
+        ``job.dat`` of CalculiX, with modes of the same model at all nodes (``*NODE PRINT`` with U). They give the
+        displacements of the nodes that ``*TIE`` leaves without rows, so that sensors can be there. Needs `mesh`.
 
     Returns
     -------
     ExportedModel
-        Along global axes. Rows without stiffness and mass are left out, and those that Abaqus marks as held.
+        The model along global axes, without rows that have no stiffness and mass or that Abaqus marks as held.
 
     Raises
     ------
     ValueError
-        If a file does not exist, is broken, of another kind or of another model. The text begins with the argument
-        at fault: ``path:``, ``mass:``, ``mesh:``, ``dofs:`` or ``tied_modes:``.
+        If a file does not exist, is broken, of an unknown format or of another model. The message begins with the
+        argument at fault: ``path:``, ``mass:``, ``mesh:``, ``dofs:`` or ``tied_modes:``.
     """
     path = Path(path)
     found = NO_MESH if mesh is None else mesh
@@ -121,7 +120,7 @@ def read_model(
 def read_ties(
     path: Path, mesh: Mesh, dofs: Collection[DofName]
 ) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
-    """Return the motions of tied nodes, and notes, from the modes that CalculiX printed; see `tied_motions`.
+    """Return displacements of tied nodes, and notes, from the modes that CalculiX printed; see `tied_motions`.
 
     Raises
     ------
@@ -136,7 +135,7 @@ def read_ties(
 
 @check_arguments
 def read_mesh(path: str | Path) -> Mesh:
-    """Read nodes and elements.
+    """Read the nodes and elements of a model.
 
     Parameters
     ----------
@@ -151,7 +150,7 @@ def read_mesh(path: str | Path) -> Mesh:
     Raises
     ------
     ValueError
-        If the file does not exist, is of another kind, broken or too large.
+        If the file does not exist, is of an unknown format, broken or too large.
     """
     return _name_argument("path", partial(_mesh_of, Path(path)))
 
@@ -178,7 +177,7 @@ def _mesh_of(path: Path) -> Mesh:
 
 
 def read_names(path: Path) -> tuple[DofName, ...]:
-    """Read the names of rows, ``node,direction`` a line: blanks do as well, and a first line of titles is skipped.
+    """Read the names of rows, one ``node,direction`` per line, commas or blanks between; a title line is skipped.
 
     Raises
     ------
@@ -207,7 +206,7 @@ def read_names(path: Path) -> tuple[DofName, ...]:
 def require_nodes(
     dofs: Sequence[DofName], motions: Collection[DofName], mesh: Mesh, files: Collection[Path] = ()
 ) -> None:
-    """Raise ValueError unless a mesh has a node of the matrices, which are along the axes that it gives."""
+    """Raise ValueError if a mesh shares no node with the matrices, or has *TRANSFORM beside Abaqus matrices."""
     if TRANSFORMED in mesh.notes and any(file.suffix.lower() == ".mtx" for file in files):
         raise ArgumentError("mesh", "must have no *TRANSFORM: Abaqus writes matrices along the axes that it turns")
     known = set(mesh.nodes.tolist())
@@ -219,7 +218,7 @@ def require_nodes(
 
 
 def _both(path: Path) -> tuple[str, str]:
-    """Return the names of stiffness and mass in a file."""
+    """Return the names of the stiffness and mass matrices in a file that holds several matrices."""
     try:
         read_labelled(path)
     except ValueError as error:
@@ -239,14 +238,14 @@ def _both(path: Path) -> tuple[str, str]:
 
 
 def read_beside(path: Path) -> list[Path]:
-    """Return the files that are read with a file of a program without being named in the problem file.
+    """Return the list of files that are read together with a file, but not named in the problem file.
 
-    They are the mass, the names of the rows, and what a deck of Nastran includes.
+    These are the mass and the names of the rows, or the files that a Nastran deck includes.
     """
     if path.suffix.lower() in INCLUDING:
         try:
             return included_files(path)
-        except (OSError, ValueError, RefusedError):  # of another program's file with the same suffix
+        except (OSError, ValueError, RefusedError):  # the file of another program with the same suffix
             return []
     mass = _mass_beside(path)
     names = [path.with_suffix(end) for end in (".dof", ".12d")] if path.suffix.lower() in (".sti", ".mas") else []
@@ -254,7 +253,7 @@ def read_beside(path: Path) -> list[Path]:
 
 
 def _is_pair(K: str, M: str) -> bool:
-    """Say whether two names are of a stiffness and its mass: ``K`` and ``M``, ``model.Kaa`` and ``model.Maa``."""
+    """Return True if two names are a stiffness and its mass: ``K`` and ``M``, ``model.Kaa`` and ``model.Maa``."""
     rest = [re.split(r"[./]", name) for name in (K, M)]
     if rest[0][:-1] != rest[1][:-1]:
         return False
@@ -265,7 +264,7 @@ def _is_pair(K: str, M: str) -> bool:
 
 
 def _mass_beside(path: Path) -> Path | None:
-    """Return the file of the mass that a program writes beside its stiffness; None if one file has both."""
+    """Return the file of the mass that a program writes beside the stiffness file; None if one file has both."""
     if path.suffix.lower() == ".sti":
         return path.with_suffix(".mas")
     if path.suffix.lower() == ".mtx" and "_STIF" in path.name:
@@ -282,7 +281,7 @@ def _require_file(path: Path) -> None:
 
 
 def _name_argument[Read](argument: str, read: Callable[[], Read]) -> Read:
-    """Call `read`, whose error is then an error of the argument."""
+    """Return the result of `read`; its ValueError is raised again as an error of the argument."""
     try:
         return read()
     except ValueError as error:

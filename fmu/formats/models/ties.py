@@ -1,7 +1,8 @@
-"""Nodes that CalculiX ties to the face of an element (``*TIE``), which have no rows in its matrices.
+"""Displacements of nodes that CalculiX ties to an element face (``*TIE``), which have no rows in its matrices.
 
-The program does not write its equations. It prints the modes, at tied nodes too. Here a node that moves without a
-row is projected onto the nearest faces; the shape functions there are its weights if they give the printed motion.
+CalculiX does not write the tie equations, but prints the modes at tied nodes too. A node that moves but has no row
+is projected onto the nearest faces; the shape functions at the projection are the weights of the face's nodes if
+they reproduce the printed displacements.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from fmu.types import FloatArray
 
 _AXES = ("x", "y", "z")
 _NEAREST = 16
-"""Faces that are tried for a node."""
+"""Number of faces that are tried for a node."""
 _PRINTED = 1e-6
-"""Allowed error of a motion, relative to the largest of its mode: ten times the rounding of seven figures."""
+"""Allowed error of a displacement, relative to the mode's largest: ten times the rounding to seven digits."""
 _STEPS = 30
 
 
 class _Face(NamedTuple):
-    """Rows of the mesh at the corners of a face, and at its midside nodes in the same order, if it has them."""
+    """An element face: the mesh rows of its corners and of its midside nodes, if any, in the same order."""
 
     corners: list[int]
     midsides: list[int]
@@ -39,27 +40,27 @@ class _Face(NamedTuple):
 def tied_motions(
     mesh: Mesh, dofs: Collection[DofName], modes: Mapping[int, FloatArray]
 ) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
-    """Return the motions of tied nodes as weighted sums of degrees of freedom.
+    """Return the displacements of tied nodes as weighted sums of degrees of freedom.
 
     Parameters
     ----------
     mesh : Mesh
-        Of the whole model.
+        Mesh of the whole model.
     dofs : collection of (node id, direction)
         The rows of the matrices.
     modes : mapping of int to ndarray, shape (n_modes, 3)
-        Displacements that the program printed, of the tied nodes and of those that they are tied to; global axes.
+        Printed displacements along global axes by node id, of the tied nodes and of the faces they are tied to.
 
     Returns
     -------
     motions : dict of (node id, direction) to dict of (node id, direction) to float
     notes : list of str
-        The nodes that move without rows, and of which no face gives the printed motion.
+        A sentence that lists the tied nodes whose printed displacements no face reproduces, if there are any.
 
     Raises
     ------
     ValueError
-        If no node is printed that moves and has no rows.
+        If there is no printed node that moves and has no rows.
     """
     with_rows = {node for node, _ in dofs}
     row_of = {node: i for i, node in enumerate(mesh.nodes.tolist())}
@@ -106,7 +107,7 @@ def _faces(mesh: Mesh, row_of: Mapping[int, int]) -> Iterator[_Face]:
 
 
 def _ring(face: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the corners of a face, and the next corner of each."""
+    """Return the corners of a face, and for each corner the next one around the face."""
     corners = tuple(dict.fromkeys(face))
     return corners, (*corners[1:], corners[0])
 
@@ -114,7 +115,7 @@ def _ring(face: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...]]:
 def _weights(
     node: int, row: int, faces: list[_Face], mesh: Mesh, modes: Mapping[int, FloatArray], largest: FloatArray
 ) -> dict[int, float] | None:
-    """Return the weights of nodes, of the nearest face that gives the printed motion of a node."""
+    """Return node weights of the nearest face that reproduces a node's printed displacements; None without one."""
     found: list[tuple[float, dict[int, float]]] = []
     for face in faces:
         ids = mesh.nodes[face.rows].tolist()
@@ -129,7 +130,7 @@ def _weights(
 
 
 def _projection(point: FloatArray, corners: FloatArray, n_corners: int) -> FloatArray:
-    """Return the shape functions of a face (n, 3) where it is closest to a point (3,), by Gauss–Newton steps."""
+    """Return the shape functions (n,) of a face at its point closest to `point` (3,), by Gauss–Newton steps."""
     at = np.full(2, 1.0 / 3.0) if n_corners == 3 else np.zeros(2)
     for _ in range(_STEPS):
         N, dN = _shape_functions(at, len(corners), n_corners)

@@ -1,6 +1,6 @@
-"""Modes from files: measured ones of CSV, UFF and pyOMA, computed ones of Nastran's F06 and CalculiX.
+"""Readers of modes: measured modes from CSV, UFF and pyOMA, computed modes from Nastran's F06 and CalculiX.
 
-Reading order: measured_modes; then one file a format.
+Reading order: measured_modes; then one file per format.
 """
 
 from fmu.formats.modes import calculix, f06, pyoma, uff
@@ -12,4 +12,4 @@ READERS: dict[str, ModesFormat] = {
     "f06": f06.FORMAT,
     "calculix": calculix.FORMAT,
 }
-"""By their keys in ``[measurement]``, and their names as ``reader`` of ``[model] type = "command"``."""
+"""Formats by their key in ``[measurement]``, which is also the ``reader`` of ``[model] type = "command"``."""

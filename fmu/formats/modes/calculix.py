@@ -1,4 +1,4 @@
-"""Modes that CalculiX printed at the sensors; `fmu.formats.calculix_dat` says what the deck needs."""
+"""Reader of modes that CalculiX printed at sensors; `fmu.formats.calculix_dat` describes the required deck."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from fmu.formats.shown import quote
 
 
 def read_calculix(file: Path, sensors: Sensors, modes: Sequence[ModeNumber] | None = None) -> MeasuredModes:
-    """Return modes that CalculiX has printed at sensors, of another model or of a simulated test.
+    """Return the modes that CalculiX printed at sensors, of another model or of a simulated test.
 
     Parameters
     ----------
     file : Path
         ``job.dat``; the deck needs ``*NODE PRINT`` with U.
     sensors : sequence of (place, direction)
-        Nodes, and x, y or z, which may have a minus sign.
+        Node ids, and directions x, y or z, which may have a minus sign.
     modes : sequence of int, optional
         Numbers of the modes to take; by default all.
 
@@ -39,7 +39,7 @@ def read_calculix(file: Path, sensors: Sensors, modes: Sequence[ModeNumber] | No
     FileNotFoundError
         If there is no such file.
     ModesError
-        If it has no eigenvalues, no such modes or sensors.
+        If the file has no eigenvalues, or lacks a mode or a sensor.
     """
     path = checked_file(file)
     wrong = [place for place, d in sensors if not is_node(place) or d.removeprefix("-") not in DIRECTIONS]
@@ -53,12 +53,12 @@ def read_calculix(file: Path, sensors: Sensors, modes: Sequence[ModeNumber] | No
 
 
 def computed_calculix(path: Path, sensors: Sensors = (), _deck: Path | None = None) -> Computed:
-    """Return the frequencies in Hz (n,), and the shapes at sensors (n_sensors, n).
+    """Return the frequencies (n,) in Hz, and the shapes at sensors (n_sensors, n), or None without sensors.
 
     Parameters
     ----------
     path : Path
-        ``job.dat``. Of several steps, the last one counts.
+        ``job.dat``. Of several steps, the last is read.
     sensors : sequence of (node id, direction)
         Directions are x, y and z, or -x, -y and -z. Without sensors there are no shapes.
 

@@ -1,7 +1,7 @@
-"""Modes from tables of text, as spreadsheets write them.
+"""Readers of modes and points from text tables, as spreadsheets write them.
 
-Frequencies, one row per mode; ``number`` (in the spectrum of the model), ``sd`` and ``use`` (true or false:
-whether the mode is used in updating) may be left out::
+Frequencies in Hz, one row per mode; ``number`` (in the spectrum of the model), ``sd`` in Hz and ``use`` (true or
+false: whether the mode is used in updating) may be omitted::
 
     mode,number,frequency,sd,use
     first bending,1,31.9,0.1,true
@@ -13,14 +13,14 @@ Shapes, one row per sensor and one column per mode::
     tip,z,1.0,1.0
     12,-z,0.34,-0.71
 
-Repeated tests in order of time, one row per test and one column per mode. The column ``test``, a
-number or a time, may be left out. A cell is empty or ``nan`` where a test missed the mode::
+Frequencies in Hz of repeated tests in chronological order, one row per test and one column per mode. The column
+``test``, a number or a time, may be omitted. A cell is empty or ``nan`` where a test missed the mode::
 
     test,first bending,second bending
     Monday 9:00,31.9,197.9
     Monday 9:30,31.8,
 
-Points of a test, one row per point, in any unit of length::
+Coordinates of the points of a test, one row per point, in any unit of length::
 
     point,x,y,z
     tip,2.0,0.0,0.1
@@ -44,7 +44,7 @@ from fmu.formats.shown import quote
 from fmu.types import FloatArray
 
 MOST_ROWS = 10_000
-"""Modes, sensors or tests."""
+"""Largest number of rows of a table."""
 _FREQUENCY_COLUMNS = ("mode", "number", "frequency", "sd", "use")
 _YES_OR_NO = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 _TEST = "test"
@@ -53,21 +53,21 @@ _DIRECTION = re.compile(r"-?(r?[xyz])")
 
 
 class _Row(NamedTuple):
-    """A line of the file, counted from 1, and the values in it by column."""
+    """A row of a table: the number of its line in the file, counted from 1, and its values by column."""
 
     line: int
     values: dict[str, str]
 
 
 def read_frequencies(path: Path) -> MeasuredModes:
-    """Return the modes of a table of frequencies.
+    """Return the modes in a table of frequencies, without shapes.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     ModesError
-        Lists every mistake with its line and column.
+        If the table is invalid; the message lists every error with its line and column.
     """
     header, rows = _table(path)
     found = [f"column {name}: is missing" for name in ("mode", "frequency") if name not in header]
@@ -94,14 +94,14 @@ def read_frequencies(path: Path) -> MeasuredModes:
 
 
 def read_shapes(path: Path, labels: tuple[str, ...]) -> MeasuredModes:
-    """Return the sensors and shapes in a table, with the modes in the order of `labels`; no frequencies.
+    """Return the sensors and shapes in a table, with the modes in the order of `labels` and NaN frequencies.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     ModesError
-        Lists every mistake with its line and column.
+        If the table is invalid; the message lists every error with its line and column.
     """
     header, rows = _table(path)
     found = [f"column {name}: is missing" for name in ("place", "direction", *labels) if name not in header]
@@ -127,14 +127,14 @@ def read_shapes(path: Path, labels: tuple[str, ...]) -> MeasuredModes:
 
 
 def read_points(path: Path) -> dict[str, FloatArray]:
-    """Return the coordinates of the points in a table, by name.
+    """Return a dict of point name to coordinates, shape (3,), from a table of points.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     ModesError
-        Lists every mistake with its line and column.
+        If the table is invalid; the message lists every error with its line and column.
     """
     header, rows = _table(path)
     wanted = ("point", "x", "y", "z")
@@ -153,14 +153,14 @@ def read_points(path: Path) -> dict[str, FloatArray]:
 
 
 def read_tests(path: Path) -> tuple[FloatArray, tuple[str, ...]]:
-    """Return frequencies of repeated tests (n_tests, n_modes), Hz, NaN where one missed a mode; and the labels.
+    """Return the frequencies of repeated tests (n_tests, n_modes) in Hz, NaN for a missed mode, and the labels.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     ModesError
-        Lists every mistake with its line and column.
+        If the table is invalid; the message lists every error with its line and column.
     """
     header, rows = _table(path)
     found: list[str] = []
@@ -182,7 +182,7 @@ def read_tests(path: Path) -> tuple[FloatArray, tuple[str, ...]]:
 
 
 def _table(path: Path) -> tuple[list[str], list[_Row]]:
-    """Return the names of the columns, and the rows."""
+    """Return the list of column names and the list of rows of a table."""
     try:
         text = checked_file(path).read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
@@ -221,13 +221,13 @@ def _table(path: Path) -> tuple[list[str], list[_Row]]:
 
 
 def _refuse(path: Path, found: list[str]) -> None:
-    """Raise ModesError if mistakes were found."""
+    """Raise ModesError if errors were found."""
     if found:
         raise ModesError(path.name, found)
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    """Return the values in a line; ValueError if it is broken."""
+    """Return the list of values in a line; ValueError if the line is malformed."""
     if line.count(separator) > MOST_MODES + 1:
         raise ValueError(f"must have at most {MOST_MODES + 2} columns (got {line.count(separator) + 1})")
     try:
@@ -242,7 +242,7 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _number(row: _Row, column: str, found: list[str], *, positive: bool = False) -> float:
-    """Return a number of a row, NaN after noting a mistake."""
+    """Return the number in a column of a row; if it is invalid, add an error to `found` and return NaN."""
     text = row.values[column]
     try:
         value = float(text)

@@ -1,7 +1,7 @@
-"""Real eigenvectors that Nastran and MYSTRAN print, ``.f06``: modes of another model, or of a simulated test.
+"""Reader of real eigenvectors printed by Nastran and MYSTRAN, ``.f06``, of another model or a simulated test.
 
-OP2 files are not read. Components that Nastran prints are along the axes of each node's output coordinate system,
-which the bulk data give.
+OP2 files are not read. The components printed by Nastran are along the axes of each node's output coordinate
+system, which the bulk data define.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _VALUE = re.compile(rf"\s*(\d{{1,9}})\s+\d{{1,9}}\s+({_REAL})\s+({_REAL})\s+({_R
 _ROW = re.compile(rf"[01 ]\s*(\d{{1,10}})\s+([GS]|\d{{1,9}})\s+({_REAL}(?:\s+{_REAL}){{0,5}})\s*$")
 _MYSTRAN_TITLE = re.compile(r"\s*OUTPUT FOR EIGENVECTOR\s+(\d{1,9})\s*$")
 _MYSTRAN_VECTOR = "E I G E N V E C T O R"
-"""Of the table of a node's displacements; others, such as of forces, have the same title."""
+"""Heading of a table of displacements; tables of other quantities, such as forces, have the same title line."""
 _FATAL = re.compile(r"FATAL MESSAGE|\*ERROR")
 
 
@@ -50,13 +50,13 @@ def read_f06(
     deck: Path | None = None,
     modes: Sequence[ModeNumber] | None = None,
 ) -> MeasuredModes:
-    """Return the real eigenvectors of an F06 file of Nastran at sensors.
+    """Return the real eigenvectors at sensors from an F06 file of Nastran.
 
     Parameters
     ----------
     file : Path
     sensors : sequence of (place, direction)
-        Nodes and directions, which may have a minus sign.
+        Node ids, and directions, which may have a minus sign.
     deck : Path, optional
         The bulk data, needed if nodes have output coordinate systems of their own (CD).
     modes : sequence of int, optional
@@ -72,7 +72,7 @@ def read_f06(
     FileNotFoundError
         If there is no such file.
     ModesError
-        If it has no eigenvectors, no such modes or nodes, or the deck cannot be read.
+        If the file has no eigenvectors, or lacks a mode or node, or the deck cannot be read.
     """
     printed = _read_printed(file, sensors, deck)
     return modes_chosen(file.name, printed[:2], sensors, modes, printed[2])
@@ -81,7 +81,7 @@ def read_f06(
 def computed_f06(path: Path, sensors: Sensors, deck: Path) -> Computed:
     """Return all modes of an F06 file, see `fmu.formats.modes.measured_modes.ModesFormat`.
 
-    Nodes have the axes that the deck of the program gives them, if it is bulk data.
+    If the deck is bulk data, the axes of the nodes are read from it.
     """
     return _read_printed(path, sensors, deck if deck.suffix.lower() in BULK_DATA else None)[:2]
 
@@ -89,7 +89,7 @@ def computed_f06(path: Path, sensors: Sensors, deck: Path) -> Computed:
 def _read_printed(
     file: Path, sensors: Sensors, deck: Path | None
 ) -> tuple[FloatArray, FloatArray | None, list[int]]:
-    """Return frequencies, shapes at sensors, if there are any, and numbers of modes; see `read_f06`."""
+    """Return the frequencies in Hz, the shapes (None without sensors) and the mode numbers; see `read_f06`."""
     path = checked_file(file)
     if path.suffix.lower() in (".op2", ".xdb"):
         rule = "must be the printed output, .f06: DISP(PRINT) = ALL in the case control prints the modes"
@@ -123,7 +123,7 @@ def _read_printed(
 
 @dataclass
 class _Found:
-    """Frequency of each mode, Hz, and components (6,) of each node by mode; the first fatal message."""
+    """The content of a file: frequencies in Hz and nodal components (6,) by mode, and the first fatal message."""
 
     frequencies: dict[int, float] = field(default_factory=dict)
     shapes: dict[int, dict[int, FloatArray]] = field(default_factory=dict)
@@ -173,7 +173,7 @@ def _number(word: str) -> float:
 def _at(
     shape: dict[int, FloatArray], sensor: tuple[object, str], axes: Mapping[int, FloatArray], name: str
 ) -> float:
-    """Return the component of a shape that a sensor reads."""
+    """Return the component of a shape at the place and in the direction of a sensor."""
     place, direction = sensor
     sign, along = (-1.0, direction[1:]) if direction.startswith("-") else (1.0, direction)
     node = int(str(place)) if str(place).isdecimal() else -1

@@ -1,4 +1,4 @@
-"""Measured modes as readers return them, and complex shapes turned into real ones."""
+"""Measured modes, the interface of a format of modes, and the conversion of complex mode shapes to real shapes."""
 
 from __future__ import annotations
 
@@ -18,33 +18,33 @@ from fmu.numbers import apart, given
 from fmu.types import DIRECTIONS, Dof, FloatArray
 
 LARGEST_FILE = 2**26
-"""Bytes of a file with modes; more is refused before it is read."""
+"""Largest size of a file with modes, bytes; a larger file is refused before it is read."""
 MOST_MODES = 1000
-"""Far more than a test identifies."""
+"""Largest number of modes in a file, far more than a test identifies."""
 LEAST_MPC = 0.8
-"""By default, complex shapes with a lower modal phase collinearity are refused."""
+"""Default of the smallest modal phase collinearity at which a complex shape is accepted."""
 
 
 Place = int | str
-"""A node, or the name of a place."""
+"""Location of a sensor: a node id or a name."""
 Sensors = Sequence[Dof]
-"""Place and direction of each sensor; a direction may have a minus before it."""
+"""Place and direction of each sensor; a minus before the direction reverses the sign."""
 ModeNumber = Annotated[int, Ge(1)]
 Collinearity = Annotated[float, Interval(ge=0.0, le=1.0)]
 
 
 def is_node(place: Hashable) -> bool:
-    """Say whether a place is the number of a node."""
+    """Return True if a place is a node id."""
     return isinstance(place, int | np.integer)
 
 
 class ModesError(ValueError):
-    """A file or result from which no modes can be read.
+    """The error for a file or result from which no modes can be read.
 
     Attributes
     ----------
     mistakes : tuple of str
-        All that were found, each with its place.
+        All errors that were found, each with its position in the file.
     """
 
     def __init__(self, source: str, mistakes: Sequence[str]) -> None:
@@ -54,7 +54,7 @@ class ModesError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class MeasuredModes:
-    """Frequencies, with shapes and uncertainty where they are known: arguments of `fmu.ModalData`.
+    """Measured frequencies, with shapes and standard deviations if known: arguments of `fmu.ModalData`.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class MeasuredModes:
     numbers : tuple of int
         Numbers of the modes in the spectrum of the model, if they are given.
     use : tuple of bool
-        Which modes are used in updating, if it is said.
+        Whether each mode is used in updating, if given.
     mpc : ndarray, shape (n_modes,), optional
         Modal phase collinearity of shapes that were complex.
     shapes_sd : ndarray, shape (n_sensors, n_modes), optional
@@ -87,7 +87,7 @@ class MeasuredModes:
 
 
 Computed = tuple[FloatArray, FloatArray | None]
-"""Frequencies in Hz (n,), also those at 0 Hz, and shapes (n_sensors, n) if there are sensors."""
+"""Frequencies (n,) in Hz, including modes at 0 Hz, and shapes (n_sensors, n), or None without sensors."""
 
 
 @dataclass(frozen=True)
@@ -97,16 +97,16 @@ class ModesFormat:
     Attributes
     ----------
     read : callable
-        Returns `MeasuredModes`; its arguments are the keys of its table in ``[measurement]``.
+        Returns `MeasuredModes`; its arguments are the keys of the format's table in ``[measurement]``.
     result : str
-        The file that a program with this output writes: ``{job}.f06``, with ``{job}`` for the name of its deck.
+        Name of the file that a program writes, such as ``{job}.f06``, with ``{job}`` for the name of its deck.
     computed : callable
-        ``computed(path, sensors, deck)`` returns all modes that a program has written, see `Computed`; `deck` is
-        the input that it had.
+        ``computed(path, sensors, deck)`` returns all modes that a program wrote, see `Computed`; `deck` is the
+        program's input file.
     directions : tuple of str
-        Directions of sensors that such a file may have.
+        Directions of sensors that such a file can have.
     has_numbers : bool
-        Whether places of sensors must be numbers of nodes.
+        Whether places of sensors must be node ids.
     """
 
     read: Callable[..., MeasuredModes]
@@ -119,12 +119,12 @@ class ModesFormat:
 def modes_chosen(
     name: str, computed: Computed, sensors: Sensors, modes: Sequence[int] | None, numbers: Sequence[int]
 ) -> MeasuredModes:
-    """Return some of the modes that a program has computed, by their numbers; by default all.
+    """Return the computed modes with the numbers in `modes`; by default all modes.
 
     Raises
     ------
     ModesError
-        If there is no such mode, or one has no frequency above 0 Hz.
+        If there is no such mode, or a chosen mode has no frequency above 0 Hz.
     """
     frequencies, shapes = computed
     chosen = list(numbers) if modes is None else [int(number) for number in modes]
@@ -142,8 +142,8 @@ def modes_chosen(
 def phase_collinearity(shapes: ArrayLike) -> FloatArray:
     """Return the modal phase collinearity |φᵀφ|²/(φᴴφ)² of complex shapes (n_sensors, n_modes), shape (n_modes,).
 
-    1 for a real shape in any phase, 0 for components evenly distributed over all phases (Pappa, Elliott &
-    Schenk 1993, Journal of Guidance, Control, and Dynamics 16, 275: their eigenvalue ratio, written out).
+    The value is 1 for a real shape in any phase, 0 for components evenly distributed over all phases (Pappa,
+    Elliott & Schenk 1993, Journal of Guidance, Control, and Dynamics 16, 275: the eigenvalue ratio, expanded).
     """
     phi = np.asarray(shapes, dtype=complex)
     length = np.sum(np.abs(phi) ** 2, axis=0)
@@ -151,19 +151,20 @@ def phase_collinearity(shapes: ArrayLike) -> FloatArray:
 
 
 def real_shapes(shapes: ArrayLike, least_mpc: float = LEAST_MPC) -> tuple[FloatArray, FloatArray]:
-    """Return the real part of complex shapes in the phase that makes it largest, and their phase collinearity.
+    """Return the real parts of complex shapes, rotated to their largest real part, and their phase collinearity.
 
     Parameters
     ----------
     shapes : array_like of complex, shape (n_sensors, n_modes)
     least_mpc : float
-        A shape of lower phase collinearity is refused: a model without damping has no such shape, and the measured
-        one is likely a mixture of two close modes, or due to local damping or noise. 0 accepts every shape.
+        Smallest phase collinearity that is accepted: an undamped model has only real shapes, and a measured shape
+        with a lower value is likely a mixture of two close modes, or due to local damping or noise. 0 accepts all
+        shapes.
 
     Returns
     -------
     real : ndarray, shape (n_sensors, n_modes)
-        Re(φ e^{−iα/2}) with α the phase of φᵀφ; what is left out then is the smallest.
+        Re(φ e^{−iα/2}) with α the phase of φᵀφ, for which the discarded imaginary part is smallest.
     mpc : ndarray, shape (n_modes,)
 
     Raises
@@ -188,14 +189,14 @@ def real_shapes(shapes: ArrayLike, least_mpc: float = LEAST_MPC) -> tuple[FloatA
 
 
 def checked_file(path: Path) -> Path:
-    """Return the path of a file that may be read.
+    """Return the path of a file, after checking that the file can be read.
 
     Raises
     ------
     FileNotFoundError
-        If there is none.
+        If there is no such file.
     ModesError
-        If it is larger than `LARGEST_FILE`.
+        If the file is larger than `LARGEST_FILE`.
     """
     why = why_no_file(path)
     if why:

@@ -1,15 +1,15 @@
-"""Modes that pyOMA_2 identified in ambient vibrations.
+"""Reader of modes that pyOMA_2 identified from ambient vibrations.
 
 pyOMA_2 is not needed to read its results: they are recognised by their attributes, ``Fn`` (n_modes,), Hz;
 ``Phi`` (n_channels, n_modes), complex; and, of subspace identification run with ``calc_unc=True``, ``Fn_std``
-(n_modes,), Hz, and ``Phi_std`` (n_channels, n_modes): standard deviations that follow from the scatter of the
-record's parts (Döhler & Mevel 2013, Mechanical Systems and Signal Processing 38, 346), which the documentation
+(n_modes,), Hz, and ``Phi_std`` (n_channels, n_modes): standard deviations estimated from the scatter between parts
+of the record (Döhler & Mevel 2013, Mechanical Systems and Signal Processing 38, 346), which the documentation
 of pyOMA_2 1.4 calls "covariance".
 
-``Phi_std`` is cautious: in pyOMA_2 1.4.3 it holds the error of a shape's scale, which all components share and
-no comparison of shapes depends on. Over 24 simulated records of the frame in tests/formats/modes/ambient.py it is
-6 to 65 times the scatter of shapes of unit length; ``Fn_std`` is 0.9 to 1.1 times that of the two lower
-frequencies.
+``Phi_std`` is conservative: in pyOMA_2 1.4.3 it includes the error of a shape's scale, which is common to all
+components and does not affect a comparison of shapes. For 24 simulated records of the frame in
+tests/formats/modes/ambient.py, ``Phi_std`` is 6 to 65 times the scatter of shapes of unit length; ``Fn_std`` is
+0.9 to 1.1 times the scatter of the two lower frequencies.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from fmu.types import AnyArray, FloatArray
 
 _KEPT = ("Fn", "Phi", "Fn_std", "Phi_std", "Xi")
 FIXED = 1e-3
-"""Standard deviation given to a component that scales its shape, relative to the least of the others."""
+"""Standard deviation of a component that scales its shape, relative to the smallest of the other components."""
 
 
 def pyoma_modes(
@@ -49,29 +49,29 @@ def pyoma_modes(
     modes: Sequence[int] | None = None,
     least_mpc: float = LEAST_MPC,
 ) -> MeasuredModes:
-    """Return the modes of a result of pyOMA_2.
+    """Return the modes of a pyOMA_2 result.
 
     Parameters
     ----------
     result : object
-        After ``mpe``: ``setup["name"].result``; or anything with its attributes, or a mapping of their names.
+        ``setup["name"].result`` after ``mpe``, an object with the same attributes, or a mapping with their names.
     sensors : sequence of (place, direction)
         Sensor of each channel, in order; a minus before the direction reverses the sign of a channel.
     modes : sequence of int, optional
-        Which modes of the result, from 1; all if not given.
+        Numbers of the modes in the result, from 1; all if not given.
     least_mpc : float
-        Complex shapes are turned to real ones, see `fmu.formats.modes.measured_modes.real_shapes`.
+        Smallest phase collinearity of complex shapes, see `fmu.formats.modes.measured_modes.real_shapes`.
 
     Raises
     ------
     ModesError
-        If the result has no modes, as before ``mpe``, not a channel a sensor, or frequencies or standard
-        deviations that are not positive numbers.
+        If the result has no modes, as before ``mpe``, does not have one channel per sensor, or has frequencies or
+        standard deviations that are not positive numbers.
 
     Notes
     -----
     If several setups were merged after the identification, ``Fn_std`` is the scatter between setups and not the
-    uncertainty of their mean: it and ``Phi_std`` are left out.
+    uncertainty of their mean: ``Fn_std`` and ``Phi_std`` are ignored.
     """
     source = type(result).__name__
     given = _parts(result)
@@ -127,8 +127,8 @@ def pyoma_modes(
 def _unit_sd(shapes: FloatArray, phi_std: FloatArray) -> FloatArray | None:
     """Return standard deviations of shapes of unit length (n_sensors, n_modes); None for one sensor.
 
-    The component that scales a shape has no standard deviation. It gets `FIXED` times the smallest of the others,
-    so that no variance of a ratio changes by more than `FIXED`² of itself.
+    The component that scales a shape has no standard deviation. It is given `FIXED` times the smallest standard
+    deviation of the other components, so that no variance of a ratio changes by more than `FIXED`² of itself.
     """
     if not np.all(np.isfinite(phi_std)) or np.any(phi_std < 0.0):
         raise ArgumentError("Phi_std", "must be finite and not negative")
@@ -148,7 +148,7 @@ def read_pyoma(
     modes: Sequence[ModeNumber] | None = None,
     least_mpc: Collinearity = LEAST_MPC,
 ) -> MeasuredModes:
-    """Return the modes of a result of pyOMA_2 that `save_pyoma` wrote; its channels are the ``sensors``.
+    """Return the modes of a pyOMA_2 result that `save_pyoma` wrote; its channels are the ``sensors``.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def save_pyoma(path: Path, result: object) -> None:
 
 
 def load_pyoma(path: Path) -> dict[str, AnyArray]:
-    """Return the arrays that `save_pyoma` wrote; nothing is unpickled.
+    """Return the dict of arrays that `save_pyoma` wrote; nothing is unpickled.
 
     Raises
     ------
@@ -211,7 +211,7 @@ def load_pyoma(path: Path) -> dict[str, AnyArray]:
 
 
 def _parts(result: object) -> dict[str, ArrayLike | None]:
-    """Return the parts of a result that are used, None for those that it lacks or that say nothing."""
+    """Return a dict of the attributes of a result that are used; None for a missing or meaningless attribute."""
     given = {name: _attribute(result, name) for name in _KEPT}
     if _attribute(result, "setups_used") is not None:
         given["Fn_std"] = given["Phi_std"] = None

@@ -1,4 +1,4 @@
-"""Mode shapes and points in universal files, by way of pyuff.
+"""Reader and writer of mode shapes and points in universal files, based on pyuff.
 
 Shapes are in dataset 55, "Data at Nodes"; coordinates of nodes in dataset 15 or 2411, elements in dataset 2412.
 
@@ -7,7 +7,7 @@ Formats for Modal Analysis Testing*). Its numbers have six significant digits, s
 rounded to that when they are written.
 
 pyuff accepts any number of values, whatever a header announces, and does not say why it cannot read a dataset:
-`datasets` checks what it returns.
+`datasets` checks the data that pyuff returns.
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ REAL, COMPLEX = (2,), (3, 7)
 """Analysis types: normal modes; complex eigenvalues of first and second order."""
 MOST_DATASETS = 10_000
 LARGEST_DATASET = 2**23
-"""Bytes: some 150 000 nodes."""
+"""Largest size of a dataset, bytes: about 150 000 nodes."""
 _MOTION = (0, 1, 8, 11, 12)
 """Specific data types: unknown, general, displacement, velocity, acceleration."""
 _TAG = b"    -1"
 Dataset = Mapping[str, AnyArray]
 """A dataset as pyuff returns it: numbers and arrays by their names."""
 _Written = dict[str | int, object]
-"""A dataset as pyuff writes it; groups of elements are by the number of their kind."""
+"""A dataset as pyuff writes it; the keys of groups of elements are the numbers of their types."""
 
 
 def read_uff(
@@ -70,22 +70,22 @@ def read_uff(
     ----------
     file : Path
     nodes : mapping of node number to place, optional
-        The place in the model of each node of the file; other nodes are left out. By default every node is the
-        place that has its number.
+        The place in the model of each node of the file; other nodes are skipped. By default the place of a node is
+        its number.
     modes : sequence of int, optional
         Numbers of the modes to take from the file, in this order; by default all, in the order of the file.
     sensors : sequence of (place, direction), optional
-        The measured directions, which may have a minus sign. By default, all that are not zero in every mode of
-        the file: the format fills directions that were not measured with zeros.
+        Places and measured directions, which may have a minus sign. By default, all with a nonzero component in at
+        least one mode of the file: the format fills directions that were not measured with zeros.
     least_mpc : float
-        Least phase collinearity of complex shapes, which are turned to real ones: see
+        Smallest phase collinearity of complex shapes, which are converted to real shapes: see
         `fmu.formats.modes.measured_modes.real_shapes`.
 
     Returns
     -------
     MeasuredModes
-        Labels are the numbers of the modes in the file. Of a complex mode the frequency is |s|/2π of its
-        eigenvalue s. Shapes are in global directions, as the format says they are.
+        Labels are the numbers of the modes in the file. The frequency of a complex mode with eigenvalue s is
+        |s|/2π. Shapes are along global axes, as the format specifies.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def write_uff(
     places: Mapping[Place, ArrayLike] | None = None,
     elements: Sequence[tuple[CellType, tuple[int, ...]]] = (),
 ) -> None:
-    """Write real mode shapes, one dataset 55 per mode, and the nodes and elements if they are known.
+    """Write real mode shapes to a universal file, one dataset 55 per mode, with nodes and elements if given.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def write_uff(
     ImportError
         If pyuff is not installed.
     ValueError
-        If a place has no node number, or two sensors are one.
+        If a place has no node number, or two sensors have the same node and direction.
     """
     number_of: dict[Hashable, int] = {place: int(node) for node, place in (nodes or {}).items()}
     node_numbers: list[int] = []
@@ -193,7 +193,7 @@ def _mesh(
     elements: Sequence[tuple[CellType, tuple[int, ...]]],
     number_of: Mapping[Hashable, int],
 ) -> list[_Written]:
-    """Return the datasets of nodes and elements."""
+    """Return the list of datasets of nodes and elements."""
     sets: list[_Written] = []
     if places:
         x, y, z = np.array([np.asarray(place, dtype=float) for place in places.values()]).T
@@ -212,7 +212,7 @@ def _mesh(
 
 
 def _places(path: Path, nodes: Mapping[int, Place] | None, modes: list[Dataset]) -> dict[int, Place]:
-    """Return the place of each node to be used."""
+    """Return a dict of node number to place for the nodes that are used."""
     there = sorted({int(node) for mode in modes for node in mode["node_nums"]})
     if nodes is None:
         return {node: node for node in there}
@@ -224,7 +224,7 @@ def _places(path: Path, nodes: Mapping[int, Place] | None, modes: list[Dataset])
 
 
 def _values(mode: Dataset, place_of: dict[int, Place]) -> dict[Dof, complex]:
-    """Return the components of a mode by place and direction."""
+    """Return a dict of (place, direction) to the complex component of a mode."""
     return {
         (place_of[int(node)], direction): complex(mode[f"r{i + 1}"][k])
         for i, direction in enumerate(DIRECTIONS)
@@ -235,7 +235,7 @@ def _values(mode: Dataset, place_of: dict[int, Place]) -> dict[Dof, complex]:
 
 
 def _find_moving(values: dict[int, dict[Dof, complex]]) -> list[Dof]:
-    """Return the sensors that move in at least one mode, in the order of the file."""
+    """Return the sensors with a nonzero component in at least one mode, in the order of the file."""
     everything = dict.fromkeys(sensor for mode in values.values() for sensor in mode)
     return [sensor for sensor in everything if any(mode.get(sensor, 0.0) != 0.0 for mode in values.values())]
 
@@ -252,7 +252,7 @@ def _frequency(mode: Dataset) -> float:
 
 @contextmanager
 def imported_pyuff() -> Iterator[ModuleType]:
-    """Give pyuff, with its own deprecation warnings silenced."""
+    """Yield the module pyuff, with its deprecation warnings silenced."""
     try:
         import pyuff
     except ImportError:
@@ -263,7 +263,7 @@ def imported_pyuff() -> Iterator[ModuleType]:
 
 
 def datasets(path: Path) -> list[Dataset]:
-    """Return the datasets with modes.
+    """Return the list of datasets with modes in a universal file.
 
     Raises
     ------
@@ -277,14 +277,14 @@ def datasets(path: Path) -> list[Dataset]:
 
 
 def read_uff_points(path: Path) -> dict[str, FloatArray]:
-    """Return the coordinates of the nodes in datasets 15 and 2411, by node number, in the unit of the file.
+    """Return a dict of node number, as text, to coordinates (3,) in datasets 15 and 2411, in the file's unit.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     ImportError, ModesError
-        See `datasets`; or there are no nodes, or one twice at different places.
+        See `datasets`; also if there are no nodes, or a node has two different positions.
     """
     points: dict[str, FloatArray] = {}
     for one in _sets(checked_file(path), NODES, "nodes", _wrong_nodes):
@@ -306,7 +306,7 @@ def _wrong_nodes(one: Dataset) -> list[str]:
 
 
 def _sets(path: Path, kinds: tuple[int, ...], what: str, wrong: Callable[[Dataset], list[str]]) -> list[Dataset]:
-    """Return the datasets of some types; ModesError if one is broken, or `wrong` says so."""
+    """Return the list of datasets of some types; ModesError if a dataset is malformed or `wrong` finds errors."""
     content = path.read_bytes()
     if content.count(_TAG) > 2 * MOST_DATASETS:
         raise ModesError(path.name, [f"must have at most {MOST_DATASETS} datasets"])
@@ -336,7 +336,7 @@ def _sets(path: Path, kinds: tuple[int, ...], what: str, wrong: Callable[[Datase
 
 
 def _wrong(one: Dataset) -> list[str]:
-    """Return the faults of a dataset that pyuff read, since pyuff accepts any number of values."""
+    """Return the list of errors in a dataset that pyuff read, since pyuff accepts any number of values."""
     if one["analysis_type"] not in REAL + COMPLEX:
         return []
     frequency = "freq" if one["analysis_type"] in REAL else "eig"

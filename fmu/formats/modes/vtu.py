@@ -1,4 +1,4 @@
-"""Mode shapes on a mesh as a VTU file, an unstructured grid of VTK in XML, which ParaView and PyVista open.
+"""Writer of mode shapes on a mesh as VTU files, unstructured grids of VTK in XML, for ParaView and PyVista.
 
 The format is that of *The VTK User's Guide*, "VTK File Formats". Arrays are binary, in base64.
 """
@@ -18,7 +18,7 @@ from fmu.types import FloatArray
 
 
 class CellType(NamedTuple):
-    """A kind of element: its number of corners, its number in VTK, and in universal files (0 if it has none)."""
+    """An element kind: its number of corners, and its type in VTK and in universal files (0 for no type)."""
 
     corners: int
     vtk: int
@@ -34,14 +34,14 @@ CELLS = {
     "wedge": CellType(6, 13, 112),
     "hexahedron": CellType(8, 12, 115),
 }
-"""By meshio's names; of elements with midside nodes, as ``"hexahedron20"``, the corners are written."""
+"""Element kinds by meshio's names; of elements such as ``"hexahedron20"``, only the corners are written."""
 _WEDGE = (0, 2, 1, 3, 5, 4)
-"""VTK's order of its corners: the first triangle is seen from inside."""
+"""VTK's order of the corners of a wedge, whose first triangle is seen from inside."""
 _TYPES = {"d": ("Float64", "<f8"), "f": ("Float32", "<f4"), "i": ("Int64", "<i8"), "u": ("UInt8", "u1")}
 
 
 def cells(elements: Iterable[Sequence[int]], kinds: Iterable[str]) -> list[tuple[CellType, tuple[int, ...]]]:
-    """Return type and corners of every element whose kind is known."""
+    """Return a list of the cell type and the corner nodes of every element of a known kind."""
     found = []
     for element, kind in zip(elements, kinds, strict=True):
         known = CELLS.get(kind.rstrip("0123456789"))
@@ -58,7 +58,7 @@ def write_vtu(
     vectors: Mapping[str, FloatArray],
     scalars: Mapping[str, FloatArray],
 ) -> None:
-    """Write a mesh with vectors and numbers at its nodes.
+    """Write a mesh with vectors and integers at its nodes to a VTU file.
 
     Parameters
     ----------
@@ -66,13 +66,13 @@ def write_vtu(
         An existing file is replaced.
     coordinates : array_like, shape (n_nodes, 3), m
     elements : iterable of sequence of int
-        Nodes of each element, counted from 0, corners first.
+        Indices of the nodes of each element, counted from 0, corners first.
     kinds : iterable of str
-        See `CELLS`; others are left out.
+        Kind of each element, see `CELLS`; elements of other kinds are skipped.
     vectors : mapping of str to ndarray, shape (n_nodes, 3)
-        Such as the displacements in a mode, by name.
+        Vectors at the nodes by name, such as the displacements in a mode.
     scalars : mapping of str to ndarray of int, shape (n_nodes,)
-        Such as the ids of the nodes.
+        Integers at the nodes by name, such as node ids.
     """
     grid, places = cells(elements, kinds), np.asarray(coordinates, dtype=float)
     in_order = (_WEDGE if kind.vtk == CELLS["wedge"].vtk else range(kind.corners) for kind, _ in grid)

@@ -1,4 +1,4 @@
-"""Entries of Nastran's bulk data: small, large and free fields, with their continuations."""
+"""Reader of the entries of Nastran bulk data: small, large and free fields, with continuations."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from fmu.formats.matrices.limits import RefusedError
 from fmu.formats.shown import quote
 
 MOST_FIELDS = 2**20
-"""Of one entry with its continuations."""
+"""Largest number of fields of an entry, continuations included."""
 LARGEST_ID = 10**9
 
 
 def cards(lines: Iterator[str]) -> Iterator[tuple[str, list[str]]]:
     """Yield the name and the fields of each entry, in upper case and without blanks around them.
 
-    Continuations must follow the entry that they continue. Lines before the bulk data are yielded too: none begins
-    with the name of an entry that fmu reads.
+    A continuation must directly follow its entry. Lines before the bulk data are yielded too, as none begins with
+    the name of an entry that fmu reads.
 
     Raises
     ------
     RefusedError
-        If superelements begin, an entry repeats another, or is too long.
+        If the deck has superelements, or an entry repeats fields of the one before (=) or is too long.
     """
     name, fields = "", list[str]()
     for line in lines:
@@ -52,7 +52,7 @@ def cards(lines: Iterator[str]) -> Iterator[tuple[str, list[str]]]:
 
 
 def _fields(line: str) -> tuple[str, list[str]]:
-    """Return the first field of a line and its fields of data: 8 in small and free format, 4 in large format."""
+    """Return the first field of a line and its data fields: 8 in small and free format, 4 in large format."""
     if "," in line:
         first, *words = (word.strip().upper() for word in line.split(","))
         many = 4 if "*" in first else 8
@@ -63,7 +63,7 @@ def _fields(line: str) -> tuple[str, list[str]]:
 
 
 def whole(field: str, what: str, default: int | None = None) -> int:
-    """Return a whole number of a field; ValueError if it is none, or empty without a default."""
+    """Return the whole number in a field, or the default if the field is empty; ValueError if it is not whole."""
     if not field and default is not None:
         return default
     if not re.fullmatch(r"[+-]?\d{1,10}", field):
@@ -72,7 +72,7 @@ def whole(field: str, what: str, default: int | None = None) -> int:
 
 
 def identity(field: str, what: str) -> int:
-    """Return the number of a node, element or system; ValueError if it is not positive."""
+    """Return the id of a node, element or coordinate system; ValueError if it is not from 1 to `LARGEST_ID`."""
     number = whole(field, what)
     if not 1 <= number <= LARGEST_ID:
         raise ValueError(f"{what} must be a number from 1 to {LARGEST_ID} (got {number})")
@@ -80,7 +80,7 @@ def identity(field: str, what: str) -> int:
 
 
 def number(field: str, what: str, default: float | None = None) -> float:
-    """Return a real number as Nastran writes it, ``7.1-3`` and ``7.1D-3`` too."""
+    """Return the real number in a field, such as ``7.1-3`` or ``7.1D-3``, or the default if the field is empty."""
     if not field and default is not None:
         return default
     found = re.fullmatch(r"([+-]?(?:\d+\.?\d*|\.\d+))(?:[ED]?([+-]\d{1,4})|[ED](\d{1,4}))?", field)
@@ -90,7 +90,7 @@ def number(field: str, what: str, default: float | None = None) -> float:
 
 
 def components(field: str, what: str) -> list[int]:
-    """Return the components 1 to 6 that a field such as ``123456`` lists; 0 or empty of a scalar point is 1."""
+    """Return the list of components 1 to 6 in a field such as ``123456``; [1] for 0 or empty (scalar point)."""
     if field in ("", "0"):
         return [1]
     if not re.fullmatch("[1-6]{1,6}", field):
@@ -99,7 +99,7 @@ def components(field: str, what: str) -> list[int]:
 
 
 def expand_list(fields: list[str], what: str) -> list[int]:
-    """Return the numbers of a list with ``THRU``; empty fields are left out."""
+    """Return the list of ids in fields, with ``THRU`` expanded; empty fields are skipped."""
     words = [field for field in fields if field]
     found: list[int] = []
     at = 0

@@ -1,4 +1,4 @@
-"""Matrices as DMIG entries of Nastran: in the bulk data, or in the punch file (``PARAM,EXTOUT,DMIGPCH``)."""
+"""Reader of Nastran DMIG matrices in the bulk data or in the punch file (``PARAM,EXTOUT,DMIGPCH``)."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from fmu.formats.matrices.nastran.includes import deck_lines
 from fmu.types import DIRECTIONS
 
 SYMMETRIC = 6
-"""The form of a matrix of which each pair of entries is given once."""
+"""The form of a symmetric matrix, of which only one entry of each pair is given."""
 
 
 def _read(path: Path, variable: str | None) -> Labelled:
-    """Return a matrix with the nodes and components that its entries name, ascending."""
+    """Return a matrix whose rows are the nodes and components that its entries name, in ascending order."""
     forms: dict[str, int] = {}
     found: dict[str, tuple[array[int], array[int], array[float]]] = {}
     n = 0
@@ -68,7 +68,7 @@ def _read(path: Path, variable: str | None) -> Labelled:
 
 
 def _place(node: str, component: str, name: str) -> int:
-    """Return 8 times the node and its direction from 0, to be sorted by."""
+    """Return 8 × node + direction, the direction counted from 0: the key by which rows are sorted."""
     directions = components(component, f"DMIG {name}: a component")
     if len(directions) != 1:
         raise ValueError(f"DMIG {name}: a component must be one of 0 to 6 (got {component})")

@@ -1,7 +1,7 @@
-"""Lines of a Nastran deck, each ``INCLUDE`` replaced by the lines of its file.
+"""Reader of the lines of a Nastran deck, with each ``INCLUDE`` replaced by the lines of the included file.
 
-Names may be in quotes, and go on over several lines within them. They are relative to the folder of the deck or of
-the file that names them, and must be inside the folder of the deck.
+File names may be in quotes, and a quoted name may continue over several lines. Names are relative to the folder of
+the deck or of the including file, and must lie inside the folder of the deck.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from fmu.formats.matrices.limits import LARGEST_FILE, RefusedError, text_lines
 from fmu.formats.shown import quote
 
 BULK_DATA = (".bdf", ".dat", ".nas")
-"""Suffixes of decks."""
+"""Suffixes of Nastran decks."""
 DEEPEST = 16
-"""Files that include each other."""
+"""Largest depth of nested includes."""
 MOST_FILES = 1000
 LONGEST_NAME = 4096
 _INCLUDE = re.compile(r"\s*INCLUDE(?=[\s'\"=])\s*=?\s*(.*)", re.IGNORECASE)
@@ -39,8 +39,8 @@ def deck_lines(path: Path) -> Iterator[str]:
     Raises
     ------
     RefusedError
-        If an included file does not exist, lies outside the folder of the deck or includes itself, or there is too
-        much of them.
+        If an included file does not exist, lies outside the folder of the deck or includes itself, or
+        the files are too many or too large.
     ValueError
         If a file is not text.
     """
@@ -48,7 +48,7 @@ def deck_lines(path: Path) -> Iterator[str]:
 
 
 def included_files(path: Path) -> list[Path]:
-    """Return the files that a deck includes, each once, beginning with its folder; see `deck_lines`."""
+    """Return a list of the files that a deck includes, each once, as paths in its folder; see `deck_lines`."""
     folder, found = path.parent.resolve(), dict[Path, None]()
     for _ in _lines(path, folder, (path.resolve(),), _Count(), found):
         pass
@@ -58,7 +58,7 @@ def included_files(path: Path) -> list[Path]:
 def _lines(
     path: Path, folder: Path, within: tuple[Path, ...], count: _Count, found: dict[Path, None] | None = None
 ) -> Iterator[str]:
-    """Yield the lines of a file and of those it includes, and add these to `found`; `within` led to it."""
+    """Yield the lines of a file and its included files, adding these to `found`; `within` is the include chain."""
     count.files += 1
     count.size += path.stat().st_size
     if count.files > MOST_FILES or count.size > LARGEST_FILE:
@@ -83,7 +83,7 @@ def _lines(
 
 
 def _name(text: str, lines: Iterator[str]) -> str:
-    """Return the name that an entry gives; within quotes it goes on over lines, whose blanks are left out."""
+    """Return the file name in an INCLUDE entry; in quotes it may continue over lines, joined without blanks."""
     mark = text[:1]
     if mark not in ("'", '"'):
         return text.partition("$")[0].strip()
@@ -97,13 +97,13 @@ def _name(text: str, lines: Iterator[str]) -> str:
 
 
 def _inside(name: str, folder: Path, beside: Path) -> Path:
-    """Return the path of a name; RefusedError unless it is of a file inside a folder, links followed."""
+    """Return the path of an included file; RefusedError unless it is a file inside `folder`, links resolved."""
     name = name.replace("\\", "/")
     for base in (folder, beside):
         path = Path(os.path.normpath(base / name))
         try:
             is_inside = path.is_relative_to(folder) and path.resolve().is_relative_to(folder)
-        except (OSError, RuntimeError, ValueError):  # of a loop of links, or a NUL
+        except (OSError, RuntimeError, ValueError):  # a loop of links, or a NUL in the name
             raise RefusedError(f"INCLUDE must name a file (got {quote(name)})") from None
         if not is_inside or PureWindowsPath(name).drive:
             rule = f"must be inside the folder of the deck (INCLUDE {quote(name)})"

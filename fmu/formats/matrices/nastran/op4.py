@@ -1,12 +1,12 @@
-"""Nastran's OUTPUT4 files of matrices, ``.op4``: binary of either byte order, or text; full or sparse columns.
+"""Reader of Nastran OUTPUT4 matrices, ``.op4``: binary of either byte order, or text; full or sparse columns.
 
-MSC Nastran, *DMAP programmer's guide*, OUTPUT4. They have no names of rows: see
-`fmu.formats.models.bulk`. In DMAP::
+MSC Nastran, *DMAP programmer's guide*, OUTPUT4. The files have no names of rows: see
+`fmu.formats.models.bulk`. The DMAP statements are::
 
     ASSIGN OUTPUT4='model.op4',UNIT=31,FORM=BIG64
     OUTPUT4 KGG,MGG,,,//0/31///16
 
-MYSTRAN writes them to ``job.OU1`` to ``job.OU7``, by ``OUTPUT4 KLL,MLL,,,//-1/21`` in the executive control.
+MYSTRAN writes such files to ``job.OU1`` to ``job.OU7``, by ``OUTPUT4 KLL,MLL,,,//-1/21`` in the executive control.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from fmu.formats.matrices.limits import (
 from fmu.types import AnyArray
 
 REAL = (1, 2)
-"""Types of single and double precision; 3 and 4 are complex."""
+"""Types of real matrices in single and double precision; types 3 and 4 are complex."""
 SMALL_ROWS = 65535
-"""A sparse matrix with more rows is always written with strings of two integers, BIGMAT."""
+"""Largest number of rows of a sparse matrix without BIGMAT, in which two integers precede each string."""
 
 
 class _Header(NamedTuple):
@@ -59,7 +59,7 @@ class _Entries:
         self.strings: list[tuple[int, int, AnyArray]] = []
 
     def add(self, column: int, row: int, values: AnyArray) -> None:
-        """Add values in one column from a row on, both counted from 1."""
+        """Add consecutive values of a column from `row` on; column and row are counted from 1."""
         header = self.header
         if row < 1 or column < 1 or row - 1 + len(values) > abs(header.rows):
             raise ValueError(f"{header.name} has an entry outside its {abs(header.rows)} rows")
@@ -68,12 +68,12 @@ class _Entries:
         self.strings.append((row - 1, column - 1, values))
 
     def matrix(self) -> sp.csr_array:
-        """Return the matrix, a csr_array."""
+        """Return the matrix as a csr_array; the entries are cleared."""
         header = self.header
         rows_within(max(abs(header.rows), header.columns))
         counts = np.array([len(values) for *_, values in self.strings], dtype=np.int64)
         firsts = np.array([row for row, *_ in self.strings], dtype=np.int64)
-        shift = firsts - np.cumsum(counts) + counts  # from the place in the file to the row
+        shift = firsts - np.cumsum(counts) + counts  # from the index of a value to its row
         row = np.arange(self.n, dtype=np.int32) + np.repeat(shift.astype(np.int32), counts)
         column = np.repeat(np.array([column for _, column, _ in self.strings], dtype=np.int32), counts)
         values = np.concatenate([values for *_, values in self.strings]) if self.strings else np.zeros(0)
@@ -95,7 +95,7 @@ def _read(path: Path, variable: str | None) -> Labelled:
             if len(found) > MOST_NAMES:
                 raise RefusedError(f"must hold at most {MOST_NAMES} matrices")
         entries = found[choose_variable(list(found), variable)]
-    if entries is None:  # the only one, of which the entries were not asked for
+    if entries is None:  # the only matrix; it had no name to look for, so that its entries were not read
         return _read(path, next(iter(found)))
     if entries.header.type not in REAL:
         raise RefusedError(f"must hold a real matrix ({entries.header.name} is complex)")
@@ -103,7 +103,7 @@ def _read(path: Path, variable: str | None) -> Labelled:
 
 
 def _of_binary(file: BinaryIO, order: str, variable: str | None) -> Iterator[tuple[str, _Entries | None]]:
-    """Yield the name of each matrix, with the entries of the wanted one."""
+    """Yield the name of each matrix, with its entries if the name is `variable`, and None otherwise."""
     end = file.seek(0, 2)
     file.seek(0)
 
@@ -157,7 +157,7 @@ def _of_binary(file: BinaryIO, order: str, variable: str | None) -> Iterator[tup
 
 
 def _strings(entries: _Entries, column: int, data: bytes, whole: np.dtype, real: np.dtype) -> None:
-    """Add the strings of consecutive nonzeros of a sparse column."""
+    """Add the strings of a sparse column; a string is a run of consecutive nonzeros."""
     at = 0
     while at < len(data):
         if entries.header.big:
@@ -179,10 +179,10 @@ _TITLE = re.compile(r"\s*(\d+)\s*(-?\d+)\s+(\d+)\s+(\d+)\s*([A-Za-z]\w*)\s*(?:1P
 
 
 def _of_text(lines: Iterator[str], variable: str | None) -> Iterator[tuple[str, _Entries | None]]:
-    """Yield the name of each matrix, with the entries of the wanted one.
+    """Yield the name of each matrix, with its entries if the name is `variable`, and None otherwise.
 
-    Lines of numbers have decimal points; others tell where the numbers after them belong. Their counts of words
-    are not needed, and some programs write them wrong.
+    Lines with a decimal point hold values; the other lines give the column and row of the values that follow. The
+    word counts on these lines are ignored, since some programs write wrong counts.
     """
     header, entries, width = None, None, 0
     column = row = 0
@@ -211,7 +211,7 @@ def _of_text(lines: Iterator[str], variable: str | None) -> Iterator[tuple[str, 
             column = row = 0
             continue
         if "." in line:
-            if column > header.columns:  # the last one has a number without a meaning
+            if column > header.columns:  # the column after the last holds a meaningless value
                 yield header.name, entries
                 header = None
             elif entries is not None and header.type in REAL:
@@ -234,7 +234,7 @@ def _starts(line: str, width: int) -> range:
 
 
 def _whole_numbers(line: str) -> list[str]:
-    """Return the numbers of 8 characters in a line, which may touch."""
+    """Return the one to three whole numbers on a line as words; ValueError if the line has anything else."""
     words = line.split()
     if all(re.fullmatch(r"-?\d{1,10}", word) for word in words) and 1 <= len(words) <= 3:
         return words
