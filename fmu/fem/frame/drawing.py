@@ -1,4 +1,4 @@
-"""A structure as a line drawing in SVG, without any library."""
+"""Line drawings of structures in SVG, without any drawing library."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ _ROTATIONS = ("rx", "ry", "rz")
 
 @dataclass(frozen=True, eq=False)
 class Sketch:
-    """What is drawn of a structure.
+    """Lines and symbols that draw a structure.
 
     Attributes
     ----------
     nodes : ndarray, shape (n_nodes, 3), m
     elements : ndarray of int, shape (n_elements, 2)
     changed : ndarray of bool, shape (n_elements, n_parameters)
-        Which parameter changes which element, see `changed_elements`.
+        Whether each parameter changes each element, see `changed_elements`.
     kinds : tuple of str
-        ``"arm"``, ``"spring"``, ``"support"``, ``"mass"`` or ``"sensor"``, one for each symbol.
+        Kind of each symbol: ``"arm"``, ``"spring"``, ``"support"``, ``"mass"`` or ``"sensor"``.
     places : ndarray, shape (n_symbols, 3), m
     ends : ndarray, shape (n_symbols, 3)
         The other end of an arm or a spring, m; the direction of a sensor. NaN for supports, masses, springs to the
         ground and sensors of rotations.
     owners : ndarray of int, shape (n_symbols,)
-        The parameter that sets a spring's stiffness; −1 where there is none.
+        Index of the parameter that sets a spring's stiffness; −1 if no parameter does.
     """
 
     nodes: FloatArray
@@ -56,12 +56,12 @@ class Sketch:
 
 
 def sketch(model: SeparableModel, sensors: Sequence[Dof] = ()) -> Sketch:
-    """Return the drawing of a structure, with its sensors (place, direction).
+    """Return the sketch of a structure with its sensors, each given as (place, direction).
 
     Raises
     ------
     ValueError
-        If the model knows neither its geometry nor a picture of lines.
+        If the model has neither a geometry nor a line picture.
     """
     if model.geometry is None and model.picture is not None:
         return _sketch_picture(model.picture, sensors)
@@ -86,7 +86,7 @@ def sketch(model: SeparableModel, sensors: Sequence[Dof] = ()) -> Sketch:
 
 
 def is_drawable(model: SeparableModel, most: int) -> bool:
-    """Return whether a model can be drawn with at most so many lines."""
+    """Return True if a model can be drawn with at most `most` lines."""
     lines = model.picture.lines if model.geometry is None and model.picture is not None else None
     lines = model.geometry.elements if model.geometry is not None else lines
     return lines is not None and len(lines) <= most
@@ -104,7 +104,7 @@ def _sketch_picture(picture: LinePicture, sensors: Sequence[Dof]) -> Sketch:
 
 
 def drawing(model: SeparableModel, sensors: Sequence[Dof] = ()) -> str:
-    """Draw a structure with its sensors (place, direction), see `draw_svg`; ValueError if it has no geometry."""
+    """Return the SVG drawing of a structure with its sensors; ValueError if there is nothing to draw."""
     return draw_svg(sketch(model, sensors))
 
 
@@ -114,19 +114,20 @@ def draw_svg(
     said: str = "",
     spring_colours: Sequence[str] | None = None,
 ) -> str:
-    """Draw elements and springs in the colour of the first parameter that changes them, and what is at the nodes.
+    """Return the SVG drawing of a sketch, with elements and springs in the colours of the parameters.
 
-    Squares are supports, discs masses, zigzags springs (rings between nodes at one place), arrows sensors.
+    Each element or spring has the colour of the first parameter that changes it. Squares are supports, discs are
+    masses, zigzags are springs (rings between coincident nodes) and arrows are sensors.
 
     Parameters
     ----------
     structure : Sketch
     colours : sequence of str, length n_elements, optional
-        Other colours of the elements.
+        Colours of the elements, instead of those of the parameters.
     said : str
-        What they show, for those who cannot see it.
+        Description of the drawing for readers who cannot see it.
     spring_colours : sequence of str, length n_parameters, optional
-        Other colours of the springs of each parameter.
+        Colours of the springs by parameter, instead of the default colours.
 
     Returns
     -------
@@ -169,13 +170,13 @@ def without_sensors(structure: Sketch) -> Sketch:
 
 
 def element_colours(changed: BoolArray) -> list[str]:
-    """Return the colour of each element, which is the colour of the first parameter that changes it."""
+    """Return the list of element colours: the colour of the first parameter that changes each element."""
     first = [int(np.argmax(row)) if row.any() else None for row in changed]
     return [UNCHANGED if k is None else COLOURS[k % len(COLOURS)] for k in first]
 
 
 def parameter_colours(structure: Sketch) -> list[str | None]:
-    """Return the colour of the elements or springs that each parameter changes, None where it changes none."""
+    """Return the list of colours of the elements or springs that each parameter changes, or None."""
     colours = element_colours(structure.changed)
     return [
         colours[int(np.argmax(column))]
@@ -190,13 +191,15 @@ def parameter_colours(structure: Sketch) -> list[str | None]:
 def changed_elements(model: SeparableModel) -> BoolArray:
     """Return a mask of the elements that each parameter changes, shape (n_elements, n_parameters).
 
-    It does where a term with it couples the element's ends. Where one end is held, it does where the term's forces
-    on the other are not in equilibrium when everything translates; where it has no stiffness, where it has mass.
+    An element with two free ends is changed by a parameter if a term with that parameter couples the ends. An
+    element with a held end is changed if the forces of the term at the other end are not in equilibrium under a
+    rigid translation of the structure. For such an element, mass terms count only for parameters that change no
+    stiffness.
 
     Raises
     ------
     ValueError
-        If the model does not know its geometry.
+        If the model has no geometry.
     """
     geometry = _geometry(model)
     a, b = np.asarray(geometry.elements).T

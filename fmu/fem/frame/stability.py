@@ -1,4 +1,4 @@
-"""Whether a structure is stable: its motions without strain, and the mass that they move."""
+"""Stability checks of a structure: its motions without strain, and the mass that these motions move."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ _SHOWN = 4
 
 
 class MechanismError(ValueError):
-    """A structure that can move without strain, in more ways than it is meant to."""
+    """Error raised if a structure can move without strain in more ways than intended."""
 
 
 @dataclass(frozen=True, eq=False)
 class FreeMotions:
-    """The motions of a structure that take no energy.
+    """Motions of a structure with zero or negative strain energy.
 
     Attributes
     ----------
     shapes : ndarray, shape (n_dof, n)
-        A basis of them, m and rad.
+        Basis of the motions without strain energy, m and rad.
     rigid : ndarray, shape (6, r)
-        Those among them that move the whole structure as a rigid body: its translation, m, and rotation, rad,
-        about its centre. None for a model that does not know its geometry.
+        Rigid-body motions of the whole structure that have no strain energy: translation, m, and rotation, rad,
+        about the centre of the nodes. None if the model has no geometry.
     negative : ndarray, shape (n_dof, n_negative)
-        Motions whose energy is negative, which no structure has.
+        Motions of negative energy, which no real structure has.
     """
 
     shapes: FloatArray
@@ -46,15 +46,15 @@ class FreeMotions:
 
     @property
     def count(self) -> int:
-        """How many independent motions there are."""
+        """Number of independent motions without strain energy."""
         return self.shapes.shape[1]
 
 
 def free_motions(model: SeparableModel, theta: ArrayLike) -> FreeMotions:
     """Return the motions without strain at theta (n_parameters,), usually the start.
 
-    They are found block by block from the eigenvalues of K scaled to a unit diagonal, so that metres and radians,
-    stiff and soft parts count alike.
+    The motions are computed block by block from the eigenvalues of K scaled to a unit diagonal, so that metres and
+    radians, and stiff and soft parts, count equally.
 
     Raises
     ------
@@ -101,8 +101,8 @@ def require_stable(
     Raises
     ------
     ValueError
-        With the number of motions and what moves in them, the motion of negative energy, or the place without
-        mass.
+        The message states the number of motions and what moves in them, the motion of negative energy, or the
+        place without mass. Motions without strain raise `MechanismError`.
     """
     _require_mass(model, theta, label)
     motions = free_motions(model, theta)
@@ -154,7 +154,7 @@ def _without_mass(model: SeparableModel, theta: ArrayLike, motions: FloatArray) 
 
 
 def rigid_motions(model: SeparableModel, shapes: FloatArray) -> FloatArray | None:
-    """Return the rigid-body motions in a space of motions.
+    """Return the rigid-body motions contained in a space of motions.
 
     Parameters
     ----------
@@ -165,7 +165,8 @@ def rigid_motions(model: SeparableModel, shapes: FloatArray) -> FloatArray | Non
     Returns
     -------
     ndarray, shape (6, r), or None
-        Translation, m, and rotation, rad, about the centre of the nodes; None if the model has no geometry.
+        Translation, m, and rotation, rad, about the centre of the nodes, one motion per column; None if the model
+        has no geometry.
     """
     named = _rigid_rows(model)
     if named is None:
@@ -189,7 +190,7 @@ def rigid_motions(model: SeparableModel, shapes: FloatArray) -> FloatArray | Non
 
 
 def rigid_in_words(rigid: FloatArray) -> list[str]:
-    """Return rigid-body motions (6, r) in words, translations first."""
+    """Return a list of phrases that describe rigid-body motions (6, r), translations first."""
     if not rigid.shape[1]:
         return []
     turn = rigid[3:]
@@ -210,16 +211,17 @@ def what_moves(
     label: Callable[[Any], str] = str,
     rigid: FloatArray | None = None,
 ) -> str:
-    """Return the degrees of freedom that move most in a space of motions (n_dof, n), as "a rx, b rx move most".
+    """Return the phrase that names the degrees of freedom that move most, as "a rx, b rx move most".
 
     Parameters
     ----------
     model : SeparableModel
     shapes : ndarray, shape (n_dof, n)
+        A basis of the space of motions.
     label : callable
         Returns the name of a node.
     rigid : ndarray, shape (6, r), optional
-        Rigid-body motions to leave out of the space.
+        Rigid-body motions to exclude from the space.
     """
     size = _sizes(model)[:, None]
     Y = np.linalg.qr(size * shapes)[0]

@@ -1,4 +1,4 @@
-"""A decoupled block, solved in full, one theta at a time, with the derivatives of its modes."""
+"""Decoupled blocks solved in full, one theta at a time, with the derivatives of their modes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _DENSE_SLOPES = 128
 
 
 def full_model(model: SeparableModel) -> BlockModel[FullBlock]:
-    """Return the unreduced blocks of `model`."""
+    """Return the model that consists of the unreduced blocks of `model`."""
     return BlockModel(tuple(FullBlock(model, dofs) for dofs in model.blocks), model.n_parameters)
 
 
@@ -34,7 +34,7 @@ class FullBlock(Block):
     ----------
     model : SeparableModel
     dofs : ndarray of int
-        The block's degrees of freedom in the model, one of ``model.blocks``.
+        Indices of the block's degrees of freedom in the model, one entry of ``model.blocks``.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class FullBlock(Block):
     n_modes : int
         Number of modes with a finite frequency: fewer than `size` where degrees of freedom have no mass.
     constant : bool
-        Whether no parameter changes it.
+        Whether no parameter changes the block.
     """
 
     is_reduced: ClassVar[Literal[False]] = False
@@ -58,7 +58,7 @@ class FullBlock(Block):
         self._last: tuple[tuple[bytes, int], FloatArray, FloatArray] | None = None
 
     def __getstate__(self) -> dict[str, object]:
-        """Leave out what is prepared when needed."""
+        """Return the state for pickling, without data that are recomputed on demand."""
         return {name: value for name, value in self.__dict__.items() if name != "_sums"} | {"_last": None}
 
     @cached_property
@@ -77,8 +77,8 @@ class FullBlock(Block):
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues (n, count) and mass-normalised shapes (n, size, count); NaN on failure.
 
-        Of a large block the last solve at a single theta is remembered: of a start several things are asked. A
-        block that no parameter changes is solved once.
+        A large block keeps its last solve at a single theta, because several quantities are needed at the start of
+        a problem. A block that no parameter changes is solved once.
         """
         times = 1
         if self.constant:
@@ -146,7 +146,7 @@ class FullBlock(Block):
         return lam_slopes, shape_slopes
 
     def observe(self, rows: sp.csr_array, reference: FloatArray) -> Observation:
-        """Return a map of shapes (n, size, m) to the coordinates `rows`, and the references as they are."""
+        """Return the map from shapes (n, size, m) to the coordinates `rows`, and the unchanged reference."""
         if rows.nnz == rows.shape[0] and np.all(rows.data == 1.0) and np.all(np.diff(rows.indptr) == 1):
             return Picked(rows.indices), reference
         return Mapped(rows.toarray()), reference

@@ -1,4 +1,4 @@
-"""Static and mass quantities of a structure as functions of theta: no eigenproblem, exact derivatives."""
+"""Static displacements and masses of a structure as functions of theta, with exact derivatives."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _DEPENDENT = 1e-13
 
 
 def rigid_translation(model: SeparableModel, direction: str) -> FloatArray:
-    """Return the motion of all free degrees of freedom by 1 m along x, y or z, shape (n_dof,)."""
+    """Return the displacements (n_dof,) of a translation of all free degrees of freedom by 1 m along an axis."""
     names = np.array([d for _, d in model.dofs])
     if model.geometry is not None and model.geometry.ids is not None:
         known = {i: d for _, d, seen in model.locate_motions() for i in seen}
@@ -32,16 +32,16 @@ def rigid_translation(model: SeparableModel, direction: str) -> FloatArray:
 
 
 class MassMoments:
-    """Mass, and centre of gravity, of the parts that are free to move along one direction.
+    """Mass and centre of gravity of the parts that are free to move along one direction.
 
     m(θ) = rᵀ M(θ) r and x_c(θ) = rᵀ M(θ) (x ∘ r) / m(θ), with r the translation along the direction and x the
-    coordinates of the nodes. The sums over nodes are made once, a term of M each.
+    coordinates of the nodes. The sums over nodes are computed once, for each term of M.
 
     Parameters
     ----------
     model : SeparableModel
     start : ndarray, shape (n_parameters,)
-        The direction is the one of x, y, z along which most mass moves here.
+        Parameters at which the direction is chosen: the one of x, y, z along which the most mass moves.
     with_centre : bool
         Whether the centre of gravity is wanted too, which needs the model's geometry.
 
@@ -70,7 +70,10 @@ class MassMoments:
         self._sums = np.array([[float(r @ (term.matrix @ (x * r))) for x in arms] for term in model.M_terms])
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> tuple[FloatArray, FloatArray | None]:
-        """Return mass in kg and centre in m, (n, 1 or 4), at theta (n, n_parameters), and their derivatives."""
+        """Return the mass in kg and the centre in m, (n, 1 or 4), at theta (n, n_parameters), with derivatives.
+
+        The derivatives have shape (n, 1 or 4, n_parameters); they are None without `gradient`.
+        """
         moments = np.einsum("nk,kq->nq", self._map(theta), self._sums)
         mass = moments[:, :1]
         values = np.concatenate([mass, moments[:, 1:] / mass], axis=1)
@@ -85,26 +88,27 @@ class MassMoments:
 class StaticDisplacement:
     """The displacement u(θ) = bᵀ K(θ)⁻¹ f under a static load.
 
-    K is projected onto K(θ_s)⁻¹ [f b] at sampled points θ_s. As the basis holds the primal and the dual solution,
-    the error of u is the product of both errors (Quarteroni, Manzoni & Negri 2016, chapter 3).
+    K is projected onto K(θ_s)⁻¹ [f b] at sampled points θ_s. Since the basis contains the primal and the dual
+    solution, the error of u is the product of the errors of these two solutions (Quarteroni, Manzoni & Negri 2016,
+    chapter 3).
 
     Parameters
     ----------
     model : SeparableModel
     force : tuple of (place, direction)
-        Where the load acts; a place and a direction as a sensor has them.
+        Place and direction of the load, given as for a sensor.
     load : float, N or N·m
     at : tuple of (place, direction)
-        Where the displacement (or rotation) is measured.
+        Place and direction of the measured displacement (or rotation).
     points : callable
-        Returns as many points as it is asked for, shape (n, n_parameters), of those for which u is wanted.
+        ``points(n)`` returns n of the parameter vectors for which u is wanted, shape (n, n_parameters).
 
     Attributes
     ----------
     error : float
-        Largest relative error at points that the basis was not made of.
+        Largest relative error at points that are not used for the basis.
     n_solves : int
-        Solves of the full stiffness that the basis took.
+        Number of solves of the full stiffness for the basis.
 
     Raises
     ------
@@ -153,7 +157,10 @@ class StaticDisplacement:
         self._loads = V.T @ loads
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> tuple[FloatArray, FloatArray | None]:
-        """Return u in m or rad, (n, 1), at theta (n, n_parameters), and its derivatives (n, 1, n_parameters)."""
+        """Return u in m or rad, (n, 1), at theta (n, n_parameters), with derivatives (n, 1, n_parameters).
+
+        The derivatives are None without `gradient`.
+        """
         # einsum without `optimize` adds term by term, so that a result does not depend on the rest of the batch
         K = np.einsum("nk,kij->nij", self._map(theta), self._K)
         x = np.full((len(K), *self._loads.shape), np.nan)
