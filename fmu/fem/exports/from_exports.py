@@ -1,15 +1,15 @@
-"""K(θ) and M(θ) from the matrices that a program exports at several values of its parameters.
+"""Recovery of K(θ) and M(θ) from matrices that a program exports at several parameter values.
 
-An entry of an assembled matrix is a sum over elements, and that of an element is a polynomial of most properties:
-Young's modulus and density enter once, the thickness of a plate with its first power (membrane, mass) and its
-third (bending, rotary inertia); that of a solid element with its powers 1, 0 and -1. The matrices of a few exports
-therefore give the terms K_k of
+An entry of an assembled matrix is a sum over elements, and the entry of an element matrix is a sum of powers of
+most properties. Young's modulus and density enter with power 1, the thickness of a plate with power 1 (membrane,
+mass) and power 3 (bending, rotary inertia), the thickness of a solid element with powers 1, 0 and -1. The matrices
+of a few exports therefore determine the terms K_k of
 
     K(θ) = Σ_k Π_j θ_j^(p_kj) K_k,    p_kj ∈ {-1, 0, 1, 2, 3},
 
-by least squares, entry by entry. The powers are those of the fewest terms that reproduce every export; a length
-or Poisson's ratio, of which entries are no such polynomials, is refused. Parameters may multiply one another, as E
-and t of one plate do.
+by least squares, entry by entry. The powers are those of the smallest set of terms that reproduces every export. A
+length or Poisson's ratio is refused, because the entries are not such sums of its powers. Parameters may multiply
+one another, as do E and t of one plate.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from fmu.numbers import hertz, names_in_words, significant
 from fmu.types import BoolArray, FloatArray
 
 FREQUENCY_ROUNDING = 1e-6
-"""Standard deviation of the lowest frequency, relative, above which rounding of the exports is told."""
+"""Relative standard deviation of the lowest frequency above which rounding of the exports is reported."""
 _RIGID = 6
 _SAME_MOTION = 1e-6
 """Largest difference of a weight, relative to the largest of its motion, from that of the first export."""
@@ -40,26 +40,27 @@ _SAME_MOTION = 1e-6
 def from_exports(
     exports: Sequence[Export], bounds: Mapping[str, tuple[float, float]] | None = None
 ) -> SeparableModel:
-    """Return the structure as a function of the parameters, from matrices at several of their values.
+    """Return the structure as a function of the parameters, from matrices exported at several values.
 
     Parameters
     ----------
     exports : sequence of Export
-        The first gives all parameters, in the order of theta. In at least one other, which is no check, each is
-        changed alone. An export with ``check=True`` in which all are changed tells whether the powers are right.
+        The first export gives all parameters, in the order of theta. Each parameter must be changed alone in at
+        least one other export that is not a check. An export with ``check=True`` in which all parameters are
+        changed shows whether the powers are right.
     bounds : mapping of str to (float, float), optional
-        Of the parameters, for the rounding error; half and twice the first values if not given.
+        Bounds of the parameters, for the rounding error; by default half and twice the values of the first export.
 
     Returns
     -------
     SeparableModel
-        Its `notes` say which terms were recovered, and how well.
+        The `notes` of the model state the recovered terms and their accuracy.
 
     Raises
     ------
     ValueError
-        If an export is missing or of another mesh, a parameter changes nothing, or an export is not reproduced by
-        powers from -1 to 3; the text says which entries.
+        If an export is missing or has another mesh, a parameter changes nothing, or powers from -1 to 3 do not
+        reproduce an export; the message names the entries.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Powers of the parameters, recovered from the entries of exported matrices."""
+"""Recovery of the powers of the parameters from the entries of exported matrices."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fmu.types import BoolArray, FloatArray, IntArray
 
 POWERS = (1, 2, 3, -1)
 REPRODUCED = 1e-8
-"""Largest error of an entry, relative to √(a_ii a_jj), in an export that was not used."""
+"""Largest error of an entry, relative to √(a_ii a_jj), in an export that is kept for checking."""
 _FITTED = 1e-9
 _RANK = {0: 0, 1: 1, 2: 3, 3: 2, -1: 4}
 """What is tried first: elements with a square are rare."""
@@ -33,24 +33,25 @@ Powers = tuple[int, ...]
 
 
 class NotSeparableError(ArgumentError):
-    """Matrices that are no sum of products of powers of the parameters."""
+    """Error raised if matrices are not sums of products of powers of the parameters."""
 
 
 @check_arguments
 @dataclass(frozen=True, eq=False)
 class Export:
-    """Matrices of another program, and the values of the parameters with which it made them.
+    """Matrices of another program, and the parameter values for which the program made the matrices.
 
     Attributes
     ----------
     values : mapping of str to float
-        Of the parameters, SI units. What the first export has is not repeated.
+        Parameter values, SI units. Values that equal those of the first export may be omitted.
     model : ExportedModel
         See `fmu.read_model`.
     check : bool
-        Whether it is not used, but to be reproduced by what is recovered from the others.
+        Whether the export is kept for checking: it is not used for the recovery, but the recovered terms must
+        reproduce it.
     name : str
-        For messages, such as that of its file.
+        Name for messages, such as the name of the file.
     """
 
     values: Mapping[str, float]
@@ -61,20 +62,21 @@ class Export:
 
 @dataclass(frozen=True)
 class Recovery:
-    """How one of the two matrices was recovered.
+    """Terms recovered for the stiffness or the mass matrix, with the accuracy of the recovery.
 
     Attributes
     ----------
     terms : tuple of Term
     fitted, checked : float or None
-        Largest error of an entry, relative to √(a_ii a_jj): in the exports used, and in those that were not.
+        Largest error of an entry, relative to √(a_ii a_jj), in the exports used and in the exports kept for
+        checking.
     digits : int
-        Significant digits of the exported numbers; 17 of binary files.
+        Significant digits of the exported numbers; 17 for binary files.
     rounding : float
         Bound of the error that these digits leave in an entry anywhere within the parameters' bounds, relative to
         √(a_ii a_jj).
     decided : bool
-        Whether several sets of powers reproduced the exports used, and the check told which are right.
+        Whether several sets of powers reproduced the exports used, so that the check decided between these sets.
     """
 
     terms: tuple[Term, ...]
@@ -85,7 +87,7 @@ class Recovery:
     decided: bool
 
     def sentences(self, what: str, names: Sequence[str]) -> list[str]:
-        """Describe the findings on the matrix named `what` (``"stiffness"``), with the names of parameters."""
+        """Return the sentences that describe the recovered matrix `what`, such as ``"stiffness"``."""
         terms = names_in_words([_in_words(term.powers, names) for term in self.terms])
         many = f"The {what} is a sum of {len(self.terms)} terms: {terms}."
         said = [many if len(self.terms) > 1 else f"The {what} has one term: {terms}."]
@@ -213,7 +215,7 @@ class _Fit:
 
 
 def monomials(relative: FloatArray, powers: Sequence[Powers]) -> FloatArray:
-    """Return Π θ_j ** p_j at points (n, n_parameters), shape (n, n_terms)."""
+    """Return the monomials Π θ_j ** p_j at the points `relative` (n, n_parameters), shape (n, n_terms)."""
     return np.asarray(np.prod(relative[:, None, :] ** np.array(powers)[None], axis=2))
 
 
@@ -227,12 +229,12 @@ def recover(
     changed: BoolArray,
     bounds: FloatArray,
 ) -> Recovery:
-    """Return one matrix as a sum of terms; `changed` (n_parameters, n) tells which entries a parameter changes.
+    """Return one matrix as a sum of terms; `changed` (n_parameters, n) marks the entries that parameters change.
 
-    Entries changed by the same parameters have the same terms. Where a parameter alone changes an element, and
-    another one its neighbour, the entries between them have the terms of both, which are known by then. Where the
-    changes of two elements cancel in the exports, such an entry may depend on all that changes the diagonal of its
-    row and of its column, where nothing cancels.
+    Entries changed by the same parameters have the same terms. If one parameter changes an element and another
+    parameter changes its neighbour, the entries at the nodes between the two elements have the terms of both,
+    which are known by then. If the changes of the two elements cancel in the exports, such an entry may depend on
+    every parameter that changes the diagonal entries of both its row and its column, where nothing cancels.
     """
     points = _Points(values / values[0], used, entries.noise)
     corners = np.array(list(islice(product(*(bounds / values[0]).T.tolist()), _MOST_CORNERS)))

@@ -1,4 +1,4 @@
-"""Known changes of a structure between tests: masses and springs added, and parameters that are known."""
+"""Known changes of a structure between tests: added masses and springs, and parameters of known value."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def changed_model(
     ----------
     model : SeparableModel
     masses : mapping of place to float, kg
-        Point masses, without inertia of rotation, which move with a node or with one of ``model.arms``. A negative
-        one was taken away.
+        Point masses without rotary inertia, which move with a node or with one of ``model.arms``. A negative mass
+        is a mass that was removed.
     springs : mapping of (place, direction) to float, N/m or N·m/rad
-        Springs to the ground; a negative one was taken away.
+        Springs to the ground; a negative stiffness is a spring that was removed.
     known : mapping of int to float
-        Values of parameters, by their number from 0; the model returned does not have them.
+        Values of parameters by index (from 0); the model returned does not have these parameters.
 
     Returns
     -------

@@ -1,16 +1,17 @@
 """The lowest modes of K φ = λ M φ, as accurate as K and M allow.
 
 A dense solver that transforms M to the unit matrix has an error of 1e-16 λ_max in every λ. Stiff joints and fine
-meshes can make λ_max 1e16 times as large as λ_1; nothing of λ_1 is left then. Here K is transformed to the unit
-matrix instead, and the largest μ = 1/λ of M φ = μ K φ are found. Their error is 1e-16 μ_1, relative to the lowest
-mode. M may be singular: degrees of freedom without mass have μ = 0 and follow the others as in statics.
+meshes can make λ_max 1e16 times as large as λ_1, and λ_1 is then lost completely. Here K is transformed to the
+unit matrix instead, and the largest μ = 1/λ of M φ = μ K φ are computed. The error of each μ is 1e-16 μ_1,
+relative to the lowest mode. M may be singular: degrees of freedom without mass have μ = 0 and follow the other
+degrees of freedom statically.
 
-A free structure has a singular K. Its motions without strain N, with K N = 0, are found from K alone, by its
-eigenvalues at a unit diagonal. They have λ = 0 exactly. A low eigenvalue alone does not tell a rigid motion from
-one of a soft part: the strain energy must be rounding beside the terms that cancel in it. The elastic modes are
-M-orthogonal to the rigid ones. Let
-P = I − N Nᵀ M, and let f be the degrees of freedom that remain when just enough others are held to make the
-structure statically determinate. With φ = P [y; 0],
+A free structure has a singular K. Its motions without strain N, with K N = 0, are found from K alone, from the
+eigenvalues of K scaled to a unit diagonal. These motions have λ = 0 exactly. A low eigenvalue alone does not
+distinguish a rigid motion from the motion of a soft part: the strain energy of a rigid motion must also be
+rounding compared with the terms that cancel in it. The elastic modes are M-orthogonal to the rigid modes. Let P =
+I − N Nᵀ M, and let f be the degrees of freedom that remain when just enough degrees of freedom are held to make
+the structure statically determinate. With φ = P [y; 0],
 
     K_ff y = λ (Pᵀ M P)_ff y,
 
@@ -51,7 +52,7 @@ _CAUTION = 10.0
 
 
 class SingularMassError(ValueError):
-    """The eigenproblem has no solution, because of the mass matrix, the stiffness matrix or the solver."""
+    """Error raised if the mass matrix, the stiffness matrix or the solver gives no solution."""
 
 
 def eigen(K: Matrix, M: Matrix, count: int, finite: int | None = None) -> tuple[FloatArray, FloatArray]:
@@ -65,7 +66,7 @@ def eigen(K: Matrix, M: Matrix, count: int, finite: int | None = None) -> tuple[
     count : int
         Number of modes.
     finite : int, optional
-        Number of modes with a finite frequency (the rank of M), if known; otherwise M is factorised to find out.
+        Number of modes with a finite frequency (the rank of M), if known; otherwise M is factorised to obtain it.
 
     Returns
     -------
@@ -77,8 +78,8 @@ def eigen(K: Matrix, M: Matrix, count: int, finite: int | None = None) -> tuple[
     ValueError
         If the structure has fewer than `count` degrees of freedom.
     SingularMassError
-        If it has fewer modes of finite frequency, M is negative for some motion, a motion has neither stiffness
-        nor mass, or the solver fails.
+        If the structure has fewer modes of finite frequency, M is negative for some motion, a motion has neither
+        stiffness nor mass, or the solver fails.
     """
     n = K.shape[0]
     if not 1 <= count <= n:
@@ -169,7 +170,10 @@ def _safely_factored(S: Matrix) -> Factor | None:
 
 
 def is_clearly_definite(factor: Factor, scale: FloatArray) -> bool:
-    """Say whether a definite A is so by more than rounding, from its factors and D with D A D of unit diagonal."""
+    """Return True if A, given by its factors, is positive definite by more than rounding.
+
+    `scale` is the diagonal of D for which D A D has a unit diagonal.
+    """
     # four steps of inverse iteration: the estimate of the lowest eigenvalue is never below it
     x = _start(len(scale))
     for _ in range(4):
@@ -279,7 +283,7 @@ def unit_diagonal(matrix: Matrix) -> tuple[Matrix, FloatArray]:
 
 
 def scale_matrix(matrix: Matrix, scale: FloatArray) -> Matrix:
-    """Return D A D for the diagonal of D."""
+    """Return D A D for a matrix A and the diagonal `scale` of D."""
     if not sp.issparse(matrix):
         return scale[:, None] * matrix * scale
     matrix = sp.csr_array(matrix, copy=True)
@@ -288,12 +292,12 @@ def scale_matrix(matrix: Matrix, scale: FloatArray) -> Matrix:
 
 
 def lowest(S: Matrix) -> tuple[FloatArray, FloatArray]:
-    """Return all eigenvalues near and below zero of a matrix from `unit_diagonal`, and at least one above.
+    """Return all eigenvalues near or below zero of a matrix from `unit_diagonal`, and at least one above.
 
     Returns
     -------
     eigenvalues : ndarray, shape (m,)
-        For a large matrix with eigenvalues below −`NEGATIVE`, only one of those.
+        If a large matrix has eigenvalues below −`NEGATIVE`, only one of these.
     vectors : ndarray, shape (n, m), orthonormal
     """
     n = S.shape[0]
@@ -324,14 +328,15 @@ def _all_below_zero(
 def rank(matrix: Matrix) -> int:
     """Return the rank of a positive semidefinite matrix.
 
-    Zeros of a large sparse matrix are counted by inertia (Sylvester's law): they may be hundreds, as in solids of
-    reduced integration, and an iteration that looks for all of them would not end. At a unit diagonal those within
-    ±`NEGATIVE` count as zero, which is where exported digits leave them.
+    The zero eigenvalues of a large sparse matrix are counted by inertia (Sylvester's law). There may be hundreds,
+    as in solids with reduced integration, and an iteration that searches for all of them would not end. With a
+    unit diagonal, eigenvalues within ±`NEGATIVE` count as zero, because exported digits leave zero eigenvalues
+    there.
 
     Raises
     ------
     SingularMassError
-        If it is negative for some vector.
+        If the matrix is negative for some vector.
     """
     if matrix.shape[0] <= DENSE_LIMIT:
         matrix = _dense(matrix)
@@ -357,7 +362,7 @@ def rank(matrix: Matrix) -> int:
 
 
 def is_semidefinite(matrix: sp.csr_array) -> bool:
-    """Say whether a sparse symmetric matrix has no eigenvalue below zero, but for rounding in exported digits."""
+    """Return True if a sparse symmetric matrix has no eigenvalue below zero, up to exported digits."""
     rows = np.flatnonzero(np.diff(matrix.indptr))
     if not len(rows):
         return True

@@ -1,13 +1,13 @@
-"""Factors of symmetric matrices: one small protocol, four solvers.
+"""Factorisation of symmetric matrices by four solvers with a common protocol.
 
-LAPACK for dense matrices, and for definite ones with a narrow band, as those of beams, bridges and towers: it
-takes a tenth to a half of the time of a sparse solver. For other sparse ones PARDISO of Intel's MKL where the
-extra ``fmu[fast]`` is installed (package pypardiso), else SuperLU, which comes with SciPy. PARDISO is meant for
-10⁵ degrees of freedom and more; it uses one thread, or as many as the environment variable ``MKL_NUM_THREADS``
-says.
+LAPACK factorises dense matrices, and definite matrices with a narrow band, such as those of beams, bridges and
+towers: it takes a tenth to a half of the time of a sparse solver. Other sparse matrices are factorised by PARDISO
+of Intel's MKL if the extra ``fmu[fast]`` is installed (package pypardiso), else by SuperLU, which comes with
+SciPy. PARDISO is meant for 10⁵ degrees of freedom and more; it uses one thread, or the number of threads that the
+environment variable ``MKL_NUM_THREADS`` gives.
 
-None of them changes the order of rows for the sake of large pivots. The matrices are positive definite or nearly
-so, and the signs of the pivots then are those of the eigenvalues (Sylvester's law of inertia).
+None of the solvers reorders rows to obtain large pivots. The matrices are positive definite or nearly so, and the
+signs of the pivots are then the signs of the eigenvalues (Sylvester's law of inertia).
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Factor(Protocol):
     Attributes
     ----------
     negative : int
-        How many eigenvalues of A are not positive.
+        Number of eigenvalues of A that are not positive.
     L : ndarray, shape (n, n), or None
         The lower factor of a dense definite matrix, A = L Lᵀ.
     """
@@ -55,7 +55,7 @@ class Factor(Protocol):
 
     @property
     def n_entries(self) -> int:
-        """Numbers in the factors, of L and its transpose."""
+        """Number of entries in the factors, L and its transpose."""
         ...
 
     def solve(self, loads: FloatArray) -> FloatArray:
@@ -75,14 +75,15 @@ def factorise(matrix: Matrix, solver: str | None = None, is_definite: bool = Tru
     ----------
     matrix : ndarray or sparse array, shape (n, n)
     solver : {"SuperLU", "PARDISO"}, optional
-        For sparse matrices. If not given, LAPACK for a definite matrix with a narrow band, else `sparse_solver`.
+        Solver for sparse matrices. By default LAPACK for a definite matrix with a narrow band, else
+        `sparse_solver`.
     is_definite : bool
-        Whether a positive definite matrix is expected: another one then takes longer.
+        Whether the matrix is expected to be positive definite; the factorisation takes longer if it is not.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        If the matrix is singular to the last digit; one that is nearly so may pass.
+        If the matrix is singular to the last digit; a nearly singular matrix may pass.
     """
     if not sp.issparse(matrix):
         return DenseFactor(matrix)
@@ -92,13 +93,13 @@ def factorise(matrix: Matrix, solver: str | None = None, is_definite: bool = Tru
         if band is not None:
             try:
                 return _BandedFactor(matrix, band)
-            except np.linalg.LinAlgError:  # indefinite or singular: the others tell which
+            except np.linalg.LinAlgError:  # indefinite or singular: the other solvers tell which
                 pass
     return _Pardiso(matrix, is_definite) if (solver or sparse_solver()) == PARDISO else _SuperLU(matrix)
 
 
 class DenseFactor:
-    """Cholesky factors L Lᵀ, or the factors L D Lᵀ of an indefinite matrix (Bunch & Kaufman 1977)."""
+    """Factors of a dense matrix: Cholesky factors L Lᵀ, or L D Lᵀ if indefinite (Bunch & Kaufman 1977)."""
 
     def __init__(self, matrix: FloatArray) -> None:
         self.negative, self.n_entries = 0, matrix.size
@@ -114,7 +115,7 @@ class DenseFactor:
             self.negative = int(np.sum(np.linalg.eigvalsh(matrix) <= 0.0))
 
     def solve(self, loads: FloatArray) -> FloatArray:
-        """Return A⁻¹ b."""
+        """Return A⁻¹ b for b of shape (n,) or (n, m)."""
         if self.L is not None:
             return sl.lapack.dpotrs(self.L, loads, lower=1)[0]
         return sl.lapack.dsytrs(self._ldl, self._pivots, loads, lower=1)[0]
