@@ -1,8 +1,9 @@
 """Rigid alignment of points to a mesh: iterative closest points from many starts.
 
-Each step (Besl & McKay 1992) is the least-squares rotation of Kabsch (1976) to the nearest nodes. It starts from
-the 24 rotations that carry axes to axes, from the principal axes of points and mesh, and from hundreds of others.
-A regular mesh has a minimum at every shift by its spacing: the neighbours of the best alignments are tried too.
+Each step (Besl & McKay 1992) is the least-squares alignment of Kabsch (1976) to the nearest nodes. The iterations
+start from the 24 rotations that map axes to axes, from the principal axes of points and mesh, and from hundreds of
+other rotations. A regular mesh has a minimum at every shift by its spacing, so that the neighbours of the best
+alignments are tried too.
 """
 
 from __future__ import annotations
@@ -40,9 +41,9 @@ Alignment = tuple[FloatArray, FloatArray]
 
 
 def kabsch(points: FloatArray, targets: FloatArray) -> Alignment:
-    """Return the rotations R and shifts t of the least Σ |R x + t − y|² (Kabsch 1976), for n points a set.
+    """Return the rotations R and shifts t that minimise Σ |R x + t − y|² (Kabsch 1976), for n points per set.
 
-    About an axis that the points leave free, as those on one line do, nothing is turned.
+    There is no rotation about an axis that the points leave free, as collinear points do.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ def kabsch(points: FloatArray, targets: FloatArray) -> Alignment:
     Returns
     -------
     R : ndarray, shape (..., 3, 3)
-        With determinant +1: a mirrored set is not met.
+        Rotations with determinant +1; a mirrored set is not matched by a reflection.
     t : ndarray, shape (..., 3)
     """
     centre, target = points.mean(axis=-2), targets.mean(axis=-2)
@@ -65,7 +66,7 @@ def kabsch(points: FloatArray, targets: FloatArray) -> Alignment:
 
 
 class Mesh:
-    """Places of nodes, each once, and the spacing between them."""
+    """Distinct positions of the nodes of a mesh, and the spacing between them."""
 
     def __init__(self, nodes: Sequence[Hashable], coordinates: ArrayLike) -> None:
         given = np.asarray(coordinates, dtype=float)
@@ -83,7 +84,7 @@ class Mesh:
         self.usual = float(np.median(self.spacing))
 
     def at(self, place: int) -> list[Hashable]:
-        """Return the nodes at a place."""
+        """Return the list of nodes at the position with index `place`."""
         return [self._nodes[k] for k in np.flatnonzero(self._place_of.ravel() == place)]
 
     def rms(self, x: FloatArray) -> float:
@@ -91,13 +92,13 @@ class Mesh:
         return float(np.sqrt(np.mean(self.tree.query(x)[0] ** 2)))
 
     def fits(self, x: FloatArray) -> bool:
-        """Say whether points (n, 3) lie on the mesh, most of them."""
+        """Return True if most of the points (n, 3) lie on the mesh."""
         distance, place = self.tree.query(x)
         return bool(np.mean(distance > self.spacing[place]) <= _MOST_FAR)
 
 
 def align_points(x: FloatArray, mesh: Mesh) -> tuple[FloatArray, FloatArray, list[Alignment]]:
-    """Return the best alignment R, t, and others that fit as well; of all these the one that turns least."""
+    """Return R and t of the best fit that rotates least, and a list of the other alignments that fit as well."""
     R, t = _best(x, mesh, *_closest(x, mesh, *_starts(x, mesh), _FIRST_STEPS), _BEST)
     R, t = _closest(x, mesh, R, t, _STEPS)
     # on a regular mesh every shift by its spacing is near a minimum
@@ -184,7 +185,7 @@ def _differ(x: FloatArray, mesh: Mesh, one: Alignment, other: Alignment) -> bool
 
 
 def turn_of(R: FloatArray) -> tuple[float, FloatArray]:
-    """Return angle in degrees and axis of a rotation."""
+    """Return the angle in degrees and the axis of the rotation matrix R."""
     vector = Rotation.from_matrix(R).as_rotvec()
     angle = float(np.linalg.norm(vector))
     return np.degrees(angle), vector / angle if angle > 0 else vector

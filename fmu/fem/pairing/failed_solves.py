@@ -1,6 +1,6 @@
-"""Why a model gave no frequencies at a parameter vector, in terms of structural dynamics.
+"""Reasons why a model gave no frequencies at a parameter vector, in terms of structural dynamics.
 
-Solvers return NaN on failure and spend no time on the reason. A theta that failed is solved again here, alone.
+Solvers return NaN on failure and spend no time on the reason. Here a theta that failed is solved again by itself.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ NOT_FINITE = "frequencies are not finite"
 
 
 def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
-    """Return why a paired model has no finite frequencies at a theta; None if it has them.
+    """Return why a paired model has no finite frequencies at theta; None if its frequencies are finite.
 
     Parameters
     ----------
     model : ModalModel
-        A user's function is not called again: it may be slow, or fail in another way. Of several tests the first
-        that failed is named.
+        A user's function is not called again: it may be slow, or fail differently. If the model has several tests,
+        the reason names the first test that failed.
     theta : ndarray, shape (n_parameters,)
-        Where it has just failed.
+        Parameters at which the model has just failed.
     """
     if model.functions and model.n_tests == 1:
         return model.reason_at(theta)

@@ -1,4 +1,4 @@
-"""The modes of a black-box model, paired with the measured ones, and their gradients."""
+"""Black-box models whose modes are paired with the measured modes, and their gradients."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from fmu.types import FloatArray, IntArray
 
 
 class PairedBlackBox(ModalModel):
-    """A black-box model whose modes are paired with the measured ones; `of` builds one.
+    """A black-box model whose modes are paired with the measured modes; `of` builds one.
 
     Parameters
     ----------
     black_box : BlackBoxModel
     answer : Answer
-        What the function returns at the start: it shows what the function can give.
+        Result of the function at the start, which shows what the function returns.
     pairing : {"shape", "index"}
-        ``"shape"``: by MAC, one to one, where shapes are measured and the function gives them; otherwise, and with
-        ``"index"``, by number.
+        ``"shape"``: one to one by MAC, if shapes were measured and the function returns shapes; otherwise, and
+        with ``"index"``, by number.
     numbers : tuple of int
         Number (from 1) of each measured mode in the order in which the function returns them.
     shapes : ndarray, shape (n_sensors, n_modes), optional
@@ -75,14 +75,14 @@ class PairedBlackBox(ModalModel):
 
     @classmethod
     def of(cls, black_box: BlackBoxModel, *, pairing: str, start: FloatArray, **measured: Any) -> PairedBlackBox:
-        """Return a function paired with a measurement; it is called once, at the start (n_parameters,).
+        """Return the paired model of a function, which is called once, at `start` (n_parameters,).
 
         The other parameters are those of the class.
 
         Raises
         ------
         ValueError
-            For an unknown pairing, or if the function fails at the start or gives too few modes.
+            If the pairing is unknown, or the function fails at the start or gives too few modes.
         """
         if pairing not in PAIRINGS:
             raise ValueError(f"pairing: must be one of {PAIRINGS} (got {pairing!r})")
@@ -101,7 +101,7 @@ class PairedBlackBox(ModalModel):
 
     @property
     def reasons(self) -> list[Failure]:
-        """The first points at which the function failed, and why."""
+        """First failures of the function, each with its point and its reason."""
         return self.black_box.reasons
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
@@ -111,8 +111,9 @@ class PairedBlackBox(ModalModel):
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters).
 
-        The function's own gradient, or central differences of the frequencies with the perturbations of eq. (15)
-        of the paper. At a bound, or where the function fails on one side, they are one-sided.
+        The gradients are the function's own or, without these, central differences of the frequencies with the
+        perturbations of eq. (15) of the paper. The differences are one-sided at a bound, or where the function
+        fails on one side.
         """
         frequencies, gradient, _ = self._pair_modes(theta)
         missing = np.isnan(gradient).all(axis=(1, 2)) & ~np.isnan(frequencies).any(axis=1)
@@ -123,9 +124,9 @@ class PairedBlackBox(ModalModel):
         return frequencies, gradient
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies and shapes at the sensors at theta (n, n_parameters), with derivatives if wanted.
+        """Return frequencies and shapes at the sensors at theta (n, n_parameters), with derivatives if asked.
 
-        Slopes of shapes are central differences, and so are those of frequencies without a gradient.
+        Slopes of shapes are central differences. So are slopes of frequencies if the function returns no gradient.
 
         Raises
         ------
@@ -153,11 +154,11 @@ class PairedBlackBox(ModalModel):
         )
 
     def configuration(self) -> dict[str, object]:
-        """Return the data that identify the model, in plain Python types."""
+        """Return a dict that identifies the model, in plain Python types."""
         return {**self.black_box.configuration(), "pairing": "shape" if self.by_shape else "index"}
 
     def reason_at(self, theta: FloatArray) -> str | None:
-        """Return why there are no frequencies at theta (n_parameters,): it failed, or a mode is missing."""
+        """Return why there are no frequencies at theta (n_parameters,): a failure or a missing mode; else None."""
         solve = self.black_box.solved.recall(theta)
         if solve is None or solve.reason:
             return None if solve is None else solve.reason
