@@ -191,7 +191,7 @@ class BlackBoxModel:
         return source_digest(self.function)
 
     def _copy_with(self, sensors: tuple[Dof, ...]) -> Self:
-        """Return a copy with shapes at these sensors, of which no solve is made."""
+        """Return a copy of the model with shapes at these sensors and with no solves made."""
         changed = copy(self)
         changed.sensors = sensors
         changed.function = changed._describe_run()
@@ -199,15 +199,15 @@ class BlackBoxModel:
         return changed
 
     def _describe_run(self) -> Callable[[FloatArray], object]:
-        """Return the function with shapes at the model's sensors."""
+        """Return the function that gives shapes at the model's sensors."""
         return self.function
 
     def _begin_solves(self) -> Solves:
-        """Return the solves of the function, none of which is made."""
+        """Return the `Solves` of the function, with no solve made."""
         return Solves(self.function, self.n_parameters, batched=self.batched, store=self._store())
 
     def _store(self) -> SolveStore | None:
-        """Return the store of solves under everything that they depend on; None without a folder."""
+        """Return the store of solves, named by all that the solves depend on; None without a folder."""
         if self._folder is None:
             return None
         key = self.configuration() | {"step": None, "batched": None, "sensors": self.sensors}

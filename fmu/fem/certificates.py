@@ -12,7 +12,7 @@ import numpy as np
 from fmu.numbers import apart, share, significant, typed, whole
 
 _SCATTER = 1e-5
-"""Relative scatter of a solver's frequencies from which on it is told."""
+"""Relative scatter of a solver's frequencies above which the scatter is reported."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Certificate(ABC):
     frequency_error: float
 
     _others: ClassVar[Mapping[str, str]] = {}
-    """The keys in a trace that are not ``certificate_`` and the name of the field."""
+    """Keys of fields in a trace, where the key is not ``certificate_`` followed by the field's name."""
 
     @classmethod
     def from_trace(cls, attrs: Mapping[Hashable, Any]) -> Self | None:
@@ -182,7 +182,7 @@ class SurrogateCertificate(Certificate):
 
     def sentences(self) -> list[str]:
         """Return the list of sentences on how the surrogate was built, its errors and where it is unreliable."""
-        # to one decimal place where they are near to each other
+        # to a common decimal place if the values are of similar size
         near = self.shift <= 10.0 * self.shift_tolerance
         found, limit = (
             apart(self.shift, self.shift_tolerance, digits=2)

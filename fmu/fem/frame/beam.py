@@ -20,7 +20,7 @@ from fmu.types import FloatArray
 
 _AXIAL = (0, 6)
 _TORSION = (3, 9)
-# (displacement, rotation) of both nodes; in the x–z plane a positive θy lowers w, hence the sign.
+# (displacement, rotation) of both nodes; in the x–z plane a positive θy decreases w, hence the sign.
 _BENDING_XZ = (2, 4, 8, 10)
 _BENDING_XY = (1, 5, 7, 11)
 _ROTATION_SIGN: dict[tuple[int, ...], float] = {_BENDING_XY: 1.0, _BENDING_XZ: -1.0}
@@ -100,7 +100,7 @@ def local_axes(axis: ArrayLike, y_direction: ArrayLike) -> FloatArray:
     direction = np.broadcast_to(np.asarray(y_direction, dtype=float), x.shape)
     y = direction - np.sum(x * direction, axis=1, keepdims=True) * x
     norm = np.linalg.norm(y, axis=1, keepdims=True)
-    # Closer to parallel than this, what is left of the direction is rounding; "not >" catches zero and NaN.
+    # Closer to parallel than this, the normal component is only rounding; "not >" also catches zero and NaN.
     parallel = ~(norm > 1e-6 * np.linalg.norm(direction, axis=1, keepdims=True))[:, 0]
     if np.any(parallel):
         element = int(np.argmax(parallel))

@@ -16,7 +16,7 @@ from fmu.numbers import significant, typed
 from fmu.types import DIRECTIONS as DIRECTIONS
 from fmu.types import FloatArray, NotNegative, Positive
 
-# Nodes closer than this, relative to the structure's extent, are at the same place.
+# Nodes closer than this, relative to the structure's extent, count as coincident.
 _COINCIDENT = 1e-9
 
 Length = Annotated[float, Interval(gt=0.0, lt=1e6)]

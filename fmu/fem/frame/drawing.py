@@ -19,9 +19,9 @@ UNCHANGED = "#6E6E6E"
 WIDTH, _HEIGHT, _MARGIN = 560.0, 260.0, 26.0
 _FLAT = 1e-6
 _BALANCED = 1e-9
-"""Largest rest of forces in equilibrium, relative to the stiffness that they come from."""
+"""Largest resultant of forces that count as balanced, relative to the stiffness that causes the forces."""
 _MOST_LINES = 300
-"""Each in an element of its own."""
+"""Largest number of lines that are drawn as single SVG elements."""
 _AXES = ("x", "y", "z")
 _ROTATIONS = ("rx", "ry", "rz")
 
@@ -69,7 +69,7 @@ def sketch(model: SeparableModel, sensors: Sequence[Dof] = ()) -> Sketch:
     nodes = np.asarray(geometry.nodes, dtype=float)
     at = {name: nodes[row] for name, row in geometry.row_of.items()}
     tips = {name: at[arm.node] + arm.offset for name, arm in model.arms.items()}
-    place = at | tips  # a sensor may be at a node that the mesh lacks
+    place = at | tips  # a sensor may be at a node that is not in the mesh
     symbols = [("arm", at[model.arms[name].node], tip) for name, tip in tips.items()]
     n_arms = len(symbols)
     symbols += [("spring", nodes[a], nowhere if b is None else nodes[b]) for a, b in geometry.springs]
@@ -93,7 +93,7 @@ def is_drawable(model: SeparableModel, most: int) -> bool:
 
 
 def _sketch_picture(picture: LinePicture, sensors: Sequence[Dof]) -> Sketch:
-    """Return the sketch of a picture of lines: the lines, and the sensors at points of their names."""
+    """Return the sketch of a line picture: its lines, and the sensors at points of the same name."""
     place = dict(zip(picture.names, np.asarray(picture.points, dtype=float), strict=True))
     seen = [(n, d) for n, d in sensors if n in place]
     places = np.array([place[n] for n, _ in seen]).reshape(-1, 3)
@@ -228,7 +228,7 @@ def changed_elements(model: SeparableModel) -> BoolArray:
 
 
 def _pointing(direction: str) -> FloatArray:
-    """Return the unit vector of ``"z"`` or ``"-z"``, shape (3,); NaN of a rotation."""
+    """Return the unit vector (3,) of a direction such as ``"z"`` or ``"-z"``; NaN for a rotation."""
     if direction[-2:] in _ROTATIONS:
         return np.full(3, np.nan)
     unit = np.zeros(3)
@@ -243,7 +243,7 @@ def _geometry(model: SeparableModel) -> Geometry:
 
 
 def _view(nodes: FloatArray) -> FloatArray:
-    """Return the picture's axes, shape (2, 3): a plane structure face on, others from a corner, z upwards."""
+    """Return the axes of the picture, shape (2, 3): face-on for a plane structure, otherwise from a corner."""
     extent = np.ptp(nodes, axis=0)
     is_flat = extent <= _FLAT * extent.max()
     if is_flat[1] or is_flat.sum() == 2:
@@ -256,7 +256,7 @@ def _view(nodes: FloatArray) -> FloatArray:
 
 
 def _fit(points: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """Return the map of points (n, 2) into the picture, y upwards, that shows all of `points`."""
+    """Return the function that maps points (n, 2) into the picture, y upwards, so that all `points` fit."""
     low, extent = points.min(axis=0), np.ptp(points, axis=0)
     room = np.array([WIDTH, _HEIGHT]) - 2.0 * _MARGIN
     scale = np.min(room[extent > 0] / extent[extent > 0]) if np.any(extent > 0) else 1.0
@@ -270,9 +270,9 @@ def _fit(points: FloatArray) -> Callable[[FloatArray], FloatArray]:
 
 
 def _find_supports(model: SeparableModel) -> list[int]:
-    """Return the rows of nodes of elements that cannot move in every direction that others can.
+    """Return the rows of element nodes that lack a direction of motion which other nodes have.
 
-    Nodes of another program's mesh may have no rotations without being held.
+    Rotations of another program's mesh do not count, because its nodes may lack rotations without being held.
     """
     geometry = _geometry(model)
     free: dict[int, set[str]] = {}
@@ -284,7 +284,7 @@ def _find_supports(model: SeparableModel) -> list[int]:
 
 
 def _lines(ends: FloatArray, colours: Sequence[str]) -> list[str]:
-    """Draw lines (n, 2, 2): each by itself, or many as one path a colour."""
+    """Return the SVG elements of lines (n, 2, 2): one per line, or one path per colour if there are many lines."""
     if len(ends) <= _MOST_LINES:
         return [_line(a, b, colour, 4) for (a, b), colour in zip(ends, colours, strict=True)]
     parts: dict[str, list[str]] = {}
@@ -314,9 +314,9 @@ def _dot(at: FloatArray, radius: float, colour: str) -> str:
 
 
 def _spring(a: FloatArray, b: FloatArray, colour: str = "") -> str:
-    """Draw a zigzag, down to a line where it ends in the ground, b being NaN; a ring if a and b are one place.
+    """Return the SVG of a spring: a zigzag, with a ground line if b is NaN, or a ring if a and b coincide.
 
-    One that a parameter sets is thicker and has its colour.
+    A spring whose stiffness is set by a parameter is thicker and has the parameter's colour.
     """
     stroke = f'stroke="{colour or "currentColor"}" stroke-width="{3 if colour else 1.5}"'
     is_grounded = np.isnan(b).any()
@@ -334,7 +334,7 @@ def _spring(a: FloatArray, b: FloatArray, colour: str = "") -> str:
 
 
 def _arrow(at: FloatArray, direction: FloatArray) -> str:
-    """Draw an arrow in the direction of a sensor, a dot where it points at the reader."""
+    """Return the SVG of a sensor: an arrow in its direction, or a dot if it points at the reader."""
     along = direction * (1.0, -1.0)
     length = float(np.linalg.norm(along))
     if length < _FLAT:

@@ -20,7 +20,7 @@ from fmu.types import FloatArray, IntArray
 
 Dof = tuple[int, str]
 
-# What multiplies each unit matrix of beam.py; G = E / (2 (1 + nu)) makes torsion follow E.
+# Properties whose product multiplies each unit matrix of beam.py; G = E / (2 (1 + nu)) makes torsion follow E.
 _STIFFNESS = {"EA": ("E", "A"), "EIy": ("E", "Iy"), "EIz": ("E", "Iz"), "GJ": ("E", "J")}
 _MASS = {"rhoA": ("rho", "A"), "rhoIy": ("rho", "Iy"), "rhoIz": ("rho", "Iz")}
 
@@ -156,7 +156,7 @@ class Frame:
             spring.require_coincident(nodes)
         carried = np.zeros(6 * n_nodes, dtype=bool)
         carried[numbering.owner[has_mass]] = True
-        # It would make the mass matrix singular.
+        # A free node without mass would make the mass matrix singular.
         loose = np.unique(numbering.free[~carried[numbering.free]] // 6).tolist()
         if loose:
             raise ArgumentError(

@@ -16,7 +16,8 @@ from fmu.fem.modes.separable import RigidArm, SeparableModel
 from fmu.numbers import listed, names_in_words
 from fmu.types import FloatArray
 
-# Motions that agree to this are the same: in a soft structure, motions of zero energy are no more accurate.
+# Motions that agree to this tolerance are the same: in a soft structure, motions of zero energy are no more
+# accurate.
 _SAME = 1e-4
 _SHOWN = 4
 
@@ -69,7 +70,7 @@ def free_motions(model: SeparableModel, theta: ArrayLike) -> FreeMotions:
 
 
 def _lowest_motions(model: SeparableModel, matrix: sp.csr_array) -> tuple[FloatArray, FloatArray]:
-    """Return motions of no energy, and motions of negative energy, of a symmetric matrix, shapes (n_dof, n)."""
+    """Return the motions of zero and of negative energy of a symmetric matrix, shapes (n_dof, n)."""
     zero: list[FloatArray] = []
     negative: list[FloatArray] = []
     for dofs in model.blocks:
@@ -128,14 +129,14 @@ def require_stable(
 
 
 def _require_mass(model: SeparableModel, theta: ArrayLike, label: Callable[[Any], str]) -> None:
-    """Raise ValueError if a mass is negative or all are zero; single degrees of freedom may have no mass."""
+    """Raise ValueError if a mass is negative or all masses are zero; some degrees of freedom may have no mass."""
     M = sp.csr_array(model.M(theta))
     if not np.all(np.isfinite(M.data)):
         raise ValueError("the mass matrix must be finite")
     if M.nnz == 0 or abs(M).max() == 0.0:
         raise ValueError("the mass matrix must have entries (all of it is zero)")
     if all(is_semidefinite(M[dofs][:, dofs]) for dofs in model.blocks):
-        return  # its motions without mass may be hundreds, and are not looked for
+        return  # there may be hundreds of motions without mass, which are not searched for
     _, negative = _lowest_motions(model, M)
     if negative.shape[1]:
         moving = what_moves(model, negative, label)
@@ -143,7 +144,7 @@ def _require_mass(model: SeparableModel, theta: ArrayLike, label: Callable[[Any]
 
 
 def _without_mass(model: SeparableModel, theta: ArrayLike, motions: FloatArray) -> FloatArray:
-    """Return the motions without strain, (n_dof, n), that move no mass."""
+    """Return the motions without strain that move no mass, (n_dof, n)."""
     if not motions.shape[1]:
         return motions
     _, scale = unit_diagonal(sp.csr_array(model.K(theta)))
@@ -174,7 +175,7 @@ def rigid_motions(model: SeparableModel, shapes: FloatArray) -> FloatArray | Non
     moved, held = named
     if not shapes.shape[1]:
         return np.zeros((6, 0))
-    # only motions that leave all held directions at rest
+    # only motions in which all held directions are at rest
     candidates = np.eye(6) if not len(held) else _null_space(held)
     size = _sizes(model)[:, None]
     W = size * (moved @ candidates)
@@ -232,7 +233,7 @@ def what_moves(
         U, _, _ = np.linalg.svd(Y - Q @ (Q.T @ Y), full_matrices=False)
         Y = U[:, : Y.shape[1] - rigid.shape[1]]
     share = np.sum(Y**2, axis=1)
-    share = np.round(share / share.max(), 3)  # equal motions stay in the order of the model
+    share = np.round(share / share.max(), 3)  # equal motions keep the order of the model
     order = np.argsort(-share, kind="stable")
     most = [i for i in order[:_SHOWN].tolist() if share[i] > 0.25]
     names = ", ".join(f"{label(model.dofs[i][0])} {model.dofs[i][1]}" for i in most)
@@ -240,10 +241,10 @@ def what_moves(
 
 
 def _rigid_rows(model: SeparableModel) -> tuple[FloatArray, FloatArray] | None:
-    """Return the six rigid-body motions at the degrees of freedom (n_dof, 6), and at the directions held (_, 6).
+    """Return the rigid-body motions at the degrees of freedom (n_dof, 6) and at the held directions (_, 6).
 
-    Rotations are about the centre, in units of the structure's length. Directions in which no node can move are
-    not part of the model.
+    Rotations are about the centre and scaled by the structure's length. Directions in which no node can move are
+    not part of the model. Return None if the model has no geometry or has motions that are weighted sums.
     """
     if model.geometry is None:
         return None
@@ -260,7 +261,7 @@ def _rigid_rows(model: SeparableModel) -> tuple[FloatArray, FloatArray] | None:
     moved = np.array([row(node, d) for node, d in model.dofs])
     rows = np.unique(geometry.elements)
     used = rows.tolist() if geometry.ids is None else np.asarray(geometry.ids)[rows].tolist()
-    # in another program's mesh, nodes may have no rotations without being held
+    # in another program's mesh, nodes may lack rotations without being held
     known = [d for d in DIRECTIONS[: 6 if geometry.ids is None else 3] if any(d == e for _, e in model.dofs)]
     held = [row(node, d) for node in used for d in known if (node, d) not in model.dof_of]
     return moved, np.array(held).reshape(-1, 6)
@@ -272,7 +273,7 @@ def _length(model: SeparableModel) -> float:
 
 
 def _sizes(model: SeparableModel) -> FloatArray:
-    """Return scales that make a rotation as large as the translation it causes far away, shape (n_dof,)."""
+    """Return scales (n_dof,) that make a rotation as large as the translation it causes at a distance."""
     length = _length(model)
     return np.array([length if direction.startswith("r") else 1.0 for _, direction in model.dofs])
 
@@ -284,7 +285,7 @@ def _null_space(rows: FloatArray) -> FloatArray:
 
 
 def _axes_in_words(vectors: FloatArray) -> list[str]:
-    """Return the directions that vectors (3, k) span: the axes among them by name, the others by components."""
+    """Return the directions that vectors (3, k) span: axes by name, other directions by components."""
     U, s, _ = np.linalg.svd(vectors, full_matrices=False)
     basis = U[:, s > _SAME * s.max(initial=0.0)]
     along = [k for k in range(3) if np.sum(basis[k] ** 2) > 1.0 - 2.0 * _SAME]

@@ -93,7 +93,7 @@ class Block:
         return gradient - lam[..., None] * self._M_map.contract(theta, self._forms(phi, of_mass=True))
 
     def _forms(self, phi: FloatArray, of_mass: bool) -> FloatArray:
-        """Return φᵀ K_k φ, or φᵀ M_k φ, of every term, shape (n, n_terms, m)."""
+        """Return the products φᵀ K_k φ, or φᵀ M_k φ if `of_mass`, of every term, shape (n, n_terms, m)."""
         raise NotImplementedError
 
     def coarser(self, share: float) -> Self:
@@ -152,7 +152,7 @@ class Block:
         return seen._replace(eigenvalue_slopes=lam_slopes, shape_slopes=shape_slopes)
 
     def _at(self, rows: Matrix, phi: FloatArray) -> FloatArray:
-        """Return shapes (n, size, m) as the sensors see them, (n, n_sensors, m)."""
+        """Return the shapes (n, size, m) at the sensors, (n, n_sensors, m)."""
         raise NotImplementedError
 
     def _slopes_seen(

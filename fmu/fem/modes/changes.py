@@ -83,12 +83,12 @@ def changed_model(
 
 
 def _along(rows: sp.csr_array, size: float) -> sp.csr_array:
-    """Return size · RᵀR, for a mass or a spring that moves as the rows say."""
+    """Return size · RᵀR, the matrix of a mass or a spring that moves as the rows R describe."""
     return sp.csr_array(size * (rows.T @ rows))
 
 
 def _without(terms: list[Term], at: FloatArray, kept: list[int]) -> list[Term]:
-    """Return terms of the kept parameters alone; the others have the values `at`, (1, n_parameters)."""
+    """Return terms in the kept parameters only; the other parameters have the values in `at` (1, n_parameters)."""
     gone = [j for j in range(at.shape[1]) if j not in kept]
     found = []
     for term in terms:

@@ -28,7 +28,7 @@ from fmu.fem.modes.solver import Matrix
 from fmu.types import FloatArray
 
 REPEATED = 1e-9
-"""Eigenvalues that differ by less than this share of the larger count as repeated."""
+"""Eigenvalues whose difference is less than this share of the larger count as repeated."""
 
 
 def by_all_modes(lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArray, count: int) -> FloatArray:

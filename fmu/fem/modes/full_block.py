@@ -18,7 +18,7 @@ from fmu.fem.modes.solver import Matrix
 from fmu.fem.modes.terms import Term, WeightedSum, coefficient_gradients, weighted_sum
 from fmu.types import FloatArray, IntArray
 
-# Up to this size a dense solve for a shape's slopes takes less time than a sparse one.
+# Up to this size a dense solve for the derivatives of a shape takes less time than a sparse solve.
 _DENSE_SLOPES = 128
 
 
@@ -111,7 +111,7 @@ class FullBlock(Block):
 
     @cached_property
     def _has_semidefinite_masses(self) -> bool:
-        """Whether the mass terms are semidefinite, so that all sums with positive weights have one rank."""
+        """Whether all mass terms are semidefinite, so that sums with positive weights have equal rank."""
         try:
             return all(rank(term.matrix) >= 0 for term in self.M_terms)
         except SingularMassError:
@@ -120,7 +120,7 @@ class FullBlock(Block):
     def _rank(self, M: Matrix, is_that_of_all: bool) -> int:
         if not (self.constant_mass or (is_that_of_all and self._has_semidefinite_masses)):
             return rank(M)
-        if self._constant_rank is None:  # it costs a factorisation
+        if self._constant_rank is None:  # the rank takes a factorisation
             self._constant_rank = rank(M)
         return self._constant_rank
 
@@ -159,11 +159,11 @@ class FullBlock(Block):
 
 
 def _finite_modes(M_terms: tuple[Term, ...]) -> int:
-    """Return how many modes of finite frequency a structure has, the rank of M where no term vanishes."""
+    """Return the number of modes of finite frequency, which is the rank of M where no term vanishes."""
     total = weighted_sum(M_terms, np.array([1.0 / max(abs(term.matrix).max(), 1e-300) for term in M_terms]))
     try:
         return rank(total)
-    except SingularMassError:  # terms that are differences: their sum says nothing, but for what is empty
+    except SingularMassError:  # terms that are differences: their sum shows only which rows are empty
         empty = np.all([np.diff(term.matrix.indptr) == 0 for term in M_terms], axis=0)
         return int(np.sum(~empty))
 
@@ -173,13 +173,13 @@ def _is_finite(matrix: Matrix) -> bool:
 
 
 def _slopes_times(terms: tuple[Term, ...], theta: FloatArray, phi: FloatArray) -> FloatArray:
-    """Return ∂K/∂theta_j φ, shape (m, size, n_parameters), for shapes (size, m)."""
+    """Return the products ∂K/∂theta_j φ, shape (m, size, n_parameters), for shapes φ (size, m)."""
     forms = np.stack([(term.matrix @ phi).T for term in terms], axis=-1)
     return np.asarray(forms @ coefficient_gradients(terms, theta[None])[0])
 
 
 def _restrict_terms(terms: tuple[Term, ...], dofs: IntArray) -> tuple[Term, ...]:
-    if len(dofs) == terms[0].matrix.shape[0]:  # a single block: nothing to have, or to send, twice
+    if len(dofs) == terms[0].matrix.shape[0]:  # a single block: the matrices need not be copied
         restricted = terms
     else:
         restricted = tuple(Term(sp.csr_array(t.matrix[dofs][:, dofs]), t.powers) for t in terms)

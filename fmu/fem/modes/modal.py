@@ -13,10 +13,11 @@ from threadpoolctl import ThreadpoolController
 from fmu.fem.modes.block import Block, Solved
 from fmu.types import BoolArray, FloatArray, IntArray
 
-# An eigenvalue this small relative to the highest of interest is that of a rigid-body mode. Where K is singular to
-# the last digit it is 0 exactly (`fmu.fem.modes.eigensolver`); matrices exported with ten digits leave more.
+# An eigenvalue this small relative to the highest of interest belongs to a rigid-body mode. If K is singular to
+# the last digit, the eigenvalue is 0 exactly (`fmu.fem.modes.eigensolver`); matrices exported with ten digits
+# leave more.
 RIGID = 1e-9
-# An eigenvalue below zero by more than this share of the largest of a set is not rounding. The set is that of the
+# An eigenvalue below zero by more than this share of the largest of a set is not rounding. The set consists of the
 # measured modes, far below the highest mode of the structure, to which rounding is relative.
 NEGATIVE = 1e-6
 _EQUAL = 1e-6
@@ -172,7 +173,7 @@ class BlockModel[Part: Block]:
         order = np.argsort(merged, axis=1, kind="stable")[:, :count]
         row = np.arange(len(theta))[:, None]
         lowest = merged[row, order]
-        known = ~np.isnan(merged).any(axis=1)  # NaN is sorted last: the modes above would move down
+        known = ~np.isnan(merged).any(axis=1)  # NaN is sorted last, so that the modes above would move down
         for block, lam in zip(self.blocks, values, strict=True):
             if lam.shape[1] < min(count, block.n_modes):
                 known &= lowest[:, -1] < lam[:, -1]
@@ -247,7 +248,7 @@ class FixedModes:
 
 
 def _as_slice(indices: IntArray) -> slice | IntArray:
-    """Return consecutive indices as a slice, which NumPy takes without copying, others as they are."""
+    """Return consecutive indices as a slice, which NumPy takes without copying, other indices unchanged."""
     first = int(indices[0])
     consecutive = np.array_equal(indices, np.arange(first, first + len(indices)))
     return slice(first, first + len(indices)) if consecutive else indices
@@ -256,8 +257,8 @@ def _as_slice(indices: IntArray) -> slice | IntArray:
 class _OneThread:
     """A context in which BLAS uses one thread: many small eigenproblems are slower with more.
 
-    The process has its own setting back afterwards. Where there is one thread already nothing is touched:
-    threadpoolctl's own context takes as long as a reduced eigenproblem.
+    The previous number of threads is restored afterwards. Nothing is changed if there is only one thread already,
+    because threadpoolctl's own context takes as long as a reduced eigenproblem.
     """
 
     def __enter__(self) -> None:
@@ -275,7 +276,7 @@ single_thread = _OneThread
 
 @cache
 def _libraries() -> tuple[Any, ...]:
-    # NumPy and SciPy each bring a BLAS of their own: both must be loaded before the controller looks for them
+    # NumPy and SciPy each bring their own BLAS: both must be loaded before the controller looks for them
     import numpy.linalg  # noqa: F401
     import scipy.linalg  # noqa: F401
 

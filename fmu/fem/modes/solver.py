@@ -35,7 +35,7 @@ LAPACK, SUPERLU, PARDISO = "LAPACK", "SuperLU", "PARDISO"
 _DEFINITE, _INDEFINITE = 2, -2
 _FACTORISE, _SOLVE, _RELEASE = 12, 33, -1
 _TINY, _OF_PARDISO = 20, 4
-# Up to this half-width a band was faster than SuperLU to factorise and to solve, at 1000 to 5000 rows.
+# Up to this half-width a band was faster than SuperLU to factorise and to solve, for 1000 to 5000 rows.
 _NARROW = 256
 
 
@@ -122,16 +122,17 @@ class DenseFactor:
 
 
 class _Band(NamedTuple):
-    """Where the entries of a sparse matrix are in its band.
+    """Positions of the entries of a sparse matrix in its band.
 
     Attributes
     ----------
     order : ndarray of int, shape (n,)
         The rows in the order that makes the band narrow.
     half_width : int
-        Diagonals beside the main one.
+        Number of diagonals on each side of the main diagonal.
     entries, at : ndarray of int, shape (n_lower,)
-        Entries of the lower triangle in that order, and their places in the band, which is stored by columns.
+        Indices of the entries of the lower triangle in that order, and indices of these entries in the band, which
+        is stored by columns.
     """
 
     order: IntArray
@@ -142,9 +143,10 @@ class _Band(NamedTuple):
 
 @lru_cache(maxsize=8)
 def _band(indptr: bytes, indices: bytes, dtype: str) -> _Band | None:
-    """Return the band of the matrices with one pattern of entries (CSR); None if it is wide.
+    """Return the band of the matrices with one pattern of entries (CSR); None if the band is too wide.
 
-    By the order of Cuthill & McKee, reversed. A model's matrices have one pattern at every theta.
+    The rows are ordered by the reversed algorithm of Cuthill & McKee. A model's matrices have one pattern at every
+    theta.
     """
     rows, columns = np.frombuffer(indptr, dtype), np.frombuffer(indices, dtype)
     n = len(rows) - 1
@@ -161,7 +163,7 @@ def _band(indptr: bytes, indices: bytes, dtype: str) -> _Band | None:
 
 
 class _BandedFactor:
-    """Cholesky factors of a definite matrix within its band; LinAlgError if it is not definite."""
+    """Cholesky factors of a definite matrix in its band; LinAlgError if the matrix is not definite."""
 
     negative = 0
     L: FloatArray | None = None
@@ -227,7 +229,7 @@ class _Pardiso:
     def _factorise(self, of: int) -> None:
         self._solver = _pardiso()(mtype=of)
         weakref.finalize(self, _call, self._solver, self._upper, _RELEASE).atexit = False
-        # METIS, and pivots as they come: PARDISO's own settings would change those below 1e-8 of the largest entry
+        # METIS, and unmodified pivots: PARDISO's own settings would change pivots below 1e-8 of the largest entry
         for i, value in {1: 1, 2: 2, 10: _TINY}.items():
             self._solver.iparm[i - 1] = value
         _call(self._solver, self._upper, _FACTORISE)
@@ -244,7 +246,7 @@ def _call(solver: Any, upper: sp.csr_array, phase: int, loads: FloatArray | None
 
 
 def _upper_triangle(matrix: sp.csr_array) -> sp.csr_array:
-    """Return the upper triangle with every entry of the diagonal, zeros too."""
+    """Return the upper triangle with every diagonal entry stored, even if it is zero."""
     entries = sp.triu(matrix, format="coo")
     n = matrix.shape[0]
     rows, columns = (np.concatenate([of, np.arange(n)]) for of in entries.coords)

@@ -15,9 +15,9 @@ from fmu.types import Dof, FloatArray
 
 TRANSLATIONS = ("x", "y", "z")
 _FIRST, _CHECKS, _MOST = 32, 8, 1024
-"""Points at which the full stiffness is solved: at first, to check, and at most."""
+"""Numbers of points at which the full stiffness is solved: at first, for the check, and at most."""
 _CONVERGED = 1e-9
-"""Relative error of a displacement at the points of the check."""
+"""Largest relative error of a displacement at the points of the check."""
 _DEPENDENT = 1e-13
 """Singular value, relative to the largest, below which a vector adds nothing to the basis."""
 
@@ -147,7 +147,7 @@ class StaticDisplacement:
                 n *= 2
 
     def _project(self, model: SeparableModel, vectors: FloatArray, loads: FloatArray) -> None:
-        """Set the terms of K and the loads on an orthonormal basis of vectors, the largest first."""
+        """Project the stiffness terms and loads onto an orthonormal basis of `vectors`, largest first."""
         weight = np.sqrt(sum(np.abs(term.matrix.diagonal()) for term in model.K_terms))  # rotations beside metres
         weighted = weight[:, None] * vectors
         U, s, _ = np.linalg.svd(weighted / np.linalg.norm(weighted, axis=0), full_matrices=False)
@@ -164,7 +164,7 @@ class StaticDisplacement:
         # einsum without `optimize` adds term by term, so that a result does not depend on the rest of the batch
         K = np.einsum("nk,kij->nij", self._map(theta), self._K)
         x = np.full((len(K), *self._loads.shape), np.nan)
-        for i, one in enumerate(K):  # a singular matrix at one point is no failure of the others
+        for i, one in enumerate(K):  # a singular matrix at one point must not fail the other points
             try:
                 x[i] = np.linalg.solve(one, self._loads)
             except np.linalg.LinAlgError:
@@ -177,7 +177,7 @@ class StaticDisplacement:
 
 
 def _coordinates(model: SeparableModel) -> FloatArray:
-    """Return the coordinates of each degree of freedom's node, (n_dof, 3)."""
+    """Return the coordinates of the node of each degree of freedom, (n_dof, 3); ValueError if unknown."""
     geometry = model.geometry
     if geometry is None or not all(node in geometry.row_of for node, _ in model.dofs):
         raise ValueError("centre: needs the coordinates of all nodes; give the model a mesh or a geometry")
@@ -185,7 +185,7 @@ def _coordinates(model: SeparableModel) -> FloatArray:
 
 
 def _solve_loads(model: SeparableModel, theta: FloatArray, loads: FloatArray) -> FloatArray:
-    """Return K(θ)⁻¹ of loads (n_dof, 2), with each row and column scaled to a unit diagonal."""
+    """Return K(θ)⁻¹ times the loads (n_dof, 2), with rows and columns of K scaled to a unit diagonal."""
     K = sum_at(model.K_terms, theta)
     scale = 1.0 / np.sqrt(np.where(K.diagonal() > 0.0, K.diagonal(), 1.0))
     scaled = K.multiply(scale[:, None]).multiply(scale).tocsr()

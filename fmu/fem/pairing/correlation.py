@@ -42,7 +42,7 @@ LOOK_AT_SHAPES = (
 _FEWEST_SENSORS, _FEWEST_MODES = 4, 2
 _MOST_NAMED = 5
 _DEPENDENT = 1e-8
-"""Shapes of unit length whose singular value is below this are linearly dependent."""
+"""Singular value of shapes of unit length below which the shapes are linearly dependent."""
 
 
 def scale_shapes(measured: FloatArray, computed: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -109,7 +109,7 @@ def subspace_mac(measured: FloatArray, computed: FloatArray) -> FloatArray:
 
 
 def _orthonormal(shapes: FloatArray) -> FloatArray:
-    """Return a basis of the space of shapes, one column each, zero where they are linearly dependent."""
+    """Return orthonormal columns that span the shapes; columns are zero where shapes are linearly dependent."""
     size = np.linalg.norm(shapes, axis=0)
     unit = np.divide(shapes, size, out=np.zeros_like(shapes), where=size > 0)
     U, s, _ = np.linalg.svd(unit, full_matrices=False)
@@ -226,6 +226,6 @@ class Correlation:
         return found
 
     def table(self) -> pd.DataFrame:
-        """Return one row per sensor, the largest ``ecomac`` first; ``comac``."""
+        """Return a table with one row per sensor, sorted by ``ecomac`` (largest first), and ``comac``."""
         columns = {"comac": self.comac, "ecomac": self.ecomac}
         return data_frame(columns, "sensor", self.sensors).sort_values("ecomac", ascending=False, kind="stable")

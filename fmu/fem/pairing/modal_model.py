@@ -271,4 +271,4 @@ def as_modal_model(given: ModalModel | FrequencyMap, n_sensors: int = 0) -> Moda
 
 
 Model = SeparableModel | BlackBoxModel | ModalModel | FrequencyMap
-"""What a problem takes; the modes of matrices and of functions are yet to be paired with those measured."""
+"""Models that a problem accepts; the modes of matrices and of functions are still to be paired."""
