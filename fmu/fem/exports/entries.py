@@ -78,9 +78,9 @@ class Entries:
 
 
 def _digits(entry: FloatArray) -> int:
-    """Return the significant decimal digits of numbers; 17 where decimals do not give them back.
+    """Return the number of significant decimal digits of numbers; 17 if decimals do not reproduce them.
 
-    No program writes matrices with fewer than `_FEWEST_DIGITS`: rounder numbers are exact.
+    No program writes matrices with fewer than `_FEWEST_DIGITS` digits: numbers with fewer digits are exact.
     """
     numbers = entry[entry != 0]
     numbers = numbers[:: max(len(numbers) // MOST_SAMPLED, 1)]

@@ -33,7 +33,7 @@ FREQUENCY_ROUNDING = 1e-6
 """Relative standard deviation of the lowest frequency above which rounding of the exports is reported."""
 _RIGID = 6
 _SAME_MOTION = 1e-6
-"""Largest difference of a weight, relative to the largest of its motion, from that of the first export."""
+"""Largest difference of a weight from the first export's, relative to the largest weight of its motion."""
 
 
 @check_arguments
@@ -97,15 +97,16 @@ def from_exports(
 
 
 def _of_digits(nominal: ExportedModel, found: Recovery) -> list[str]:
-    """Say how few digits of the lowest frequency the exported stiffness K leaves; nothing if they suffice.
+    """Return a sentence if the digits of the exported stiffness K limit the lowest frequency, as a list.
 
-    Errors e_ij of the entries, independent and uniform, change λ by φᵀ e φ / φᵀ M φ: relative to f their standard
-    deviation is ½ √(Σ_ij 2 (r K_ij φ_i φ_j)² / 3) / φᵀ K φ, where r bounds |e_ij / K_ij|.
+    The list is empty if the digits suffice. Errors e_ij of the entries, independent and uniform, change λ by φᵀ e
+    φ / φᵀ M φ. Relative to f, their standard deviation is ½ √(Σ_ij 2 (r K_ij φ_i φ_j)² / 3) / φᵀ K φ, where r
+    bounds |e_ij / K_ij|.
     """
     K, M = nominal.stiffness, nominal.mass
     try:
         eigenvalues, shapes = eigen(K, M, min(_RIGID + 1, K.shape[0]))
-    except SingularMassError:  # too few masses: told where the model is checked
+    except SingularMassError:  # too few masses: reported where the model is checked
         return []
     elastic = np.flatnonzero(~is_rigid(eigenvalues))
     if not len(elastic):
@@ -125,7 +126,7 @@ def _of_digits(nominal: ExportedModel, found: Recovery) -> list[str]:
 
 
 def _points(exports: Sequence[Export]) -> tuple[tuple[str, ...], FloatArray]:
-    """Return the parameters' names, and their values in each export, shape (n_exports, n_parameters)."""
+    """Return the names of the parameters and their values in each export, shape (n_exports, n_parameters)."""
     if len(exports) < 2:
         raise ArgumentError("exports", "must be at least 2", len(exports))
     names = tuple(exports[0].values)
@@ -148,7 +149,7 @@ def _points(exports: Sequence[Export]) -> tuple[tuple[str, ...], FloatArray]:
 
 
 def _on_one_mesh(exports: Sequence[Export]) -> None:
-    """Refuse exports whose degrees of freedom, or motions that are sums of these, differ from the first one's."""
+    """Raise ArgumentError if an export's degrees of freedom or motions differ from those of the first export."""
     first = exports[0].model.dofs
     motions = exports[0].model.motions
     for i, one in enumerate(exports):
@@ -173,7 +174,7 @@ def _on_one_mesh(exports: Sequence[Export]) -> None:
 
 
 def _changed_alone(names: Sequence[str], values: FloatArray, used: BoolArray) -> list[list[int]]:
-    """Return for each parameter the exports in which it alone differs from the first."""
+    """Return, for each parameter, the list of exports in which only that parameter differs from the first."""
     differs = values != values[0]
     found = []
     for j, name in enumerate(names):

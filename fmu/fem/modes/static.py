@@ -27,7 +27,7 @@ def rigid_translation(model: SeparableModel, direction: str) -> FloatArray:
     names = np.array([d for _, d in model.dofs])
     if model.geometry is not None and model.geometry.ids is not None:
         known = {i: d for _, d, seen in model.locate_motions() for i in seen}
-        names = np.array([known.get(i, "") for i in range(model.n_dof)])  # of nodes, none inside elements
+        names = np.array([known.get(i, "") for i in range(model.n_dof)])  # of nodes, not inside elements
     return (names == direction).astype(float)
 
 
@@ -148,7 +148,7 @@ class StaticDisplacement:
 
     def _project(self, model: SeparableModel, vectors: FloatArray, loads: FloatArray) -> None:
         """Project the stiffness terms and loads onto an orthonormal basis of `vectors`, largest first."""
-        weight = np.sqrt(sum(np.abs(term.matrix.diagonal()) for term in model.K_terms))  # rotations beside metres
+        weight = np.sqrt(sum(np.abs(term.matrix.diagonal()) for term in model.K_terms))  # for rotations and metres
         weighted = weight[:, None] * vectors
         U, s, _ = np.linalg.svd(weighted / np.linalg.norm(weighted, axis=0), full_matrices=False)
         V = U[:, s > _DEPENDENT * s[0]] / weight[:, None]

@@ -19,21 +19,21 @@ from scipy.spatial.transform import Rotation
 from fmu.types import FloatArray, IntArray
 
 _FIRST_STEPS, _STEPS, _BEST = 6, 40, 48
-"""Steps from every start, and from the best of them."""
+"""Steps from every start, steps from the best alignments, and number of the best alignments."""
 _FEW, _ROUNDS = 8, 10
-"""Of how many alignments the neighbours are tried, and how often at most."""
+"""Number of alignments whose neighbours are tried, and the largest number of rounds."""
 _OTHERS = 600
-"""Rotations to start from beside those of axes; two neighbours differ by some 20°."""
+"""Number of rotations to start from besides those of axes; two neighbours differ by some 20°."""
 _AS_GOOD = 1.2
-"""An alignment fits as well as the best if its distances are at most so many times as large."""
+"""An alignment fits as well as the best if its distances are at most this many times as large."""
 _EXACT = 1e-3
-"""Distances below this, in units of the spacing, are all as good as zero."""
+"""Distances below this, in units of the spacing, all count as zero."""
 _ELSEWHERE = 5.0
-"""Degrees by which two alignments differ at least that count as two."""
+"""Smallest angle in degrees between two alignments that count as different."""
 _MOST_FAR = 0.2
-"""Points fit a mesh if at most this share of them is farther from it than its spacing."""
+"""Points fit a mesh if at most this share of the points is farther from its node than the spacing there."""
 _KEEPS = 1e-10
-"""Weight of the rotation so far, about an axis that points on one line leave free."""
+"""Weight of the current rotation, for an axis about which points on one line leave the rotation free."""
 
 
 Alignment = tuple[FloatArray, FloatArray]
@@ -101,7 +101,7 @@ def align_points(x: FloatArray, mesh: Mesh) -> tuple[FloatArray, FloatArray, lis
     """Return R and t of the best fit that rotates least, and a list of the other alignments that fit as well."""
     R, t = _best(x, mesh, *_closest(x, mesh, *_starts(x, mesh), _FIRST_STEPS), _BEST)
     R, t = _closest(x, mesh, R, t, _STEPS)
-    # on a regular mesh every shift by its spacing is near a minimum
+    # on a regular mesh every shift by its spacing is close to a minimum
     shifts = mesh.usual * np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))
     for _ in range(_ROUNDS):
         least = _rms(x, mesh, R, t).min()
@@ -124,7 +124,7 @@ def align_points(x: FloatArray, mesh: Mesh) -> tuple[FloatArray, FloatArray, lis
 
 
 def _best(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray, count: int) -> Alignment:
-    """Return the alignments that fit best, each once, at most so many."""
+    """Return at most `count` alignments that fit best, without duplicates."""
     places = mesh.tree.query(x @ np.swapaxes(R, -1, -2) + t[:, None])[1]
     which = np.concatenate([places, np.round(4.0 * R.reshape(-1, 9))], axis=1)
     once = np.unique(which, axis=0, return_index=True)[1]
@@ -133,10 +133,10 @@ def _best(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray, count: int) -
 
 
 def _starts(x: FloatArray, mesh: Mesh) -> Alignment:
-    """Return rotations and shifts to start from, shapes (n, 3, 3) and (n, 3).
+    """Return the rotations and shifts to start from, shapes (n, 3, 3) and (n, 3).
 
-    From those of axes, and of principal axes, with centres, corners or origins at one place; from many others with
-    the centres.
+    Rotations of axes and of principal axes start with centres, corners or origins superposed; the many other
+    rotations start with the centres superposed.
     """
     axes = Rotation.create_group("O").as_matrix()
     V, W = (np.linalg.svd(part - part.mean(axis=0), full_matrices=False)[2] for part in (_three(x), mesh.places))
@@ -157,12 +157,12 @@ def _starts(x: FloatArray, mesh: Mesh) -> Alignment:
 
 
 def _three(x: FloatArray) -> FloatArray:
-    """Return at least three points, for a singular value decomposition with three directions."""
+    """Return the points, with the last one repeated so that there are at least three, for an SVD."""
     return x if len(x) >= 3 else np.concatenate([x, np.repeat(x[-1:], 3 - len(x), axis=0)])
 
 
 def _closest(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray, steps: int) -> Alignment:
-    """Return alignments (n, 3, 3) and (n, 3) after so many steps of iterative closest points."""
+    """Return alignments (n, 3, 3) and (n, 3) after at most `steps` steps of iterative closest points."""
     for _ in range(steps):
         placed = x @ np.swapaxes(R, -1, -2) + t[:, None]
         turn, shift = kabsch(placed, mesh.places[mesh.tree.query(placed)[1]])
@@ -179,7 +179,7 @@ def _rms(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray) -> FloatArray:
 
 
 def _differ(x: FloatArray, mesh: Mesh, one: Alignment, other: Alignment) -> bool:
-    """Say whether two alignments give other nodes, or other directions."""
+    """Return True if two alignments give different nodes or different directions."""
     places: list[IntArray] = [mesh.tree.query(x @ R.T + t)[1] for R, t in (one, other)]
     return bool(np.any(places[0] != places[1])) or turn_of(one[0] @ other[0].T)[0] > _ELSEWHERE
 

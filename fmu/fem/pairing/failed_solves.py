@@ -58,7 +58,7 @@ def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
 
 
 def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:
-    """Return why the full model fails; it is used where a reduced one fails."""
+    """Return why the full model fails, also where the full model replaces a reduced one; None if it does not."""
     structure = model.structure
     for b, count in model.rule.counts(model.blocks).items():
         block: Any = model.blocks[b]
@@ -70,7 +70,7 @@ def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:
 
 
 def _of_block(block: FullBlock, theta: FloatArray, count: int) -> tuple[str, int | None] | None:
-    """Return why a block fails, and the degree of freedom concerned if there is one."""
+    """Return why a block fails and the degree of freedom concerned (or None); None if the block does not fail."""
     K, M = (weighted_sum(terms, coefficients(terms, theta[None])[0]) for terms in (block.K_terms, block.M_terms))
     for name, matrix in (("K", K), ("M", M)):
         if not np.all(np.isfinite(matrix.data)):
@@ -90,7 +90,7 @@ def _of_block(block: FullBlock, theta: FloatArray, count: int) -> tuple[str, int
         ), None
     if not np.all(np.isfinite(lam)):
         return "the eigenvalue solver did not converge (an eigenvalue is not finite)", None
-    # relative to the largest of those solved for, as in frequency_hz
+    # relative to the largest eigenvalue solved for, as in frequency_hz
     if lam[0] < -NEGATIVE * np.max(np.abs(lam)):
         return f"K is not positive semidefinite: an eigenvalue is {significant(lam[0])} (rad/s)²", None
     return None

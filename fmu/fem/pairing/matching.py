@@ -36,7 +36,9 @@ SNAPPED = 2.0
 """Largest angle, in degrees, between axes of the test and of the model that count as parallel."""
 _MOST_NAMED = 5
 _ROUGH, _BETTER = 0.1, 0.3
-"""Mirrored points are tried where distances exceed so many spacings, and told if theirs are so much smaller."""
+"""Mirrored points are tried if the distances exceed `_ROUGH` spacings, and reported if their distances are less
+than `_BETTER` times as large.
+"""
 _AXES = ("x", "y", "z")
 
 
@@ -228,7 +230,7 @@ def match_points(
     if model.geometry is None:
         raise ValueError("model: must know the coordinates of its nodes (it has no geometry)")
     geometry = model.geometry
-    moving = {row for row, *_ in model.locate_motions()}  # no node that the mesh has for other purposes
+    moving = {row for row, *_ in model.locate_motions()}  # skips nodes that the mesh has for other purposes
     within = () if geometry.mesh is None else inside(geometry.mesh).tolist()
     rows = sorted(moving.union(geometry.drawn.tolist()).difference(within))
     names = list(geometry.row_of)
@@ -266,7 +268,7 @@ def _notes(found: Matching) -> list[str]:
 
 
 def _of_alignments(others: Sequence[Alignment]) -> list[str]:
-    """Return a warning if other alignments fit as well."""
+    """Return a list with a warning if other alignments fit as well; otherwise an empty list."""
     if not others:
         return []
     many = f"{len(others)} other alignments fit" if len(others) > 1 else "Another alignment fits"
@@ -277,7 +279,7 @@ def _of_alignments(others: Sequence[Alignment]) -> list[str]:
 
 
 def _of_places(found: Matching, at: Sequence[Sequence[Hashable]]) -> list[str]:
-    """Return warnings on points at several nodes, and on points that share one."""
+    """Return a list of warnings on points at several coincident nodes, and on points that share a node."""
     doubts = [
         f"Point {name} is at nodes {names_in_words([str(node) for node in those])}, which are at one place: "
         f"{those[0]} is taken."
@@ -294,7 +296,10 @@ def _of_places(found: Matching, at: Sequence[Sequence[Hashable]]) -> list[str]:
 
 
 def _of_distances(found: Matching, second: FloatArray) -> list[str]:
-    """Return warnings on points far from their nodes, or nearly as near to another; `second` is its distance."""
+    """Return a list of warnings on points that are far from their nodes, or almost as near to another node.
+
+    `second` is the distance of each point from its second-nearest node.
+    """
     far = found.distances / found.spacing
     doubts = [
         f"Point {found.points[k]} is {significant(found.distances[k])} m from the nearest node, {found.nodes[k]}, "
@@ -313,7 +318,7 @@ def _of_distances(found: Matching, second: FloatArray) -> list[str]:
 
 
 def _no_fit(x: FloatArray, mesh: Mesh, placed: FloatArray) -> str:
-    """Say by how much points do not fit a mesh."""
+    """Return the phrase that says by how much points do not fit a mesh."""
     size, distance = float(np.ptp(x, axis=0).max()), mesh.tree.query(placed)[0]
     return (
         f"must fit the mesh (the nearest nodes are up to {significant(float(distance.max()))} m off; the points "
@@ -322,7 +327,7 @@ def _no_fit(x: FloatArray, mesh: Mesh, placed: FloatArray) -> str:
 
 
 def _in_another_unit(given: FloatArray, mesh: Mesh, unit: str) -> str:
-    """Return in which unit the points would fit; empty if in none."""
+    """Return the phrase that names the unit in which the points would fit; empty if there is none."""
     for other, factor in UNITS.items():
         if other != unit and 0.2 <= np.ptp(factor * given, axis=0).max() / mesh.size <= 1.5:
             R, t, _ = align_points(factor * given, mesh)
@@ -332,7 +337,7 @@ def _in_another_unit(given: FloatArray, mesh: Mesh, unit: str) -> str:
 
 
 def _describe_mirror(x: FloatArray, mesh: Mesh, placed: FloatArray) -> str:
-    """Warn if the mirrored points would fit much better; empty if they would not."""
+    """Return a warning if the mirrored points would fit much better; empty otherwise."""
     mirrored = x * [-1.0, 1.0, 1.0]
     R, t, _ = align_points(mirrored, mesh)
     if mesh.rms(mirrored @ R.T + t) > _BETTER * mesh.rms(placed) or not mesh.fits(mirrored @ R.T + t):

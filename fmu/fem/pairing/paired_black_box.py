@@ -143,7 +143,7 @@ class PairedBlackBox(ModalModel):
 
         def nearby(points: FloatArray, of: IntArray) -> FloatArray:
             f, _, s = self._pair_modes(points)
-            # shapes have either sign: take that of the central point
+            # shapes have either sign: take the sign at the central point
             s = s * np.where(np.sum(s * shapes[of], axis=1, keepdims=True) < 0.0, -1.0, 1.0)
             return np.concatenate([f[:, None], s], axis=1).reshape(len(points), -1)
 
@@ -169,7 +169,7 @@ class PairedBlackBox(ModalModel):
         return None
 
     def _pair_modes(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return paired frequencies, the function's own gradients and shapes; NaN where it failed or has none."""
+        """Return the paired frequencies, the function's own gradients and the shapes, NaN where missing."""
         n, m, p, s = len(theta), self.n_modes, self.n_parameters, self._n_sensors or 0
         f, df, phi = np.full((n, m), np.nan), np.full((n, m, p), np.nan), np.full((n, s, m), np.nan)
         for i, solve in enumerate(self.black_box.solved.of(theta)):
@@ -188,7 +188,7 @@ class PairedBlackBox(ModalModel):
         return f, df, phi
 
     def _columns(self, answer: Answer | Solve) -> IntArray:
-        """Return the column of the mode paired with each measured one; AnswerError if one is missing."""
+        """Return the column of the mode paired with each measured mode; AnswerError if a mode is missing."""
         given = len(answer.frequencies)
         if self.reference is None:
             if max(self.numbers) > given:
@@ -213,7 +213,10 @@ class PairedBlackBox(ModalModel):
     def _differences(
         self, theta: FloatArray, here: FloatArray, nearby: Callable[[FloatArray, IntArray], FloatArray]
     ) -> FloatArray:
-        """Return slopes (n, k, n_parameters) of the values `here` (n, k), by those at points near row `of`."""
+        """Return slopes (n, k, n_parameters) of the values `here` (n, k), by central differences.
+
+        ``nearby(points, of)`` returns the values at points, where `of` gives the row of theta of each point.
+        """
         n, ndim = theta.shape
         points, _ = both_sides(theta, self.black_box.step * self.scale, self.lower, self.upper)
         of = np.broadcast_to(np.arange(n)[:, None], (2, n, ndim)).ravel()
@@ -221,6 +224,6 @@ class PairedBlackBox(ModalModel):
         failed = np.isnan(values).any(axis=3)
         values = np.where(failed[..., None], here[:, None, :], values)
         at = np.where(failed, theta, np.diagonal(points, axis1=2, axis2=3))
-        with np.errstate(invalid="ignore", divide="ignore"):  # it failed on both sides: there is no gradient
+        with np.errstate(invalid="ignore", divide="ignore"):  # failure on both sides: no gradient
             slopes = (values[0] - values[1]) / (at[0] - at[1])[..., None]
         return np.asarray(np.swapaxes(slopes, 1, 2))

@@ -122,7 +122,7 @@ class SensorView:
 
     @cached_property
     def _rows(self) -> list[Matrix]:
-        """The sensors on each block; many problems have no errors of shapes, and never need them."""
+        """Sensor rows of each block, computed on demand: many problems have no errors of shapes."""
         return [block.coordinates(self._sensors[:, block.dofs]) for block in self.model.blocks]
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
@@ -153,7 +153,7 @@ class SensorView:
 
 
 class _View(NamedTuple):
-    """A block, how many modes it offers, the coordinates of comparison, and the references there."""
+    """A block, its number of candidates, the coordinates of comparison, and the reference shapes there."""
 
     block: Block
     n_candidates: int
@@ -196,7 +196,7 @@ class CandidateView:
         """Return the candidates at theta (n, n_parameters), with derivatives if `gradient`."""
         parts = [self._of_block(view, theta, gradient) for view in self._views]
         names = [field.name for field in fields(Candidates)][: None if gradient else 3]
-        # the candidates are on the second axis of frequencies and their slopes, on the third of all others
+        # the candidates are on the second axis of frequencies and their slopes, on the third axis of all others
         axes = {"frequencies": 1, "frequency_slopes": 1}
         return Candidates(
             **{name: np.concatenate([vars(p)[name] for p in parts], axis=axes.get(name, 2)) for name in names}

@@ -115,7 +115,7 @@ class _IndexSolve:
 
     def locate(self, theta: FloatArray, gradient: bool) -> tuple[IntArray, IntArray, Solved]:
         numbers = self.pairing.numbers
-        if len(self.model.blocks) == 1:  # a number is a rank: nothing to solve for
+        if len(self.model.blocks) == 1:  # a number is a rank, so that nothing is solved for
             rank = np.tile(np.array(numbers) - 1, (len(theta), 1))
             return np.zeros_like(rank), rank, {}
         modes = self(theta)
@@ -280,7 +280,7 @@ class _ShapeSolve:
     def _solve(
         self, theta: FloatArray, gradient: bool
     ) -> tuple[Solved, FloatArray, tuple[IntArray, IntArray, IntArray]]:
-        """Return the modes of each block, the eigenvalues of all candidates, and what `assign_modes` returns."""
+        """Return the modes of each block, the eigenvalues of all candidates, and the result of `assign_modes`."""
         solved: Solved = {}
         values, shapes = [], {}
         for b in self.observed:
@@ -343,7 +343,7 @@ def count_rigid(model: BlockModel, theta: FloatArray, n_modes: int, elastic_hz: 
     If there is a very stiff spring, every other mode has a vanishing share of the highest frequency. If a measured
     frequency `elastic_hz` is given, a rigid-body mode must therefore have a vanishing share of that frequency too.
     """
-    count = min(n_modes + 7, model.n_modes)  # six at most, and one that is elastic
+    count = min(n_modes + 7, model.n_modes)  # at most six rigid-body modes, and one elastic mode
     lam = model.spectrum(np.atleast_2d(theta), count).eigenvalues[0]
     is_far_below = lam <= (_FAR_BELOW * 2.0 * np.pi * elastic_hz) ** 2
     return int(np.sum(is_rigid(lam) & is_far_below))
@@ -378,12 +378,12 @@ def assign(mac: FloatArray) -> IntArray:
 def _visible_modes(
     model: BlockModel, theta: FloatArray, sensors: sp.csr_array, rows: sp.csr_array, count: int
 ) -> tuple[FloatArray, IntArray]:
-    """Return shapes (n, q) at `rows` and ranks (n,) in their blocks of the elastic modes that the sensors see."""
+    """Return shapes (n, q) at `rows`, and ranks (n,) in their blocks, of elastic modes that sensors see."""
     point = np.atleast_2d(theta)
     spectrum = model.spectrum(point, count)
     shapes = np.ascontiguousarray(model.shapes(point, spectrum).T)
     compared, seen = shapes @ rows.T, shapes @ sensors.T
-    # mass-normalised shapes have similar sizes: one that is tiny at the sensors moves there by rounding alone
+    # mass-normalised shapes have similar sizes: a shape that is tiny at the sensors is only rounding there
     elastic = ~is_rigid(spectrum.eigenvalues[0])
     visible = np.max(np.abs(seen), axis=1) > 1e-3 * np.max(np.abs(compared))
     return compared[elastic & visible], spectrum.rank[0][elastic & visible]
