@@ -1,7 +1,9 @@
 """Models given by a user's Python function, such as a surrogate or a call of a finite-element program.
 
-The contract ------------ ``function(theta)`` takes theta, an ndarray of shape (ndim,) in SI units, in the order of
-the parameters. It returns
+The contract
+------------
+``function(theta)`` takes theta, an ndarray of shape (ndim,) in SI units, in the order of the parameters. The
+function returns
 
 - the natural frequencies in Hz, shape (n,), of any number of the model's modes; or
 - a dict ``{"frequencies": (n,), "shapes": (n_sensors, n), "gradient": (n, ndim)}``, in which only the frequencies

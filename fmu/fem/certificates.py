@@ -35,7 +35,7 @@ class Certificate(ABC):
 
     @classmethod
     def from_trace(cls, attrs: Mapping[Hashable, Any]) -> Self | None:
-        """Return the certificate in the attributes of a trace; None if it has no certificate of this kind."""
+        """Return the certificate in the attributes of a trace; None if the trace has no such certificate."""
         found: dict[str, Any] = {}
         for field in fields(cls):
             key = cls._key(field.name)
@@ -133,7 +133,7 @@ class ReductionCertificate(Certificate):
 
 @dataclass(frozen=True)
 class SurrogateCertificate(Certificate):
-    """Errors of a surrogate (`fmu.surrogate`) at posterior draws that were solved when it was built.
+    """Errors of a surrogate (`fmu.surrogate`) at posterior draws that were solved to check the surrogate.
 
     Attributes
     ----------

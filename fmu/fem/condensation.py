@@ -101,9 +101,11 @@ def craig_bampton(K: Matrix, M: Matrix, boundary: ArrayLike, n_modes: Annotated[
     ValueError
         As `guyan`; or if `n_modes` is negative.
 
-    Notes ----- If parameters only scale the stiffness of whole substructures, constraint modes and fixed-interface
-    modes do not change and the basis can be reused. The basis cannot be reused if a parameter changes a
-    substructure's mass, or its stiffness unevenly; see `reusable`.
+    Notes
+    -----
+    If parameters only scale the stiffness of whole substructures, constraint modes and fixed-interface modes do
+    not change and the basis can be reused. The basis cannot be reused if a parameter changes a substructure's
+    mass, or its stiffness unevenly; see `reusable`.
     """
     K, M = _matrices(K, M)
     boundary = _index("boundary", boundary, K.shape[0])

@@ -176,7 +176,7 @@ def element_colours(changed: BoolArray) -> list[str]:
 
 
 def parameter_colours(structure: Sketch) -> list[str | None]:
-    """Return the list of colours of the elements or springs that each parameter changes, or None."""
+    """Return a list of the colour of the elements or springs that each parameter changes, None without any."""
     colours = element_colours(structure.changed)
     return [
         colours[int(np.argmax(column))]

@@ -103,7 +103,7 @@ def require_stable(
     ------
     ValueError
         The message states the number of motions and what moves in them, the motion of negative energy, or the
-        place without mass. Motions without strain raise `MechanismError`.
+        place without mass. `MechanismError` for motions without strain that move mass.
     """
     _require_mass(model, theta, label)
     motions = free_motions(model, theta)

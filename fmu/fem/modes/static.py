@@ -43,7 +43,7 @@ class MassMoments:
     start : ndarray, shape (n_parameters,)
         Parameters at which the direction is chosen: the one of x, y, z along which the most mass moves.
     with_centre : bool
-        Whether the centre of gravity is wanted too, which needs the model's geometry.
+        Whether the centre of gravity is needed too, which requires the model's geometry.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class MassMoments:
     Raises
     ------
     ValueError
-        If no degree of freedom is a translation, or the centre is wanted and the nodes have no coordinates.
+        If no degree of freedom is a translation, or the centre is needed and the nodes have no coordinates.
     """
 
     def __init__(self, model: SeparableModel, start: FloatArray, with_centre: bool) -> None:
@@ -101,7 +101,7 @@ class StaticDisplacement:
     at : tuple of (place, direction)
         Place and direction of the measured displacement (or rotation).
     points : callable
-        ``points(n)`` returns n of the parameter vectors for which u is wanted, shape (n, n_parameters).
+        ``points(n)`` returns n parameter vectors, shape (n, n_parameters), in the range for which u is needed.
 
     Attributes
     ----------

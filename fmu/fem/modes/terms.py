@@ -67,7 +67,7 @@ def coefficient_gradients(terms: Sequence[Term], theta: FloatArray) -> FloatArra
 def monomial(theta: FloatArray, powers: Sequence[float]) -> FloatArray:
     """Return Π theta[:, j] ** powers[j], shape (n,); NaN or infinite where a power does not exist or overflows.
 
-    Small whole powers are computed as products, so that a result does not depend on the rest of the batch.
+    Whole powers from 1 to 8 are computed as products, so that a result does not depend on the rest of the batch.
     """
     value = np.ones(len(theta))
     with np.errstate(over="ignore", invalid="ignore"):

@@ -48,8 +48,8 @@ _DEPENDENT = 1e-8
 def scale_shapes(measured: FloatArray, computed: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return both sets of shapes (n_sensors, n_modes), with computed shapes of mean square 1.
 
-    Each measured shape φ is multiplied by the factor c that minimises Σ_j |c φ_j − ψ_j|, where ψ is the computed
-    shape: c is the median of ψ_j/φ_j with weights |φ_j|.
+    Each measured shape φ is multiplied by the factor c that minimises Σ_j |c φ_j − ψ_j|, where ψ is the scaled
+    computed shape: c is the median of ψ_j/φ_j with weights |φ_j|.
     """
     size = np.sqrt(np.mean(computed**2, axis=0))
     psi = np.divide(computed, size, out=np.zeros_like(computed), where=size > 0)
