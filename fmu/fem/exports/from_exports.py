@@ -99,9 +99,9 @@ def from_exports(
 def _of_digits(nominal: ExportedModel, found: Recovery) -> list[str]:
     """Return a sentence if the digits of the exported stiffness K limit the lowest frequency, as a list.
 
-    The list is empty if the digits suffice. Errors e_ij of the entries, independent and uniform, change λ by φᵀ e
-    φ / φᵀ M φ. Relative to f, their standard deviation is ½ √(Σ_ij 2 (r K_ij φ_i φ_j)² / 3) / φᵀ K φ, where r
-    bounds |e_ij / K_ij|.
+    The list is empty if the digits suffice. Errors e_ij of the entries, independent and uniform, change λ by
+    φᵀ e φ / φᵀ M φ. The change has the standard deviation ½ √(Σ_ij 2 (r K_ij φ_i φ_j)² / 3) / φᵀ K φ relative to
+    f, where r bounds |e_ij / K_ij|.
     """
     K, M = nominal.stiffness, nominal.mass
     try:

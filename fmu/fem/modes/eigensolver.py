@@ -9,9 +9,9 @@ degrees of freedom statically.
 A free structure has a singular K. Its motions without strain N, with K N = 0, are found from K alone, from the
 eigenvalues of K scaled to a unit diagonal. These motions have λ = 0 exactly. A low eigenvalue alone does not
 distinguish a rigid motion from the motion of a soft part: the strain energy of a rigid motion must also be
-rounding compared with the terms that cancel in it. The elastic modes are M-orthogonal to the rigid modes. Let P =
-I − N Nᵀ M, and let f be the degrees of freedom that remain when just enough degrees of freedom are held to make
-the structure statically determinate. With φ = P [y; 0],
+rounding compared with the terms that cancel in it. The elastic modes are M-orthogonal to the rigid modes. Let
+P = I − N Nᵀ M, and let f be the degrees of freedom that remain when just enough degrees of freedom are held to
+make the structure statically determinate. With φ = P [y; 0],
 
     K_ff y = λ (Pᵀ M P)_ff y,
 
@@ -53,7 +53,7 @@ _CAUTION = 10.0
 
 
 class SingularMassError(ValueError):
-    """Error raised if the mass matrix, the stiffness matrix or the solver gives no solution."""
+    """Error raised if an eigenproblem has no solution, because of K, M or the solver."""
 
 
 def eigen(K: Matrix, M: Matrix, count: int, finite: int | None = None) -> tuple[FloatArray, FloatArray]:

@@ -224,7 +224,7 @@ class FixedModes:
         self._order = np.argsort(np.concatenate(columns))
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
-        """Return these modes at theta (n, n_parameters); without gradients they cost less."""
+        """Return these modes at theta (n, n_parameters); gradients are optional and cost more."""
         values, slopes = [], []
         for block, count, ranks in self._parts:
             if gradient:

@@ -117,7 +117,7 @@ class RigidArm:
     offset: tuple[float, float, float]
 
     def motion(self, direction: str) -> dict[str, float]:
-        """Return the point's motion in a direction as a dict of weights of the node's motions: u + θ × r."""
+        """Return the point's motion as a dict of weights of the node's motions, to first order: u + θ × r."""
         x, y, z = self.offset
         return {direction: 1.0} | {
             "x": {"ry": z, "rz": -y},
@@ -225,7 +225,7 @@ class SeparableModel:
         Raises
         ------
         ValueError
-            If a term names an unknown parameter, and for the reasons of the class.
+            If a term names an unknown parameter, or as for the class.
         """
         names = tuple(parameters)
         K_terms, M_terms = (

@@ -204,7 +204,7 @@ class Correlation:
         return found
 
     def doubts_of_modes(self) -> list[str]:
-        """Return a list of warnings, one for every two modes that the sensors hardly tell apart."""
+        """Return a list of warnings, one for each pair of measured modes that look alike at the sensors."""
         above = np.argwhere(np.triu(self.auto_mac, 1) > ALIASED).tolist()
         return [
             f"The measured shapes of modes {self.labels[i]} and {self.labels[k]} are alike at the sensors "

@@ -103,7 +103,7 @@ class Matching:
     def turned(
         self, sensors: Sequence[Dof], shapes: ArrayLike | None = None
     ) -> tuple[tuple[Dof, ...], FloatArray | None]:
-        """Return the sensors at nodes in the model's axes, and the shapes (n_sensors, n_modes) they measure.
+        """Return the sensors at nodes in the model's axes, and the shapes (n_sensors, n_modes) at these sensors.
 
         If the axes of the test are not parallel to those of the model, the three components at each point are
         rotated together.

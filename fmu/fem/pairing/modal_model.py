@@ -181,7 +181,7 @@ class ModalModel:
         raise NotImplementedError
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies and shapes at the sensors at theta (n, n_parameters), with derivatives if asked."""
+        """Return frequencies and shapes at the sensors at theta (n, n_parameters), with optional derivatives."""
         raise NotImplementedError
 
     def configuration(self) -> Any:

@@ -124,7 +124,7 @@ class PairedBlackBox(ModalModel):
         return frequencies, gradient
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies and shapes at the sensors at theta (n, n_parameters), with derivatives if asked.
+        """Return frequencies and shapes at the sensors at theta (n, n_parameters), with optional derivatives.
 
         Slopes of shapes are central differences. So are slopes of frequencies if the function returns no gradient.
 

@@ -189,7 +189,7 @@ class PairedStructure(ModalModel):
         return _solve_counted(self.solve, theta, gradient)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies and shapes at the sensors at theta (n, n_parameters), with derivatives if asked."""
+        """Return frequencies and shapes at the sensors at theta (n, n_parameters), with optional derivatives."""
         return _solve_counted(self.see, theta, gradient)
 
     def seen_candidates(self, theta: FloatArray, gradient: bool = False) -> Candidates:

@@ -126,7 +126,7 @@ class SensorView:
         return [block.coordinates(self._sensors[:, block.dofs]) for block in self.model.blocks]
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies and shapes at the sensors, at theta (n, n_parameters), with derivatives if asked."""
+        """Return frequencies and shapes at the sensors at theta (n, n_parameters), with optional derivatives."""
         block, rank, solved = self._solve.locate(theta, gradient)
         n, m = block.shape
         q, p = self._sensors.shape[0], self.model.n_parameters

@@ -161,7 +161,7 @@ class ShapePairing:
         return {b: self.n_candidates(model, b) for b in self.observe(model)}
 
     def observe(self, model: BlockModel) -> dict[int, Observation]:
-        """Return a dict from each block in which a reference moves to the comparison of its shapes."""
+        """Return a dict from each block in which a reference moves to its `Observation` of shapes."""
         observed = {}
         for b, block in enumerate(model.blocks):
             seen = self.rows[:, block.dofs]
@@ -173,7 +173,7 @@ class ShapePairing:
     def find_needed(
         self, model: BlockModel, eigenvalues: Mapping[int, FloatArray], shapes: Mapping[int, FloatArray]
     ) -> tuple[RankPairing | None, dict[int, int]]:
-        """Return the pairing as fixed ranks if that is exact, else None, and the modes needed per block.
+        """Return the pairing as fixed ranks if exact, else None, and a dict of the modes needed per block.
 
         Parameters
         ----------
