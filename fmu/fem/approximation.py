@@ -57,7 +57,7 @@ class Approximation(ModalModel):
         return self.cheap.frequencies(theta)
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters), exact."""
+        """Return frequencies in Hz (n, n_modes) and their exact gradients (n, n_modes, n_parameters)."""
         return self.cheap.frequencies_and_gradient(theta)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:

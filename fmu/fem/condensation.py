@@ -130,7 +130,7 @@ def substructures(K: Matrix, M: Matrix, boundary: ArrayLike) -> tuple[IntArray, 
 
 
 def reusable(model: SeparableModel, theta: ArrayLike, boundary: ArrayLike) -> tuple[bool, ...]:
-    """Return a tuple of bool: whether each substructure has the same Craig–Bampton modes at every theta.
+    """Return a tuple of bool: whether each substructure's Craig–Bampton modes at `theta` hold at every theta.
 
     The modes are the same if a single coefficient scales the stiffness of the substructure's interior and of its
     connection to the boundary, and no parameter changes the mass of the interior.

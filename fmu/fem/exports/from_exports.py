@@ -149,7 +149,7 @@ def _points(exports: Sequence[Export]) -> tuple[tuple[str, ...], FloatArray]:
 
 
 def _on_one_mesh(exports: Sequence[Export]) -> None:
-    """Raise ArgumentError if an export's degrees of freedom or motions differ from those of the first export."""
+    """Raise ArgumentError if an export differs from the first in its degrees of freedom or motions."""
     first = exports[0].model.dofs
     motions = exports[0].model.motions
     for i, one in enumerate(exports):

@@ -104,7 +104,7 @@ def _sketch_picture(picture: LinePicture, sensors: Sequence[Dof]) -> Sketch:
 
 
 def drawing(model: SeparableModel, sensors: Sequence[Dof] = ()) -> str:
-    """Return the SVG drawing of a structure with its sensors; ValueError if there is nothing to draw."""
+    """Return the drawing of a structure with its sensors by `draw_svg`; ValueError if there is nothing to draw."""
     return draw_svg(sketch(model, sensors))
 
 

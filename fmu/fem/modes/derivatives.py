@@ -79,7 +79,7 @@ def by_bordered_system(
     The derivatives are NaN if the system is singular, as for a repeated eigenvalue.
     """
     # K − λM alone is singular, with φ as its null vector; the border M φ, which is not orthogonal to φ, makes the
-    # system regular. It is scaled to the size of K, so that the factorisation sees one scale.
+    # system regular. The border is scaled to the size of K, so that all entries have one scale.
     M_phi = M @ phi
     scale = np.max(np.abs(K.diagonal())) / np.max(np.abs(M_phi))
     border = (scale * M_phi)[:, None]

@@ -1,4 +1,4 @@
-"""The lowest modes of K φ = λ M φ, as accurate as K and M allow.
+"""Solver for the lowest modes of K φ = λ M φ, as accurate as K and M allow.
 
 A dense solver that transforms M to the unit matrix has an error of 1e-16 λ_max in every λ. Stiff joints and fine
 meshes can make λ_max 1e16 times as large as λ_1, and λ_1 is then lost completely. Here K is transformed to the
@@ -216,7 +216,7 @@ def _highest(factor: Factor, M: Matrix, count: int) -> FloatArray:
         raise np.linalg.LinAlgError(f"dsygst returned {failed}")
     n = len(C)
     _, Y = sl.eigh(C, lower=True, subset_by_index=[n - count, n - 1], driver="evr", check_finite=False)
-    if Y.shape[1] < count:  # LAPACK returns fewer on overflow, without an error
+    if Y.shape[1] < count:  # LAPACK returns fewer vectors on overflow, without an error
         raise np.linalg.LinAlgError(f"{Y.shape[1]} of {count} eigenvalues found")
     X, _ = sl.lapack.dtrtrs(factor.L, Y, lower=1, trans=1)
     return np.asarray(X[:, ::-1])
@@ -383,8 +383,7 @@ def _is_definite(S: Matrix) -> bool:
     """Return True if no eigenvalue of a matrix of unit diagonal can be zero."""
     unit = sp.eye_array(S.shape[0]) if sp.issparse(S) else np.eye(S.shape[0])
     try:
-        # consistent mass matrices have eigenvalues of at least 1e-3; if an eigenvalue is small, all the lowest are
-        # computed
+        # consistent mass matrices have eigenvalues of at least 1e-3; a smaller one calls for all the lowest
         return factorise(S - 1e-6 * unit).negative == 0
     except np.linalg.LinAlgError:
         return False

@@ -125,7 +125,7 @@ class FullBlock(Block):
         return self._constant_rank
 
     def _at(self, rows: Matrix, phi: FloatArray) -> FloatArray:
-        # sparse rows multiply one shape at a time
+        # a sparse matrix multiplies the shapes of one theta at a time
         return np.stack([rows @ of for of in phi]) if len(phi) else np.empty((0, rows.shape[0], phi.shape[2]))
 
     def _slopes_seen(

@@ -255,7 +255,7 @@ def _as_slice(indices: IntArray) -> slice | IntArray:
 
 
 class _OneThread:
-    """A context in which BLAS uses one thread: many small eigenproblems are slower with more.
+    """A context in which BLAS uses one thread: many small eigenproblems are slower with more threads.
 
     The previous number of threads is restored afterwards. Nothing is changed if there is only one thread already,
     because threadpoolctl's own context takes as long as a reduced eigenproblem.

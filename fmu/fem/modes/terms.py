@@ -20,7 +20,7 @@ Powers = tuple[float, ...]
 @check_arguments
 @dataclass(frozen=True)
 class Term:
-    """One matrix with its coefficient, the monomial Π theta_j ** powers[j].
+    """A matrix with its coefficient, the monomial Π theta_j ** powers[j].
 
     Attributes
     ----------

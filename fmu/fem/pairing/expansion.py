@@ -26,7 +26,7 @@ METHODS = ("serep", "dynamic")
 
 @dataclass(frozen=True, eq=False)
 class Expanded:
-    """Measured shapes at all degrees of freedom.
+    """Measured shapes expanded to all degrees of freedom.
 
     Attributes
     ----------

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254, "ft": 0.3048}
-"""Lengths in m."""
+"""Length of each unit in m."""
 DISTANT = 0.5
 """Distance of a point from its node, in units of the mesh's spacing there, above which a warning is given."""
 CLOSE_RIVAL = 0.1
@@ -124,7 +124,7 @@ class Matching:
         for (point, kind), rows in groups.items():
             axes = [_AXES.index(sensors[i][1][-1]) for i in rows]
             if point not in self.points or sorted(axes) != [0, 1, 2]:
-                self.sensor(*sensors[rows[0]])  # says what is wrong
+                self.sensor(*sensors[rows[0]])  # raises the error that says what is wrong
                 raise ValueError(f"must be along all three axes of the test at every point (got {point})")
             sign = np.array([-1.0 if sensors[i][1].startswith("-") else 1.0 for i in rows])
             if values is not None:

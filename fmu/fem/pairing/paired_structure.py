@@ -197,7 +197,7 @@ class PairedStructure(ModalModel):
 
         The candidates have derivatives if `gradient`. The pairing must be by shape, soft or not.
         """
-        assert self.choose is not None  # of a pairing by shape
+        assert self.choose is not None  # for the type checker: the pairing is by shape
         return _solve_counted(self.choose, theta, gradient)
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
@@ -205,7 +205,7 @@ class PairedStructure(ModalModel):
         return frequency_hz(self.modes(theta).eigenvalues)
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters), exact."""
+        """Return frequencies in Hz (n, n_modes) and their exact gradients (n, n_modes, n_parameters)."""
         return frequencies_of(self.modes(theta, gradient=True))
 
     def candidates(self, theta: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
@@ -288,7 +288,7 @@ def structure_of(model: ModalModel) -> PairedStructure | None:
 
 def frequencies_of(modes: ModalSolution) -> tuple[FloatArray, FloatArray]:
     """Return frequencies in Hz (n, n_modes) and their gradients (n, n_modes, n_parameters) of solved modes."""
-    assert modes.gradient is not None  # narrowed for the type checker: asked for by the caller
+    assert modes.gradient is not None  # for the type checker: the caller has requested the gradients
     frequencies = frequency_hz(modes.eigenvalues)
     return frequencies, frequency_gradient(frequencies, modes.gradient)
 

@@ -95,7 +95,7 @@ class IndexPairing:
         """Return None and a dict of the modes needed per block; see `ShapePairing.find_needed`."""
         values = [eigenvalues[b] for b in sorted(eigenvalues)]
         highest = np.sort(np.concatenate(values, axis=1), axis=1)[:, max(self.numbers) - 1]
-        # one mode more than was ever among the lowest: it shows that none is missing
+        # one mode more than was ever among the lowest shows that no mode is missing
         counts = (int(np.max(np.sum(lam <= highest[:, None], axis=1))) + 1 for lam in values)
         return None, {b: min(c, eigenvalues[b].shape[1]) for b, c in zip(sorted(eigenvalues), counts, strict=True)}
 
