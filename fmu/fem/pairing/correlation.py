@@ -226,6 +226,6 @@ class Correlation:
         return found
 
     def table(self) -> pd.DataFrame:
-        """Return a table with one row per sensor, sorted by ``ecomac`` (largest first), and ``comac``."""
+        """Return a table of ``comac`` and ``ecomac``, one row per sensor, largest ``ecomac`` first."""
         columns = {"comac": self.comac, "ecomac": self.ecomac}
         return data_frame(columns, "sensor", self.sensors).sort_values("ecomac", ascending=False, kind="stable")
