@@ -1,1 +1,1 @@
-"""The structure: theta -> K(theta), M(theta) -> frequencies, shapes and their derivatives."""
+"""Structural models: from theta to K(theta), M(theta), frequencies, mode shapes and their derivatives."""

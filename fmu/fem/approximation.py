@@ -1,4 +1,4 @@
-"""A cheap model with a known error, and the true one behind it."""
+"""Cheap models of known error that replace a slow model."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from fmu.types import FloatArray
 
 
 class Approximation(ModalModel):
-    """A cheap model that answers in place of a true one, which is too slow to be asked often.
+    """A cheap model that replaces a true model, which is too slow to be solved often.
 
-    Its two kinds are Gaussian processes (`fmu.fem.surrogate.surrogate_model.SurrogateModel`), which answer
-    everywhere, and the reduced basis of a structure (`fmu.fem.reduced.reduced_structure.ReducedStructure`), which
-    answers in a box. Nothing in it changes, but the number of solves of the true model.
+    There are two kinds. Gaussian processes (`fmu.fem.surrogate.surrogate_model.SurrogateModel`) predict
+    everywhere; the reduced basis of a structure (`fmu.fem.reduced.reduced_structure.ReducedStructure`) is valid in
+    a box of parameters. Only the number of solves of the true model changes during use.
 
     Parameters
     ----------
     truth : ModalModel
     cheap : ModalModel
-        Of the same parameters and modes.
+        A model of the same parameters and modes.
     certificate : Certificate, optional
-        What is known of the errors of the cheap model where the posterior has its mass, if that is known before a
-        run (`fmu.fem.certificates.SurrogateCertificate`).
+        Errors of the cheap model where the posterior has its mass, if they are known before a run
+        (`fmu.fem.certificates.SurrogateCertificate`).
 
     Attributes
     ----------
     full_solves : int
-        How often the true model had to answer.
+        Number of solves of the true model.
     """
 
     def __init__(self, truth: ModalModel, cheap: ModalModel, certificate: Certificate | None = None) -> None:
@@ -44,12 +44,12 @@ class Approximation(ModalModel):
 
     @property
     def truth(self) -> ModalModel:
-        """The model that the cheap one approximates."""
+        """The true model, which the cheap model approximates."""
         return self._truth
 
     @property
     def reasons(self) -> Sequence[Failure]:
-        """The first points at which the true model failed, and why."""
+        """First failures of the true model, each with its point and its reason."""
         return self._truth.reasons
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
@@ -57,13 +57,13 @@ class Approximation(ModalModel):
         return self.cheap.frequencies(theta)
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters), exact."""
+        """Return frequencies in Hz (n, n_modes) and their exact gradients (n, n_modes, n_parameters)."""
         return self.cheap.frequencies_and_gradient(theta)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies and shapes at the sensors, with variances if the cheap model is uncertain."""
+        """Return the frequencies and shapes at the sensors, with variances if the cheap model is uncertain."""
         return self.cheap.observed(theta, gradient)
 
     def configuration(self) -> dict[str, object]:
-        """Return the data that identify the true model and the cheap one, in plain Python types."""
+        """Return a dict that identifies the true model and the cheap model, in plain Python types."""
         return {"surrogate of": self._truth.configuration(), **self.cheap.configuration()}

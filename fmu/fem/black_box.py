@@ -1,21 +1,24 @@
-"""Models given by a user's function: a surrogate, or a finite-element program called from Python.
+"""Models given by a user's Python function, such as a surrogate or a call of a finite-element program.
 
 The contract
 ------------
-``function(theta)`` takes theta, an ndarray of shape (ndim,) in SI units, in the order of the parameters. It gives
+``function(theta)`` takes theta, an ndarray of shape (ndim,) in SI units, in the order of the parameters. The
+function returns
 
 - the natural frequencies in Hz, shape (n,), of any number of the model's modes; or
-- ``{"frequencies": (n,), "shapes": (n_sensors, n), "gradient": (n, ndim)}``: only the first is required; or
-- a tuple of these in that order, None for what is missing.
+- a dict ``{"frequencies": (n,), "shapes": (n_sensors, n), "gradient": (n, ndim)}``, in which only the frequencies
+  are required; or
+- a tuple of these arrays in the same order, with None for a missing array.
 
-``shapes`` are mode shapes at the sensors of the measurement, in any scale: with them, and with measured ones, each
-measured mode is paired with a computed one by MAC; otherwise by its number (from 1) in the order returned.
-``gradient`` is ∂f/∂θ in Hz per SI unit; without it central differences are taken, which cost 2 ndim more calls.
+``shapes`` are mode shapes at the sensors of the measurement, in any scale. If the function returns shapes and
+shapes were measured, each measured mode is paired with a computed mode by MAC. Otherwise each measured mode is
+paired by its number (from 1) in the order returned. ``gradient`` is ∂f/∂θ in Hz per SI unit; without a gradient,
+central differences are used, which take 2 ndim more calls.
 
 For a batched function theta has the shape (n_points, ndim), and all results have a leading axis of n_points.
 
-If the function raises, or returns numbers that are not finite, that point has failed and the run continues;
-`BlackBoxModel.reasons` says why.
+If the function raises an exception, or returns numbers that are not finite, the point counts as failed and the run
+continues; `BlackBoxModel.reasons` gives the reasons.
 """
 
 from __future__ import annotations
@@ -42,53 +45,56 @@ from fmu.types import Dof, FloatArray
 
 
 def solves_of_a_surrogate(n_parameters: int) -> int:
-    """Return how many solves a surrogate takes at most by default, and so the search of a slow function."""
+    """Return the default limit on the solves of a surrogate, which also limits a search with a slow function."""
     return 100 + 50 * n_parameters
 
 
 @check_arguments
 class BlackBoxModel:
-    """A structure as a function from theta to its frequencies; `fmu.fem.black_box` has the contract.
+    """A structure given by a function from theta to its frequencies; see `fmu.fem.black_box` for the contract.
 
-    ``fmu.UpdatingProblem(fmu.BlackBoxModel(function, 2), data, parameters)`` pairs its modes with those measured.
+    ``fmu.UpdatingProblem(fmu.BlackBoxModel(function, 2), data, parameters)`` pairs the function's modes with the
+    measured modes.
 
     Parameters
     ----------
     function : callable
-        theta (n_parameters,) -> frequencies in Hz; or with shapes and gradients too.
+        Maps theta (n_parameters,) to frequencies in Hz, optionally with shapes and gradients.
     n_parameters : int
     batched : bool
-        Whether it takes theta (n_points, n_parameters), and returns arrays with a leading axis.
+        Whether the function takes theta (n_points, n_parameters) and returns arrays with a leading axis of
+        n_points.
     step : float
-        Step of the central differences, relative to the scale of each parameter (its range, where it has one).
+        Step of the central differences, relative to the scale of each parameter (its range, if it has one).
     name : str, optional
         Name used where a problem is described.
     store : path-like, optional
-        Folder of what was solved. Answers that took `SLOW_S` or longer are kept there, and none of them is
-        computed twice, in this run or another; of a batched function, those whose call took so long per point.
-        They are kept under a hash of the function's source file and of the user's own modules that it imports
-        (`fmu.fem.programs.sources`). What else it depends on, such as data files, is not known: when a problem
-        is built, the function is called at the start, and must give what is stored there (`at`).
+        Folder for results. Results that took `SLOW_S` or longer (per point, if the function is batched) are stored
+        there and reused, in this run and in others. They are stored under a hash of the function's source file and
+        of the user's own modules that it imports (`fmu.fem.programs.sources`). Other dependencies, such as data
+        files, are not tracked: when a problem is built, the function is called at the start and must return the
+        result that is stored for the start (`at`).
 
     Attributes
     ----------
     solved : Solves
-        What was solved: no theta is called twice in a process.
+        The solves made: in a process, the function is called at most once at each theta.
     solves : SolveStore or None
-        What was solved, in this run and others, if there is a store.
+        Stored solves of this run and of others; None without a store.
     reasons : list of Failure
-        The first twenty points at which the function failed.
+        The first twenty failures of the function.
 
     Raises
     ------
     ValueError
-        If the function cannot be called, or a number is out of range.
+        If the function is not callable, a number is out of range, or a store is given and the function is not in a
+        file.
     """
 
     place = "model.function"
-    """The key of problem files that is named where the function fails."""
+    """Key of the problem file that is named in messages when the function fails."""
     sensors: tuple[Dof, ...] = ()
-    """Where its shapes are, if that can be chosen."""
+    """Sensors (place, direction) at which the function gives shapes, if they can be chosen."""
 
     def __init__(
         self,
@@ -120,43 +126,43 @@ class BlackBoxModel:
         return True
 
     def at_sensors(self, sensors: Sequence[Dof]) -> BlackBoxModel:
-        """Return the model with shapes at these sensors: itself, as its function gives shapes there."""
+        """Return the model itself: its function already gives shapes at these sensors."""
         return self
 
     @property
     def solves(self) -> SolveStore | None:
-        """What was solved, in this run and others; None if there is no store."""
+        """Stored solves of this run and of others; None if there is no store."""
         return self.solved.store
 
     @property
     def reasons(self) -> list[Failure]:
-        """The first points at which the function failed, and why."""
+        """First failures of the function, each with its point and its reason."""
         return self.solved.reasons
 
     def seconds_at(self, theta: FloatArray) -> float:
-        """Return the seconds that a call at theta (n_parameters,) takes, see `Solves.seconds_at`."""
+        """Return the duration of a call at theta (n_parameters,) in seconds, see `Solves.seconds_at`."""
         return self.solved.seconds_at(theta)
 
     def solve(self, theta: FloatArray) -> Solve:
-        """Return the solve at theta (n_parameters,): remembered, from the store, or by calling the function."""
+        """Return the solve at theta (n_parameters,), from memory, from the store or by calling the function."""
         return self.solved.of(np.asarray(theta, dtype=float)[None])[0]
 
     def answers(self, theta: FloatArray) -> list[Answer | None]:
-        """Return the function's answers at theta (n, n_parameters), None where it fails; see `reasons`."""
+        """Return the list of results at theta (n, n_parameters), None where the function fails; see `reasons`."""
         return [None if solve.reason else _answer_of(solve) for solve in self.solved.of(theta)]
 
     @contextmanager
     def spread_over(self, engine: Engine) -> Iterator[BlackBoxModel]:
-        """Within a with block, call the function at several theta in parallel, in the workers of an engine.
+        """Call the function at several theta in parallel, in an engine's workers, inside a ``with`` block.
 
-        Answers and failures are the same as in the calling process, in the same order. A theta that crashes its
-        process three times has failed for that reason. A batched function gets all theta in one call and is not
-        spread.
+        Results and failures are the same as in the calling process, in the same order. A theta that crashes its
+        process three times counts as failed for that reason. A batched function gets all theta in one call and is
+        not distributed.
 
         Parameters
         ----------
         engine : Engine
-            See `fmu.engine`. The function is sent to the workers: one of a module by its name, others by value.
+            See `fmu.engine`. A function of a module is sent to the workers by name, any other function by value.
 
         Examples
         --------
@@ -166,28 +172,28 @@ class BlackBoxModel:
             yield self
 
     def at(self, theta: FloatArray) -> Answer:
-        """Return the function's answer at one theta, shape (n_parameters,), where a problem starts.
+        """Return the function's result at one theta, shape (n_parameters,), at which a problem starts.
 
-        See `Solves.at_start`, which also says what it raises and warns of.
+        See `Solves.at_start` for the errors raised and the warnings given.
         """
         return _answer_of(self.solved.at_start(np.asarray(theta, dtype=float)))
 
     def reason_at(self, theta: FloatArray) -> str | None:
-        """Return why a theta (n_parameters,) failed; None if it did not, or it is no longer remembered."""
+        """Return why the solve at theta (n_parameters,) failed; None if it succeeded or is no longer in memory."""
         solve = self.solved.recall(theta)
         return None if solve is None else solve.reason or None
 
     def configuration(self) -> dict[str, object]:
-        """Return the data that identify the model: the function's name, and a hash of its source."""
+        """Return a dict that identifies the model by its function's name, options and source hash."""
         return {"function": self.name, "batched": self.batched, "step": self.step, "sha256": self.sha256}
 
     @cached_property
     def sha256(self) -> str:
-        """Hash of the user's source, see `source_digest`; a copy in another process has the same hash."""
+        """Hash of the user's source code, see `source_digest`; a copy in another process has the same hash."""
         return source_digest(self.function)
 
     def _copy_with(self, sensors: tuple[Dof, ...]) -> Self:
-        """Return a copy with shapes at these sensors, of which no solve is made."""
+        """Return a copy of the model with shapes at these sensors and with no solves made."""
         changed = copy(self)
         changed.sensors = sensors
         changed.function = changed._describe_run()
@@ -195,15 +201,15 @@ class BlackBoxModel:
         return changed
 
     def _describe_run(self) -> Callable[[FloatArray], object]:
-        """Return the function with shapes at the model's sensors."""
+        """Return the function that gives shapes at the model's sensors."""
         return self.function
 
     def _begin_solves(self) -> Solves:
-        """Return the solves of the function, none of which is made."""
+        """Return the `Solves` of the function, with no solve made."""
         return Solves(self.function, self.n_parameters, batched=self.batched, store=self._store())
 
     def _store(self) -> SolveStore | None:
-        """Return the store of solves under everything that they depend on; None without a folder."""
+        """Return the store of solves, named by all that the solves depend on; None without a folder."""
         if self._folder is None:
             return None
         key = self.configuration() | {"step": None, "batched": None, "sensors": self.sensors}

@@ -1,4 +1,4 @@
-"""Certificates: records of the known errors of a cheap model that replaces a slow one."""
+"""Certificates: records of the known errors of a cheap model that replaces a slow model."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ import numpy as np
 from fmu.numbers import apart, share, significant, typed, whole
 
 _SCATTER = 1e-5
-"""Relative scatter of a solver's frequencies from which on it is told."""
+"""Relative scatter of a solver's frequencies above which the scatter is reported."""
 
 
 @dataclass(frozen=True)
 class Certificate(ABC):
-    """Errors of a cheap model at draws of the posterior, and what is allowed.
+    """Errors of a cheap model at posterior draws, and the largest errors that are allowed.
 
     Attributes
     ----------
     draws : int
-        Draws that were solved with the true model.
+        Number of posterior draws that were solved with the true model.
     frequency_error : float
-        The largest relative error of a frequency there.
+        Largest relative error of a frequency at these draws.
     """
 
     draws: int
     frequency_error: float
 
     _others: ClassVar[Mapping[str, str]] = {}
-    """The keys in a trace that are not ``certificate_`` and the name of the field."""
+    """Keys of fields in a trace, where the key is not ``certificate_`` followed by the field's name."""
 
     @classmethod
     def from_trace(cls, attrs: Mapping[Hashable, Any]) -> Self | None:
-        """Return the certificate in the attributes of a trace, None if there is none of this kind."""
+        """Return the certificate in the attributes of a trace; None if the trace has no such certificate."""
         found: dict[str, Any] = {}
         for field in fields(cls):
             key = cls._key(field.name)
@@ -46,7 +46,7 @@ class Certificate(ABC):
         return cls(**found)
 
     def attributes(self) -> dict[str, object]:
-        """Return the attributes of a trace that contain the certificate."""
+        """Return a dict of trace attributes that stores the certificate."""
         return {self._key(name): value for name, value in asdict(self).items() if value is not None}
 
     @classmethod
@@ -56,39 +56,40 @@ class Certificate(ABC):
     @property
     @abstractmethod
     def ok(self) -> bool:
-        """Whether the errors are as small as allowed."""
+        """Whether the errors are within their tolerances."""
 
     @abstractmethod
     def sentences(self) -> list[str]:
-        """Describe the errors, and the largest that are allowed."""
+        """Return the list of sentences that describe the errors and the largest errors allowed."""
 
 
 @dataclass(frozen=True)
 class ReductionCertificate(Certificate):
-    """Errors of a reduced basis at the draws of a run: bounds of them, and those at some draws.
+    """Errors of a reduced basis at the draws of a run: bounds, and exact errors at some of the draws.
 
     Attributes
     ----------
     log_prob_error : float
-        The largest error of the log-probability among those of the solved draws whose likelihood is within e⁵⁰ of
-        the highest: lower down, where a chain may have started, it is not bounded.
+        Largest error of the log-probability at the solved draws whose likelihood is within a factor e⁵⁰ of the
+        highest. At lower likelihoods, where a chain may have started, the error is not bounded.
     pairing_changes : int
-        Draws at which the true model pairs a measured mode with another computed mode.
+        Number of draws at which the true model pairs a measured mode with a different computed mode.
     full_solves : int
-        How often the true model was solved during the run, because a theta lay outside the trained box or the
-        reduced solve failed.
+        Number of solves of the true model during the run, because theta lay outside the trained box or the reduced
+        solve failed.
     frequency_tolerance, log_prob_tolerance : float
         See `fmu.posterior.reduction.tolerance.Tolerance`.
     bound_draws : int
-        Draws at which the errors of the frequencies were bounded by their residuals.
+        Number of draws at which the frequency errors were bounded by their residuals.
     bound, bound_median : float
-        The largest bound of the relative error of a frequency, and the median over draws of the largest of each.
+        Largest bound of the relative error of a frequency at these draws, and the median over the draws of each
+        draw's largest bound.
     bound_exceeded : int
-        Solved draws at which an error is larger than its bound.
+        Number of solved draws at which an error exceeds its bound.
     full_share : float or None
-        The share of the draws at which the true model answers, as they lie outside the box.
+        Share of the draws that lie outside the trained box, where the true model is solved.
     frequency_elsewhere : float or None
-        The tolerance of the frequencies where the posterior has no mass, if it is another one.
+        Tolerance of the frequencies where the posterior has no mass, if it differs from `frequency_tolerance`.
     """
 
     log_prob_error: float
@@ -112,7 +113,7 @@ class ReductionCertificate(Certificate):
         return is_small and not self.pairing_changes and not self.bound_exceeded
 
     def sentences(self) -> list[str]:
-        """Say by how much the reduced model misses its tolerance; nothing if it does not."""
+        """Return the sentence on how far the errors exceed their tolerances, as a list; [] if they do not."""
         if self.ok:
             return []
         pairs = (
@@ -132,29 +133,30 @@ class ReductionCertificate(Certificate):
 
 @dataclass(frozen=True)
 class SurrogateCertificate(Certificate):
-    """Errors of a surrogate at draws of its posterior that were solved when it was learnt (`fmu.surrogate`).
+    """Errors of a surrogate (`fmu.surrogate`) at posterior draws that were solved to check the surrogate.
 
     Attributes
     ----------
     solves, design : int
-        All solves of the model, and those from which the surrogate was learnt.
+        Number of all solves of the model, and of the solves from which the surrogate was built.
     failed : int
-        Solves that failed.
+        Number of solves that failed.
     failed_where : str
-        Where they did, in words.
+        Where solves failed, in words.
     doubts : str
-        A line for each mode that may have been taken for another.
+        Warnings on modes that may have been confused with other modes, one line per mode.
     scatter : float
-        The estimated scatter of the solver's frequencies, relative.
+        Estimated relative scatter of the solver's frequencies.
     log_prob_error : float
-        The largest error of the log-probability from its mean, which with 95 % confidence holds for `share` of the
-        posterior.
+        Largest deviation of the error of the log-probability from its mean; with 95 % confidence, `share` of the
+        posterior has no larger deviation.
     share : float
+        Share of the posterior for which `log_prob_error` holds.
     log_prob_sd : float
-        The standard deviation of the error of the log-probability.
+        Standard deviation of the error of the log-probability.
     shift, shift_tolerance : float
-        How many posterior standard deviations a posterior mean, and how much, relative, a posterior standard
-        deviation may be off with 95 % confidence; and how much is allowed.
+        Bound, with 95 % confidence, of the error of every posterior mean in posterior standard deviations and of
+        the relative error of every posterior standard deviation; and the largest value allowed.
     """
 
     solves: int
@@ -175,12 +177,12 @@ class SurrogateCertificate(Certificate):
 
     @property
     def ok(self) -> bool:
-        """Whether means and standard deviations are off by no more than is allowed."""
+        """Whether the errors of posterior means and standard deviations are within the tolerance."""
         return bool(self.shift <= self.shift_tolerance)
 
     def sentences(self) -> list[str]:
-        """Say how the surrogate was learnt, how far off it may be, and where it is doubtful."""
-        # to one decimal place where they are near to each other
+        """Return the list of sentences on how the surrogate was built, its errors and where it is unreliable."""
+        # to a common decimal place if the values are of similar size
         near = self.shift <= 10.0 * self.shift_tolerance
         found, limit = (
             apart(self.shift, self.shift_tolerance, digits=2)
@@ -217,7 +219,7 @@ class SurrogateCertificate(Certificate):
         return said + self.doubts.splitlines()
 
     def reason_against(self) -> list[str]:
-        """Return why draws of the surrogate do not count; nothing if it keeps its tolerance."""
+        """Return the reason why the surrogate's draws do not count, as a list; [] if it is within tolerance."""
         if self.ok:
             return []
         is_known = np.isfinite(self.shift)

@@ -1,4 +1,4 @@
-"""K(θ) and M(θ) from the matrices that another program exports at a few values of the parameters.
+"""Recovery of K(θ) and M(θ) from matrices that another program exports at a few parameter values.
 
 Reading order: from_exports, recovery, entries.
 """

@@ -1,4 +1,4 @@
-"""The entries of exported matrices, how they change from one export to another, and how many digits they have."""
+"""Entries of exported matrices, their changes from one export to another, and their number of digits."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from fmu.types import BoolArray, FloatArray, IntArray
 
 ROUNDING = 1e-14
-"""Of assembly in double precision."""
+"""Relative rounding error of assembly in double precision."""
 SAFETY = 10.0
 MOST_SAMPLED = 1000
 _FEWEST_DIGITS = 6
@@ -19,7 +19,7 @@ _FEWEST_DIGITS = 6
 
 @dataclass(frozen=True, eq=False)
 class Entries:
-    """The entries above and on the diagonal that are not zero in every export, each divided by √(a_ii a_jj)."""
+    """Entries on and above the diagonal that are nonzero in any export, each divided by √(a_ii a_jj)."""
 
     entry: FloatArray  # (n_exports, n)
     scale: FloatArray  # (n,)
@@ -30,7 +30,7 @@ class Entries:
 
     @classmethod
     def of(cls, matrices: Sequence[sp.csr_array], dofs: Sequence[tuple[Hashable, str]]) -> Entries:
-        """Return the entries of matrices, one of each export, on the same degrees of freedom."""
+        """Return the entries of the matrices, one per export, on the same degrees of freedom."""
         n = len(dofs)
         upper = [sp.coo_array(sp.triu(matrix)) for matrix in matrices]
         keys = [half.row.astype(np.int64) * n + half.col for half in upper]
@@ -46,17 +46,17 @@ class Entries:
 
     @property
     def noise(self) -> float:
-        """Rounding error of an entry."""
+        """Relative rounding error of an entry."""
         return max(ROUNDING, 0.5 * 10.0 ** (1 - self.digits))
 
     def changed_between(self, first: int, others: Sequence[int]) -> BoolArray:
-        """Return a mask (n,) of the entries that differ between an export and others by more than rounding."""
+        """Return a mask (n,) of the entries that differ by more than rounding between `first` and `others`."""
         away = np.abs(self.entry[others] - self.entry[first])
         large = np.maximum(np.abs(self.entry[others]), np.abs(self.entry[first]))
         return np.asarray(np.any(away > SAFETY * np.maximum(self.noise * large, ROUNDING), axis=0))
 
     def place(self, at: int) -> str:
-        """Return the degrees of freedom of an entry, in words."""
+        """Return the phrase that names the degrees of freedom of an entry."""
         row, column = (f"{node} {direction}" for node, direction in (self.dofs[i] for i in self._pair(at)))
         return f"node {row}" if row == column else f"node {row}, node {column}"
 
@@ -64,7 +64,7 @@ class Entries:
         return int(self.row[at]), int(self.column[at])
 
     def matrix(self, entry: FloatArray) -> sp.csr_array:
-        """Return the symmetric matrix with these entries (n,), times their scale."""
+        """Return the symmetric matrix of the scaled entries `entry` (n,), each multiplied by its scale."""
         keep = entry != 0
         row, column, data = self.row[keep], self.column[keep], (entry * self.scale)[keep]
         off = row != column
@@ -78,9 +78,9 @@ class Entries:
 
 
 def _digits(entry: FloatArray) -> int:
-    """Return the significant decimal digits of numbers; 17 where decimals do not give them back.
+    """Return the number of significant decimal digits of numbers; 17 if decimals do not reproduce them.
 
-    No program writes matrices with fewer than `_FEWEST_DIGITS`: rounder numbers are exact.
+    No program writes matrices with fewer than `_FEWEST_DIGITS` digits: numbers with fewer digits are exact.
     """
     numbers = entry[entry != 0]
     numbers = numbers[:: max(len(numbers) // MOST_SAMPLED, 1)]

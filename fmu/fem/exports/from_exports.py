@@ -1,15 +1,15 @@
-"""K(θ) and M(θ) from the matrices that a program exports at several values of its parameters.
+"""Recovery of K(θ) and M(θ) from matrices that a program exports at several parameter values.
 
-An entry of an assembled matrix is a sum over elements, and that of an element is a polynomial of most properties:
-Young's modulus and density enter once, the thickness of a plate with its first power (membrane, mass) and its
-third (bending, rotary inertia); that of a solid element with its powers 1, 0 and -1. The matrices of a few exports
-therefore give the terms K_k of
+An entry of an assembled matrix is a sum over elements, and the entry of an element matrix is a sum of powers of
+most properties. Young's modulus and density enter with power 1, the thickness of a plate with power 1 (membrane,
+mass) and power 3 (bending, rotary inertia), the thickness of a solid element with powers 1, 0 and -1. The matrices
+of a few exports therefore determine the terms K_k of
 
     K(θ) = Σ_k Π_j θ_j^(p_kj) K_k,    p_kj ∈ {-1, 0, 1, 2, 3},
 
-by least squares, entry by entry. The powers are those of the fewest terms that reproduce every export; a length
-or Poisson's ratio, of which entries are no such polynomials, is refused. Parameters may multiply one another, as E
-and t of one plate do.
+by least squares, entry by entry. The powers are those of the smallest set of terms that reproduces every export. A
+length or Poisson's ratio is refused, because the entries are not such sums of its powers. Parameters may multiply
+one another, as do E and t of one plate.
 """
 
 from __future__ import annotations
@@ -30,36 +30,37 @@ from fmu.numbers import hertz, names_in_words, significant
 from fmu.types import BoolArray, FloatArray
 
 FREQUENCY_ROUNDING = 1e-6
-"""Standard deviation of the lowest frequency, relative, above which rounding of the exports is told."""
+"""Relative standard deviation of the lowest frequency above which rounding of the exports is reported."""
 _RIGID = 6
 _SAME_MOTION = 1e-6
-"""Largest difference of a weight, relative to the largest of its motion, from that of the first export."""
+"""Largest difference of a weight from the first export's, relative to the largest weight of its motion."""
 
 
 @check_arguments
 def from_exports(
     exports: Sequence[Export], bounds: Mapping[str, tuple[float, float]] | None = None
 ) -> SeparableModel:
-    """Return the structure as a function of the parameters, from matrices at several of their values.
+    """Return the structure as a function of the parameters, from matrices exported at several values.
 
     Parameters
     ----------
     exports : sequence of Export
-        The first gives all parameters, in the order of theta. In at least one other, which is no check, each is
-        changed alone. An export with ``check=True`` in which all are changed tells whether the powers are right.
+        The first export gives all parameters, in the order of theta. Each parameter must be changed alone in at
+        least one other export that is not a check. An export with ``check=True`` in which all parameters are
+        changed shows whether the powers are right.
     bounds : mapping of str to (float, float), optional
-        Of the parameters, for the rounding error; half and twice the first values if not given.
+        Bounds of the parameters, for the rounding error; by default half and twice the values of the first export.
 
     Returns
     -------
     SeparableModel
-        Its `notes` say which terms were recovered, and how well.
+        The `notes` of the model state the recovered terms and their accuracy.
 
     Raises
     ------
     ValueError
-        If an export is missing or of another mesh, a parameter changes nothing, or an export is not reproduced by
-        powers from -1 to 3; the text says which entries.
+        If an export is missing or has another mesh, a parameter changes nothing, or powers from -1 to 3 do not
+        reproduce an export; the message names the entries.
 
     Examples
     --------
@@ -96,15 +97,16 @@ def from_exports(
 
 
 def _of_digits(nominal: ExportedModel, found: Recovery) -> list[str]:
-    """Say how few digits of the lowest frequency the exported stiffness K leaves; nothing if they suffice.
+    """Return a sentence if the digits of the exported stiffness K limit the lowest frequency, as a list.
 
-    Errors e_ij of the entries, independent and uniform, change λ by φᵀ e φ / φᵀ M φ: relative to f their standard
-    deviation is ½ √(Σ_ij 2 (r K_ij φ_i φ_j)² / 3) / φᵀ K φ, where r bounds |e_ij / K_ij|.
+    The list is empty if the digits suffice. Errors e_ij of the entries, independent and uniform, change λ by
+    φᵀ e φ / φᵀ M φ. The change has the standard deviation ½ √(Σ_ij 2 (r K_ij φ_i φ_j)² / 3) / φᵀ K φ relative to
+    f, where r bounds |e_ij / K_ij|.
     """
     K, M = nominal.stiffness, nominal.mass
     try:
         eigenvalues, shapes = eigen(K, M, min(_RIGID + 1, K.shape[0]))
-    except SingularMassError:  # too few masses: told where the model is checked
+    except SingularMassError:  # too few masses: reported where the model is checked
         return []
     elastic = np.flatnonzero(~is_rigid(eigenvalues))
     if not len(elastic):
@@ -124,7 +126,7 @@ def _of_digits(nominal: ExportedModel, found: Recovery) -> list[str]:
 
 
 def _points(exports: Sequence[Export]) -> tuple[tuple[str, ...], FloatArray]:
-    """Return the parameters' names, and their values in each export, shape (n_exports, n_parameters)."""
+    """Return the names of the parameters and their values in each export, shape (n_exports, n_parameters)."""
     if len(exports) < 2:
         raise ArgumentError("exports", "must be at least 2", len(exports))
     names = tuple(exports[0].values)
@@ -147,7 +149,7 @@ def _points(exports: Sequence[Export]) -> tuple[tuple[str, ...], FloatArray]:
 
 
 def _on_one_mesh(exports: Sequence[Export]) -> None:
-    """Refuse exports whose degrees of freedom, or motions that are sums of these, differ from the first one's."""
+    """Raise ArgumentError if an export differs from the first in its degrees of freedom or motions."""
     first = exports[0].model.dofs
     motions = exports[0].model.motions
     for i, one in enumerate(exports):
@@ -172,7 +174,7 @@ def _on_one_mesh(exports: Sequence[Export]) -> None:
 
 
 def _changed_alone(names: Sequence[str], values: FloatArray, used: BoolArray) -> list[list[int]]:
-    """Return for each parameter the exports in which it alone differs from the first."""
+    """Return, for each parameter, the list of exports in which only that parameter differs from the first."""
     differs = values != values[0]
     found = []
     for j, name in enumerate(names):

@@ -1,4 +1,4 @@
-"""Powers of the parameters, recovered from the entries of exported matrices."""
+"""Recovery of the powers of the parameters from the entries of exported matrices."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from fmu.types import BoolArray, FloatArray, IntArray
 
 POWERS = (1, 2, 3, -1)
 REPRODUCED = 1e-8
-"""Largest error of an entry, relative to √(a_ii a_jj), in an export that was not used."""
+"""Largest error of an entry, relative to √(a_ii a_jj), in an export that is kept for checking."""
 _FITTED = 1e-9
 _RANK = {0: 0, 1: 1, 2: 3, 3: 2, -1: 4}
-"""What is tried first: elements with a square are rare."""
+"""Order in which the powers are tried: elements with a square are rare."""
 _FACTORS = 3
-"""Most parameters in one term."""
+"""Largest number of parameters in one term."""
 _MOST_TRIED = 30_000
 _MOST_MISSED = 50
 _MOST_COMPARED = 2000
@@ -33,24 +33,25 @@ Powers = tuple[int, ...]
 
 
 class NotSeparableError(ArgumentError):
-    """Matrices that are no sum of products of powers of the parameters."""
+    """Error raised if matrices are not sums of products of powers of the parameters."""
 
 
 @check_arguments
 @dataclass(frozen=True, eq=False)
 class Export:
-    """Matrices of another program, and the values of the parameters with which it made them.
+    """Matrices of another program, and the parameter values for which the program made the matrices.
 
     Attributes
     ----------
     values : mapping of str to float
-        Of the parameters, SI units. What the first export has is not repeated.
+        Parameter values, SI units. Values that equal those of the first export may be omitted.
     model : ExportedModel
         See `fmu.read_model`.
     check : bool
-        Whether it is not used, but to be reproduced by what is recovered from the others.
+        Whether the export is kept for checking: it is not used for the recovery, but the recovered terms must
+        reproduce it.
     name : str
-        For messages, such as that of its file.
+        Name for messages, such as the name of the file.
     """
 
     values: Mapping[str, float]
@@ -61,20 +62,21 @@ class Export:
 
 @dataclass(frozen=True)
 class Recovery:
-    """How one of the two matrices was recovered.
+    """Terms recovered for the stiffness or the mass matrix, with the accuracy of the recovery.
 
     Attributes
     ----------
     terms : tuple of Term
     fitted, checked : float or None
-        Largest error of an entry, relative to √(a_ii a_jj): in the exports used, and in those that were not.
+        Largest error of an entry, relative to √(a_ii a_jj), in the exports used and in the exports kept for
+        checking.
     digits : int
-        Significant digits of the exported numbers; 17 of binary files.
+        Significant digits of the exported numbers; 17 for binary files.
     rounding : float
         Bound of the error that these digits leave in an entry anywhere within the parameters' bounds, relative to
         √(a_ii a_jj).
     decided : bool
-        Whether several sets of powers reproduced the exports used, and the check told which are right.
+        Whether several sets of powers reproduced the exports used, so that the check decided between these sets.
     """
 
     terms: tuple[Term, ...]
@@ -85,7 +87,7 @@ class Recovery:
     decided: bool
 
     def sentences(self, what: str, names: Sequence[str]) -> list[str]:
-        """Describe the findings on the matrix named `what` (``"stiffness"``), with the names of parameters."""
+        """Return the sentences that describe the recovered matrix `what`, such as ``"stiffness"``."""
         terms = names_in_words([_in_words(term.powers, names) for term in self.terms])
         many = f"The {what} is a sum of {len(self.terms)} terms: {terms}."
         said = [many if len(self.terms) > 1 else f"The {what} has one term: {terms}."]
@@ -102,7 +104,7 @@ class Recovery:
 
 @dataclass(frozen=True, eq=False)
 class _Points:
-    """Where the exports are, and how well entries are known there.
+    """Parameter values of the exports, and the accuracy of the entries.
 
     Attributes
     ----------
@@ -111,7 +113,7 @@ class _Points:
     used : ndarray of bool, shape (n_exports,)
         Which exports are not kept for checking.
     noise : float
-        Rounding error of an entry.
+        Relative rounding error of an entry.
     """
 
     relative: FloatArray
@@ -119,7 +121,7 @@ class _Points:
     noise: float
 
     def fit(self, powers: tuple[Powers, ...]) -> _Fit | None:
-        """Return the least squares of one set of terms; None if the exports used cannot tell the terms apart."""
+        """Return the least-squares fit of a set of terms; None if the exports used cannot separate the terms."""
         X = monomials(self.relative, powers)
         if len(powers) > self.used.sum() or np.linalg.cond(X[self.used]) > _WORST_CONDITION:
             return None
@@ -128,11 +130,11 @@ class _Points:
     def find_fewest(
         self, known: Sequence[Powers], group: Sequence[int], entry: FloatArray
     ) -> tuple[_Fit | None, tuple[Powers, ...] | None]:
-        """Return the fit of the terms known and the fewest more of a group that reproduces all exports.
+        """Return the fit of the known terms and the fewest more terms of a group that reproduce all exports.
 
-        And the terms of the first fit that reproduces those used. Both are found from some of the entries
-        (n_exports, n). Entries that these terms miss, such as that of a single spring in a solid, are then looked
-        at too. None if there are no such terms.
+        Also return the terms of the first fit that reproduces the exports used. Both are determined from a sample
+        of the entries (n_exports, n). Entries that these terms miss, such as the entry of a single spring in a
+        solid, are then added to the sample. Both are None if there are no such terms.
         """
         some = np.arange(entry.shape[1])[:: max(entry.shape[1] // MOST_SAMPLED, 1)]
         while True:
@@ -158,7 +160,7 @@ class _Points:
         return None, first
 
     def sets_of_powers(self, known: Sequence[Powers], group: Sequence[int]) -> Iterator[tuple[Powers, ...]]:
-        """Yield the terms known with more of a group of parameters: the fewest first, of these the simplest."""
+        """Yield the known terms with more terms of a group of parameters: fewest first, then simplest first."""
         choices = []
         for size in range(min(len(group), _FACTORS) + 1):
             for those in combinations(group, size):
@@ -174,7 +176,7 @@ class _Points:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """The least squares of one set of terms, `_Points.fit`."""
+    """The least-squares fit of one set of terms, from `_Points.fit`."""
 
     points: _Points
     powers: tuple[Powers, ...]
@@ -182,13 +184,13 @@ class _Fit:
     of_exports: FloatArray  # (n_exports, n_terms)
 
     def amplification(self, X: FloatArray) -> FloatArray:
-        """Return how much larger errors are at points with monomials X (n, n_terms) than in the exports, (n,)."""
+        """Return the ratio (n,) of errors at points with monomials X (n, n_terms) to errors in the exports."""
         return np.asarray(np.abs(X @ self.inverse).sum(axis=1))
 
     def solve(self, entry: FloatArray) -> FloatArray:
-        """Return the coefficients (n_terms, n) of entries (n_exports, n), without what rounding alone explains.
+        """Return the coefficients (n_terms, n) of entries (n_exports, n), without coefficients due to rounding.
 
-        A small coefficient is dropped unless the exports used are missed without it.
+        A small coefficient is set to zero unless the exports used are then no longer reproduced.
         """
         used, noise = self.points.used, self.points.noise
         found = self.inverse @ entry[used]
@@ -202,18 +204,18 @@ class _Fit:
         return self.missed_by(self.inverse @ entry[self.points.used], entry)
 
     def missed_by(self, coefficients: FloatArray, entry: FloatArray) -> FloatArray:
-        """Return the error of each entry in each export, (n_exports, n), by coefficients (n_terms, n)."""
+        """Return the error of each entry in each export, (n_exports, n), for coefficients (n_terms, n)."""
         return np.asarray(np.abs(entry - self.of_exports @ coefficients))
 
     def reproduces(self, entry: FloatArray, which: BoolArray | slice = slice(None)) -> bool:
-        """Say whether the exports in `which`, by default all, are reproduced, as far as rounding lets one say."""
+        """Return True if the exports in `which` (by default all) are reproduced within rounding."""
         allowed = np.where(self.points.used, _FITTED, REPRODUCED)
         allowed = np.maximum(allowed, SAFETY * self.points.noise * (1.0 + self.amplification(self.of_exports)))
         return bool(np.all((self.compute_errors(entry).max(axis=1, initial=0.0) <= allowed)[which]))
 
 
 def monomials(relative: FloatArray, powers: Sequence[Powers]) -> FloatArray:
-    """Return Π θ_j ** p_j at points (n, n_parameters), shape (n, n_terms)."""
+    """Return the monomials Π θ_j ** p_j at the points `relative` (n, n_parameters), shape (n, n_terms)."""
     return np.asarray(np.prod(relative[:, None, :] ** np.array(powers)[None], axis=2))
 
 
@@ -227,12 +229,12 @@ def recover(
     changed: BoolArray,
     bounds: FloatArray,
 ) -> Recovery:
-    """Return one matrix as a sum of terms; `changed` (n_parameters, n) tells which entries a parameter changes.
+    """Return one matrix as a sum of terms; `changed` (n_parameters, n) marks the entries that parameters change.
 
-    Entries changed by the same parameters have the same terms. Where a parameter alone changes an element, and
-    another one its neighbour, the entries between them have the terms of both, which are known by then. Where the
-    changes of two elements cancel in the exports, such an entry may depend on all that changes the diagonal of its
-    row and of its column, where nothing cancels.
+    Entries changed by the same parameters have the same terms. If one parameter changes an element and another
+    parameter changes its neighbour, the entries at the nodes between the two elements have the terms of both,
+    which are known by then. If the changes of the two elements cancel in the exports, such an entry may depend on
+    every parameter that changes the diagonal entries of both its row and its column, where nothing cancels.
     """
     points = _Points(values / values[0], used, entries.noise)
     corners = np.array(list(islice(product(*(bounds / values[0]).T.tolist()), _MOST_CORNERS)))
@@ -277,13 +279,13 @@ def recover(
 
 
 def _simplest(choices: Sequence[Powers], size: int) -> Iterable[tuple[Powers, ...]]:
-    """Return sets of a size, the simplest first, as far as they will be tried."""
+    """Return the sets of `size` terms, simplest first, as many as may be tried."""
     some = islice(combinations(choices, size), 10 * _MOST_TRIED)
     return sorted(some, key=lambda one: sum(map(_complexity, one)))
 
 
 def _complexity(powers: Powers) -> int:
-    """Return a number by which sets of equally many terms are ordered, the simplest first."""
+    """Return the number that orders sets of equally many terms, lowest for the simplest set."""
     return sum(_RANK[power] for power in powers)
 
 
@@ -297,9 +299,9 @@ def _refusal(
     entries: Entries,
     own: IntArray,
 ) -> ArgumentError:
-    """Return why no terms of a group of parameters reproduce the exports, with the entries that say so.
+    """Return the error that no terms of a group of parameters reproduce the exports, with the worst entries.
 
-    They are those that the terms miss which suit most of the entries.
+    The entries named are those that are missed by the terms that suit most entries best.
     """
     best, least = None, np.inf
     sample = entries.entry[:, own[:: max(len(own) // MOST_SAMPLED, 1)]]
@@ -324,7 +326,7 @@ def _refusal(
 
 
 def _worst(fit: _Fit, exports: Sequence[Export], entries: Entries, own: IntArray) -> str:
-    """Return the entries that are reproduced worst, in the export where they are."""
+    """Return the phrase that names the worst reproduced entries, and the export in which they are."""
     error = fit.compute_errors(entries.entry[:, own])
     at = int(np.argmax(error.max(axis=1)))
     worst = np.argsort(error[at])[::-1][:TOLD]
@@ -333,7 +335,7 @@ def _worst(fit: _Fit, exports: Sequence[Export], entries: Entries, own: IntArray
 
 
 def _in_words(powers: Sequence[float], names: Sequence[str]) -> str:
-    """Return a term as ``"E t³"``; that without parameters is ``"constant"``."""
+    """Return a term in words, as ``"E t³"``; a term without parameters is ``"constant"``."""
     raised: Mapping[float, str] = {1: "", 2: "²", 3: "³", -1: "⁻¹"}
     factors = [
         f"{name}{raised.get(power, f'^{typed(power)}')}"

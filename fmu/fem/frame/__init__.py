@@ -1,4 +1,4 @@
-"""Frames of three-dimensional beams: sections, joints, assembly, and which terms a parameter changes.
+"""Frames of three-dimensional beams: sections, joints, assembly, and the terms that each parameter changes.
 
 Reading order: components, beam, updates, frame; then stability, drawing.
 """

@@ -20,7 +20,7 @@ from fmu.types import FloatArray
 
 _AXIAL = (0, 6)
 _TORSION = (3, 9)
-# (displacement, rotation) of both nodes; in the x–z plane a positive θy lowers w, hence the sign.
+# (displacement, rotation) of both nodes; in the x–z plane a positive θy decreases w, hence the sign.
 _BENDING_XZ = (2, 4, 8, 10)
 _BENDING_XY = (1, 5, 7, 11)
 _ROTATION_SIGN: dict[tuple[int, ...], float] = {_BENDING_XY: 1.0, _BENDING_XZ: -1.0}
@@ -37,7 +37,8 @@ def stiffness_terms(length: ArrayLike) -> dict[str, FloatArray]:
     Returns
     -------
     dict of str to ndarray, shape (n, 12, 12)
-        ``"EA"``, ``"EIy"``, ``"EIz"``, ``"GJ"``: multiply each by the rigidity of that name and add.
+        ``"EA"``, ``"EIy"``, ``"EIz"``, ``"GJ"``: multiply each matrix by the rigidity of that name and add the
+        products.
     """
     L = _lengths(length)
     bar = np.array([[1.0, -1.0], [-1.0, 1.0]]) / L[:, None, None]
@@ -60,8 +61,8 @@ def mass_terms(length: ArrayLike) -> dict[str, FloatArray]:
     Returns
     -------
     dict of str to ndarray, shape (n, 12, 12)
-        ``"rhoA"`` (translation), ``"rhoIy"`` and ``"rhoIz"`` (rotary inertia in the plane of that bending,
-        and that part of the torsional inertia ρ(Iy + Iz)).
+        ``"rhoA"`` (translation), ``"rhoIy"`` and ``"rhoIz"`` (rotary inertia in the plane of bending with that
+        second moment of area, and its share of the torsional inertia ρ(Iy + Iz)).
     """
     L = _lengths(length)
     bar = np.array([[2.0, 1.0], [1.0, 2.0]]) * L[:, None, None] / 6.0
@@ -82,7 +83,7 @@ def local_axes(axis: ArrayLike, y_direction: ArrayLike) -> FloatArray:
     axis : array_like, shape (n, 3)
         Vectors from node i to node j.
     y_direction : array_like, shape (3,) or (n, 3)
-        A vector in the local x–y plane; its part normal to `axis` is the local y axis.
+        A vector in the local x–y plane; its component normal to `axis` gives the local y axis.
 
     Returns
     -------
@@ -99,7 +100,7 @@ def local_axes(axis: ArrayLike, y_direction: ArrayLike) -> FloatArray:
     direction = np.broadcast_to(np.asarray(y_direction, dtype=float), x.shape)
     y = direction - np.sum(x * direction, axis=1, keepdims=True) * x
     norm = np.linalg.norm(y, axis=1, keepdims=True)
-    # Closer to parallel than this, what is left of the direction is rounding; "not >" catches zero and NaN.
+    # Closer to parallel than this, the normal component is only rounding; "not >" also catches zero and NaN.
     parallel = ~(norm > 1e-6 * np.linalg.norm(direction, axis=1, keepdims=True))[:, 0]
     if np.any(parallel):
         element = int(np.argmax(parallel))
@@ -111,7 +112,7 @@ def local_axes(axis: ArrayLike, y_direction: ArrayLike) -> FloatArray:
 
 
 def horizontal(axis: ArrayLike) -> FloatArray:
-    """Return the direction of local y that elements have unless they are given one.
+    """Return the default direction of the local y axis of elements.
 
     Parameters
     ----------
@@ -121,8 +122,8 @@ def horizontal(axis: ArrayLike) -> FloatArray:
     Returns
     -------
     ndarray, shape (n, 3)
-        Horizontal and normal to the element, global z being up; global y for elements less than a thousandth off
-        the vertical, whose horizontal normal is left to rounding.
+        Horizontal and normal to the element, where global z is up; not normalised. Global y for elements inclined
+        by less than a thousandth from the vertical, whose horizontal normal would depend on rounding.
     """
     vector = np.asarray(axis, dtype=float)
     direction = np.stack([-vector[:, 1], vector[:, 0], np.zeros(len(vector))], axis=1)
@@ -131,13 +132,13 @@ def horizontal(axis: ArrayLike) -> FloatArray:
 
 
 def to_global(matrices: FloatArray, axes: FloatArray) -> FloatArray:
-    """Rotate element matrices from local to global axes: ``Tᵀ K T``.
+    """Return element matrices rotated from local to global axes, ``Tᵀ K T``.
 
     Parameters
     ----------
     matrices : ndarray, shape (n, 12, 12)
     axes : ndarray, shape (n, 3, 3)
-        From `local_axes`.
+        Rotation matrices from `local_axes`.
     """
     T = np.zeros((len(axes), 12, 12))
     for k in range(4):

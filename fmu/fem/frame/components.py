@@ -16,11 +16,11 @@ from fmu.numbers import significant, typed
 from fmu.types import DIRECTIONS as DIRECTIONS
 from fmu.types import FloatArray, NotNegative, Positive
 
-# Nodes closer than this, relative to the structure's extent, are at the same place.
+# Nodes closer than this, relative to the structure's extent, count as coincident.
 _COINCIDENT = 1e-9
 
 Length = Annotated[float, Interval(gt=0.0, lt=1e6)]
-"""Of a cross-section, m."""
+"""Dimension of a cross-section, m."""
 
 
 @check_arguments
@@ -53,8 +53,8 @@ class Section:
     def rectangle(cls, width: Length, height: Length) -> Section:
         """Return the section of a rectangle, `width` along local y and `height` along local z, in m.
 
-        The torsion constant is b t³/3 · (1 − 0.63 t/b + 0.052 (t/b)⁵) with the longer side b
-        (Timoshenko & Goodier 1970, §109, the series cut after its leading terms).
+        The torsion constant is b t³/3 · (1 − 0.63 t/b + 0.052 (t/b)⁵) with the longer side b and the shorter side
+        t (Timoshenko & Goodier 1970, §109, the series truncated after its leading terms).
         """
         b, t = max(width, height), min(width, height)
         J = b * t**3 / 3 * (1 - 0.63 * t / b + 0.052 * (t / b) ** 5)
@@ -65,8 +65,8 @@ class Section:
     def tube(cls, diameter: Length, thickness: Length) -> Section:
         """Return the section of a circular tube of outer `diameter` and wall `thickness`, in m.
 
-        A = π (R² − r²), Iy = Iz = π/4 (R⁴ − r⁴) and J = 2 Iy, exactly; half the diameter as `thickness` makes it
-        a solid rod.
+        A = π (R² − r²), Iy = Iz = π/4 (R⁴ − r⁴) and J = 2 Iy are exact. A `thickness` of half the diameter gives a
+        solid rod.
 
         Raises
         ------
@@ -84,9 +84,9 @@ class Section:
     def i_section(cls, height: Length, width: Length, web: Length, flange: Length) -> Section:
         """Return the section of a doubly symmetric I, in m; Iy belongs to bending in the plane of the web.
 
-        `height` over all and the web lie along local z, the flanges of `width` along local y; `web` and `flange`
-        are thicknesses. Fillets are left out. The torsion constant is Σ b t³/3 over the two flanges and the web
-        between them (Timoshenko & Goodier 1970, §112).
+        The overall `height` and the web lie along local z, the flanges of `width` along local y; `web` and
+        `flange` are thicknesses. Fillets are neglected. The torsion constant is Σ b t³/3 over the two flanges and
+        the web between them (Timoshenko & Goodier 1970, §112).
 
         Raises
         ------
@@ -134,19 +134,19 @@ class Material:
 @check_arguments
 @dataclass(frozen=True)
 class ElementGroup:
-    """Beam elements that share a section, a material and, in an update, their parameters.
+    """Beam elements that share a section, a material and, in model updating, their parameters.
 
     Attributes
     ----------
     name : str
     elements : array_like of int, shape (n, 2)
-        Node numbers (from 0) of both ends.
+        Indices (from 0) of the nodes at both ends.
     section : Section
     material : Material
     y_direction : tuple of float, length 3, optional
-        A vector in the local x–y plane, in global axes; it fixes what Iy and Iz mean. Without it local y is
-        horizontal, so that Iy resists bending in the vertical plane, global z being up; of vertical elements
-        it is global y.
+        A vector in the local x–y plane, in global axes; it defines the axes of Iy and Iz. By default local y is
+        horizontal, so that Iy resists bending in the vertical plane, where global z is up; for vertical elements
+        local y is global y.
 
     Raises
     ------
@@ -160,7 +160,7 @@ class ElementGroup:
     material: Material
     y_direction: tuple[float, float, float] | None = None
     directions: ClassVar[tuple[str, ...]] = ()
-    """In which a property may be named: none of an element's."""
+    """Directions by which a property may be named: none for elements."""
 
     def __post_init__(self) -> None:
         ends = np.asarray(self.elements)
@@ -168,25 +168,26 @@ class ElementGroup:
             raise ArgumentError("elements", "must be pairs of node numbers", f"shape {ends.shape} of {ends.dtype}")
 
     def value(self, name: str) -> float:
-        """Return the initial value of a property of `fmu.fem.frame.updates.PROPERTIES`."""
+        """Return the initial value, in SI units, of one of `fmu.fem.frame.updates.PROPERTIES`."""
         return float((vars(self.material) | vars(self.section))[name])
 
 
 @check_arguments
 @dataclass(frozen=True)
 class PointMass:
-    """A mass on the three translations of a node, and rotary inertias about its global axes.
+    """A mass that acts on the three translations of a node, with rotary inertias about global axes.
 
     Attributes
     ----------
     node : int or str
-        Number of the node; a name until nodes are numbered, as in problem files.
+        Index of the node; its name until the nodes are numbered, as in problem files.
     mass : float
-        kg.
+        Mass, kg.
     inertia : tuple of float, length 3
-        About global x, y and z, kg·m².
+        Moments of inertia about global x, y and z, kg·m².
     name : str
-        What a parameter of its mass or inertia calls it; in a problem file, by default, the name of its point.
+        Name by which a parameter refers to the mass or its inertia; in a problem file, by default, the name of its
+        point.
     """
 
     node: Place
@@ -194,7 +195,7 @@ class PointMass:
     inertia: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
     name: str = ""
     directions: ClassVar[tuple[str, ...]] = DIRECTIONS[3:]
-    """In which an inertia may be named."""
+    """Directions by which an inertia may be named."""
 
     def value(self, direction: str) -> float:
         """Return the mass or the moment of inertia that resists acceleration in one of `DIRECTIONS`."""
@@ -209,22 +210,24 @@ class JointSpring:
     Attributes
     ----------
     name : str
-        By which a parameter may have its stiffness.
+        Name by which a parameter refers to the stiffness.
     nodes : tuple of int, length 2
-        Node numbers, or names until nodes are numbered; None as the second one stands for the ground.
+        Indices of the nodes, or their names until the nodes are numbered; None as the second entry stands for the
+        ground.
     stiffness : mapping of str to float
-        N/m of ``"x" "y" "z"``, N·m/rad of ``"rx" "ry" "rz"``. Where two nodes lie apart, the springs act half-way
-        between them, on rigid arms from both: the structure still moves as a rigid body without strain.
+        Stiffness by direction: N/m for ``"x" "y" "z"``, N·m/rad for ``"rx" "ry" "rz"``. If the two nodes do not
+        coincide, the springs act midway between the nodes, on rigid arms from both, so that rigid-body motions
+        cause no strain.
     tied : sequence of str
-        Directions in which two nodes at the same place move as one: they share that degree of freedom. In
-        directions that are neither here nor in `stiffness` the spring does nothing; a hinge is a spring with
-        ties alone.
+        Directions in which two coincident nodes move together: the nodes share that degree of freedom. In
+        directions that are neither in `tied` nor in `stiffness` the spring does nothing; a hinge is a spring with
+        ties only.
 
     Raises
     ------
     ValueError
-        For an unknown direction, one in both `stiffness` and `tied` or none in either, a stiffness that is not
-        positive, a node tied to the ground (that is a support), or one node twice.
+        If a direction is unknown, a direction is in both `stiffness` and `tied`, both are empty, a stiffness is
+        not positive, a node is tied to the ground (use a support), or both nodes are the same.
 
     Examples
     --------
@@ -259,15 +262,15 @@ class JointSpring:
 
     @property
     def directions(self) -> tuple[str, ...]:
-        """The elastic directions."""
+        """Directions in which the spring has a stiffness."""
         return tuple(self.stiffness)
 
     def value(self, direction: str) -> float:
-        """Return the stiffness in a direction."""
+        """Return the stiffness in a direction, N/m or N·m/rad."""
         return self.stiffness[direction]
 
     def elongation(self, direction: str, nodes: FloatArray) -> dict[int, float]:
-        """Return the spring's elongation in a direction as weights of the degrees of freedom 6 · node + 0 … 5.
+        """Return the elongation in a direction as a dict of weights of the degrees of freedom 6 · node + 0 … 5.
 
         Parameters
         ----------
@@ -286,7 +289,7 @@ class JointSpring:
         }
 
     def require_coincident(self, nodes: FloatArray) -> None:
-        """Raise ValueError if nodes (n_nodes, 3) that are tied do not lie at the same place."""
+        """Raise ValueError if tied nodes do not coincide; `nodes` (n_nodes, 3) are all coordinates in m."""
         first, second = self.nodes
         if not self.tied or second is None:
             return

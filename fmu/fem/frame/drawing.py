@@ -1,4 +1,4 @@
-"""A structure as a line drawing in SVG, without any library."""
+"""Line drawings of structures in SVG, without any drawing library."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ UNCHANGED = "#6E6E6E"
 WIDTH, _HEIGHT, _MARGIN = 560.0, 260.0, 26.0
 _FLAT = 1e-6
 _BALANCED = 1e-9
-"""Largest rest of forces in equilibrium, relative to the stiffness that they come from."""
+"""Largest resultant of forces that count as balanced, relative to the stiffness that causes the forces."""
 _MOST_LINES = 300
-"""Each in an element of its own."""
+"""Largest number of lines that are drawn as single SVG elements."""
 _AXES = ("x", "y", "z")
 _ROTATIONS = ("rx", "ry", "rz")
 
 
 @dataclass(frozen=True, eq=False)
 class Sketch:
-    """What is drawn of a structure.
+    """Lines and symbols that draw a structure.
 
     Attributes
     ----------
     nodes : ndarray, shape (n_nodes, 3), m
     elements : ndarray of int, shape (n_elements, 2)
     changed : ndarray of bool, shape (n_elements, n_parameters)
-        Which parameter changes which element, see `changed_elements`.
+        Whether each parameter changes each element, see `changed_elements`.
     kinds : tuple of str
-        ``"arm"``, ``"spring"``, ``"support"``, ``"mass"`` or ``"sensor"``, one for each symbol.
+        Kind of each symbol: ``"arm"``, ``"spring"``, ``"support"``, ``"mass"`` or ``"sensor"``.
     places : ndarray, shape (n_symbols, 3), m
     ends : ndarray, shape (n_symbols, 3)
         The other end of an arm or a spring, m; the direction of a sensor. NaN for supports, masses, springs to the
         ground and sensors of rotations.
     owners : ndarray of int, shape (n_symbols,)
-        The parameter that sets a spring's stiffness; −1 where there is none.
+        Index of the parameter that sets a spring's stiffness; −1 if no parameter does.
     """
 
     nodes: FloatArray
@@ -56,12 +56,12 @@ class Sketch:
 
 
 def sketch(model: SeparableModel, sensors: Sequence[Dof] = ()) -> Sketch:
-    """Return the drawing of a structure, with its sensors (place, direction).
+    """Return the sketch of a structure with its sensors, each given as (place, direction).
 
     Raises
     ------
     ValueError
-        If the model knows neither its geometry nor a picture of lines.
+        If the model has neither a geometry nor a line picture.
     """
     if model.geometry is None and model.picture is not None:
         return _sketch_picture(model.picture, sensors)
@@ -69,7 +69,7 @@ def sketch(model: SeparableModel, sensors: Sequence[Dof] = ()) -> Sketch:
     nodes = np.asarray(geometry.nodes, dtype=float)
     at = {name: nodes[row] for name, row in geometry.row_of.items()}
     tips = {name: at[arm.node] + arm.offset for name, arm in model.arms.items()}
-    place = at | tips  # a sensor may be at a node that the mesh lacks
+    place = at | tips  # a sensor may be at a node that is not in the mesh
     symbols = [("arm", at[model.arms[name].node], tip) for name, tip in tips.items()]
     n_arms = len(symbols)
     symbols += [("spring", nodes[a], nowhere if b is None else nodes[b]) for a, b in geometry.springs]
@@ -86,14 +86,14 @@ def sketch(model: SeparableModel, sensors: Sequence[Dof] = ()) -> Sketch:
 
 
 def is_drawable(model: SeparableModel, most: int) -> bool:
-    """Return whether a model can be drawn with at most so many lines."""
+    """Return True if a model can be drawn with at most `most` lines."""
     lines = model.picture.lines if model.geometry is None and model.picture is not None else None
     lines = model.geometry.elements if model.geometry is not None else lines
     return lines is not None and len(lines) <= most
 
 
 def _sketch_picture(picture: LinePicture, sensors: Sequence[Dof]) -> Sketch:
-    """Return the sketch of a picture of lines: the lines, and the sensors at points of their names."""
+    """Return the sketch of a line picture: its lines, and the sensors at points of the same name."""
     place = dict(zip(picture.names, np.asarray(picture.points, dtype=float), strict=True))
     seen = [(n, d) for n, d in sensors if n in place]
     places = np.array([place[n] for n, _ in seen]).reshape(-1, 3)
@@ -104,7 +104,7 @@ def _sketch_picture(picture: LinePicture, sensors: Sequence[Dof]) -> Sketch:
 
 
 def drawing(model: SeparableModel, sensors: Sequence[Dof] = ()) -> str:
-    """Draw a structure with its sensors (place, direction), see `draw_svg`; ValueError if it has no geometry."""
+    """Return the drawing of a structure with its sensors by `draw_svg`; ValueError if there is nothing to draw."""
     return draw_svg(sketch(model, sensors))
 
 
@@ -114,19 +114,20 @@ def draw_svg(
     said: str = "",
     spring_colours: Sequence[str] | None = None,
 ) -> str:
-    """Draw elements and springs in the colour of the first parameter that changes them, and what is at the nodes.
+    """Return the SVG drawing of a sketch, with elements and springs in the colours of the parameters.
 
-    Squares are supports, discs masses, zigzags springs (rings between nodes at one place), arrows sensors.
+    Each element or spring has the colour of the first parameter that changes it. Squares are supports, discs are
+    masses, zigzags are springs (rings between coincident nodes) and arrows are sensors.
 
     Parameters
     ----------
     structure : Sketch
     colours : sequence of str, length n_elements, optional
-        Other colours of the elements.
+        Colours of the elements, instead of those of the parameters.
     said : str
-        What they show, for those who cannot see it.
+        Description of the drawing for readers who cannot see it.
     spring_colours : sequence of str, length n_parameters, optional
-        Other colours of the springs of each parameter.
+        Colours of the springs by parameter, instead of the default colours.
 
     Returns
     -------
@@ -169,13 +170,13 @@ def without_sensors(structure: Sketch) -> Sketch:
 
 
 def element_colours(changed: BoolArray) -> list[str]:
-    """Return the colour of each element, which is the colour of the first parameter that changes it."""
+    """Return the list of element colours: the colour of the first parameter that changes each element."""
     first = [int(np.argmax(row)) if row.any() else None for row in changed]
     return [UNCHANGED if k is None else COLOURS[k % len(COLOURS)] for k in first]
 
 
 def parameter_colours(structure: Sketch) -> list[str | None]:
-    """Return the colour of the elements or springs that each parameter changes, None where it changes none."""
+    """Return a list of the colour of the elements or springs that each parameter changes, None without any."""
     colours = element_colours(structure.changed)
     return [
         colours[int(np.argmax(column))]
@@ -190,13 +191,15 @@ def parameter_colours(structure: Sketch) -> list[str | None]:
 def changed_elements(model: SeparableModel) -> BoolArray:
     """Return a mask of the elements that each parameter changes, shape (n_elements, n_parameters).
 
-    It does where a term with it couples the element's ends. Where one end is held, it does where the term's forces
-    on the other are not in equilibrium when everything translates; where it has no stiffness, where it has mass.
+    An element with two free ends is changed by a parameter if a term with that parameter couples the ends. An
+    element with a held end is changed if the forces of the term at the other end are not in equilibrium under a
+    rigid translation of the structure. For such an element, mass terms count only for parameters that change no
+    stiffness.
 
     Raises
     ------
     ValueError
-        If the model does not know its geometry.
+        If the model has no geometry.
     """
     geometry = _geometry(model)
     a, b = np.asarray(geometry.elements).T
@@ -225,7 +228,7 @@ def changed_elements(model: SeparableModel) -> BoolArray:
 
 
 def _pointing(direction: str) -> FloatArray:
-    """Return the unit vector of ``"z"`` or ``"-z"``, shape (3,); NaN of a rotation."""
+    """Return the unit vector (3,) of a direction such as ``"z"`` or ``"-z"``; NaN for a rotation."""
     if direction[-2:] in _ROTATIONS:
         return np.full(3, np.nan)
     unit = np.zeros(3)
@@ -240,7 +243,7 @@ def _geometry(model: SeparableModel) -> Geometry:
 
 
 def _view(nodes: FloatArray) -> FloatArray:
-    """Return the picture's axes, shape (2, 3): a plane structure face on, others from a corner, z upwards."""
+    """Return the axes of the picture, shape (2, 3): face-on for a plane structure, otherwise from a corner."""
     extent = np.ptp(nodes, axis=0)
     is_flat = extent <= _FLAT * extent.max()
     if is_flat[1] or is_flat.sum() == 2:
@@ -253,7 +256,7 @@ def _view(nodes: FloatArray) -> FloatArray:
 
 
 def _fit(points: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """Return the map of points (n, 2) into the picture, y upwards, that shows all of `points`."""
+    """Return the function that maps points (n, 2) into the picture, y upwards, so that all `points` fit."""
     low, extent = points.min(axis=0), np.ptp(points, axis=0)
     room = np.array([WIDTH, _HEIGHT]) - 2.0 * _MARGIN
     scale = np.min(room[extent > 0] / extent[extent > 0]) if np.any(extent > 0) else 1.0
@@ -267,9 +270,9 @@ def _fit(points: FloatArray) -> Callable[[FloatArray], FloatArray]:
 
 
 def _find_supports(model: SeparableModel) -> list[int]:
-    """Return the rows of nodes of elements that cannot move in every direction that others can.
+    """Return the rows of element nodes that lack a direction of motion which other nodes have.
 
-    Nodes of another program's mesh may have no rotations without being held.
+    Rotations of another program's mesh do not count, because its nodes may lack rotations without being held.
     """
     geometry = _geometry(model)
     free: dict[int, set[str]] = {}
@@ -281,7 +284,7 @@ def _find_supports(model: SeparableModel) -> list[int]:
 
 
 def _lines(ends: FloatArray, colours: Sequence[str]) -> list[str]:
-    """Draw lines (n, 2, 2): each by itself, or many as one path a colour."""
+    """Return the SVG elements of lines (n, 2, 2): one per line, or one path per colour if there are many lines."""
     if len(ends) <= _MOST_LINES:
         return [_line(a, b, colour, 4) for (a, b), colour in zip(ends, colours, strict=True)]
     parts: dict[str, list[str]] = {}
@@ -311,9 +314,9 @@ def _dot(at: FloatArray, radius: float, colour: str) -> str:
 
 
 def _spring(a: FloatArray, b: FloatArray, colour: str = "") -> str:
-    """Draw a zigzag, down to a line where it ends in the ground, b being NaN; a ring if a and b are one place.
+    """Return the SVG of a spring: a zigzag, with a ground line if b is NaN, or a ring if a and b coincide.
 
-    One that a parameter sets is thicker and has its colour.
+    A spring whose stiffness is set by a parameter is thicker and has the parameter's colour.
     """
     stroke = f'stroke="{colour or "currentColor"}" stroke-width="{3 if colour else 1.5}"'
     is_grounded = np.isnan(b).any()
@@ -331,7 +334,7 @@ def _spring(a: FloatArray, b: FloatArray, colour: str = "") -> str:
 
 
 def _arrow(at: FloatArray, direction: FloatArray) -> str:
-    """Draw an arrow in the direction of a sensor, a dot where it points at the reader."""
+    """Return the SVG of a sensor: an arrow in its direction, or a dot if it points at the reader."""
     along = direction * (1.0, -1.0)
     length = float(np.linalg.norm(along))
     if length < _FLAT:

@@ -1,4 +1,4 @@
-"""Frames of beam elements: nodes, groups of elements, supports, masses and springs -> a SeparableModel."""
+"""Frames of beam elements, from nodes, element groups, supports, masses and springs to a SeparableModel."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from fmu.types import FloatArray, IntArray
 
 Dof = tuple[int, str]
 
-# What multiplies each unit matrix of beam.py; G = E / (2 (1 + nu)) makes torsion follow E.
+# Properties whose product multiplies each unit matrix of beam.py; G = E / (2 (1 + nu)) makes torsion follow E.
 _STIFFNESS = {"EA": ("E", "A"), "EIy": ("E", "Iy"), "EIz": ("E", "Iz"), "GJ": ("E", "J")}
 _MASS = {"rhoA": ("rho", "A"), "rhoIy": ("rho", "Iy"), "rhoIz": ("rho", "Iz")}
 
@@ -36,17 +36,17 @@ class Frame:
         Coordinates in m.
     groups : sequence of ElementGroup
     supports : mapping of int to sequence of str
-        Fixed directions ("x" … "rz") of a node.
+        Fixed directions ("x" … "rz") of each supported node.
     masses : sequence of PointMass
     arms : mapping of hashable to RigidArm
-        Places beside the nodes at which sensors may sit, by name.
+        Points rigidly connected to nodes, by name, at which sensors may be placed.
     springs : sequence of JointSpring
-        To the ground and between nodes, and ties.
+        Springs to the ground and between nodes, and ties.
 
     Raises
     ------
     ValueError
-        If coordinates are not finite or not three a node, or there is no group.
+        If a coordinate is not finite, a node does not have three coordinates, or there is no group.
     """
 
     nodes: ArrayLike
@@ -63,12 +63,12 @@ class Frame:
 
     @check_arguments
     def separable(self, updates: Mapping[str, Sequence[Target] | Factor] | None = None) -> SeparableModel:
-        """Assemble K(theta) and M(theta).
+        """Return the model with the assembled matrices K(theta) and M(theta).
 
         Parameters
         ----------
         updates : mapping of parameter name to sequence of targets, or to Factor
-            What each parameter stands for, in the order of theta. A target is
+            Targets of each parameter, in the order of theta. A target is
 
             - ``(property, group)``: ``"E"``, ``"rho"``, ``"A"``, ``"Iy"``, ``"Iz"`` or ``"J"`` of a group of
               elements. E acts on bending, axial and, through G = E/(2(1+ν)), torsional stiffness; Iy and Iz act
@@ -77,9 +77,10 @@ class Frame:
             - ``("mass", name)``, ``("inertia", name)`` or ``("inertia", name, direction)`` of a point mass;
             - ``("stiffness", name)`` or ``("stiffness", name, direction)`` of a spring;
 
-            without a direction all that it has, without a name those of all: ``("E",)``. The parameter is the
-            value of all its targets, in SI units; as ``Factor(targets)`` it multiplies the value that each of
-            them has in the frame.
+            Without a direction, the target is every direction that the mass or spring has; without a name, as in
+            ``("E",)``, it is every group, mass or spring. The parameter is the common value of all its targets,
+            in SI units. A parameter given as ``Factor(targets)`` multiplies the value that each target has in the
+            frame.
 
         Returns
         -------
@@ -88,9 +89,9 @@ class Frame:
         Raises
         ------
         ValueError
-            For a target that does not exist or is updated twice, two groups, masses or springs of one name, an
-            element, support, mass, spring or arm at a node that does not exist, tied nodes at different places,
-            or a free node with neither element nor mass.
+            If a target does not exist or is updated twice; two groups, masses or springs have the same name; an
+            element, support, mass, spring or arm is at a node that does not exist; tied nodes do not coincide; or
+            a free node has neither an element nor a mass.
         """
         owned = ownership(updates or {}, self.groups, self.masses, self.springs)
         nodes = self._coordinates()
@@ -155,7 +156,7 @@ class Frame:
             spring.require_coincident(nodes)
         carried = np.zeros(6 * n_nodes, dtype=bool)
         carried[numbering.owner[has_mass]] = True
-        # It would make the mass matrix singular.
+        # A free node without mass would make the mass matrix singular.
         loose = np.unique(numbering.free[~carried[numbering.free]] // 6).tolist()
         if loose:
             raise ArgumentError(
@@ -195,14 +196,15 @@ def _assemble(matrices: FloatArray, ends: IntArray, n_nodes: int) -> sp.csr_arra
 
 @dataclass(frozen=True, eq=False)
 class Numbering:
-    """The free degrees of freedom of a frame among the six of every node.
+    """The free degrees of freedom of a frame that has six degrees of freedom per node.
 
     Attributes
     ----------
     owner : ndarray of int, shape (6 n_nodes,)
-        The one of 6 · node + 0 … 5 that stands for each: itself, or that which it is tied to.
+        For each degree of freedom 6 · node + 0 … 5, the index of the degree of freedom that represents it: its own
+        index, or that of the degree of freedom to which it is tied.
     free : ndarray of int
-        Those that stand for themselves and no support holds, ascending.
+        Indices of the degrees of freedom that represent themselves and have no support, ascending.
     """
 
     owner: IntArray
@@ -210,7 +212,7 @@ class Numbering:
 
     @classmethod
     def of(cls, n_nodes: int, supports: Mapping[int, Sequence[str]], springs: Sequence[JointSpring]) -> Numbering:
-        """Return the numbering.
+        """Return the numbering of a frame with these supports and springs.
 
         Raises
         ------
@@ -241,12 +243,12 @@ class Numbering:
 
     @property
     def names(self) -> list[Dof]:
-        """The free degrees of freedom as (node, direction)."""
+        """List of the free degrees of freedom as (node, direction)."""
         return [_name(i) for i in self.free.tolist()]
 
     @property
     def ties(self) -> dict[Dof, Dof]:
-        """The degrees of freedom that move as another, free one."""
+        """Dict from each tied degree of freedom to the free degree of freedom that it follows."""
         tied = np.flatnonzero((self.owner != np.arange(len(self.owner))) & np.isin(self.owner, self.free))
         return {_name(i): _name(j) for i, j in zip(tied.tolist(), self.owner[tied].tolist(), strict=True)}
 

@@ -1,4 +1,4 @@
-"""Whether a structure is stable: its motions without strain, and the mass that they move."""
+"""Stability checks of a structure: its motions without strain, and the mass that these motions move."""
 
 from __future__ import annotations
 
@@ -16,28 +16,29 @@ from fmu.fem.modes.separable import RigidArm, SeparableModel
 from fmu.numbers import listed, names_in_words
 from fmu.types import FloatArray
 
-# Motions that agree to this are the same: in a soft structure, motions of zero energy are no more accurate.
+# Motions that agree to this tolerance are the same: in a soft structure, motions of zero energy are no more
+# accurate.
 _SAME = 1e-4
 _SHOWN = 4
 
 
 class MechanismError(ValueError):
-    """A structure that can move without strain, in more ways than it is meant to."""
+    """Error raised if a structure can move without strain in more ways than intended."""
 
 
 @dataclass(frozen=True, eq=False)
 class FreeMotions:
-    """The motions of a structure that take no energy.
+    """Motions of a structure with zero or negative strain energy.
 
     Attributes
     ----------
     shapes : ndarray, shape (n_dof, n)
-        A basis of them, m and rad.
+        Basis of the motions without strain energy, m and rad.
     rigid : ndarray, shape (6, r)
-        Those among them that move the whole structure as a rigid body: its translation, m, and rotation, rad,
-        about its centre. None for a model that does not know its geometry.
+        Rigid-body motions of the whole structure that have no strain energy: translation, m, and rotation, rad,
+        about the centre of the nodes. None if the model has no geometry.
     negative : ndarray, shape (n_dof, n_negative)
-        Motions whose energy is negative, which no structure has.
+        Motions of negative energy, which no real structure has.
     """
 
     shapes: FloatArray
@@ -46,15 +47,15 @@ class FreeMotions:
 
     @property
     def count(self) -> int:
-        """How many independent motions there are."""
+        """Number of independent motions without strain energy."""
         return self.shapes.shape[1]
 
 
 def free_motions(model: SeparableModel, theta: ArrayLike) -> FreeMotions:
     """Return the motions without strain at theta (n_parameters,), usually the start.
 
-    They are found block by block from the eigenvalues of K scaled to a unit diagonal, so that metres and radians,
-    stiff and soft parts count alike.
+    The motions are computed block by block from the eigenvalues of K scaled to a unit diagonal, so that metres and
+    radians, and stiff and soft parts, count equally.
 
     Raises
     ------
@@ -69,7 +70,7 @@ def free_motions(model: SeparableModel, theta: ArrayLike) -> FreeMotions:
 
 
 def _lowest_motions(model: SeparableModel, matrix: sp.csr_array) -> tuple[FloatArray, FloatArray]:
-    """Return motions of no energy, and motions of negative energy, of a symmetric matrix, shapes (n_dof, n)."""
+    """Return the motions of zero and of negative energy of a symmetric matrix, shapes (n_dof, n)."""
     zero: list[FloatArray] = []
     negative: list[FloatArray] = []
     for dofs in model.blocks:
@@ -101,8 +102,8 @@ def require_stable(
     Raises
     ------
     ValueError
-        With the number of motions and what moves in them, the motion of negative energy, or the place without
-        mass.
+        The message states the number of motions and what moves in them, the motion of negative energy, or the
+        place without mass. `MechanismError` for motions without strain that move mass.
     """
     _require_mass(model, theta, label)
     motions = free_motions(model, theta)
@@ -128,14 +129,14 @@ def require_stable(
 
 
 def _require_mass(model: SeparableModel, theta: ArrayLike, label: Callable[[Any], str]) -> None:
-    """Raise ValueError if a mass is negative or all are zero; single degrees of freedom may have no mass."""
+    """Raise ValueError if a mass is negative or all masses are zero; some degrees of freedom may have no mass."""
     M = sp.csr_array(model.M(theta))
     if not np.all(np.isfinite(M.data)):
         raise ValueError("the mass matrix must be finite")
     if M.nnz == 0 or abs(M).max() == 0.0:
         raise ValueError("the mass matrix must have entries (all of it is zero)")
     if all(is_semidefinite(M[dofs][:, dofs]) for dofs in model.blocks):
-        return  # its motions without mass may be hundreds, and are not looked for
+        return  # there may be hundreds of motions without mass, which are not searched for
     _, negative = _lowest_motions(model, M)
     if negative.shape[1]:
         moving = what_moves(model, negative, label)
@@ -143,7 +144,7 @@ def _require_mass(model: SeparableModel, theta: ArrayLike, label: Callable[[Any]
 
 
 def _without_mass(model: SeparableModel, theta: ArrayLike, motions: FloatArray) -> FloatArray:
-    """Return the motions without strain, (n_dof, n), that move no mass."""
+    """Return the motions without strain that move no mass, (n_dof, n)."""
     if not motions.shape[1]:
         return motions
     _, scale = unit_diagonal(sp.csr_array(model.K(theta)))
@@ -154,7 +155,7 @@ def _without_mass(model: SeparableModel, theta: ArrayLike, motions: FloatArray) 
 
 
 def rigid_motions(model: SeparableModel, shapes: FloatArray) -> FloatArray | None:
-    """Return the rigid-body motions in a space of motions.
+    """Return the rigid-body motions contained in a space of motions.
 
     Parameters
     ----------
@@ -165,7 +166,8 @@ def rigid_motions(model: SeparableModel, shapes: FloatArray) -> FloatArray | Non
     Returns
     -------
     ndarray, shape (6, r), or None
-        Translation, m, and rotation, rad, about the centre of the nodes; None if the model has no geometry.
+        Translation, m, and rotation, rad, about the centre of the nodes, one motion per column; None if the model
+        has no geometry.
     """
     named = _rigid_rows(model)
     if named is None:
@@ -173,7 +175,7 @@ def rigid_motions(model: SeparableModel, shapes: FloatArray) -> FloatArray | Non
     moved, held = named
     if not shapes.shape[1]:
         return np.zeros((6, 0))
-    # only motions that leave all held directions at rest
+    # only motions in which all held directions are at rest
     candidates = np.eye(6) if not len(held) else _null_space(held)
     size = _sizes(model)[:, None]
     W = size * (moved @ candidates)
@@ -189,7 +191,7 @@ def rigid_motions(model: SeparableModel, shapes: FloatArray) -> FloatArray | Non
 
 
 def rigid_in_words(rigid: FloatArray) -> list[str]:
-    """Return rigid-body motions (6, r) in words, translations first."""
+    """Return a list of phrases that describe rigid-body motions (6, r), translations first."""
     if not rigid.shape[1]:
         return []
     turn = rigid[3:]
@@ -210,16 +212,17 @@ def what_moves(
     label: Callable[[Any], str] = str,
     rigid: FloatArray | None = None,
 ) -> str:
-    """Return the degrees of freedom that move most in a space of motions (n_dof, n), as "a rx, b rx move most".
+    """Return the phrase that names the degrees of freedom that move most, as "a rx, b rx move most".
 
     Parameters
     ----------
     model : SeparableModel
     shapes : ndarray, shape (n_dof, n)
+        A basis of the space of motions.
     label : callable
         Returns the name of a node.
     rigid : ndarray, shape (6, r), optional
-        Rigid-body motions to leave out of the space.
+        Rigid-body motions to exclude from the space.
     """
     size = _sizes(model)[:, None]
     Y = np.linalg.qr(size * shapes)[0]
@@ -230,7 +233,7 @@ def what_moves(
         U, _, _ = np.linalg.svd(Y - Q @ (Q.T @ Y), full_matrices=False)
         Y = U[:, : Y.shape[1] - rigid.shape[1]]
     share = np.sum(Y**2, axis=1)
-    share = np.round(share / share.max(), 3)  # equal motions stay in the order of the model
+    share = np.round(share / share.max(), 3)  # equal motions keep the order of the model
     order = np.argsort(-share, kind="stable")
     most = [i for i in order[:_SHOWN].tolist() if share[i] > 0.25]
     names = ", ".join(f"{label(model.dofs[i][0])} {model.dofs[i][1]}" for i in most)
@@ -238,10 +241,10 @@ def what_moves(
 
 
 def _rigid_rows(model: SeparableModel) -> tuple[FloatArray, FloatArray] | None:
-    """Return the six rigid-body motions at the degrees of freedom (n_dof, 6), and at the directions held (_, 6).
+    """Return the rigid-body motions at the degrees of freedom (n_dof, 6) and at the held directions (_, 6).
 
-    Rotations are about the centre, in units of the structure's length. Directions in which no node can move are
-    not part of the model.
+    Rotations are about the centre and scaled by the structure's length. Directions in which no node can move are
+    not part of the model. Return None if the model has no geometry or has motions that are weighted sums.
     """
     if model.geometry is None:
         return None
@@ -258,7 +261,7 @@ def _rigid_rows(model: SeparableModel) -> tuple[FloatArray, FloatArray] | None:
     moved = np.array([row(node, d) for node, d in model.dofs])
     rows = np.unique(geometry.elements)
     used = rows.tolist() if geometry.ids is None else np.asarray(geometry.ids)[rows].tolist()
-    # in another program's mesh, nodes may have no rotations without being held
+    # in another program's mesh, nodes may lack rotations without being held
     known = [d for d in DIRECTIONS[: 6 if geometry.ids is None else 3] if any(d == e for _, e in model.dofs)]
     held = [row(node, d) for node in used for d in known if (node, d) not in model.dof_of]
     return moved, np.array(held).reshape(-1, 6)
@@ -270,7 +273,7 @@ def _length(model: SeparableModel) -> float:
 
 
 def _sizes(model: SeparableModel) -> FloatArray:
-    """Return scales that make a rotation as large as the translation it causes far away, shape (n_dof,)."""
+    """Return scales (n_dof,) that make a rotation as large as the translation it causes at a distance."""
     length = _length(model)
     return np.array([length if direction.startswith("r") else 1.0 for _, direction in model.dofs])
 
@@ -282,7 +285,7 @@ def _null_space(rows: FloatArray) -> FloatArray:
 
 
 def _axes_in_words(vectors: FloatArray) -> list[str]:
-    """Return the directions that vectors (3, k) span: the axes among them by name, the others by components."""
+    """Return the directions that vectors (3, k) span: axes by name, other directions by components."""
     U, s, _ = np.linalg.svd(vectors, full_matrices=False)
     basis = U[:, s > _SAME * s.max(initial=0.0)]
     along = [k for k in range(3) if np.sum(basis[k] ** 2) > 1.0 - 2.0 * _SAME]

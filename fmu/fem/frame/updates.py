@@ -1,4 +1,4 @@
-"""The properties that the parameters of a frame change: of element groups, point masses and springs."""
+"""Properties of element groups, point masses and springs that the parameters of a frame change."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from fmu.fem.frame.components import DIRECTIONS, ElementGroup, JointSpring, Poin
 
 Thing = ElementGroup | PointMass | JointSpring
 Target = Sequence[str]
-"""(property,), (property, name) or (property, name, direction)."""
+"""Target of a parameter: (property,), (property, name) or (property, name, direction)."""
 
 PROPERTIES = ("E", "rho", "A", "Iy", "Iz", "J")
-"""Of a group of elements."""
+"""Properties of an element group that a parameter may change."""
 ROTATIONS = DIRECTIONS[3:]
 _KIND = dict.fromkeys(PROPERTIES, "group") | {"mass": "mass", "inertia": "mass", "stiffness": "spring"}
 
@@ -22,19 +22,19 @@ _KIND = dict.fromkeys(PROPERTIES, "group") | {"mass": "mass", "inertia": "mass",
 @check_arguments
 @dataclass(frozen=True)
 class Factor:
-    """A parameter without dimension that multiplies what the frame has, in place of a value for it.
+    """A dimensionless parameter that multiplies the values of its targets in the frame.
 
     Attributes
     ----------
     targets : sequence of tuple of str
-        As in `fmu.Frame.separable`. They may differ in their values and even in what they are.
+        Targets as in `fmu.Frame.separable`. The targets may differ in value, and even in kind.
     """
 
     targets: Sequence[Target]
 
 
 class Quantity(NamedTuple):
-    """One value of a frame: a property of a group, mass or spring by its number, perhaps in a direction."""
+    """A value in a frame: a property of a group, mass or spring, by index and, where needed, direction."""
 
     property: str
     number: int
@@ -42,7 +42,7 @@ class Quantity(NamedTuple):
 
 
 class Owner(NamedTuple):
-    """The parameter that a quantity belongs to, and whether it multiplies it or is its value."""
+    """The parameter (by index) of a quantity, and whether it multiplies the quantity or is its value."""
 
     parameter: int
     factor: bool
@@ -50,7 +50,7 @@ class Owner(NamedTuple):
 
 @dataclass(frozen=True)
 class Ownership:
-    """Which quantities of a frame belong to which parameter.
+    """Assignment of the quantities of a frame to parameters.
 
     Attributes
     ----------
@@ -62,14 +62,14 @@ class Ownership:
     n_parameters: int
 
     def of_spring(self, number: int) -> int | None:
-        """Return the first parameter that sets a stiffness of a spring, None if there is none."""
+        """Return the index of the first parameter that sets a stiffness of a spring; None if none does."""
         owners = [
             one.parameter for q, one in self.owner.items() if (q.property, q.number) == ("stiffness", number)
         ]
         return min(owners, default=None)
 
     def coefficient(self, quantities: Iterable[tuple[Quantity, float]]) -> tuple[float, tuple[float, ...]]:
-        """Return the product of quantities with their values as a constant and the powers of the parameters."""
+        """Return the product of quantities, given with their values, as a constant and parameter powers."""
         scale, powers = 1.0, [0.0] * self.n_parameters
         for quantity, value in quantities:
             owner = self.owner.get(quantity)
@@ -86,13 +86,13 @@ def ownership(
     masses: Sequence[PointMass],
     springs: Sequence[JointSpring],
 ) -> Ownership:
-    """Return the quantities of each parameter; see `fmu.Frame.separable`.
+    """Return the assignment of quantities to parameters; see `fmu.Frame.separable`.
 
     Raises
     ------
     ValueError
-        For names that are not distinct, a target that does not exist, one that two parameters have, or a factor
-        of what is zero.
+        If names are not distinct, a target does not exist or is updated twice, or a factor multiplies a value of
+        zero.
     """
     things: dict[str, Sequence[Thing]] = {"group": groups, "mass": masses, "spring": springs}
     for kind, plural in (("group", "groups"), ("mass", "masses"), ("spring", "springs")):

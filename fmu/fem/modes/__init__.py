@@ -1,4 +1,4 @@
-"""From theta to K and M, to modes and to their derivatives.
+"""Modes of structures: from theta to K and M, to the modes and to their derivatives.
 
 Reading order: terms, separable, solver, eigensolver, block, modal, full_block, derivatives.
 """

@@ -1,4 +1,4 @@
-"""A decoupled part of a structure: what its eigenproblem gives, full or reduced."""
+"""Decoupled parts of a structure, full or reduced, and the modes of their eigenproblems."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from fmu.fem.modes.terms import CoefficientMap, Term
 from fmu.types import FloatArray, IntArray
 
 Observation = tuple[Callable[[FloatArray], FloatArray], FloatArray]
-"""What maps a block's shapes to the coordinates of comparison, and the reference shapes there."""
+"""The map from a block's shapes to the coordinates of comparison, and the reference shapes there."""
 Solved = dict[int, tuple[FloatArray, FloatArray]]
-"""Eigenvalues and shapes by block."""
+"""Eigenvalues and shapes by index of the block."""
 
 
 class BlockPrediction(NamedTuple):
-    """Modes of one block as the sensors see them.
+    """Modes of one block as seen by the sensors.
 
     Attributes
     ----------
@@ -41,22 +41,22 @@ class Block:
     Parameters
     ----------
     dofs : ndarray of int, shape (n,)
-        Its degrees of freedom in the model.
+        Indices of the block's degrees of freedom in the model.
     K_terms, M_terms : sequence of Term
-        Its stiffness and mass terms.
+        Stiffness and mass terms of the block.
 
     Attributes
     ----------
     size : int
-        Unknowns of the eigenproblem.
+        Number of unknowns of the eigenproblem.
     n_modes, n_trained : int
-        Number of modes with a finite frequency, and how many of the lowest ones are accurate.
+        Number of modes with a finite frequency, and number of the lowest modes that are accurate.
     is_reduced : bool
-        Whether it approximates a full block.
+        Whether the block approximates a full block.
     massless : bool
         Whether degrees of freedom of the full block have no mass.
     constant_mass : bool
-        Whether no parameter changes its mass.
+        Whether no parameter changes the mass of the block.
     """
 
     is_reduced: ClassVar[bool] = False
@@ -72,9 +72,9 @@ class Block:
         self.constant_mass = all(term.constant for term in M_terms)
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return the lowest eigenvalues (n, count) and mass-normalised shapes (n, size, count).
+        """Return the lowest eigenvalues (n, count), (rad/s)², and mass-normalised shapes (n, size, count).
 
-        At theta (n, n_parameters); NaN where the solver fails.
+        Both belong to theta (n, n_parameters); they are NaN where the solver fails.
         """
         raise NotImplementedError
 
@@ -93,34 +93,35 @@ class Block:
         return gradient - lam[..., None] * self._M_map.contract(theta, self._forms(phi, of_mass=True))
 
     def _forms(self, phi: FloatArray, of_mass: bool) -> FloatArray:
-        """Return φᵀ K_k φ, or φᵀ M_k φ, of every term, shape (n, n_terms, m)."""
+        """Return the products φᵀ K_k φ, or φᵀ M_k φ if `of_mass`, of every term, shape (n, n_terms, m)."""
         raise NotImplementedError
 
     def coarser(self, share: float) -> Self:
-        """Return the block by the leading share of its basis; the block itself, if it is not reduced."""
+        """Return the block reduced to the leading share of its basis; the block itself if it is not reduced."""
         return self
 
     def coordinates(self, rows: sp.csr_array) -> Matrix:
-        """Return sparse sensor rows (n_sensors, n) on the block's degrees of freedom as rows on its unknowns."""
+        """Return sensor rows (n_sensors, n) on degrees of freedom as sensor rows on the block's unknowns."""
         return rows
 
     def compress_rows(self, rows: Matrix, reference: FloatArray) -> tuple[Matrix, FloatArray]:
-        """Return fewer rows and references (_, n_modes), from `coordinates`, with the same norms and products."""
+        """Return fewer rows, from `coordinates`, and references (_, n_modes) with equal norms and products."""
         return rows, reference
 
     def observe(self, rows: sp.csr_array, reference: FloatArray) -> Observation:
-        """Return how shapes are compared with references: a map of shapes (n, size, m), and the references there.
+        """Return the map from shapes (n, size, m) to the coordinates of comparison, and the references there.
 
         Parameters
         ----------
         rows : sparse, shape (q, n)
-            The coordinates of comparison on the block's degrees of freedom.
+            Coordinates of comparison as rows on the block's degrees of freedom.
         reference : ndarray, shape (q, n_modes)
+            Reference shapes at the coordinates of comparison.
         """
         raise NotImplementedError
 
     def n_required(self, count: int, gradient: bool) -> int:
-        """Return how many modes `seen` needs to return the lowest `count`, with derivatives if `gradient`."""
+        """Return the number of modes that `seen` needs for `count` modes, with derivatives if `gradient`."""
         return count
 
     def seen(
@@ -131,17 +132,17 @@ class Block:
         gradient: bool = False,
         solved: tuple[FloatArray, FloatArray] | None = None,
     ) -> BlockPrediction:
-        """Return the lowest modes as sensors see them, with derivatives if `gradient`.
+        """Return the lowest `count` modes at the sensors, with derivatives if `gradient`.
 
         Parameters
         ----------
         theta : ndarray, shape (n, n_parameters)
         count : int
         rows : array or sparse, shape (n_sensors, size)
-            From `coordinates`.
+            Sensor rows from `coordinates`.
         gradient : bool
         solved : tuple of ndarray, optional
-            The result of `modes` for `n_required` modes or more, if it is at hand.
+            Result of `modes` for `n_required` modes or more, if available.
         """
         lam, phi = solved or self.modes(theta, self.n_required(count, gradient))
         seen = BlockPrediction(lam[:, :count], self._at(rows, phi[:, :, :count]))
@@ -151,7 +152,7 @@ class Block:
         return seen._replace(eigenvalue_slopes=lam_slopes, shape_slopes=shape_slopes)
 
     def _at(self, rows: Matrix, phi: FloatArray) -> FloatArray:
-        """Return shapes (n, size, m) as the sensors see them, (n, n_sensors, m)."""
+        """Return the shapes (n, size, m) at the sensors, (n, n_sensors, m)."""
         raise NotImplementedError
 
     def _slopes_seen(
@@ -163,21 +164,21 @@ class Block:
 
 @dataclass(frozen=True, eq=False)
 class Picked:
-    """Maps shapes (n, size, m) to some of their degrees of freedom (q,); travels to other processes."""
+    """Map from shapes (n, size, m) to some of their degrees of freedom (q,), which other processes can receive."""
 
     dofs: IntArray
 
     def __call__(self, phi: FloatArray) -> FloatArray:
-        """Return the shapes there, (n, q, m)."""
+        """Return the shapes at these degrees of freedom, (n, q, m)."""
         return phi[:, self.dofs]
 
 
 @dataclass(frozen=True, eq=False)
 class Mapped:
-    """Maps shapes (n, size, m) by a matrix (q, size); travels to other processes."""
+    """Map of shapes (n, size, m) by a matrix (q, size), which other processes can receive."""
 
     matrix: FloatArray
 
     def __call__(self, phi: FloatArray) -> FloatArray:
-        """Return the shapes there, (n, q, m)."""
+        """Return the product of the matrix and the shapes, (n, q, m)."""
         return self.matrix @ phi

@@ -1,4 +1,4 @@
-"""Known changes of a structure between tests: masses and springs added, and parameters that are known."""
+"""Known changes of a structure between tests: added masses and springs, and parameters of known value."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def changed_model(
     ----------
     model : SeparableModel
     masses : mapping of place to float, kg
-        Point masses, without inertia of rotation, which move with a node or with one of ``model.arms``. A negative
-        one was taken away.
+        Point masses without rotary inertia, which move with a node or with one of ``model.arms``. A negative mass
+        is a mass that was removed.
     springs : mapping of (place, direction) to float, N/m or N·m/rad
-        Springs to the ground; a negative one was taken away.
+        Springs to the ground; a negative stiffness is a spring that was removed.
     known : mapping of int to float
-        Values of parameters, by their number from 0; the model returned does not have them.
+        Values of parameters by index (from 0); the model returned does not have these parameters.
 
     Returns
     -------
@@ -83,12 +83,12 @@ def changed_model(
 
 
 def _along(rows: sp.csr_array, size: float) -> sp.csr_array:
-    """Return size · RᵀR, for a mass or a spring that moves as the rows say."""
+    """Return size · RᵀR, the matrix of a mass or a spring that moves as the rows R describe."""
     return sp.csr_array(size * (rows.T @ rows))
 
 
 def _without(terms: list[Term], at: FloatArray, kept: list[int]) -> list[Term]:
-    """Return terms of the kept parameters alone; the others have the values `at`, (1, n_parameters)."""
+    """Return terms in the kept parameters only; the other parameters have the values in `at` (1, n_parameters)."""
     gone = [j for j in range(at.shape[1]) if j not in kept]
     found = []
     for term in terms:

@@ -4,17 +4,18 @@ For a simple eigenvalue of K φ = λ M φ with φᵀMφ = 1,
 
     (K − λM) ∂φ − ∂λ Mφ = −(∂K − λ ∂M) φ,      φᵀM ∂φ = −½ φᵀ ∂M φ.
 
-There are two ways to solve it. Where all modes are known (a reduced model), ∂φ is a sum over them (Fox & Kapoor
-1968, *AIAA Journal* 6, 2426–2429). Otherwise, or where a singular M leaves some modes without a finite λ, both
-lines form one regular system for ∂φ and ∂λ; Nelson (1976, *AIAA Journal* 14, 1201–1205) solves the same
+These equations are solved in two ways. If all modes are known (a reduced model), ∂φ is a sum over all modes (Fox &
+Kapoor 1968, *AIAA Journal* 6, 2426–2429). Otherwise, or if a singular M leaves some modes without a finite λ, both
+equations form one regular system for ∂φ and ∂λ; Nelson (1976, *AIAA Journal* 14, 1201–1205) solves the same
 equations with one component of ∂φ fixed.
 
-Shapes of repeated eigenvalues have no derivative: any rotation among them gives modes too. Between eigenvalues
-closer than `REPEATED` the rotation is left out. Near them it is large, and correctly so: the closer two modes
-are, the faster their shapes turn into each other. For two eigenvalues λ that are δλ apart the slopes are of the
-size λ/δλ, with a relative error of rounding times λ_max/δλ, as for the shapes themselves: 1e-6 for modes 1e-4
-apart, if the highest eigenvalue is below about 10⁶ times theirs. A basis with a relative error ε in frequency
-has an error of ε over the gap in shapes.
+Shapes of repeated eigenvalues have no derivative, because any rotation among these shapes gives modes too. Between
+eigenvalues closer than `REPEATED` the rotation is omitted. Between eigenvalues that are slightly further apart the
+rotation is large, and correctly so: the closer two modes are, the faster their shapes rotate into each other. For
+two eigenvalues λ that differ by δλ the slopes are of the order of λ/δλ. The relative error of the slopes is the
+rounding error times λ_max/δλ, as for the shapes themselves: 1e-6 for modes 1e-4 apart, if the highest eigenvalue
+is below about 10⁶ times λ. A basis with a relative error ε in frequency gives shapes with an error of ε divided by
+the gap.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from fmu.fem.modes.solver import Matrix
 from fmu.types import FloatArray
 
 REPEATED = 1e-9
-"""Eigenvalues that differ by less than this share of the larger count as repeated."""
+"""Eigenvalues whose difference is less than this share of the larger count as repeated."""
 
 
 def by_all_modes(lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArray, count: int) -> FloatArray:
@@ -36,8 +37,9 @@ def by_all_modes(lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArra
     Parameters
     ----------
     lam : ndarray, shape (n, r)
+        Eigenvalues of all modes.
     phi : ndarray, shape (n, r, r)
-        All modes, φᵀMφ = 1.
+        Shapes of all modes, φᵀMφ = 1.
     dK, dM : ndarray, shape (n, r, count, n_parameters)
         φ_kᵀ ∂K φ_i and φ_kᵀ ∂M φ_i.
 
@@ -74,10 +76,10 @@ def by_bordered_system(
 
     Notes
     -----
-    NaN where the system is singular, as for a repeated eigenvalue.
+    The derivatives are NaN if the system is singular, as for a repeated eigenvalue.
     """
     # K − λM alone is singular, with φ as its null vector; the border M φ, which is not orthogonal to φ, makes the
-    # system regular. It is scaled to the size of K, so that the factorisation sees one scale.
+    # system regular. The border is scaled to the size of K, so that all entries have one scale.
     M_phi = M @ phi
     scale = np.max(np.abs(K.diagonal())) / np.max(np.abs(M_phi))
     border = (scale * M_phi)[:, None]
@@ -97,7 +99,7 @@ def by_bordered_system(
 def by_bordered_matrices(
     K: FloatArray, M: FloatArray, lam: FloatArray, phi: FloatArray, dK_phi: FloatArray, dM_phi: FloatArray
 ) -> FloatArray:
-    """Return ∂φ of one mode of each of many small matrices, shape (n, r, n_parameters).
+    """Return ∂φ of one mode of each of n pairs of small matrices, shape (n, r, n_parameters).
 
     Parameters
     ----------

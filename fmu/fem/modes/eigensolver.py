@@ -1,16 +1,17 @@
-"""The lowest modes of K φ = λ M φ, as accurate as K and M allow.
+"""Solver for the lowest modes of K φ = λ M φ, as accurate as K and M allow.
 
 A dense solver that transforms M to the unit matrix has an error of 1e-16 λ_max in every λ. Stiff joints and fine
-meshes can make λ_max 1e16 times as large as λ_1; nothing of λ_1 is left then. Here K is transformed to the unit
-matrix instead, and the largest μ = 1/λ of M φ = μ K φ are found. Their error is 1e-16 μ_1, relative to the lowest
-mode. M may be singular: degrees of freedom without mass have μ = 0 and follow the others as in statics.
+meshes can make λ_max 1e16 times as large as λ_1, and λ_1 is then lost completely. Here K is transformed to the
+unit matrix instead, and the largest μ = 1/λ of M φ = μ K φ are computed. The error of each μ is 1e-16 μ_1,
+relative to the lowest mode. M may be singular: degrees of freedom without mass have μ = 0 and follow the other
+degrees of freedom statically.
 
-A free structure has a singular K. Its motions without strain N, with K N = 0, are found from K alone, by its
-eigenvalues at a unit diagonal. They have λ = 0 exactly. A low eigenvalue alone does not tell a rigid motion from
-one of a soft part: the strain energy must be rounding beside the terms that cancel in it. The elastic modes are
-M-orthogonal to the rigid ones. Let
-P = I − N Nᵀ M, and let f be the degrees of freedom that remain when just enough others are held to make the
-structure statically determinate. With φ = P [y; 0],
+A free structure has a singular K. Its motions without strain N, with K N = 0, are found from K alone, from the
+eigenvalues of K scaled to a unit diagonal. These motions have λ = 0 exactly. A low eigenvalue alone does not
+distinguish a rigid motion from the motion of a soft part: the strain energy of a rigid motion must also be
+rounding compared with the terms that cancel in it. The elastic modes are M-orthogonal to the rigid modes. Let
+P = I − N Nᵀ M, and let f be the degrees of freedom that remain when just enough degrees of freedom are held to
+make the structure statically determinate. With φ = P [y; 0],
 
     K_ff y = λ (Pᵀ M P)_ff y,
 
@@ -32,26 +33,27 @@ import scipy.sparse.linalg as ssl
 from fmu.fem.modes.solver import Factor, Matrix, factorise
 from fmu.types import BoolArray, FloatArray
 
-# Up to this size LAPACK on the dense matrices beats a sparse factorisation and its Lanczos iterations.
+# Up to this size LAPACK on dense matrices is faster than a sparse factorisation with Lanczos iterations.
 DENSE_LIMIT = 400
 # A smaller eigenvalue of a matrix scaled to a unit diagonal cannot be distinguished from zero. Rounding in
 # assembled beams stays below 1e-15; a cantilever of 1000 elements has 5e-13.
 ZERO = 2e-14
-# Of such a matrix: an eigenvalue further below zero is not rounding, even in matrices exported with ten digits.
+# An eigenvalue of a matrix scaled to a unit diagonal that is further below zero than this is not rounding, even if
+# the matrix was exported with ten digits.
 NEGATIVE = 1e-8
 _AT_ONCE = 12
-# Modes with λ above this multiple of the lowest are improved by a Ritz problem of their own: the inverse
-# problem has an error relative to the lowest mode.
+# Modes with λ above this multiple of the lowest λ are improved by a separate Ritz problem, because the error of
+# the inverse problem is relative to the lowest mode.
 _WIDE = 1e4
-# The most energy of a motion that strains nothing, in roundings of the magnitudes that cancel in it. In frames,
-# shells and solids up to 1.1 were observed.
+# Largest energy of a motion without strain, in units of the rounding error of the terms that cancel in it. Values
+# up to 1.1 were observed in frames, shells and solids.
 _STRAINED = 10.0
-# An estimate of the lowest eigenvalue must exceed `ZERO` by this factor to rule out that one is zero.
+# An estimate of the lowest eigenvalue must exceed `ZERO` by this factor to rule out a zero eigenvalue.
 _CAUTION = 10.0
 
 
 class SingularMassError(ValueError):
-    """The eigenproblem has no solution, because of the mass matrix, the stiffness matrix or the solver."""
+    """Error raised if an eigenproblem has no solution, because of K, M or the solver."""
 
 
 def eigen(K: Matrix, M: Matrix, count: int, finite: int | None = None) -> tuple[FloatArray, FloatArray]:
@@ -65,7 +67,7 @@ def eigen(K: Matrix, M: Matrix, count: int, finite: int | None = None) -> tuple[
     count : int
         Number of modes.
     finite : int, optional
-        Number of modes with a finite frequency (the rank of M), if known; otherwise M is factorised to find out.
+        Number of modes with a finite frequency (the rank of M), if known; otherwise M is factorised to obtain it.
 
     Returns
     -------
@@ -77,8 +79,8 @@ def eigen(K: Matrix, M: Matrix, count: int, finite: int | None = None) -> tuple[
     ValueError
         If the structure has fewer than `count` degrees of freedom.
     SingularMassError
-        If it has fewer modes of finite frequency, M is negative for some motion, a motion has neither stiffness
-        nor mass, or the solver fails.
+        If the structure has fewer modes of finite frequency, M is negative for some motion, a motion has neither
+        stiffness nor mass, or the solver fails.
     """
     n = K.shape[0]
     if not 1 <= count <= n:
@@ -103,9 +105,9 @@ def eigen(K: Matrix, M: Matrix, count: int, finite: int | None = None) -> tuple[
 
 
 def _of_scaled(S: Matrix, M: Matrix, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the modes of a K with unit diagonal; both matrices are dense or both sparse."""
+    """Return the modes for a K with unit diagonal; both matrices are dense or both are sparse."""
     factor = _safely_factored(S)
-    if factor is None:  # free, nearly free, or negative for some motion: the lowest eigenvalues tell which
+    if factor is None:  # free, nearly free, or negative for some motion: the lowest eigenvalues show which
         nu, vectors = lowest(S)
         if nu[0] <= -NEGATIVE:
             return _polish(S, M, _highest(_factorise_shifted(S, M), M, count))
@@ -117,17 +119,17 @@ def _of_scaled(S: Matrix, M: Matrix, count: int) -> tuple[FloatArray, FloatArray
 
 
 def _is_strained(S: Matrix, X: FloatArray) -> BoolArray:
-    """Say of which motions (n, m) the energy is more than rounding: soft, not rigid, however low."""
+    """Return a mask of the motions (n, m) whose energy exceeds rounding: such motions are soft, not rigid."""
     sizes = np.sum(np.abs(X) * (abs(S) @ np.abs(X)), axis=0)
     return np.asarray(np.sum(X * (S @ X), axis=0) > _STRAINED * 0.5 * np.finfo(float).eps * sizes)
 
 
 def _of_free(S: Matrix, M: Matrix, N: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the modes of a structure with the motions N without strain, shape (n, r), Nᵀ M N = 1."""
+    """Return the modes of a structure with motions N (n, r) without strain, Nᵀ M N = 1."""
     n, r = N.shape
     if count <= r:
         return np.zeros(count), N[:, :count]
-    # pivoted QR picks the r degrees of freedom that determine the rigid-body motion best; the others are f
+    # pivoted QR picks the r degrees of freedom that determine the rigid-body motion best; f are all others
     free = np.sort(sl.qr(N.T, mode="r", pivoting=True)[1][r:])
     MN = M @ N
 
@@ -152,7 +154,7 @@ def _of_free(S: Matrix, M: Matrix, N: FloatArray, count: int) -> tuple[FloatArra
 
 
 def _definite(matrix: Matrix) -> Factor:
-    """Return the factors of a positive definite matrix; LinAlgError if it is not definite."""
+    """Return the factors of a positive definite matrix; LinAlgError if the matrix is not definite."""
     factor = factorise(matrix)
     if factor.negative:
         raise np.linalg.LinAlgError("the matrix is not positive definite")
@@ -160,7 +162,7 @@ def _definite(matrix: Matrix) -> Factor:
 
 
 def _safely_factored(S: Matrix) -> Factor | None:
-    """Return the factors of S; None if it is not definite, or only by rounding."""
+    """Return the factors of S; None if S is not definite, or definite only by rounding."""
     try:
         factor = _definite(S)
     except np.linalg.LinAlgError:
@@ -169,8 +171,11 @@ def _safely_factored(S: Matrix) -> Factor | None:
 
 
 def is_clearly_definite(factor: Factor, scale: FloatArray) -> bool:
-    """Say whether a definite A is so by more than rounding, from its factors and D with D A D of unit diagonal."""
-    # four steps of inverse iteration: the estimate of the lowest eigenvalue is never below it
+    """Return True if A, given by its factors, is positive definite by more than rounding.
+
+    `scale` is the diagonal of D for which D A D has a unit diagonal.
+    """
+    # four steps of inverse iteration: the estimate is never below the lowest eigenvalue
     x = _start(len(scale))
     for _ in range(4):
         x = factor.solve(x / np.linalg.norm(x) / scale) / scale
@@ -183,7 +188,7 @@ def _start(n: int) -> FloatArray:
 
 
 def _factorise_shifted(S: Matrix, M: Matrix) -> Factor:
-    """Return the factors of S + s M for a shift s that makes it definite: K is negative for some motion."""
+    """Return the factors of S + s M, with a shift s that makes the sum definite if K is negative."""
     start = 1e-6 * np.abs(S.diagonal()).sum() / M.diagonal().sum()
     for power in range(24):
         try:
@@ -202,7 +207,7 @@ def _mass_normalised(M: Matrix, N: FloatArray) -> FloatArray:
 
 
 def _highest(factor: Factor, M: Matrix, count: int) -> FloatArray:
-    """Return the vectors of the highest μ of M x = μ A x for the factors of A, shape (n, count), highest first."""
+    """Return the eigenvectors (n, count) of the highest μ of M x = μ A x, highest first, from A's factors."""
     if factor.L is None:
         return _highest_sparse(factor.solve, M, count)
     # the standard problem of L⁻¹ M L⁻ᵀ, with A = L Lᵀ
@@ -211,14 +216,17 @@ def _highest(factor: Factor, M: Matrix, count: int) -> FloatArray:
         raise np.linalg.LinAlgError(f"dsygst returned {failed}")
     n = len(C)
     _, Y = sl.eigh(C, lower=True, subset_by_index=[n - count, n - 1], driver="evr", check_finite=False)
-    if Y.shape[1] < count:  # LAPACK returns fewer on overflow, without an error
+    if Y.shape[1] < count:  # LAPACK returns fewer vectors on overflow, without an error
         raise np.linalg.LinAlgError(f"{Y.shape[1]} of {count} eigenvalues found")
     X, _ = sl.lapack.dtrtrs(factor.L, Y, lower=1, trans=1)
     return np.asarray(X[:, ::-1])
 
 
 def _highest_sparse(solve: Callable[[FloatArray], FloatArray], M: Matrix, count: int) -> FloatArray:
-    """Return the same by Lanczos iterations of A⁻¹ M; the fixed start vector makes results repeatable."""
+    """Return the eigenvectors of `_highest` by Lanczos iterations of A⁻¹ M.
+
+    The start vector is fixed, so that results are repeatable.
+    """
     n = M.shape[0]
     with_mass = np.flatnonzero(M.diagonal() > 0.0)
     if len(with_mass) <= DENSE_LIMIT:
@@ -239,10 +247,10 @@ def _highest_sparse(solve: Callable[[FloatArray], FloatArray], M: Matrix, count:
 def _polish(
     S: Matrix, M: Matrix, X: FloatArray, elastic: Callable[[FloatArray], FloatArray] = lambda x: x
 ) -> tuple[FloatArray, FloatArray]:
-    """Return Rayleigh's quotients and mass-normalised vectors of a space, given lowest mode first.
+    """Return Rayleigh quotients and mass-normalised vectors of a space that is given lowest mode first.
 
-    The error of Rayleigh's quotient is the square of the vector's. High modes, which the inverse problem gives
-    less accurately, are replaced by the Ritz vectors of the space that they span.
+    The error of a Rayleigh quotient is the square of the vector's error. The inverse problem gives high modes less
+    accurately; these are replaced by the Ritz vectors of the space that they span.
     """
     for _ in range(2):  # Cholesky–QR in the inner product of M, twice against rounding
         X = elastic(X)
@@ -267,8 +275,8 @@ def _dense(matrix: Any) -> FloatArray:
 
 
 # Whether a symmetric matrix is singular or negative shows in its lowest eigenvalues at a unit diagonal. With that
-# scaling metres and radians, stiff and soft parts count alike, and an eigenvalue that should be zero is of the
-# order of 1e-16, whatever the units and the mesh.
+# scaling metres and radians, and stiff and soft parts, count equally, and an eigenvalue that should be zero is of
+# the order of 1e-16, whatever the units and the mesh.
 
 
 def unit_diagonal(matrix: Matrix) -> tuple[Matrix, FloatArray]:
@@ -279,7 +287,7 @@ def unit_diagonal(matrix: Matrix) -> tuple[Matrix, FloatArray]:
 
 
 def scale_matrix(matrix: Matrix, scale: FloatArray) -> Matrix:
-    """Return D A D for the diagonal of D."""
+    """Return D A D for a matrix A and the diagonal `scale` of D."""
     if not sp.issparse(matrix):
         return scale[:, None] * matrix * scale
     matrix = sp.csr_array(matrix, copy=True)
@@ -288,12 +296,12 @@ def scale_matrix(matrix: Matrix, scale: FloatArray) -> Matrix:
 
 
 def lowest(S: Matrix) -> tuple[FloatArray, FloatArray]:
-    """Return all eigenvalues near and below zero of a matrix from `unit_diagonal`, and at least one above.
+    """Return all eigenvalues near or below zero of a matrix from `unit_diagonal`, and at least one above.
 
     Returns
     -------
     eigenvalues : ndarray, shape (m,)
-        For a large matrix with eigenvalues below −`NEGATIVE`, only one of those.
+        If a large matrix has eigenvalues below −`NEGATIVE`, only one of these.
     vectors : ndarray, shape (n, m), orthonormal
     """
     n = S.shape[0]
@@ -301,7 +309,7 @@ def lowest(S: Matrix) -> tuple[FloatArray, FloatArray]:
         S = _dense(S)
         return _all_below_zero(lambda count: sl.eigh(S, subset_by_index=[0, count - 1], check_finite=False), n)
     unit, shift = sp.csr_array(sp.eye_array(n)), NEGATIVE
-    # the pivots tell whether an eigenvalue lies below the shift (Sylvester); Lanczos might miss one far below zero
+    # the pivots show whether an eigenvalue lies below the shift (Sylvester); Lanczos might miss one far below zero
     while (factor := factorise(S + shift * unit)).negative:
         shift *= 10.0
     if shift > NEGATIVE:
@@ -312,7 +320,7 @@ def lowest(S: Matrix) -> tuple[FloatArray, FloatArray]:
 def _all_below_zero(
     solve: Callable[[int], tuple[FloatArray, FloatArray]], most: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest eigenvalues and vectors, of which `solve` gives so many, until the last is not zero."""
+    """Return the lowest eigenvalues and vectors, in growing numbers from `solve`, until the last is not zero."""
     count = min(_AT_ONCE, most)
     lam, vectors = solve(count)
     while lam[-1] < ZERO and count < most:
@@ -324,14 +332,15 @@ def _all_below_zero(
 def rank(matrix: Matrix) -> int:
     """Return the rank of a positive semidefinite matrix.
 
-    Zeros of a large sparse matrix are counted by inertia (Sylvester's law): they may be hundreds, as in solids of
-    reduced integration, and an iteration that looks for all of them would not end. At a unit diagonal those within
-    ±`NEGATIVE` count as zero, which is where exported digits leave them.
+    The zero eigenvalues of a large sparse matrix are counted by inertia (Sylvester's law). There may be hundreds,
+    as in solids with reduced integration, and an iteration that searches for all of them would not end. With a
+    unit diagonal, eigenvalues within ±`NEGATIVE` count as zero, because exported digits leave zero eigenvalues
+    there.
 
     Raises
     ------
     SingularMassError
-        If it is negative for some vector.
+        If the matrix is negative for some vector.
     """
     if matrix.shape[0] <= DENSE_LIMIT:
         matrix = _dense(matrix)
@@ -357,7 +366,7 @@ def rank(matrix: Matrix) -> int:
 
 
 def is_semidefinite(matrix: sp.csr_array) -> bool:
-    """Say whether a sparse symmetric matrix has no eigenvalue below zero, but for rounding in exported digits."""
+    """Return True if a sparse symmetric matrix has no eigenvalue below zero, up to exported digits."""
     rows = np.flatnonzero(np.diff(matrix.indptr))
     if not len(rows):
         return True
@@ -371,17 +380,17 @@ def is_semidefinite(matrix: sp.csr_array) -> bool:
 
 
 def _is_definite(S: Matrix) -> bool:
-    """Say whether no eigenvalue of a matrix of unit diagonal can be zero."""
+    """Return True if no eigenvalue of a matrix of unit diagonal can be zero."""
     unit = sp.eye_array(S.shape[0]) if sp.issparse(S) else np.eye(S.shape[0])
     try:
-        # consistent mass matrices have eigenvalues of at least 1e-3; if one is small, all the lowest are computed
+        # consistent mass matrices have eigenvalues of at least 1e-3; a smaller one calls for all the lowest
         return factorise(S - 1e-6 * unit).negative == 0
     except np.linalg.LinAlgError:
         return False
 
 
 def _nearest(S: Matrix, factor: Factor, sigma: float, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the eigenvalues of S nearest to `sigma`, given the factors of S − sigma."""
+    """Return the `count` eigenvalues of S nearest to `sigma` and their vectors, from the factors of S − sigma."""
     n = S.shape[0]
     inverse = ssl.LinearOperator((n, n), matvec=factor.solve, dtype=float)
     start = np.random.default_rng(0).standard_normal(n)

@@ -1,4 +1,4 @@
-"""A decoupled block, solved in full, one theta at a time, with the derivatives of its modes."""
+"""Decoupled blocks solved in full, one theta at a time, with the derivatives of their modes."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from fmu.fem.modes.solver import Matrix
 from fmu.fem.modes.terms import Term, WeightedSum, coefficient_gradients, weighted_sum
 from fmu.types import FloatArray, IntArray
 
-# Up to this size a dense solve for a shape's slopes takes less time than a sparse one.
+# Up to this size a dense solve for the derivatives of a shape takes less time than a sparse solve.
 _DENSE_SLOPES = 128
 
 
 def full_model(model: SeparableModel) -> BlockModel[FullBlock]:
-    """Return the unreduced blocks of `model`."""
+    """Return the model that consists of the unreduced blocks of `model`."""
     return BlockModel(tuple(FullBlock(model, dofs) for dofs in model.blocks), model.n_parameters)
 
 
@@ -34,7 +34,7 @@ class FullBlock(Block):
     ----------
     model : SeparableModel
     dofs : ndarray of int
-        The block's degrees of freedom in the model, one of ``model.blocks``.
+        Indices of the block's degrees of freedom in the model, one entry of ``model.blocks``.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class FullBlock(Block):
     n_modes : int
         Number of modes with a finite frequency: fewer than `size` where degrees of freedom have no mass.
     constant : bool
-        Whether no parameter changes it.
+        Whether no parameter changes the block.
     """
 
     is_reduced: ClassVar[Literal[False]] = False
@@ -58,7 +58,7 @@ class FullBlock(Block):
         self._last: tuple[tuple[bytes, int], FloatArray, FloatArray] | None = None
 
     def __getstate__(self) -> dict[str, object]:
-        """Leave out what is prepared when needed."""
+        """Return the state for pickling, without data that are recomputed on demand."""
         return {name: value for name, value in self.__dict__.items() if name != "_sums"} | {"_last": None}
 
     @cached_property
@@ -77,8 +77,8 @@ class FullBlock(Block):
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues (n, count) and mass-normalised shapes (n, size, count); NaN on failure.
 
-        Of a large block the last solve at a single theta is remembered: of a start several things are asked. A
-        block that no parameter changes is solved once.
+        A large block keeps its last solve at a single theta, because several quantities are needed at the start of
+        a problem. A block that no parameter changes is solved once.
         """
         times = 1
         if self.constant:
@@ -111,7 +111,7 @@ class FullBlock(Block):
 
     @cached_property
     def _has_semidefinite_masses(self) -> bool:
-        """Whether the mass terms are semidefinite, so that all sums with positive weights have one rank."""
+        """Whether all mass terms are semidefinite, so that sums with positive weights have equal rank."""
         try:
             return all(rank(term.matrix) >= 0 for term in self.M_terms)
         except SingularMassError:
@@ -120,12 +120,12 @@ class FullBlock(Block):
     def _rank(self, M: Matrix, is_that_of_all: bool) -> int:
         if not (self.constant_mass or (is_that_of_all and self._has_semidefinite_masses)):
             return rank(M)
-        if self._constant_rank is None:  # it costs a factorisation
+        if self._constant_rank is None:  # the rank takes a factorisation
             self._constant_rank = rank(M)
         return self._constant_rank
 
     def _at(self, rows: Matrix, phi: FloatArray) -> FloatArray:
-        # sparse rows multiply one shape at a time
+        # a sparse matrix multiplies the shapes of one theta at a time
         return np.stack([rows @ of for of in phi]) if len(phi) else np.empty((0, rows.shape[0], phi.shape[2]))
 
     def _slopes_seen(
@@ -146,7 +146,7 @@ class FullBlock(Block):
         return lam_slopes, shape_slopes
 
     def observe(self, rows: sp.csr_array, reference: FloatArray) -> Observation:
-        """Return a map of shapes (n, size, m) to the coordinates `rows`, and the references as they are."""
+        """Return the map from shapes (n, size, m) to the coordinates `rows`, and the unchanged reference."""
         if rows.nnz == rows.shape[0] and np.all(rows.data == 1.0) and np.all(np.diff(rows.indptr) == 1):
             return Picked(rows.indices), reference
         return Mapped(rows.toarray()), reference
@@ -159,11 +159,11 @@ class FullBlock(Block):
 
 
 def _finite_modes(M_terms: tuple[Term, ...]) -> int:
-    """Return how many modes of finite frequency a structure has, the rank of M where no term vanishes."""
+    """Return the number of modes of finite frequency, which is the rank of M where no term vanishes."""
     total = weighted_sum(M_terms, np.array([1.0 / max(abs(term.matrix).max(), 1e-300) for term in M_terms]))
     try:
         return rank(total)
-    except SingularMassError:  # terms that are differences: their sum says nothing, but for what is empty
+    except SingularMassError:  # terms that are differences: their sum shows only which rows are empty
         empty = np.all([np.diff(term.matrix.indptr) == 0 for term in M_terms], axis=0)
         return int(np.sum(~empty))
 
@@ -173,13 +173,13 @@ def _is_finite(matrix: Matrix) -> bool:
 
 
 def _slopes_times(terms: tuple[Term, ...], theta: FloatArray, phi: FloatArray) -> FloatArray:
-    """Return ∂K/∂theta_j φ, shape (m, size, n_parameters), for shapes (size, m)."""
+    """Return the products ∂K/∂theta_j φ, shape (m, size, n_parameters), for shapes φ (size, m)."""
     forms = np.stack([(term.matrix @ phi).T for term in terms], axis=-1)
     return np.asarray(forms @ coefficient_gradients(terms, theta[None])[0])
 
 
 def _restrict_terms(terms: tuple[Term, ...], dofs: IntArray) -> tuple[Term, ...]:
-    if len(dofs) == terms[0].matrix.shape[0]:  # a single block: nothing to have, or to send, twice
+    if len(dofs) == terms[0].matrix.shape[0]:  # a single block: the matrices need not be copied
         restricted = terms
     else:
         restricted = tuple(Term(sp.csr_array(t.matrix[dofs][:, dofs]), t.powers) for t in terms)

@@ -1,4 +1,4 @@
-"""Lines that draw a structure known by its matrices alone."""
+"""Line pictures of structures that are known by their matrices only."""
 
 from __future__ import annotations
 
@@ -12,21 +12,22 @@ from fmu.types import BoolArray, FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class LinePicture:
-    """Lines between named points. No mechanics follows from them.
+    """Lines between named points, for drawings only.
 
     Attributes
     ----------
     names : sequence of str
-        Names of the points; sensors at places of these names are drawn there.
+        Names of the points; a sensor at a place of the same name is drawn at that point.
     points : ndarray, shape (n_points, 3), m
     lines : ndarray of int, shape (n_lines, 2)
+        Indices of the points at both ends of each line.
     changed : ndarray of bool, shape (n_lines, n_parameters)
-        Which parameter changes what a line stands for.
+        Whether each parameter changes the part of the structure that a line stands for.
 
     Raises
     ------
     ValueError
-        If the shapes do not fit together.
+        If the shapes of the arrays are inconsistent.
     """
 
     names: Sequence[str]
@@ -41,5 +42,5 @@ class LinePicture:
             raise ValueError(f"lines: must be two points for each row of changed (got {np.shape(self.lines)})")
 
     def of(self, parameters: Sequence[int]) -> LinePicture:
-        """Return the picture for some of the parameters."""
+        """Return the picture for some of the parameters, given by index."""
         return replace(self, changed=self.changed[:, list(parameters)])

@@ -13,10 +13,11 @@ from threadpoolctl import ThreadpoolController
 from fmu.fem.modes.block import Block, Solved
 from fmu.types import BoolArray, FloatArray, IntArray
 
-# An eigenvalue this small relative to the highest of interest is that of a rigid-body mode. Where K is singular to
-# the last digit it is 0 exactly (`fmu.fem.modes.eigensolver`); matrices exported with ten digits leave more.
+# An eigenvalue this small relative to the highest of interest belongs to a rigid-body mode. If K is singular to
+# the last digit, the eigenvalue is 0 exactly (`fmu.fem.modes.eigensolver`); matrices exported with ten digits
+# leave more.
 RIGID = 1e-9
-# An eigenvalue below zero by more than this share of the largest of a set is not rounding. The set is that of the
+# An eigenvalue below zero by more than this share of the largest of a set is not rounding. The set consists of the
 # measured modes, far below the highest mode of the structure, to which rounding is relative.
 NEGATIVE = 1e-6
 _EQUAL = 1e-6
@@ -28,7 +29,7 @@ def is_rigid(eigenvalues: FloatArray) -> BoolArray:
 
 
 def frequency_hz(eigenvalue: FloatArray) -> FloatArray:
-    """Return √λ / 2π, NaN for a clearly negative λ: the structure has no such vibration.
+    """Return the frequencies √λ / 2π in Hz; NaN for a clearly negative λ, which has no vibration.
 
     Parameters
     ----------
@@ -43,7 +44,7 @@ def frequency_hz(eigenvalue: FloatArray) -> FloatArray:
 
 
 def frequency_gradient(frequency: FloatArray, eigenvalue_gradient: FloatArray) -> FloatArray:
-    """Return ∂f/∂θ = ∂λ/∂θ / (8 π² f); not finite for a rigid-body mode.
+    """Return the gradients ∂f/∂θ = ∂λ/∂θ / (8 π² f); not finite for a rigid-body mode.
 
     Parameters
     ----------
@@ -57,7 +58,7 @@ def frequency_gradient(frequency: FloatArray, eigenvalue_gradient: FloatArray) -
 def mac(phi: FloatArray, reference: FloatArray) -> FloatArray:
     """Return the modal assurance criterion between two sets of shapes (Allemang & Brown 1982).
 
-    MAC = |φᵀψ|² / (φᵀφ · ψᵀψ) at the measured coordinates. A shape that is zero there has MAC 0 with all.
+    MAC = |φᵀψ|² / (φᵀφ · ψᵀψ) at the measured coordinates. A shape that is zero there has MAC 0 with every shape.
 
     Parameters
     ----------
@@ -76,13 +77,13 @@ def mac(phi: FloatArray, reference: FloatArray) -> FloatArray:
 def fix_sign(shapes: FloatArray) -> FloatArray:
     """Return shapes with signs that do not depend on the solver: the largest component of each is positive.
 
-    Of components that are equally large to a relative 1e-6, as in an antisymmetric mode, the first counts, so that
-    rounding decides nothing.
+    If several components are equally large to a relative 1e-6, as in an antisymmetric mode, the first of them is
+    made positive, so that rounding does not decide the sign.
 
     Parameters
     ----------
     shapes : ndarray, shape (..., n, m)
-        Columns are shapes. One with NaN is left as it is.
+        Columns are shapes. A column with NaN is not changed.
     """
     size = np.abs(shapes)
     first = np.argmax(size >= (1.0 - _EQUAL) * np.max(size, axis=-2, keepdims=True), axis=-2)
@@ -99,7 +100,7 @@ class ModalSolution:
     eigenvalues : ndarray, shape (n, m), (rad/s)²; NaN where a solve failed or is not accurate
     gradient : ndarray, shape (n, m, n_parameters), or None
     block, rank : ndarray of int, shape (n, m)
-        The mode's block and its number (from 0) within it.
+        Index of each mode's block, and index (from 0) of the mode within that block.
     """
 
     eigenvalues: FloatArray
@@ -109,11 +110,11 @@ class ModalSolution:
 
     @property
     def failed(self) -> BoolArray:
-        """Which modes have no solution, shape (n, m)."""
+        """Mask of the modes that have no solution, shape (n, m)."""
         return np.isnan(self.eigenvalues)
 
     def columns(self, picked: IntArray) -> ModalSolution:
-        """Return only the modes in the given columns."""
+        """Return the solution for the modes in the given columns only."""
         gradient = None if self.gradient is None else self.gradient[:, picked]
         return ModalSolution(self.eigenvalues[:, picked], gradient, self.block[:, picked], self.rank[:, picked])
 
@@ -146,15 +147,15 @@ class BlockModel[Part: Block]:
         return sum(block.n_modes for block in self.blocks)
 
     def spectrum(self, theta: FloatArray, count: int, gradient: bool = False) -> ModalSolution:
-        """Return the lowest `count` modes of the whole structure, ascending over the blocks.
+        """Return the lowest `count` modes of the whole structure, sorted over all blocks.
 
-        A reduced block gives only the modes that it was trained for. Where one more of them might have been
-        among the lowest, the row is NaN: the full model is needed there.
+        A reduced block gives only the modes that it was trained for. Where a further mode of a reduced block might
+        be among the lowest modes, the row is NaN: the full model is needed there.
 
         Raises
         ------
         ValueError
-            If the structure has fewer modes.
+            If the structure has fewer than `count` modes.
         """
         available = sum(min(count, block.n_modes) for block in self.blocks)
         if not 1 <= count <= available:
@@ -172,7 +173,7 @@ class BlockModel[Part: Block]:
         order = np.argsort(merged, axis=1, kind="stable")[:, :count]
         row = np.arange(len(theta))[:, None]
         lowest = merged[row, order]
-        known = ~np.isnan(merged).any(axis=1)  # NaN is sorted last: the modes above would move down
+        known = ~np.isnan(merged).any(axis=1)  # NaN is sorted last, so that the modes above would move down
         for block, lam in zip(self.blocks, values, strict=True):
             if lam.shape[1] < min(count, block.n_modes):
                 known &= lowest[:, -1] < lam[:, -1]
@@ -189,8 +190,8 @@ class BlockModel[Part: Block]:
         """Return the mass-normalised shapes, (n_dof, m), of modes at one theta (1, n_parameters).
 
         For full blocks only. A shape is zero in every block but its own; its sign is that of `fix_sign`. `counts`
-        says how many modes of a block were solved for to find these, if they were: they are then not solved for
-        again.
+        gives the number of modes of each block that were solved for to find `modes`, if it is known; the blocks
+        are then not solved again.
         """
         block, rank = modes.block[0], modes.rank[0]
         shapes = np.zeros((sum(len(of.dofs) for of in self.blocks), len(block)))
@@ -202,13 +203,13 @@ class BlockModel[Part: Block]:
 
 
 class FixedModes:
-    """Fixed ranks of fixed blocks of a model; everything that does not depend on theta is prepared once.
+    """Solver for fixed modes of fixed blocks; everything that does not depend on theta is prepared once.
 
     Parameters
     ----------
     model : BlockModel
     block, rank : sequence of int
-        For each mode, its block and its number (from 0) within that block.
+        For each mode, the index of its block and its index (from 0) within that block.
     """
 
     def __init__(self, model: BlockModel, block: Sequence[int], rank: Sequence[int]) -> None:
@@ -223,7 +224,7 @@ class FixedModes:
         self._order = np.argsort(np.concatenate(columns))
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
-        """Return these modes at theta (n, n_parameters); eigenvalues alone are cheaper."""
+        """Return these modes at theta (n, n_parameters); gradients are optional and cost more."""
         values, slopes = [], []
         for block, count, ranks in self._parts:
             if gradient:
@@ -238,7 +239,7 @@ class FixedModes:
         )
 
     def locate(self, theta: FloatArray, gradient: bool = False) -> tuple[IntArray, IntArray, Solved]:
-        """Return block and rank of the modes at theta (n, n_parameters), shapes (n, m); nothing is solved."""
+        """Return block and rank of the modes at theta (n, n_parameters), shapes (n, m), and an empty dict."""
         block, rank = self._labels
         return block.repeat(len(theta), axis=0), rank.repeat(len(theta), axis=0), {}
 
@@ -247,17 +248,17 @@ class FixedModes:
 
 
 def _as_slice(indices: IntArray) -> slice | IntArray:
-    """Return consecutive indices as a slice, which NumPy takes without copying, others as they are."""
+    """Return consecutive indices as a slice, which NumPy takes without copying, other indices unchanged."""
     first = int(indices[0])
     consecutive = np.array_equal(indices, np.arange(first, first + len(indices)))
     return slice(first, first + len(indices)) if consecutive else indices
 
 
 class _OneThread:
-    """A context in which BLAS uses one thread: many small eigenproblems are slower with more.
+    """A context in which BLAS uses one thread: many small eigenproblems are slower with more threads.
 
-    The process has its own setting back afterwards. Where there is one thread already nothing is touched:
-    threadpoolctl's own context takes as long as a reduced eigenproblem.
+    The previous number of threads is restored afterwards. Nothing is changed if there is only one thread already,
+    because threadpoolctl's own context takes as long as a reduced eigenproblem.
     """
 
     def __enter__(self) -> None:
@@ -275,7 +276,7 @@ single_thread = _OneThread
 
 @cache
 def _libraries() -> tuple[Any, ...]:
-    # NumPy and SciPy each bring a BLAS of their own: both must be loaded before the controller looks for them
+    # NumPy and SciPy each bring their own BLAS: both must be loaded before the controller looks for them
     import numpy.linalg  # noqa: F401
     import scipy.linalg  # noqa: F401
 

@@ -33,24 +33,25 @@ class Geometry:
     Attributes
     ----------
     nodes : ndarray, shape (n_nodes, 3), m
-        A degree of freedom named ``(node, direction)`` belongs to row `node`, or to the row of that id.
+        Coordinates. A degree of freedom named ``(node, direction)`` belongs to row `node` or, with `ids`, to the
+        row with that id.
     elements : ndarray of int, shape (n_elements, 2)
-        Rows of both ends of each line to draw.
+        Rows of `nodes` at both ends of each line to draw.
     masses : sequence of int
         Rows of nodes with a point mass.
     springs : sequence of (int, int or None)
-        Rows of both ends of each spring, the second one None for the ground.
+        Rows of the nodes at both ends of each spring; None as the second end stands for the ground.
     spring_parameters : sequence of (int or None)
-        The first parameter that sets each spring's stiffness; none is known if empty.
+        Index of the first parameter that sets each spring's stiffness, or None; empty if no index is known.
     ids : ndarray of int, shape (n_nodes,), optional
-        Names of the nodes in the degrees of freedom, where they are not the rows.
+        Names of the nodes in the degrees of freedom, if the names are not the rows.
     mesh : Mesh or ExportedModel, optional
-        That of another program, which the lines are drawn from.
+        Mesh of another program from which the lines are drawn.
 
     Raises
     ------
     ValueError
-        If nodes or elements have another shape, or are not finite.
+        If nodes or elements have a wrong shape or are not finite, or there is not one id per node.
     """
 
     nodes: FloatArray
@@ -82,19 +83,19 @@ class Geometry:
         Returns
         -------
         Geometry or None
-            With the lines that draw it; None if there is nothing to draw.
+            The geometry with the lines to draw; None if there is nothing to draw.
         """
         lines = edges(mesh)
         return cls(mesh.coordinates, lines, ids=mesh.nodes, mesh=mesh) if len(lines) else None
 
     @cached_property
     def drawn(self) -> IntArray:
-        """Rows of the nodes that are drawn: all, or of another program's mesh those at the lines."""
+        """Rows of the nodes that are drawn: all nodes or, for another program's mesh, the ends of lines."""
         return np.arange(len(self.nodes)) if self.ids is None else np.unique(self.elements)
 
     @cached_property
     def row_of(self) -> dict[Any, int]:
-        """Row of each node by its name."""
+        """Dict from the name of each node to its row in `nodes`."""
         names = range(len(self.nodes)) if self.ids is None else np.asarray(self.ids).tolist()
         return {name: row for row, name in enumerate(names)}
 
@@ -102,21 +103,21 @@ class Geometry:
 @check_arguments
 @dataclass(frozen=True)
 class RigidArm:
-    """A place rigidly connected to a node, such as a sensor on the skin of a beam or the centre of a mass.
+    """A point rigidly connected to a node, such as a sensor on the skin of a beam or the centre of a mass.
 
     Attributes
     ----------
     node : hashable
-        The node that it is connected to, as named in the model's degrees of freedom.
+        Name of the node in the model's degrees of freedom.
     offset : tuple of float, length 3, m
-        From the node to the place, global axes.
+        Vector from the node to the point, in global axes.
     """
 
     node: Place
     offset: tuple[float, float, float]
 
     def motion(self, direction: str) -> dict[str, float]:
-        """Return a motion of the place as weights of its node's motions, to first order: u + θ × r."""
+        """Return the point's motion as a dict of weights of the node's motions, to first order: u + θ × r."""
         x, y, z = self.offset
         return {direction: 1.0} | {
             "x": {"ry": z, "rz": -y},
@@ -134,26 +135,27 @@ class SeparableModel:
     K_terms, M_terms : sequence of Term
         Stiffness (N/m, N·m/rad, …) and mass terms on the same free degrees of freedom.
     dofs : sequence of tuple (node, direction), optional
-        Name of each degree of freedom; direction is one of ``"x" "y" "z" "rx" "ry" "rz"``. Without names each
-        one is the translation x of its own node.
+        Name of each degree of freedom; direction is one of ``"x" "y" "z" "rx" "ry" "rz"``. By default each degree
+        of freedom is the translation x of its own node.
     geometry : Geometry, optional
-        For drawings of the structure and its mode shapes.
+        Geometry for drawings of the structure and its mode shapes.
     arms : mapping of hashable to RigidArm, optional
-        Places beside the nodes at which sensors may sit, by name.
+        Points rigidly connected to nodes, by name, at which sensors may be placed.
     ties : mapping of tuple to tuple, optional
-        Further names (node, direction) of degrees of freedom: those tied to one of `dofs`.
+        Dict from the name (node, direction) of each tied degree of freedom to the name in `dofs` to which it is
+        tied.
     motions : mapping of tuple to mapping of tuple to float, optional
-        Motions (node, direction) that are weighted sums of `dofs`, and go before a degree of freedom of that name:
-        those of a node whose degrees of freedom are not along global axes.
+        Motions (node, direction) as weighted sums of `dofs`, for nodes whose degrees of freedom are not along
+        global axes. A motion takes precedence over a degree of freedom of the same name.
 
     Attributes
     ----------
     names : tuple of str or None
-        The parameters, if they were named; see `from_terms`.
+        Names of the parameters, if they were given; see `from_terms`.
     notes : tuple of str
-        What is known of where its matrices come from, a sentence each.
+        Sentences on the origin of the matrices.
     picture : LinePicture or None
-        What drawings show where there is no geometry.
+        Line picture that is drawn if there is no geometry.
 
     Raises
     ------
@@ -201,7 +203,7 @@ class SeparableModel:
         geometry: Geometry | None = None,
         motions: Mapping[tuple[Any, str], Mapping[tuple[Any, str], float]] | None = None,
     ) -> SeparableModel:
-        """Return the model of matrices with the parameters that multiply them, by name.
+        """Return the model of matrices that are given with the names of the parameters that multiply them.
 
         ``SeparableModel.from_terms(["k1", "t"], stiffness=[K0, (K1, "k1"), (K2, {"t": 3})], mass=[M])`` has
         K = K0 + k1 K1 + t³ K2.
@@ -209,10 +211,10 @@ class SeparableModel:
         Parameters
         ----------
         parameters : sequence of str
-            In the order of theta; the parameters of an `UpdatingProblem` must have the same names.
+            Names in the order of theta; the parameters of an `UpdatingProblem` must have the same names.
         stiffness, mass : sequence of array_like, sparse, tuple (matrix, str) or (matrix, mapping of str to float)
-            A matrix alone is constant; with a name it is multiplied by that parameter; with powers by name, by
-            their product.
+            A matrix alone is constant. A matrix with a name is multiplied by that parameter. A matrix with powers
+            by name is multiplied by the product of these powers of the parameters.
         dofs, geometry, motions : optional
             See the class.
 
@@ -223,7 +225,7 @@ class SeparableModel:
         Raises
         ------
         ValueError
-            If a term names no parameter of the model, and whatever the class raises.
+            If a term names an unknown parameter, or as for the class.
         """
         names = tuple(parameters)
         K_terms, M_terms = (
@@ -250,10 +252,11 @@ class SeparableModel:
 
     @cached_property
     def blocks(self) -> tuple[IntArray, ...]:
-        """Degrees of freedom of each decoupled part of the structure, ascending.
+        """Indices of the degrees of freedom of each decoupled part of the structure, ascending.
 
-        Connected components of the graph of nonzeros of all |K_k| + |M_m|: the eigenproblem splits exactly.
-        Entries that only rounding (a rotated element) keeps from being zero do not connect.
+        The parts are the connected components of the graph of nonzeros of Σ |K_k| + Σ |M_m|, so that the
+        eigenproblem splits exactly. Entries that are nonzero only by rounding (as in a rotated element) do not
+        connect degrees of freedom.
         """
         rows, columns = [], []
         for term in (*self.K_terms, *self.M_terms):
@@ -289,12 +292,12 @@ class SeparableModel:
             ) from None
 
     def observation(self, sensors: Sequence[Dof]) -> sp.csr_array:
-        """Return the matrix that maps a motion of the degrees of freedom to the sensor readings.
+        """Return the matrix that maps displacements of the degrees of freedom to the sensor readings.
 
         Parameters
         ----------
         sensors : sequence of (place, direction)
-            A place is a node or one of `arms`. A direction is that of a degree of freedom, with a leading minus
+            A place is a node or a name in `arms`. A direction is that of a degree of freedom, with a leading minus
             sign for a sensor of reversed polarity: ``"z"``, ``"-z"``.
 
         Returns
@@ -313,7 +316,7 @@ class SeparableModel:
         return sp.csr_array((weight, (row, column)), shape=(len(rows), self.n_dof), dtype=float)
 
     def sees(self, sensor: Dof) -> bool:
-        """Say whether a sensor sees a free degree of freedom, see `observation`."""
+        """Return True if a sensor sees a free degree of freedom, see `observation`."""
         try:
             return bool(self._seen_by(sensor))
         except ValueError:
@@ -337,7 +340,7 @@ class SeparableModel:
         return seen
 
     def locate_motions(self) -> Iterator[tuple[int, str, Mapping[int, float]]]:
-        """Yield the motions of the geometry's nodes: row, direction, and weights of degrees of freedom."""
+        """Yield row, direction and weights of degrees of freedom for each motion of the geometry's nodes."""
         row_of = {} if self.geometry is None else self.geometry.row_of
         for node, direction in (*self.motions, *(name for name in self.dof_of if name not in self.motions)):
             if node in row_of:
@@ -345,13 +348,13 @@ class SeparableModel:
 
     @cached_property
     def dof_of(self) -> dict[Dof, int]:
-        """Index of the degree of freedom of every name (node, direction), ties included."""
+        """Dict from every name (node, direction), ties included, to the index of its degree of freedom."""
         index = {name: i for i, name in enumerate(self.dofs)}
         return index | {name: index[other] for name, other in self.ties.items()}
 
 
 def selection(dofs: ArrayLike, n_dof: int) -> sp.csr_array:
-    """Return the rows that pick degrees of freedom (q,) out of a motion, a csr_array of shape (q, n_dof)."""
+    """Return the csr_array, shape (q, n_dof), that picks the degrees of freedom `dofs` (q,) out of a motion."""
     picked = np.asarray(dofs, dtype=np.int64)
     return sp.csr_array((np.ones(len(picked)), picked, np.arange(len(picked) + 1)), shape=(len(picked), n_dof))
 

@@ -1,13 +1,13 @@
-"""Factors of symmetric matrices: one small protocol, four solvers.
+"""Factorisation of symmetric matrices by four solvers with a common protocol.
 
-LAPACK for dense matrices, and for definite ones with a narrow band, as those of beams, bridges and towers: it
-takes a tenth to a half of the time of a sparse solver. For other sparse ones PARDISO of Intel's MKL where the
-extra ``fmu[fast]`` is installed (package pypardiso), else SuperLU, which comes with SciPy. PARDISO is meant for
-10⁵ degrees of freedom and more; it uses one thread, or as many as the environment variable ``MKL_NUM_THREADS``
-says.
+LAPACK factorises dense matrices, and definite matrices with a narrow band, such as those of beams, bridges and
+towers: it takes a tenth to a half of the time of a sparse solver. Other sparse matrices are factorised by PARDISO
+of Intel's MKL if the extra ``fmu[fast]`` is installed (package pypardiso), else by SuperLU, which comes with
+SciPy. PARDISO is meant for 10⁵ degrees of freedom and more; it uses one thread, or the number of threads that the
+environment variable ``MKL_NUM_THREADS`` gives.
 
-None of them changes the order of rows for the sake of large pivots. The matrices are positive definite or nearly
-so, and the signs of the pivots then are those of the eigenvalues (Sylvester's law of inertia).
+None of the solvers reorders rows to obtain large pivots. The matrices are positive definite or nearly so, and the
+signs of the pivots are then the signs of the eigenvalues (Sylvester's law of inertia).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ LAPACK, SUPERLU, PARDISO = "LAPACK", "SuperLU", "PARDISO"
 _DEFINITE, _INDEFINITE = 2, -2
 _FACTORISE, _SOLVE, _RELEASE = 12, 33, -1
 _TINY, _OF_PARDISO = 20, 4
-# Up to this half-width a band was faster than SuperLU to factorise and to solve, at 1000 to 5000 rows.
+# Up to this half-width a band was faster than SuperLU to factorise and to solve, for 1000 to 5000 rows.
 _NARROW = 256
 
 
@@ -45,7 +45,7 @@ class Factor(Protocol):
     Attributes
     ----------
     negative : int
-        How many eigenvalues of A are not positive.
+        Number of eigenvalues of A that are not positive.
     L : ndarray, shape (n, n), or None
         The lower factor of a dense definite matrix, A = L Lᵀ.
     """
@@ -55,7 +55,7 @@ class Factor(Protocol):
 
     @property
     def n_entries(self) -> int:
-        """Numbers in the factors, of L and its transpose."""
+        """Number of entries in the factors, L and its transpose."""
         ...
 
     def solve(self, loads: FloatArray) -> FloatArray:
@@ -75,14 +75,15 @@ def factorise(matrix: Matrix, solver: str | None = None, is_definite: bool = Tru
     ----------
     matrix : ndarray or sparse array, shape (n, n)
     solver : {"SuperLU", "PARDISO"}, optional
-        For sparse matrices. If not given, LAPACK for a definite matrix with a narrow band, else `sparse_solver`.
+        Solver for sparse matrices. By default LAPACK for a definite matrix with a narrow band, else
+        `sparse_solver`.
     is_definite : bool
-        Whether a positive definite matrix is expected: another one then takes longer.
+        Whether the matrix is expected to be positive definite; the factorisation takes longer if it is not.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        If the matrix is singular to the last digit; one that is nearly so may pass.
+        If the matrix is singular to the last digit; a nearly singular matrix may pass.
     """
     if not sp.issparse(matrix):
         return DenseFactor(matrix)
@@ -92,13 +93,13 @@ def factorise(matrix: Matrix, solver: str | None = None, is_definite: bool = Tru
         if band is not None:
             try:
                 return _BandedFactor(matrix, band)
-            except np.linalg.LinAlgError:  # indefinite or singular: the others tell which
+            except np.linalg.LinAlgError:  # indefinite or singular: the other solvers tell which
                 pass
     return _Pardiso(matrix, is_definite) if (solver or sparse_solver()) == PARDISO else _SuperLU(matrix)
 
 
 class DenseFactor:
-    """Cholesky factors L Lᵀ, or the factors L D Lᵀ of an indefinite matrix (Bunch & Kaufman 1977)."""
+    """Factors of a dense matrix: Cholesky factors L Lᵀ, or L D Lᵀ if indefinite (Bunch & Kaufman 1977)."""
 
     def __init__(self, matrix: FloatArray) -> None:
         self.negative, self.n_entries = 0, matrix.size
@@ -114,23 +115,24 @@ class DenseFactor:
             self.negative = int(np.sum(np.linalg.eigvalsh(matrix) <= 0.0))
 
     def solve(self, loads: FloatArray) -> FloatArray:
-        """Return A⁻¹ b."""
+        """Return A⁻¹ b for b of shape (n,) or (n, m)."""
         if self.L is not None:
             return sl.lapack.dpotrs(self.L, loads, lower=1)[0]
         return sl.lapack.dsytrs(self._ldl, self._pivots, loads, lower=1)[0]
 
 
 class _Band(NamedTuple):
-    """Where the entries of a sparse matrix are in its band.
+    """Positions of the entries of a sparse matrix in its band.
 
     Attributes
     ----------
     order : ndarray of int, shape (n,)
         The rows in the order that makes the band narrow.
     half_width : int
-        Diagonals beside the main one.
+        Number of diagonals on each side of the main diagonal.
     entries, at : ndarray of int, shape (n_lower,)
-        Entries of the lower triangle in that order, and their places in the band, which is stored by columns.
+        Indices of the entries of the lower triangle in that order, and indices of these entries in the band, which
+        is stored by columns.
     """
 
     order: IntArray
@@ -141,9 +143,10 @@ class _Band(NamedTuple):
 
 @lru_cache(maxsize=8)
 def _band(indptr: bytes, indices: bytes, dtype: str) -> _Band | None:
-    """Return the band of the matrices with one pattern of entries (CSR); None if it is wide.
+    """Return the band of the matrices with one pattern of entries (CSR); None if the band is too wide.
 
-    By the order of Cuthill & McKee, reversed. A model's matrices have one pattern at every theta.
+    The rows are ordered by the reversed algorithm of Cuthill & McKee. A model's matrices have one pattern at every
+    theta.
     """
     rows, columns = np.frombuffer(indptr, dtype), np.frombuffer(indices, dtype)
     n = len(rows) - 1
@@ -160,7 +163,7 @@ def _band(indptr: bytes, indices: bytes, dtype: str) -> _Band | None:
 
 
 class _BandedFactor:
-    """Cholesky factors of a definite matrix within its band; LinAlgError if it is not definite."""
+    """Cholesky factors of a definite matrix in its band; LinAlgError if the matrix is not definite."""
 
     negative = 0
     L: FloatArray | None = None
@@ -226,7 +229,7 @@ class _Pardiso:
     def _factorise(self, of: int) -> None:
         self._solver = _pardiso()(mtype=of)
         weakref.finalize(self, _call, self._solver, self._upper, _RELEASE).atexit = False
-        # METIS, and pivots as they come: PARDISO's own settings would change those below 1e-8 of the largest entry
+        # METIS, and unmodified pivots: PARDISO's own settings would change pivots below 1e-8 of the largest entry
         for i, value in {1: 1, 2: 2, 10: _TINY}.items():
             self._solver.iparm[i - 1] = value
         _call(self._solver, self._upper, _FACTORISE)
@@ -243,7 +246,7 @@ def _call(solver: Any, upper: sp.csr_array, phase: int, loads: FloatArray | None
 
 
 def _upper_triangle(matrix: sp.csr_array) -> sp.csr_array:
-    """Return the upper triangle with every entry of the diagonal, zeros too."""
+    """Return the upper triangle with every diagonal entry stored, even if it is zero."""
     entries = sp.triu(matrix, format="coo")
     n = matrix.shape[0]
     rows, columns = (np.concatenate([of, np.arange(n)]) for of in entries.coords)

@@ -1,4 +1,4 @@
-"""Static and mass quantities of a structure as functions of theta: no eigenproblem, exact derivatives."""
+"""Static displacements and masses of a structure as functions of theta, with exact derivatives."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ from fmu.types import Dof, FloatArray
 
 TRANSLATIONS = ("x", "y", "z")
 _FIRST, _CHECKS, _MOST = 32, 8, 1024
-"""Points at which the full stiffness is solved: at first, to check, and at most."""
+"""Numbers of points at which the full stiffness is solved: at first, for the check, and at most."""
 _CONVERGED = 1e-9
-"""Relative error of a displacement at the points of the check."""
+"""Largest relative error of a displacement at the points of the check."""
 _DEPENDENT = 1e-13
 """Singular value, relative to the largest, below which a vector adds nothing to the basis."""
 
 
 def rigid_translation(model: SeparableModel, direction: str) -> FloatArray:
-    """Return the motion of all free degrees of freedom by 1 m along x, y or z, shape (n_dof,)."""
+    """Return the displacements (n_dof,) of a translation of all free degrees of freedom by 1 m along an axis."""
     names = np.array([d for _, d in model.dofs])
     if model.geometry is not None and model.geometry.ids is not None:
         known = {i: d for _, d, seen in model.locate_motions() for i in seen}
-        names = np.array([known.get(i, "") for i in range(model.n_dof)])  # of nodes, none inside elements
+        names = np.array([known.get(i, "") for i in range(model.n_dof)])  # of nodes, not inside elements
     return (names == direction).astype(float)
 
 
 class MassMoments:
-    """Mass, and centre of gravity, of the parts that are free to move along one direction.
+    """Mass and centre of gravity of the parts that are free to move along one direction.
 
     m(θ) = rᵀ M(θ) r and x_c(θ) = rᵀ M(θ) (x ∘ r) / m(θ), with r the translation along the direction and x the
-    coordinates of the nodes. The sums over nodes are made once, a term of M each.
+    coordinates of the nodes. The sums over nodes are computed once, for each term of M.
 
     Parameters
     ----------
     model : SeparableModel
     start : ndarray, shape (n_parameters,)
-        The direction is the one of x, y, z along which most mass moves here.
+        Parameters at which the direction is chosen: the one of x, y, z along which the most mass moves.
     with_centre : bool
-        Whether the centre of gravity is wanted too, which needs the model's geometry.
+        Whether the centre of gravity is needed too, which requires the model's geometry.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class MassMoments:
     Raises
     ------
     ValueError
-        If no degree of freedom is a translation, or the centre is wanted and the nodes have no coordinates.
+        If no degree of freedom is a translation, or the centre is needed and the nodes have no coordinates.
     """
 
     def __init__(self, model: SeparableModel, start: FloatArray, with_centre: bool) -> None:
@@ -70,7 +70,10 @@ class MassMoments:
         self._sums = np.array([[float(r @ (term.matrix @ (x * r))) for x in arms] for term in model.M_terms])
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> tuple[FloatArray, FloatArray | None]:
-        """Return mass in kg and centre in m, (n, 1 or 4), at theta (n, n_parameters), and their derivatives."""
+        """Return the mass in kg and the centre in m, (n, 1 or 4), at theta (n, n_parameters), with derivatives.
+
+        The derivatives have shape (n, 1 or 4, n_parameters); they are None without `gradient`.
+        """
         moments = np.einsum("nk,kq->nq", self._map(theta), self._sums)
         mass = moments[:, :1]
         values = np.concatenate([mass, moments[:, 1:] / mass], axis=1)
@@ -85,26 +88,27 @@ class MassMoments:
 class StaticDisplacement:
     """The displacement u(θ) = bᵀ K(θ)⁻¹ f under a static load.
 
-    K is projected onto K(θ_s)⁻¹ [f b] at sampled points θ_s. As the basis holds the primal and the dual solution,
-    the error of u is the product of both errors (Quarteroni, Manzoni & Negri 2016, chapter 3).
+    K is projected onto K(θ_s)⁻¹ [f b] at sampled points θ_s. Since the basis contains the primal and the dual
+    solution, the error of u is the product of the errors of these two solutions (Quarteroni, Manzoni & Negri 2016,
+    chapter 3).
 
     Parameters
     ----------
     model : SeparableModel
     force : tuple of (place, direction)
-        Where the load acts; a place and a direction as a sensor has them.
+        Place and direction of the load, given as for a sensor.
     load : float, N or N·m
     at : tuple of (place, direction)
-        Where the displacement (or rotation) is measured.
+        Place and direction of the measured displacement (or rotation).
     points : callable
-        Returns as many points as it is asked for, shape (n, n_parameters), of those for which u is wanted.
+        ``points(n)`` returns n parameter vectors, shape (n, n_parameters), in the range for which u is needed.
 
     Attributes
     ----------
     error : float
-        Largest relative error at points that the basis was not made of.
+        Largest relative error at points that are not used for the basis.
     n_solves : int
-        Solves of the full stiffness that the basis took.
+        Number of solves of the full stiffness for the basis.
 
     Raises
     ------
@@ -143,8 +147,8 @@ class StaticDisplacement:
                 n *= 2
 
     def _project(self, model: SeparableModel, vectors: FloatArray, loads: FloatArray) -> None:
-        """Set the terms of K and the loads on an orthonormal basis of vectors, the largest first."""
-        weight = np.sqrt(sum(np.abs(term.matrix.diagonal()) for term in model.K_terms))  # rotations beside metres
+        """Project the stiffness terms and loads onto an orthonormal basis of `vectors`, largest first."""
+        weight = np.sqrt(sum(np.abs(term.matrix.diagonal()) for term in model.K_terms))  # for rotations and metres
         weighted = weight[:, None] * vectors
         U, s, _ = np.linalg.svd(weighted / np.linalg.norm(weighted, axis=0), full_matrices=False)
         V = U[:, s > _DEPENDENT * s[0]] / weight[:, None]
@@ -153,11 +157,14 @@ class StaticDisplacement:
         self._loads = V.T @ loads
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> tuple[FloatArray, FloatArray | None]:
-        """Return u in m or rad, (n, 1), at theta (n, n_parameters), and its derivatives (n, 1, n_parameters)."""
+        """Return u in m or rad, (n, 1), at theta (n, n_parameters), with derivatives (n, 1, n_parameters).
+
+        The derivatives are None without `gradient`.
+        """
         # einsum without `optimize` adds term by term, so that a result does not depend on the rest of the batch
         K = np.einsum("nk,kij->nij", self._map(theta), self._K)
         x = np.full((len(K), *self._loads.shape), np.nan)
-        for i, one in enumerate(K):  # a singular matrix at one point is no failure of the others
+        for i, one in enumerate(K):  # a singular matrix at one point must not fail the other points
             try:
                 x[i] = np.linalg.solve(one, self._loads)
             except np.linalg.LinAlgError:
@@ -170,7 +177,7 @@ class StaticDisplacement:
 
 
 def _coordinates(model: SeparableModel) -> FloatArray:
-    """Return the coordinates of each degree of freedom's node, (n_dof, 3)."""
+    """Return the coordinates of the node of each degree of freedom, (n_dof, 3); ValueError if unknown."""
     geometry = model.geometry
     if geometry is None or not all(node in geometry.row_of for node, _ in model.dofs):
         raise ValueError("centre: needs the coordinates of all nodes; give the model a mesh or a geometry")
@@ -178,7 +185,7 @@ def _coordinates(model: SeparableModel) -> FloatArray:
 
 
 def _solve_loads(model: SeparableModel, theta: FloatArray, loads: FloatArray) -> FloatArray:
-    """Return K(θ)⁻¹ of loads (n_dof, 2), with each row and column scaled to a unit diagonal."""
+    """Return K(θ)⁻¹ times the loads (n_dof, 2), with rows and columns of K scaled to a unit diagonal."""
     K = sum_at(model.K_terms, theta)
     scale = 1.0 / np.sqrt(np.where(K.diagonal() > 0.0, K.diagonal(), 1.0))
     scaled = K.multiply(scale[:, None]).multiply(scale).tocsr()

@@ -1,4 +1,4 @@
-"""Terms of stiffness and mass: matrices times powers of the parameters, and their sums."""
+"""Terms of stiffness and mass, which are matrices times powers of the parameters, and their sums."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from fmu.arguments import ArgumentError, check_arguments, shown
 from fmu.types import FloatArray
 
 Powers = tuple[float, ...]
-"""Of the parameters in a monomial."""
+"""Powers of the parameters in a monomial."""
 
 
 @check_arguments
 @dataclass(frozen=True)
 class Term:
-    """One matrix with its coefficient, the monomial Π theta_j ** powers[j].
+    """A matrix with its coefficient, the monomial Π theta_j ** powers[j].
 
     Attributes
     ----------
     matrix : array_like or sparse, shape (n_dof, n_dof)
-        Symmetric; holds the constant factor of the coefficient. Kept as a csr_array of float.
+        Symmetric; includes the constant factor of the coefficient. Stored as a csr_array of float.
     powers : sequence of int or float, length n_parameters
-        All zero for a term that no parameter changes.
+        Power of each parameter; all are zero for a term that no parameter changes.
 
     Raises
     ------
     ValueError
-        If the matrix is not a real matrix.
+        If `matrix` is not a real matrix.
     """
 
     matrix: Any
@@ -54,7 +54,7 @@ def coefficients(terms: Sequence[Term], theta: FloatArray) -> FloatArray:
 
 
 def coefficient_gradients(terms: Sequence[Term], theta: FloatArray) -> FloatArray:
-    """Return ∂c_k/∂theta_j, shape (n, n_terms, n_parameters)."""
+    """Return the gradients ∂c_k/∂theta_j of the coefficients, shape (n, n_terms, n_parameters)."""
     result = np.zeros((len(theta), len(terms), theta.shape[1]))
     for k, term in enumerate(terms):
         for j, power in enumerate(term.powers):
@@ -67,7 +67,7 @@ def coefficient_gradients(terms: Sequence[Term], theta: FloatArray) -> FloatArra
 def monomial(theta: FloatArray, powers: Sequence[float]) -> FloatArray:
     """Return Π theta[:, j] ** powers[j], shape (n,); NaN or infinite where a power does not exist or overflows.
 
-    Whole powers are products, so that a result does not depend on the rest of the batch.
+    Whole powers from 1 to 8 are computed as products, so that a result does not depend on the rest of the batch.
     """
     value = np.ones(len(theta))
     with np.errstate(over="ignore", invalid="ignore"):
@@ -92,7 +92,7 @@ def _power(x: float, power: float) -> float:
 
 
 def merge_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
-    """Add up the matrices of terms with the same coefficient."""
+    """Return the terms, with the matrices of equal coefficients added up."""
     merged: dict[Powers, sp.csr_array] = {}
     for term in terms:
         merged[term.powers] = merged[term.powers] + term.matrix if term.powers in merged else term.matrix
@@ -100,7 +100,7 @@ def merge_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
 
 
 def weighted_sum(terms: Sequence[Term], weights: FloatArray) -> sp.csr_array:
-    """Return the sparse sum Σ weights[k] · K_k; its entries are not finite on overflow."""
+    """Return the sparse sum Σ weights[k] · K_k of the matrices of `terms`; not finite on overflow."""
     with np.errstate(over="ignore", invalid="ignore"):
         total = terms[0].matrix * weights[0]
         for term, weight in zip(terms[1:], weights[1:], strict=True):
@@ -114,15 +114,15 @@ def sum_at(terms: Sequence[Term], theta: FloatArray) -> sp.csr_array:
 
 
 class WeightedSum:
-    """The sum Σ_k w_k K_k of the matrices of `terms` for many weights; its sparsity pattern is found once.
+    """The sum Σ_k w_k K_k of the matrices of `terms`, computed for many weights with one sparsity pattern.
 
-    Adding sparse arrays takes longer than solving a small structure.
+    The pattern is found only once, because adding sparse arrays takes longer than solving a small structure.
 
     Parameters
     ----------
     terms : sequence of Term
     dense : bool
-        Whether the sum is an ndarray, not a csr_array.
+        Whether the sum is returned as an ndarray instead of a csr_array.
     """
 
     def __init__(self, terms: Sequence[Term], dense: bool) -> None:
@@ -155,7 +155,7 @@ class WeightedSum:
 
 
 class CoefficientMap:
-    """The coefficients of a set of terms and their derivatives, with the common case (c_k = theta_j) made fast."""
+    """Coefficients of a set of terms and their derivatives, fast in the common case c_k = theta_j."""
 
     def __init__(self, terms: Sequence[Term]) -> None:
         self.terms = tuple(terms)
@@ -167,7 +167,7 @@ class CoefficientMap:
         self._slopes[self._linear, self._source] = 1.0
 
     def __call__(self, theta: FloatArray) -> FloatArray:
-        """Return c_k(theta), shape (n, n_terms)."""
+        """Return the coefficients c_k(theta), shape (n, n_terms), at theta (n, n_parameters)."""
         if len(self._linear) == len(self.terms):
             return theta.take(self._source, axis=1)
         value = np.ones((len(theta), len(self.terms)))
@@ -196,7 +196,7 @@ def _as_csr(matrix: Any) -> sp.csr_array:
 
 
 def named_term(given: Any, names: tuple[str, ...], where: str) -> Term:
-    """Return a term given as a matrix, with the name of its parameter or powers by name.
+    """Return the term given as a matrix, alone or with the name of its parameter or powers by name.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def named_term(given: Any, names: tuple[str, ...], where: str) -> Term:
     Raises
     ------
     ValueError
-        If a name is not among `names`, or the matrix is none.
+        If a name is not among `names`, or the matrix is not a real matrix.
     """
     if isinstance(given, Term):
         return given

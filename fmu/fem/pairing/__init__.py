@@ -1,4 +1,4 @@
-"""The pairing of computed modes with measured ones.
+"""Pairing of computed modes with measured modes.
 
 Reading order: rules, prediction, modal_model, paired_structure; paired_black_box for a user's function,
 failed_solves for reasons.

@@ -1,8 +1,9 @@
 """Rigid alignment of points to a mesh: iterative closest points from many starts.
 
-Each step (Besl & McKay 1992) is the least-squares rotation of Kabsch (1976) to the nearest nodes. It starts from
-the 24 rotations that carry axes to axes, from the principal axes of points and mesh, and from hundreds of others.
-A regular mesh has a minimum at every shift by its spacing: the neighbours of the best alignments are tried too.
+Each step (Besl & McKay 1992) is the least-squares alignment of Kabsch (1976) to the nearest nodes. The iterations
+start from the 24 rotations that map axes to axes, from the principal axes of points and mesh, and from hundreds of
+other rotations. A regular mesh has a minimum at every shift by its spacing, so that the neighbours of the best
+alignments are tried too.
 """
 
 from __future__ import annotations
@@ -18,21 +19,21 @@ from scipy.spatial.transform import Rotation
 from fmu.types import FloatArray, IntArray
 
 _FIRST_STEPS, _STEPS, _BEST = 6, 40, 48
-"""Steps from every start, and from the best of them."""
+"""Steps from every start, steps from the best alignments, and number of the best alignments."""
 _FEW, _ROUNDS = 8, 10
-"""Of how many alignments the neighbours are tried, and how often at most."""
+"""Number of alignments whose neighbours are tried, and the largest number of rounds."""
 _OTHERS = 600
-"""Rotations to start from beside those of axes; two neighbours differ by some 20°."""
+"""Number of rotations to start from besides those of axes; two neighbours differ by some 20°."""
 _AS_GOOD = 1.2
-"""An alignment fits as well as the best if its distances are at most so many times as large."""
+"""An alignment fits as well as the best if its distances are at most this many times as large."""
 _EXACT = 1e-3
-"""Distances below this, in units of the spacing, are all as good as zero."""
+"""Distances below this, in units of the spacing, all count as zero."""
 _ELSEWHERE = 5.0
-"""Degrees by which two alignments differ at least that count as two."""
+"""Smallest angle in degrees between two alignments that count as different."""
 _MOST_FAR = 0.2
-"""Points fit a mesh if at most this share of them is farther from it than its spacing."""
+"""Points fit a mesh if at most this share of the points is farther from its node than the spacing there."""
 _KEEPS = 1e-10
-"""Weight of the rotation so far, about an axis that points on one line leave free."""
+"""Weight of the current rotation, for an axis about which points on one line leave the rotation free."""
 
 
 Alignment = tuple[FloatArray, FloatArray]
@@ -40,9 +41,9 @@ Alignment = tuple[FloatArray, FloatArray]
 
 
 def kabsch(points: FloatArray, targets: FloatArray) -> Alignment:
-    """Return the rotations R and shifts t of the least Σ |R x + t − y|² (Kabsch 1976), for n points a set.
+    """Return the rotations R and shifts t that minimise Σ |R x + t − y|² (Kabsch 1976), for n points per set.
 
-    About an axis that the points leave free, as those on one line do, nothing is turned.
+    There is no rotation about an axis that the points leave free, as collinear points do.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ def kabsch(points: FloatArray, targets: FloatArray) -> Alignment:
     Returns
     -------
     R : ndarray, shape (..., 3, 3)
-        With determinant +1: a mirrored set is not met.
+        Rotations with determinant +1; a mirrored set is not matched by a reflection.
     t : ndarray, shape (..., 3)
     """
     centre, target = points.mean(axis=-2), targets.mean(axis=-2)
@@ -65,7 +66,7 @@ def kabsch(points: FloatArray, targets: FloatArray) -> Alignment:
 
 
 class Mesh:
-    """Places of nodes, each once, and the spacing between them."""
+    """Distinct positions of the nodes of a mesh, and the spacing between them."""
 
     def __init__(self, nodes: Sequence[Hashable], coordinates: ArrayLike) -> None:
         given = np.asarray(coordinates, dtype=float)
@@ -83,7 +84,7 @@ class Mesh:
         self.usual = float(np.median(self.spacing))
 
     def at(self, place: int) -> list[Hashable]:
-        """Return the nodes at a place."""
+        """Return the list of nodes at the position with index `place`."""
         return [self._nodes[k] for k in np.flatnonzero(self._place_of.ravel() == place)]
 
     def rms(self, x: FloatArray) -> float:
@@ -91,16 +92,16 @@ class Mesh:
         return float(np.sqrt(np.mean(self.tree.query(x)[0] ** 2)))
 
     def fits(self, x: FloatArray) -> bool:
-        """Say whether points (n, 3) lie on the mesh, most of them."""
+        """Return True if most of the points (n, 3) lie on the mesh."""
         distance, place = self.tree.query(x)
         return bool(np.mean(distance > self.spacing[place]) <= _MOST_FAR)
 
 
 def align_points(x: FloatArray, mesh: Mesh) -> tuple[FloatArray, FloatArray, list[Alignment]]:
-    """Return the best alignment R, t, and others that fit as well; of all these the one that turns least."""
+    """Return R and t of the best fit that rotates least, and a list of the other alignments that fit as well."""
     R, t = _best(x, mesh, *_closest(x, mesh, *_starts(x, mesh), _FIRST_STEPS), _BEST)
     R, t = _closest(x, mesh, R, t, _STEPS)
-    # on a regular mesh every shift by its spacing is near a minimum
+    # on a regular mesh every shift by its spacing is close to a minimum
     shifts = mesh.usual * np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))
     for _ in range(_ROUNDS):
         least = _rms(x, mesh, R, t).min()
@@ -123,7 +124,7 @@ def align_points(x: FloatArray, mesh: Mesh) -> tuple[FloatArray, FloatArray, lis
 
 
 def _best(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray, count: int) -> Alignment:
-    """Return the alignments that fit best, each once, at most so many."""
+    """Return at most `count` alignments that fit best, without duplicates."""
     places = mesh.tree.query(x @ np.swapaxes(R, -1, -2) + t[:, None])[1]
     which = np.concatenate([places, np.round(4.0 * R.reshape(-1, 9))], axis=1)
     once = np.unique(which, axis=0, return_index=True)[1]
@@ -132,10 +133,10 @@ def _best(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray, count: int) -
 
 
 def _starts(x: FloatArray, mesh: Mesh) -> Alignment:
-    """Return rotations and shifts to start from, shapes (n, 3, 3) and (n, 3).
+    """Return the rotations and shifts to start from, shapes (n, 3, 3) and (n, 3).
 
-    From those of axes, and of principal axes, with centres, corners or origins at one place; from many others with
-    the centres.
+    Rotations of axes and of principal axes start with centres, corners or origins superposed; the many other
+    rotations start with the centres superposed.
     """
     axes = Rotation.create_group("O").as_matrix()
     V, W = (np.linalg.svd(part - part.mean(axis=0), full_matrices=False)[2] for part in (_three(x), mesh.places))
@@ -156,12 +157,12 @@ def _starts(x: FloatArray, mesh: Mesh) -> Alignment:
 
 
 def _three(x: FloatArray) -> FloatArray:
-    """Return at least three points, for a singular value decomposition with three directions."""
+    """Return the points, with the last one repeated so that there are at least three, for an SVD."""
     return x if len(x) >= 3 else np.concatenate([x, np.repeat(x[-1:], 3 - len(x), axis=0)])
 
 
 def _closest(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray, steps: int) -> Alignment:
-    """Return alignments (n, 3, 3) and (n, 3) after so many steps of iterative closest points."""
+    """Return alignments (n, 3, 3) and (n, 3) after at most `steps` steps of iterative closest points."""
     for _ in range(steps):
         placed = x @ np.swapaxes(R, -1, -2) + t[:, None]
         turn, shift = kabsch(placed, mesh.places[mesh.tree.query(placed)[1]])
@@ -178,13 +179,13 @@ def _rms(x: FloatArray, mesh: Mesh, R: FloatArray, t: FloatArray) -> FloatArray:
 
 
 def _differ(x: FloatArray, mesh: Mesh, one: Alignment, other: Alignment) -> bool:
-    """Say whether two alignments give other nodes, or other directions."""
+    """Return True if two alignments give different nodes or different directions."""
     places: list[IntArray] = [mesh.tree.query(x @ R.T + t)[1] for R, t in (one, other)]
     return bool(np.any(places[0] != places[1])) or turn_of(one[0] @ other[0].T)[0] > _ELSEWHERE
 
 
 def turn_of(R: FloatArray) -> tuple[float, FloatArray]:
-    """Return angle in degrees and axis of a rotation."""
+    """Return the angle in degrees and the axis of the rotation matrix R."""
     vector = Rotation.from_matrix(R).as_rotvec()
     angle = float(np.linalg.norm(vector))
     return np.degrees(angle), vector / angle if angle > 0 else vector

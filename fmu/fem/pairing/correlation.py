@@ -1,8 +1,8 @@
-"""Where test and model agree: among measured modes, close modes as a subspace, and sensor by sensor.
+"""Correlation of test and model: among measured modes, of close modes as a subspace, and sensor by sensor.
 
 After pairing, `computed` and `measured` are shapes at the same sensors, one column per measured mode. The measured
-ones are scaled to the computed ones by least absolute differences (`scale_shapes`), on which a single wrong sensor
-has little influence.
+shapes are scaled to the computed shapes by least absolute differences (`scale_shapes`), so that a single wrong
+sensor has little influence.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     import pandas as pd
 
 CLOSE = 0.01
-"""Two frequencies closer than this, relatively, are hard to tell apart."""
+"""Relative difference below which two frequencies are hard to tell apart."""
 ALIKE = 0.8
-"""With a MAC below this, two shapes hardly belong to the same mode."""
+"""MAC below which two shapes hardly belong to the same mode."""
 ALIASED = 0.9
-"""With an AutoMAC above this, the sensors see two measured modes as one."""
+"""AutoMAC above which the sensors cannot tell two measured modes apart."""
 SUSPECT, TIMES = 0.1, 3.0
-"""A sensor is doubted if its ECoMAC exceeds this, and the median over all sensors so many times."""
+"""A sensor is suspect if its ECoMAC exceeds `SUSPECT`, and `TIMES` times the median over all sensors."""
 LOOK_AT_SENSORS = (
     "CoMAC is 1 and ECoMAC 0 at a sensor where measured and computed motion agree over the paired modes: look for "
     "single sensors that stand out. CoMAC near 1 with a large ECoMAC is a wrong sign or scale."
@@ -42,14 +42,14 @@ LOOK_AT_SHAPES = (
 _FEWEST_SENSORS, _FEWEST_MODES = 4, 2
 _MOST_NAMED = 5
 _DEPENDENT = 1e-8
-"""Shapes of unit length whose singular value is below this are linearly dependent."""
+"""Singular value of shapes of unit length below which the shapes are linearly dependent."""
 
 
 def scale_shapes(measured: FloatArray, computed: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return both sets of shapes (n_sensors, n_modes), the computed ones with a mean square of 1 over the sensors.
+    """Return both sets of shapes (n_sensors, n_modes), with computed shapes of mean square 1.
 
-    Each measured shape is multiplied by the factor c that makes Σ_j |c φ_j − ψ_j| smallest, ψ being the computed
-    one: the median of ψ_j/φ_j with weights |φ_j|.
+    Each measured shape φ is multiplied by the factor c that minimises Σ_j |c φ_j − ψ_j|, where ψ is the scaled
+    computed shape: c is the median of ψ_j/φ_j with weights |φ_j|.
     """
     size = np.sqrt(np.mean(computed**2, axis=0))
     psi = np.divide(computed, size, out=np.zeros_like(computed), where=size > 0)
@@ -67,8 +67,9 @@ def _factor(phi: FloatArray, psi: FloatArray) -> float:
 def comac(measured: FloatArray, computed: FloatArray) -> FloatArray:
     """Return the coordinate modal assurance criterion of each sensor (Lieven & Ewins 1988), shape (n_sensors,).
 
-    CoMAC_j = (Σ_k |φ_jk ψ_jk|)² / (Σ_k φ_jk² Σ_k ψ_jk²) over the paired modes k: 1 if measured and computed motion
-    of the sensor are in proportion, whatever their signs; 1 for a sensor that moves in neither.
+    CoMAC_j = (Σ_k |φ_jk ψ_jk|)² / (Σ_k φ_jk² Σ_k ψ_jk²) over the paired modes k. It is 1 if the measured and the
+    computed components at the sensor are proportional, whatever their signs, and 1 for a sensor that moves in no
+    measured or computed shape.
     """
     phi, psi = scale_shapes(measured, computed)
     size = np.sum(phi**2, axis=1) * np.sum(psi**2, axis=1)
@@ -79,18 +80,20 @@ def comac(measured: FloatArray, computed: FloatArray) -> FloatArray:
 def ecomac(measured: FloatArray, computed: FloatArray) -> FloatArray:
     """Return the enhanced CoMAC of each sensor (Hunt 1992, IMAC X), shape (n_sensors,).
 
-    ECoMAC_j = Σ_k |φ_jk − ψ_jk| / 2m over m paired modes, in units of the root mean square of the computed shape:
-    0 where the shapes are equal, sign and size included; as large as the motion itself where the sign is wrong.
+    ECoMAC_j = Σ_k |φ_jk − ψ_jk| / 2m over m paired modes, in units of the root mean square of the computed shape.
+    It is 0 where the shapes are equal in sign and size, and as large as the component itself where only the sign
+    is wrong.
     """
     phi, psi = scale_shapes(measured, computed)
     return np.asarray(0.5 * np.mean(np.abs(phi - psi), axis=1))
 
 
 def subspace_mac(measured: FloatArray, computed: FloatArray) -> FloatArray:
-    """Return cos² of the principal angles between the spaces of two sets of shapes, the largest first.
+    """Return cos² of the principal angles between the spaces of two sets of shapes, largest first.
 
-    The least is 1 if every measured shape is a combination of the computed ones, as those of close modes are that
-    differ only in how they rotate into each other (Björck & Golub 1973). Of single shapes it is the MAC.
+    The smallest value is 1 if every measured shape is a combination of the computed shapes, as for close modes
+    that differ only by a rotation among themselves (Björck & Golub 1973). For two single shapes the value is their
+    MAC.
 
     Parameters
     ----------
@@ -106,7 +109,7 @@ def subspace_mac(measured: FloatArray, computed: FloatArray) -> FloatArray:
 
 
 def _orthonormal(shapes: FloatArray) -> FloatArray:
-    """Return a basis of the space of shapes, one column each, zero where they are linearly dependent."""
+    """Return orthonormal columns that span the shapes; columns are zero where shapes are linearly dependent."""
     size = np.linalg.norm(shapes, axis=0)
     unit = np.divide(shapes, size, out=np.zeros_like(shapes), where=size > 0)
     U, s, _ = np.linalg.svd(unit, full_matrices=False)
@@ -114,12 +117,13 @@ def _orthonormal(shapes: FloatArray) -> FloatArray:
 
 
 def close_groups(*frequencies: ArrayLike, within: float = CLOSE) -> tuple[tuple[int, ...], ...]:
-    """Return the groups of two or more modes that are closer than `within`, relatively, to the next in the group.
+    """Return a tuple of groups of two or more modes that are closer than `within` to the next in the group.
 
     Parameters
     ----------
     *frequencies : array_like, shape (n_modes,)
-        Of the same modes: measured, computed. It is enough that they are close in one of them.
+        Frequencies of the same modes, such as measured and computed. Two modes are close if their relative
+        difference is less than `within` in one of the arrays.
     """
     near = np.zeros((len(np.asarray(frequencies[0])),) * 2, dtype=bool)
     for f in map(np.asarray, frequencies):
@@ -131,17 +135,17 @@ def close_groups(*frequencies: ArrayLike, within: float = CLOSE) -> tuple[tuple[
 
 @dataclass(frozen=True, eq=False)
 class Correlation:
-    """Measured and computed shapes of paired modes, compared.
+    """Comparison of the measured and computed shapes of paired modes.
 
     Attributes
     ----------
     sensors : tuple of str
         Place and direction of each sensor, in words.
     labels : tuple of str
-        Of the measured modes.
+        Labels of the measured modes.
     measured, computed : ndarray, shape (n_sensors, n_modes)
     groups : tuple of tuple of int
-        Modes (from 0) that are close in frequency, see `close_groups`.
+        Groups of modes, by index (from 0), that are close in frequency, see `close_groups`.
     """
 
     sensors: tuple[str, ...]
@@ -167,9 +171,9 @@ class Correlation:
 
     @cached_property
     def subspace(self) -> dict[int, float]:
-        """For each mode of a group, the least cos² of the angles between the measured and the computed space.
+        """Dict from each mode of a group to the smallest cos² of the principal angles between both spaces.
 
-        Groups of as many modes as there are sensors span everything, and are left out.
+        Groups with at least as many modes as there are sensors are skipped, because they span the whole space.
         """
         few = (list(group) for group in self.groups if len(group) < len(self.sensors))
         least = {tuple(g): float(subspace_mac(self.measured[:, g], self.computed[:, g])[-1]) for g in few}
@@ -177,7 +181,7 @@ class Correlation:
 
     @property
     def suspects(self) -> IntArray:
-        """The sensors that stand out, the worst first, shape (n_suspects,)."""
+        """Indices of the sensors that stand out, the worst first, shape (n_suspects,)."""
         if len(self.sensors) < _FEWEST_SENSORS or len(self.labels) < _FEWEST_MODES:
             return np.zeros(0, dtype=np.int64)
         least = max(SUSPECT, TIMES * float(np.median(self.ecomac)))
@@ -185,7 +189,7 @@ class Correlation:
         return order[self.ecomac[order] > least]
 
     def doubts_of_sensors(self) -> list[str]:
-        """Return a warning for each of the sensors that `suspects` names, the worst five of them."""
+        """Return a list of warnings, one for each of the five worst sensors in `suspects`."""
         phi, psi = scale_shapes(self.measured, self.computed)
         middle, found = float(np.median(self.ecomac)), []
         for j in self.suspects[:_MOST_NAMED]:
@@ -200,7 +204,7 @@ class Correlation:
         return found
 
     def doubts_of_modes(self) -> list[str]:
-        """Return a warning for every two modes that the sensors hardly tell apart, whatever the model."""
+        """Return a list of warnings, one for each pair of measured modes that look alike at the sensors."""
         above = np.argwhere(np.triu(self.auto_mac, 1) > ALIASED).tolist()
         return [
             f"The measured shapes of modes {self.labels[i]} and {self.labels[k]} are alike at the sensors "
@@ -209,7 +213,7 @@ class Correlation:
         ]
 
     def notes(self) -> list[str]:
-        """Return a sentence on every group of close modes whose shapes agree as a space, not one by one."""
+        """Return a list of sentences, one for each group of close modes that agree only as a space."""
         found = []
         for group in self.groups:
             alike = [float(mac(self.computed[:, [k]], self.measured[:, [k]])[0, 0]) for k in group]
@@ -222,6 +226,6 @@ class Correlation:
         return found
 
     def table(self) -> pd.DataFrame:
-        """Return one row per sensor, the largest ``ecomac`` first; ``comac``."""
+        """Return a table of ``comac`` and ``ecomac``, one row per sensor, largest ``ecomac`` first."""
         columns = {"comac": self.comac, "ecomac": self.ecomac}
         return data_frame(columns, "sensor", self.sensors).sort_values("ecomac", ascending=False, kind="stable")

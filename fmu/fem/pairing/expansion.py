@@ -1,10 +1,10 @@
-"""Measured shapes at all degrees of freedom of a model, for pictures.
+"""Expansion of measured shapes to all degrees of freedom of a model, for pictures.
 
-SEREP fits the measured shapes by the model's modes: noise at single sensors is averaged out, any sensors will do,
-and what the modes cannot represent is left over and says how far to trust the picture. It is the default.
-Dynamic expansion keeps what was measured to the last digit and lets the model's inertia and stiffness fill in the
-rest: noise stays, as kinks at the sensors, and where a measured frequency is one of the model with its sensors
-held, the rest has no bound.
+SEREP, the default, fits the model's modes to the measured shapes: noise at single sensors is averaged out, any
+sensors will do that tell the modes apart, and the residual of the fit shows how far to trust the picture. Dynamic
+expansion reproduces the measured values to the last digit and computes the other degrees of freedom from the
+model's inertia and stiffness. Noise remains, as kinks at the sensors, and the expanded shape is unbounded where a
+measured frequency is a natural frequency of the model with its sensors held.
 """
 
 from __future__ import annotations
@@ -26,14 +26,15 @@ METHODS = ("serep", "dynamic")
 
 @dataclass(frozen=True, eq=False)
 class Expanded:
-    """Measured shapes at all degrees of freedom.
+    """Measured shapes expanded to all degrees of freedom.
 
     Attributes
     ----------
     shapes : ndarray, shape (n_dof, n_modes)
-        In the scale of the measured ones.
+        Expanded shapes, in the scale of the measured shapes.
     kept : ndarray, shape (n_modes,)
-        Which part of the sum of squares of a measured shape they have at the sensors; 1 if they are the same.
+        Share of the sum of squares of each measured shape that the expanded shape reproduces at the sensors; 1 if
+        the two shapes are equal there.
     """
 
     shapes: FloatArray
@@ -50,7 +51,7 @@ def serep(measured: FloatArray, rows: sp.sparray, modes: FloatArray) -> FloatArr
     measured : ndarray, shape (n_sensors, m)
         φ.
     rows : sparse, shape (n_sensors, n_dof)
-        C: `fmu.fem.modes.separable.SeparableModel.observation`.
+        C, from `fmu.fem.modes.separable.SeparableModel.observation`.
     modes : ndarray, shape (n_dof, r)
         Φ.
 
@@ -61,7 +62,7 @@ def serep(measured: FloatArray, rows: sp.sparray, modes: FloatArray) -> FloatArr
     Raises
     ------
     ValueError
-        If the sensors cannot tell the modes apart: they are fewer, or see two as one.
+        If the sensors cannot tell the modes apart: there are fewer sensors than modes, or two modes look alike.
     """
     seen = rows @ modes
     size = np.linalg.norm(seen, axis=0)
@@ -76,10 +77,10 @@ def serep(measured: FloatArray, rows: sp.sparray, modes: FloatArray) -> FloatArr
 def dynamic(
     measured: FloatArray, frequencies_hz: ArrayLike, rows: sp.sparray, K: sp.sparray, M: sp.sparray
 ) -> FloatArray:
-    """Return shapes that are as measured at the sensors, with no force anywhere else.
+    """Return shapes that equal the measured shapes at the sensors and need no force anywhere else.
 
-    Dynamic expansion (Kidder 1973, AIAA Journal 11, 251). Of every mode (K − ω²M) u = Cᵀ f and C u = φ, with ω as
-    measured and f the forces at the sensors.
+    Dynamic expansion (Kidder 1973, AIAA Journal 11, 251). Every mode satisfies (K − ω²M) u = Cᵀ f and C u = φ,
+    with the measured ω and the forces f at the sensors.
 
     Parameters
     ----------
@@ -96,11 +97,12 @@ def dynamic(
     Raises
     ------
     ValueError
-        If two sensors see the same motion, or a measured frequency is one of the model with its sensors held.
+        If two sensors see the same motion, or a measured frequency is a natural frequency of the model with its
+        sensors held.
     """
     n = rows.shape[1]
     shapes = np.empty((n, measured.shape[1]))
-    scale = float(np.mean(np.abs(K.diagonal())))  # the forces in units of it: rows of one size
+    scale = float(np.mean(np.abs(K.diagonal())))  # unit of the forces, so that all rows are of similar size
     for k, frequency in enumerate(np.asarray(frequencies_hz, dtype=float)):
         Z = (K - (2.0 * np.pi * frequency) ** 2 * M) / scale
         system = sp.block_array([[Z, rows.T], [rows, None]], format="csc")
@@ -126,24 +128,24 @@ def expand(
     frequencies_hz: ArrayLike,
     method: str = "serep",
 ) -> Expanded:
-    """Return measured shapes at all degrees of freedom of a model.
+    """Return measured shapes expanded to all degrees of freedom of a model.
 
     Parameters
     ----------
     model : SeparableModel
     theta : array_like, shape (n_parameters,)
     modes : ndarray, shape (n_dof, r)
-        Those of the model at `theta` that are paired with the measured ones.
+        Modes of the model at `theta` that are paired with the measured modes.
     sensors : sequence of (place, direction)
     measured : array_like, shape (n_sensors, n_modes)
     frequencies_hz : array_like, shape (n_modes,)
-        Measured.
+        Measured frequencies.
     method : {"serep", "dynamic"}
 
     Raises
     ------
     ValueError
-        If the method is unknown or fails, see `serep` and `dynamic`.
+        If the method is unknown, or fails as described for `serep` and `dynamic`.
     """
     rows, phi = model.observation(sensors), np.asarray(measured, dtype=float)
     if method == "serep":

@@ -1,6 +1,6 @@
-"""Why a model gave no frequencies at a parameter vector, in terms of structural dynamics.
+"""Reasons why a model gave no frequencies at a parameter vector, in terms of structural dynamics.
 
-Solvers return NaN on failure and spend no time on the reason. A theta that failed is solved again here, alone.
+Solvers return NaN on failure and spend no time on the reason. Here a theta that failed is solved again by itself.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ NOT_FINITE = "frequencies are not finite"
 
 
 def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
-    """Return why a paired model has no finite frequencies at a theta; None if it has them.
+    """Return why a paired model has no finite frequencies at theta; None if its frequencies are finite.
 
     Parameters
     ----------
     model : ModalModel
-        A user's function is not called again: it may be slow, or fail in another way. Of several tests the first
-        that failed is named.
+        A user's function is not called again: it may be slow, or fail differently. If the model has several tests,
+        the reason names the first test that failed.
     theta : ndarray, shape (n_parameters,)
-        Where it has just failed.
+        Parameters at which the model has just failed.
     """
     if model.functions and model.n_tests == 1:
         return model.reason_at(theta)
@@ -58,7 +58,7 @@ def why_no_frequencies(model: ModalModel, theta: FloatArray) -> str | None:
 
 
 def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:
-    """Return why the full model fails; it is used where a reduced one fails."""
+    """Return why the full model fails, which also replaces a failed reduced model; None if it does not fail."""
     structure = model.structure
     for b, count in model.rule.counts(model.blocks).items():
         block: Any = model.blocks[b]
@@ -70,7 +70,7 @@ def _of_structure(model: PairedStructure, theta: FloatArray) -> str | None:
 
 
 def _of_block(block: FullBlock, theta: FloatArray, count: int) -> tuple[str, int | None] | None:
-    """Return why a block fails, and the degree of freedom concerned if there is one."""
+    """Return why a block fails and the degree of freedom concerned (or None); None if the block does not fail."""
     K, M = (weighted_sum(terms, coefficients(terms, theta[None])[0]) for terms in (block.K_terms, block.M_terms))
     for name, matrix in (("K", K), ("M", M)):
         if not np.all(np.isfinite(matrix.data)):
@@ -90,7 +90,7 @@ def _of_block(block: FullBlock, theta: FloatArray, count: int) -> tuple[str, int
         ), None
     if not np.all(np.isfinite(lam)):
         return "the eigenvalue solver did not converge (an eigenvalue is not finite)", None
-    # relative to the largest of those solved for, as in frequency_hz
+    # relative to the largest eigenvalue solved for, as in frequency_hz
     if lam[0] < -NEGATIVE * np.max(np.abs(lam)):
         return f"K is not positive semidefinite: an eigenvalue is {significant(lam[0])} (rad/s)²", None
     return None

@@ -1,8 +1,9 @@
-"""Points of a test on the nodes of a mesh: a rigid alignment, then the nearest node of each point.
+"""Matching of test points to the nodes of a mesh: a rigid alignment, then the nearest node of each point.
 
-Where the points are given in the axes of the model, they are taken as they are. Otherwise the alignment R x + t is
-found by `fmu.fem.pairing.alignment`. Nothing is scaled or mirrored: that either would fit is told. So is every
-other alignment that fits as well, as on a symmetric structure; three points whose nodes are known decide it.
+Points that are given in the axes of the model are used as they are. Otherwise the alignment R x + t is found by
+`fmu.fem.pairing.alignment`. Points are never scaled or mirrored, but a message says if another unit or mirrored
+points would fit. A warning says if other alignments fit as well, as on a symmetric structure; three points with
+known nodes resolve the ambiguity.
 """
 
 from __future__ import annotations
@@ -26,16 +27,18 @@ if TYPE_CHECKING:
     import pandas as pd
 
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254, "ft": 0.3048}
-"""Lengths in m."""
+"""Length of each unit in m."""
 DISTANT = 0.5
-"""A point farther from its node than this, in units of the mesh's spacing there, is told."""
+"""Distance of a point from its node, in units of the mesh's spacing there, above which a warning is given."""
 CLOSE_RIVAL = 0.1
-"""So is one whose second node is farther by less than this, in the same unit."""
+"""A warning is also given if the second-nearest node is farther by less than this, in the same unit."""
 SNAPPED = 2.0
-"""Axes turned by at most so many degrees against those of the model count as parallel to them."""
+"""Largest angle, in degrees, between axes of the test and of the model that count as parallel."""
 _MOST_NAMED = 5
 _ROUGH, _BETTER = 0.1, 0.3
-"""Mirrored points are tried where distances exceed so many spacings, and told if theirs are so much smaller."""
+"""Mirrored points are tried if the distances exceed `_ROUGH` spacings, and reported if their distances are less
+than `_BETTER` times as large.
+"""
 _AXES = ("x", "y", "z")
 
 
@@ -46,18 +49,19 @@ class Matching:
     Attributes
     ----------
     points : tuple of str
+        Names of the points.
     nodes : tuple
         Node of each point, as named in the model's degrees of freedom.
     distances : ndarray, shape (n_points,), m
-        After the alignment.
+        Distance of each point from its node, after the alignment.
     spacing : ndarray, shape (n_points,), m
-        From that node to the next one of the mesh.
+        Distance from the node of each point to the next node of the mesh.
     rotation : ndarray, shape (3, 3)
         R of the alignment x → R x + t.
     shift : ndarray, shape (3,), m
         t.
     notes, doubts : tuple of str
-        What was done, and what to look at, a sentence each.
+        Sentences on what was done, and warnings.
     """
 
     points: tuple[str, ...]
@@ -70,7 +74,7 @@ class Matching:
     doubts: tuple[str, ...]
 
     def sensor(self, point: Hashable, direction: str) -> Dof:
-        """Return node and direction in the model of a sensor at a point, its direction in the axes of the test.
+        """Return the node and the model direction of a sensor at a point; `direction` is in the test's axes.
 
         Raises
         ------
@@ -99,15 +103,16 @@ class Matching:
     def turned(
         self, sensors: Sequence[Dof], shapes: ArrayLike | None = None
     ) -> tuple[tuple[Dof, ...], FloatArray | None]:
-        """Return sensors at nodes along the axes of the model, and shapes (n_sensors, n_modes) as they read them.
+        """Return the sensors at nodes in the model's axes, and the shapes (n_sensors, n_modes) at these sensors.
 
-        Where the axes of the test are not parallel to those of the model, the three components at each point are
-        turned together.
+        If the axes of the test are not parallel to those of the model, the three components at each point are
+        rotated together.
 
         Raises
         ------
         ValueError
-            If there is no such point; or the axes are not parallel, and a point has not all three components once.
+            If a point does not exist, or the axes are not parallel and a point does not have each of the three
+            components exactly once.
         """
         values = None if shapes is None else np.array(shapes, dtype=float)
         if self.is_parallel:
@@ -119,7 +124,7 @@ class Matching:
         for (point, kind), rows in groups.items():
             axes = [_AXES.index(sensors[i][1][-1]) for i in rows]
             if point not in self.points or sorted(axes) != [0, 1, 2]:
-                self.sensor(*sensors[rows[0]])  # says what is wrong
+                self.sensor(*sensors[rows[0]])  # raises the error that says what is wrong
                 raise ValueError(f"must be along all three axes of the test at every point (got {point})")
             sign = np.array([-1.0 if sensors[i][1].startswith("-") else 1.0 for i in rows])
             if values is not None:
@@ -129,7 +134,7 @@ class Matching:
         return tuple(found), values
 
     def table(self) -> pd.DataFrame:
-        """Return one row per point: ``node``, ``distance`` and ``spacing`` in m."""
+        """Return a table with one row per point: ``node``, and ``distance`` and ``spacing`` in m."""
         columns = {"node": list(self.nodes), "distance": self.distances, "spacing": self.spacing}
         return data_frame(columns, "point", self.points)
 
@@ -141,7 +146,7 @@ def match(
     unit: str = "m",
     known: Mapping[Any, Any] | None = None,
 ) -> Matching:
-    """Return the node of a mesh nearest to each point of a test, after a rigid alignment if one is needed.
+    """Return the mesh node nearest to each point of a test, after a rigid alignment if one is needed.
 
     Parameters
     ----------
@@ -152,13 +157,13 @@ def match(
     coordinates : array_like, shape (n_nodes, 3), m
     unit : {"m", "mm", "cm", "in", "ft"}
     known : mapping of point to node, optional
-        Three points or more, not on one line, whose nodes are known: they alone give the alignment.
+        Nodes of three or more points that are not on one line; these points alone then determine the alignment.
 
     Raises
     ------
     ValueError
-        If a coordinate is not finite, a known point or node does not exist, or the points do not fit the mesh: the
-        message says so if they would in another unit, or mirrored.
+        If a coordinate is not finite, a known point or node does not exist, or the points do not fit the mesh. The
+        message says if the points would fit in another unit, or mirrored.
     """
     if unit not in UNITS:
         raise ValueError(f"unit: must be one of {', '.join(UNITS)} (got {unit!r})")
@@ -197,35 +202,35 @@ def match_points(
     unit: str = "m",
     known: Mapping[Any, Any] | None = None,
 ) -> Matching:
-    """Return the node of a model nearest to each point of a test, after a rigid alignment if one is needed.
+    """Return the model node nearest to each point of a test, after a rigid alignment if one is needed.
 
     ``ModalData(…, sensors=[found.sensor("P1", "z"), …], points=found)`` then has the sensors at these nodes, in
-    the directions that the axes of the test have in the model.
+    the model directions that correspond to the axes of the test.
 
     Parameters
     ----------
     points : mapping of name to array_like, shape (3,)
         Coordinates in `unit`, in the axes of the test.
     model : SeparableModel
-        With its geometry.
+        The model; it must have a geometry.
     unit : {"m", "mm", "cm", "in", "ft"}
     known : mapping of point to node, optional
-        Three points or more, not on one line, whose nodes are known: they alone give the alignment.
+        Nodes of three or more points that are not on one line; these points alone then determine the alignment.
 
     Returns
     -------
     Matching
-        The node of each point with its distance, the alignment, and what to look at.
+        The node of each point with its distance, the alignment, notes and warnings.
 
     Raises
     ------
     ValueError
-        As `match`; or the model does not know where its nodes are.
+        As for `match`, or if the model has no geometry.
     """
     if model.geometry is None:
         raise ValueError("model: must know the coordinates of its nodes (it has no geometry)")
     geometry = model.geometry
-    moving = {row for row, *_ in model.locate_motions()}  # no node that the mesh has for other purposes
+    moving = {row for row, *_ in model.locate_motions()}  # skips nodes that the mesh has for other purposes
     within = () if geometry.mesh is None else inside(geometry.mesh).tolist()
     rows = sorted(moving.union(geometry.drawn.tolist()).difference(within))
     names = list(geometry.row_of)
@@ -263,7 +268,7 @@ def _notes(found: Matching) -> list[str]:
 
 
 def _of_alignments(others: Sequence[Alignment]) -> list[str]:
-    """Return a warning if other alignments fit as well."""
+    """Return a list with a warning if other alignments fit as well; otherwise an empty list."""
     if not others:
         return []
     many = f"{len(others)} other alignments fit" if len(others) > 1 else "Another alignment fits"
@@ -274,7 +279,7 @@ def _of_alignments(others: Sequence[Alignment]) -> list[str]:
 
 
 def _of_places(found: Matching, at: Sequence[Sequence[Hashable]]) -> list[str]:
-    """Return warnings on points at several nodes, and on points that share one."""
+    """Return a list of warnings on points at several coincident nodes, and on points that share a node."""
     doubts = [
         f"Point {name} is at nodes {names_in_words([str(node) for node in those])}, which are at one place: "
         f"{those[0]} is taken."
@@ -291,7 +296,10 @@ def _of_places(found: Matching, at: Sequence[Sequence[Hashable]]) -> list[str]:
 
 
 def _of_distances(found: Matching, second: FloatArray) -> list[str]:
-    """Return warnings on points far from their nodes, or nearly as near to another; `second` is its distance."""
+    """Return a list of warnings on points that are far from their nodes, or almost as near to another node.
+
+    `second` is the distance of each point from its second-nearest node.
+    """
     far = found.distances / found.spacing
     doubts = [
         f"Point {found.points[k]} is {significant(found.distances[k])} m from the nearest node, {found.nodes[k]}, "
@@ -310,7 +318,7 @@ def _of_distances(found: Matching, second: FloatArray) -> list[str]:
 
 
 def _no_fit(x: FloatArray, mesh: Mesh, placed: FloatArray) -> str:
-    """Say by how much points do not fit a mesh."""
+    """Return the phrase that says by how much points do not fit a mesh."""
     size, distance = float(np.ptp(x, axis=0).max()), mesh.tree.query(placed)[0]
     return (
         f"must fit the mesh (the nearest nodes are up to {significant(float(distance.max()))} m off; the points "
@@ -319,7 +327,7 @@ def _no_fit(x: FloatArray, mesh: Mesh, placed: FloatArray) -> str:
 
 
 def _in_another_unit(given: FloatArray, mesh: Mesh, unit: str) -> str:
-    """Return in which unit the points would fit; empty if in none."""
+    """Return the phrase that names the unit in which the points would fit; empty if there is none."""
     for other, factor in UNITS.items():
         if other != unit and 0.2 <= np.ptp(factor * given, axis=0).max() / mesh.size <= 1.5:
             R, t, _ = align_points(factor * given, mesh)
@@ -329,7 +337,7 @@ def _in_another_unit(given: FloatArray, mesh: Mesh, unit: str) -> str:
 
 
 def _describe_mirror(x: FloatArray, mesh: Mesh, placed: FloatArray) -> str:
-    """Warn if the mirrored points would fit much better; empty if they would not."""
+    """Return a warning if the mirrored points would fit much better; empty otherwise."""
     mirrored = x * [-1.0, 1.0, 1.0]
     R, t, _ = align_points(mirrored, mesh)
     if mesh.rms(mirrored @ R.T + t) > _BETTER * mesh.rms(placed) or not mesh.fits(mirrored @ R.T + t):

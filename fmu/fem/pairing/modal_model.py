@@ -1,4 +1,4 @@
-"""What a model paired with the measured modes can do."""
+"""Interface of models whose modes are paired with the measured modes."""
 
 from __future__ import annotations
 
@@ -20,12 +20,13 @@ from fmu.types import Dof, FloatArray, IntArray
 
 
 class FrequencyMap(Protocol):
-    """What a model of the user's own has to be: a map from parameters to the frequencies of the measured modes.
+    """Protocol of a user's own model: a map from parameters to the frequencies of the measured modes.
 
-    ``observed``, ``gives_shapes``, ``configuration``, ``solves_per_gradient`` and ``reasons`` are used as
-    `ModalModel` describes them, where it has them.
+    The optional attributes ``observed``, ``gives_shapes``, ``configuration``, ``solves_per_gradient`` and
+    ``reasons`` are used as `ModalModel` describes them.
 
-    With `observed`, which returns a `fmu.fem.pairing.prediction.ModalPrediction`, shapes can have errors too.
+    A model with `observed`, which returns a `fmu.fem.pairing.prediction.ModalPrediction`, allows errors of shapes
+    too.
 
     Attributes
     ----------
@@ -45,9 +46,9 @@ class FrequencyMap(Protocol):
 
 
 class ModalModel:
-    """A model whose modes are paired with the measured ones.
+    """A model whose modes are paired with the measured modes.
 
-    The defaults are those of a model that gives frequencies with exact gradients, and nothing else.
+    The defaults describe a model that gives frequencies with exact gradients, and nothing else.
 
     Attributes
     ----------
@@ -55,25 +56,26 @@ class ModalModel:
     name : str
         Name used where a problem is described.
     structure : SeparableModel or None
-        The matrices behind it, if it is made of such.
+        Matrices of the model, if it has matrices.
     functions : tuple of BlackBoxModel
-        The users' functions that answer; none of a model of another kind.
+        The users' functions that the model calls; empty for other kinds of model.
     gives_shapes : bool
-        Whether `observed` tells what the sensors see.
+        Whether `observed` gives shapes at the sensors.
     is_soft : bool
-        Whether all candidates answer to every measured mode, with weights (`fmu.fem.pairing.rules.SoftPairing`).
+        Whether every measured mode is paired with all candidates, by weights
+        (`fmu.fem.pairing.rules.SoftPairing`).
     is_uncertain : bool
-        Whether `observed` gives the variances of the model's own errors, as of a surrogate; it then gives
-        frequencies alone where there are no shapes.
+        Whether `observed` gives the variances of the model's own errors, as a surrogate does. If there are no
+        shapes, `observed` then gives frequencies only.
     by_shape : bool
         Whether modes are paired by MAC, not by number.
     solves_per_gradient, solves_per_shape_gradient : int
-        What `frequencies_and_gradient` and `observed` with derivatives cost at one theta, in solves: 1 where
+        Cost of `frequencies_and_gradient`, and of `observed` with derivatives, at one theta, in solves: 1 if
         derivatives are exact.
     full_solves : int
-        How often the true model had to answer where there is a cheap one.
+        Number of solves of the true model, if a cheap model replaces it.
     n_tests : int
-        For how many tests it is solved at one theta.
+        Number of tests for which the model is solved at one theta.
     """
 
     n_parameters: int
@@ -90,39 +92,39 @@ class ModalModel:
     solves_per_shape_gradient = 1
     full_solves = 0
     certificate: Certificate | None = None
-    """What is known of its errors before a run, if it is an approximation."""
+    """Errors that are known before a run, if the model is an approximation."""
     sizes: tuple[int, ...] = ()
-    """Unknowns of each block of a reduced model; empty if there is none."""
+    """Number of unknowns of each block of a reduced model; empty if the model is not reduced."""
 
     @property
     def truth(self) -> ModalModel:
-        """The model whose errors are none: the model itself, unless it is an approximation of another."""
+        """The model without approximation errors: the model itself, unless it approximates another model."""
         return self
 
     @property
     def parts(self) -> tuple[ModalModel, ...]:
-        """The models that it consists of: itself, unless it answers for several tests."""
+        """Tuple of the models of single tests: the model itself, unless it combines several tests."""
         return (self,)
 
     @property
     def reasons(self) -> Sequence[Failure]:
-        """The first points at which a user's function failed, and why."""
+        """First failures of a user's function, each with its point and its reason."""
         return ()
 
     def sees(self, sensor: Dof) -> bool:
-        """Say whether there may be a sensor (place, direction): anywhere, unless the model knows better."""
+        """Return True if a sensor (place, direction) is possible: always, unless the model knows its sensors."""
         return True
 
     @contextmanager
     def spread_over(self, engine: Engine | None) -> Iterator[None]:
-        """Within a with block, call users' functions in the workers of an engine, if there are any."""
+        """Call users' functions, if any, in the workers of an engine, inside a ``with`` block."""
         with ExitStack() as stack:
             for function in () if engine is None else self.functions:
                 stack.enter_context(function.spread_over(engine))  # type: ignore[arg-type]
             yield
 
     def seconds_at(self, theta: FloatArray) -> float | None:
-        """Return the seconds that a user's function takes at a theta (n_parameters,), None without one."""
+        """Return the duration of a user's function at theta (n_parameters,) in seconds; None without one."""
         return self.functions[0].seconds_at(theta) if self.functions else None
 
     def reason_at(self, theta: FloatArray) -> str | None:
@@ -131,26 +133,27 @@ class ModalModel:
 
     @property
     def test_of_modes(self) -> IntArray:
-        """The test that each measured mode is of, shape (n_modes,)."""
+        """Index of the test of each measured mode, shape (n_modes,)."""
         return np.zeros(self.n_modes, dtype=np.int64)
 
     def matrices_of(self, k: int) -> tuple[SeparableModel, int] | None:
-        """Return the matrices that parameter `k` of the structure changes, and its number there, or None."""
+        """Return the structure that parameter `k` changes and the index of the parameter there, or None."""
         return None if self.structure is None or k >= self.n_parameters else (self.structure, k)
 
     def failed_tests(self, theta: FloatArray) -> Iterator[tuple[str, ModalModel, FloatArray]]:
-        """Yield the tests without frequencies at a theta (n_parameters,): name, model, and its own parameters.
+        """Yield name, model and own parameters of each test without frequencies at theta (n_parameters,).
 
-        None of a model of one test. Of a user's function all are given: it knows where it has failed.
+        A model of one test yields nothing. All tests with a user's function are yielded, because the function
+        knows where it has failed.
         """
         yield from ()
 
     def coarser(self, share: float) -> Self:
-        """Return a cheaper and less accurate model, by a share of the reduced basis; itself if there is none."""
+        """Return a cheaper, less accurate model with a share of the reduced basis; itself if not reduced."""
         return self
 
     def of_modes(self, theta: FloatArray, of: Callable[[Any, FloatArray], FloatArray]) -> FloatArray:
-        """Apply `of` to each structure and its own parameters; return its values for every measured mode.
+        """Return the values of `of`, applied to each structure and its own parameters, per measured mode.
 
         Parameters
         ----------
@@ -170,7 +173,7 @@ class ModalModel:
         raise NotImplementedError
 
     def frequencies_of_test(self, test: int, values: FloatArray) -> FloatArray:
-        """Return frequencies in Hz of the measured modes of a test, at the parameters in it, (n, P)."""
+        """Return frequencies in Hz of a test's measured modes, at the test's own parameters (n, P)."""
         return self.frequencies(values)
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -178,7 +181,7 @@ class ModalModel:
         raise NotImplementedError
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies and shapes at the sensors, at theta (n, n_parameters), with derivatives if wanted."""
+        """Return frequencies and shapes at the sensors at theta (n, n_parameters), with optional derivatives."""
         raise NotImplementedError
 
     def configuration(self) -> Any:
@@ -187,7 +190,7 @@ class ModalModel:
 
 
 class GivenModel(ModalModel):
-    """A user's own `FrequencyMap` as a `ModalModel`; anything that it does not define takes its default."""
+    """A user's own `FrequencyMap` as a `ModalModel`; attributes that the user's model lacks take the defaults."""
 
     def __init__(self, given: Any, n_sensors: int) -> None:
         self.given, self.n_sensors = given, n_sensors
@@ -206,11 +209,11 @@ class GivenModel(ModalModel):
         return getattr(self.given, "reasons", ())
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return the user's frequencies; ValueError if the method raises or returns something else."""
+        """Return the user's frequencies; ValueError if the method raises or returns a wrong array."""
         return self._real("frequencies", self._call("frequencies", theta), (len(theta), self.n_modes))
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the user's frequencies and gradients; ValueError as `frequencies` raises."""
+        """Return the user's frequencies and gradients; ValueError as for `frequencies`."""
         method, shape = "frequencies_and_gradient", (len(theta), self.n_modes)
         given = self._call(method, theta)
         if not (isinstance(given, tuple) and len(given) == 2):
@@ -236,7 +239,7 @@ class GivenModel(ModalModel):
         return array.astype(float, copy=False)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the user's prediction at the sensors; ValueError as `frequencies` raises."""
+        """Return the user's prediction at the sensors; ValueError as for `frequencies`."""
         given = self._call("observed", theta, gradient)
         if not isinstance(given, ModalPrediction):
             raise ValueError(
@@ -253,7 +256,7 @@ class GivenModel(ModalModel):
         )
 
     def configuration(self) -> Any:
-        """Return the user's description, else the name of the class."""
+        """Return the user's configuration of the model or, without one, the name of the class."""
         describe = getattr(self.given, "configuration", None)
         return describe() if callable(describe) else f"{type(self.given).__module__}.{self.name}"
 
@@ -261,10 +264,11 @@ class GivenModel(ModalModel):
 def as_modal_model(given: ModalModel | FrequencyMap, n_sensors: int = 0) -> ModalModel:
     """Return a model that is already paired as a `ModalModel`.
 
-    A user's own model is wrapped: its shapes have to be those at `n_sensors`, where shapes were measured.
+    A user's own model is wrapped. Its shapes must be given at the `n_sensors` sensors at which shapes were
+    measured.
     """
     return given if isinstance(given, ModalModel) else GivenModel(given, n_sensors)
 
 
 Model = SeparableModel | BlackBoxModel | ModalModel | FrequencyMap
-"""What a problem takes; the modes of matrices and of functions are yet to be paired with those measured."""
+"""Models that a problem accepts; the modes of matrices and of functions are still to be paired."""

@@ -1,4 +1,4 @@
-"""The modes of a black-box model, paired with the measured ones, and their gradients."""
+"""Black-box models whose modes are paired with the measured modes, and their gradients."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from fmu.types import FloatArray, IntArray
 
 
 class PairedBlackBox(ModalModel):
-    """A black-box model whose modes are paired with the measured ones; `of` builds one.
+    """A black-box model whose modes are paired with the measured modes; `of` builds one.
 
     Parameters
     ----------
     black_box : BlackBoxModel
     answer : Answer
-        What the function returns at the start: it shows what the function can give.
+        Result of the function at the start, which shows what the function returns.
     pairing : {"shape", "index"}
-        ``"shape"``: by MAC, one to one, where shapes are measured and the function gives them; otherwise, and with
-        ``"index"``, by number.
+        ``"shape"``: one to one by MAC, if shapes were measured and the function returns shapes; otherwise, and
+        with ``"index"``, by number.
     numbers : tuple of int
         Number (from 1) of each measured mode in the order in which the function returns them.
     shapes : ndarray, shape (n_sensors, n_modes), optional
@@ -75,14 +75,14 @@ class PairedBlackBox(ModalModel):
 
     @classmethod
     def of(cls, black_box: BlackBoxModel, *, pairing: str, start: FloatArray, **measured: Any) -> PairedBlackBox:
-        """Return a function paired with a measurement; it is called once, at the start (n_parameters,).
+        """Return the paired model of a function, which is called once, at `start` (n_parameters,).
 
         The other parameters are those of the class.
 
         Raises
         ------
         ValueError
-            For an unknown pairing, or if the function fails at the start or gives too few modes.
+            If the pairing is unknown, or the function fails at the start or gives too few modes.
         """
         if pairing not in PAIRINGS:
             raise ValueError(f"pairing: must be one of {PAIRINGS} (got {pairing!r})")
@@ -101,7 +101,7 @@ class PairedBlackBox(ModalModel):
 
     @property
     def reasons(self) -> list[Failure]:
-        """The first points at which the function failed, and why."""
+        """First failures of the function, each with its point and its reason."""
         return self.black_box.reasons
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
@@ -111,8 +111,9 @@ class PairedBlackBox(ModalModel):
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters).
 
-        The function's own gradient, or central differences of the frequencies with the perturbations of eq. (15)
-        of the paper. At a bound, or where the function fails on one side, they are one-sided.
+        The gradients are the function's own or, without these, central differences of the frequencies with the
+        perturbations of eq. (15) of the paper. The differences are one-sided at a bound, or where the function
+        fails on one side.
         """
         frequencies, gradient, _ = self._pair_modes(theta)
         missing = np.isnan(gradient).all(axis=(1, 2)) & ~np.isnan(frequencies).any(axis=1)
@@ -123,9 +124,9 @@ class PairedBlackBox(ModalModel):
         return frequencies, gradient
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies and shapes at the sensors at theta (n, n_parameters), with derivatives if wanted.
+        """Return frequencies and shapes at the sensors at theta (n, n_parameters), with optional derivatives.
 
-        Slopes of shapes are central differences, and so are those of frequencies without a gradient.
+        Slopes of shapes are central differences. So are slopes of frequencies if the function returns no gradient.
 
         Raises
         ------
@@ -142,7 +143,7 @@ class PairedBlackBox(ModalModel):
 
         def nearby(points: FloatArray, of: IntArray) -> FloatArray:
             f, _, s = self._pair_modes(points)
-            # shapes have either sign: take that of the central point
+            # shapes have either sign: take the sign at the central point
             s = s * np.where(np.sum(s * shapes[of], axis=1, keepdims=True) < 0.0, -1.0, 1.0)
             return np.concatenate([f[:, None], s], axis=1).reshape(len(points), -1)
 
@@ -153,11 +154,11 @@ class PairedBlackBox(ModalModel):
         )
 
     def configuration(self) -> dict[str, object]:
-        """Return the data that identify the model, in plain Python types."""
+        """Return a dict that identifies the model, in plain Python types."""
         return {**self.black_box.configuration(), "pairing": "shape" if self.by_shape else "index"}
 
     def reason_at(self, theta: FloatArray) -> str | None:
-        """Return why there are no frequencies at theta (n_parameters,): it failed, or a mode is missing."""
+        """Return why there are no frequencies at theta (n_parameters,): a failure or a missing mode; else None."""
         solve = self.black_box.solved.recall(theta)
         if solve is None or solve.reason:
             return None if solve is None else solve.reason
@@ -168,7 +169,7 @@ class PairedBlackBox(ModalModel):
         return None
 
     def _pair_modes(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return paired frequencies, the function's own gradients and shapes; NaN where it failed or has none."""
+        """Return the paired frequencies, the function's own gradients and the shapes, NaN where missing."""
         n, m, p, s = len(theta), self.n_modes, self.n_parameters, self._n_sensors or 0
         f, df, phi = np.full((n, m), np.nan), np.full((n, m, p), np.nan), np.full((n, s, m), np.nan)
         for i, solve in enumerate(self.black_box.solved.of(theta)):
@@ -187,7 +188,7 @@ class PairedBlackBox(ModalModel):
         return f, df, phi
 
     def _columns(self, answer: Answer | Solve) -> IntArray:
-        """Return the column of the mode paired with each measured one; AnswerError if one is missing."""
+        """Return the column of the mode paired with each measured mode; AnswerError if a mode is missing."""
         given = len(answer.frequencies)
         if self.reference is None:
             if max(self.numbers) > given:
@@ -212,7 +213,10 @@ class PairedBlackBox(ModalModel):
     def _differences(
         self, theta: FloatArray, here: FloatArray, nearby: Callable[[FloatArray, IntArray], FloatArray]
     ) -> FloatArray:
-        """Return slopes (n, k, n_parameters) of the values `here` (n, k), by those at points near row `of`."""
+        """Return slopes (n, k, n_parameters) of the values `here` (n, k), by central differences.
+
+        ``nearby(points, of)`` returns the values at points, where `of` gives the row of theta of each point.
+        """
         n, ndim = theta.shape
         points, _ = both_sides(theta, self.black_box.step * self.scale, self.lower, self.upper)
         of = np.broadcast_to(np.arange(n)[:, None], (2, n, ndim)).ravel()
@@ -220,6 +224,6 @@ class PairedBlackBox(ModalModel):
         failed = np.isnan(values).any(axis=3)
         values = np.where(failed[..., None], here[:, None, :], values)
         at = np.where(failed, theta, np.diagonal(points, axis1=2, axis2=3))
-        with np.errstate(invalid="ignore", divide="ignore"):  # it failed on both sides: there is no gradient
+        with np.errstate(invalid="ignore", divide="ignore"):  # failure on both sides: no gradient
             slopes = (values[0] - values[1]) / (at[0] - at[1])[..., None]
         return np.asarray(np.swapaxes(slopes, 1, 2))

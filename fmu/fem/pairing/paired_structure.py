@@ -1,4 +1,4 @@
-"""A structure given by its matrices, paired with the measured modes."""
+"""Structures given by their matrices, whose modes are paired with the measured modes."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ SOFT = "soft"
 
 
 class PairedStructure(ModalModel):
-    """A structure whose modes are paired with the measured ones; `of` builds one.
+    """A structure whose modes are paired with the measured modes; `of` builds one.
 
     Parameters
     ----------
     structure : SeparableModel
     blocks : BlockModel
-        Its blocks, as they are solved: in full, or reduced.
+        Blocks of the structure that are solved, full or reduced.
     rule : IndexPairing or ShapePairing
     n_modes : int
         Number of measured modes.
@@ -49,7 +49,7 @@ class PairedStructure(ModalModel):
     at_sensors : bool
         Whether the rule compares shapes at the sensors.
     pairing : RankPairing, optional
-        Fixed ranks, where the rule is known to give the same ones everywhere; the rule by default.
+        Fixed ranks, if the rule is known to give the same ranks everywhere; by default the rule itself.
 
     Attributes
     ----------
@@ -58,11 +58,11 @@ class PairedStructure(ModalModel):
     see : SensorView
         ``see(theta, gradient=False)`` returns frequencies and shapes at the sensors.
     choose : CandidateView or None
-        ``choose(theta, gradient=False)`` returns all modes that might answer, for a pairing by shape.
+        ``choose(theta, gradient=False)`` returns all candidate modes, for a pairing by shape; otherwise None.
     softness : float
-        Temperature of the weights of a soft pairing, else 0.
+        Temperature of the weights of a soft pairing, otherwise 0.
     why_full : str
-        Why there is no reduced model although one was trained, a sentence; else empty.
+        Sentence on why there is no reduced model although one was trained; otherwise empty.
     """
 
     gives_shapes = True
@@ -102,37 +102,39 @@ class PairedStructure(ModalModel):
         counterparts: tuple[int, ...] = (),
         softness: float = SOFTNESS,
     ) -> PairedStructure:
-        """Return a model paired with a measurement; the reference modes are solved for.
+        """Return a model paired with a measurement; reference modes are computed where they are needed.
 
         Parameters
         ----------
         model : SeparableModel
         pairing : {"shape", "index", "soft"}
-            ``"shape"``: one-to-one assignment by MAC, with the measured shapes at the sensors or, where none were
-            measured, at all translations with the modes of the model at `reference` that the sensors can see.
-            ``"index"``: by `numbers` in the sorted spectrum. ``"soft"``: as ``"shape"``, and `seen_candidates`
-            gives all modes that might have answered.
+            ``"shape"``: one-to-one assignment by MAC, with the measured shapes at the sensors or, if no shapes
+            were measured, with the modes of the model at `reference` that the sensors can see, at all
+            translations. ``"index"``: by `numbers` in the sorted spectrum. ``"soft"``: as ``"shape"``, and
+            `seen_candidates` gives all candidate modes.
         numbers : tuple of int
             Number (from 1) of each measured mode.
         elastic_from_hz : float, optional
-            The lowest measured frequency, where 1 is the number of the first elastic mode: modes at a vanishing
-            share of it are the rigid-body modes of a free structure. If not given, the numbers count these too.
+            The lowest measured frequency, given if number 1 is the first elastic mode: modes at a vanishing share
+            of this frequency are the rigid-body modes of a free structure. By default, `numbers` count rigid-body
+            modes too.
         sensors : tuple of (node, direction)
-            What was measured; all translations if empty.
+            Measured degrees of freedom; all translations if empty.
         reference : ndarray, shape (n_parameters,)
-            The model before updating.
+            Parameters of the model before updating.
         shapes : ndarray, shape (n_sensors, n_modes), optional
             Measured shapes.
         counterparts : tuple of int, optional
-            Where no shapes were measured: which of the modes at `reference` that the sensors can see, from 1, each
-            measured one answers to; the lowest in ascending order if empty.
+            If no shapes were measured: for each measured mode, the number (from 1) of its counterpart among the
+            modes at `reference` that the sensors can see; the lowest of these modes in ascending order if empty.
         softness : float
             Temperature of the weights of ``"soft"``: `fmu.fem.pairing.rules.SoftPairing`.
 
         Raises
         ------
         ValueError
-            For an unknown pairing, a sensor off the model, or modes that the sensors cannot see.
+            If the pairing is unknown, the model has too few modes, a sensor is not on the model, or the sensors
+            cannot see the modes.
         """
         if pairing not in (*PAIRINGS, SOFT):
             raise ValueError(f"pairing: must be one of {(*PAIRINGS, SOFT)} (got {pairing!r})")
@@ -169,12 +171,12 @@ class PairedStructure(ModalModel):
         return f"PairedStructure({self.structure!r}, {type(self.pairing).__name__})"
 
     def solved_by(self, blocks: BlockModel, pairing: IndexPairing | ShapePairing | RankPairing) -> PairedStructure:
-        """Return the same structure and measured modes, solved by other blocks."""
+        """Return the same structure and measured modes, solved with other blocks and another pairing."""
         own = (self.rule, self.n_modes, self._sensors, self._at_sensors)
         return PairedStructure(self.structure, blocks, *own, pairing)
 
     def kept_full(self, size: int) -> PairedStructure:
-        """Return the same model, which says that a reduced one of `size` vectors would be of no use."""
+        """Return a copy whose `why_full` says that a reduced model of `size` unknowns is of no use."""
         other = copy(self)
         other.why_full = (
             f"The full model answers: a reduced one of {size} unknowns is not accurate within these bounds, and "
@@ -183,19 +185,19 @@ class PairedStructure(ModalModel):
         return other
 
     def modes(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
-        """Return the paired modes at theta (n, n_parameters), with the gradients of the eigenvalues if wanted."""
+        """Return the paired modes at theta (n, n_parameters), with eigenvalue gradients if `gradient`."""
         return _solve_counted(self.solve, theta, gradient)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies and shapes at the sensors, at theta (n, n_parameters), with derivatives if wanted."""
+        """Return frequencies and shapes at the sensors at theta (n, n_parameters), with optional derivatives."""
         return _solve_counted(self.see, theta, gradient)
 
     def seen_candidates(self, theta: FloatArray, gradient: bool = False) -> Candidates:
         """Return all candidates for a pairing with the measured modes, at theta (n, n_parameters).
 
-        With derivatives if wanted; for a pairing by shape, soft or not.
+        The candidates have derivatives if `gradient`. The pairing must be by shape, soft or not.
         """
-        assert self.choose is not None  # of a pairing by shape
+        assert self.choose is not None  # for the type checker: the pairing is by shape
         return _solve_counted(self.choose, theta, gradient)
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
@@ -203,17 +205,18 @@ class PairedStructure(ModalModel):
         return frequency_hz(self.modes(theta).eigenvalues)
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters), exact."""
+        """Return frequencies in Hz (n, n_modes) and their exact gradients (n, n_modes, n_parameters)."""
         return frequencies_of(self.modes(theta, gradient=True))
 
     def candidates(self, theta: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
-        """Return all modes that might have answered to a measured one, and one more a block.
+        """Return the eigenvalues of all candidate modes, and of one more mode per block.
 
         Returns
         -------
         eigenvalues : ndarray, shape (n, n_candidates)
             NaN where a solve failed, and for modes that a reduced model was not trained for.
         block, rank : ndarray of int, shape (n_candidates,)
+            Index of each mode's block, and index (from 0) of the mode within that block.
         """
         count_solves(len(theta))
         counts = self.candidate_counts()
@@ -222,12 +225,12 @@ class PairedStructure(ModalModel):
         return found, *candidate_numbers(counts)
 
     def candidate_counts(self) -> dict[int, int]:
-        """Return how many modes of which blocks `candidates` gives."""
+        """Return a dict from block index to the number of modes that `candidates` gives."""
         counts = self.rule.counts(self.blocks)
         return {b: min(count + 1, self.blocks[b].n_modes) for b, count in counts.items()}
 
     def spectra(self, theta: FloatArray, counts: Mapping[int, int]) -> FloatArray:
-        """Return so many eigenvalues of each block, (n, n_candidates); NaN for modes it was not trained for."""
+        """Return the lowest `counts[b]` eigenvalues of each block b, (n, n_candidates); NaN where untrained."""
         parts = []
         for b, count in counts.items():
             found = np.full((len(theta), count), np.nan)
@@ -239,14 +242,15 @@ class PairedStructure(ModalModel):
 
     @property
     def solver(self) -> str:
-        """Name of what factorises the largest matrices."""
+        """Name of the solver that factorises the largest matrices."""
         largest = max(block.size for block in self.blocks)
         return sparse_solver() if largest > DENSE_LIMIT else LAPACK
 
     def shapes(self, theta: FloatArray) -> FloatArray:
-        """Return the paired modes' shapes, shape (n_dof, n_modes), at theta (n_parameters,).
+        """Return the shapes of the paired modes, shape (n_dof, n_modes), at theta (n_parameters,).
 
-        Mass-normalised; zero in the blocks that a mode does not move, NaN where a solve failed.
+        The shapes are mass-normalised. They are zero in the blocks that a mode does not move, and NaN where a
+        solve failed.
         """
         point = np.asarray(theta, dtype=float)[None]
         modes = self.modes(point)
@@ -254,7 +258,7 @@ class PairedStructure(ModalModel):
             return self.blocks.shapes(point, modes, self.rule.counts(self.blocks))
 
     def fingerprint(self) -> str:
-        """Return a hash of everything that the frequencies depend on."""
+        """Return a hash of all data on which the frequencies depend."""
         digest = hashlib.sha256(repr((self.structure.dofs, type(self.rule).__name__)).encode())
         matrices = [(term.powers, term.matrix) for term in (*self.structure.K_terms, *self.structure.M_terms)]
         of_rule, its_matrices = self.rule.identity()
@@ -267,7 +271,7 @@ class PairedStructure(ModalModel):
         return digest.hexdigest()
 
     def configuration(self) -> dict[str, object]:
-        """Return the data that identify the model, in plain Python types."""
+        """Return a dict that identifies the model, in plain Python types."""
         n_rigid = 0 if self.rule.by_shape else self.rule.n_rigid
         return {
             "structure": repr(self.structure),
@@ -277,20 +281,20 @@ class PairedStructure(ModalModel):
 
 
 def structure_of(model: ModalModel) -> PairedStructure | None:
-    """Return the structure, given by its matrices, that a model is or approximates; None if there is none."""
+    """Return the structure, given by its matrices, that a model is or approximates; None without one."""
     truth = model.truth
     return truth if isinstance(truth, PairedStructure) else None
 
 
 def frequencies_of(modes: ModalSolution) -> tuple[FloatArray, FloatArray]:
     """Return frequencies in Hz (n, n_modes) and their gradients (n, n_modes, n_parameters) of solved modes."""
-    assert modes.gradient is not None  # narrowed for the type checker: asked for by the caller
+    assert modes.gradient is not None  # for the type checker: the caller has requested the gradients
     frequencies = frequency_hz(modes.eigenvalues)
     return frequencies, frequency_gradient(frequencies, modes.gradient)
 
 
 def candidate_numbers(counts: Mapping[int, int]) -> tuple[IntArray, IntArray]:
-    """Return block and number within it of so many modes of each block."""
+    """Return the block index and the index within its block of `counts[b]` modes of each block b."""
     ranks = np.concatenate([np.arange(count) for count in counts.values()])
     return np.repeat(list(counts), list(counts.values())), ranks
 

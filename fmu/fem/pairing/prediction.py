@@ -1,4 +1,4 @@
-"""What the sensors see of a structure: its paired modes, or all candidates with their MAC."""
+"""Predicted modes of a structure at the sensors: the paired modes, or all candidates with their MAC."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 UNSEEN = 1e-12
-"""Squared length at the sensors, relative to the longest, below which a shape moves by rounding alone."""
+"""Squared norm of a shape at the sensors, relative to the largest, below which the shape is rounding only."""
 
 
 @dataclass(frozen=True)
 class ModalPrediction:
-    """What a modal test would have given at n parameter vectors, if the model were right.
+    """Prediction of the result of a modal test at n parameter vectors.
 
     Attributes
     ----------
     frequencies : ndarray, shape (n, n_modes), Hz; NaN where a solve failed
     shapes : ndarray, shape (n, n_sensors, n_modes)
-        Mass-normalised at the sensors, of either sign.
+        Shapes at the sensors, mass-normalised, of either sign.
     frequency_slopes : ndarray, shape (n, n_modes, n_parameters), or None
     shape_slopes : ndarray, shape (n, n_sensors, n_modes, n_parameters), or None
     frequency_variance, shape_variance : ndarray, of the shapes of frequencies (Hz²) and shapes, or None
-        Variances of the model's own errors, independent of each other, where it is a surrogate.
+        Variances of the errors of a surrogate, independent of each other; None if the model is no surrogate.
     frequency_variance_slopes, shape_variance_slopes : ndarray, with a last axis of n_parameters, or None
     """
 
@@ -50,21 +50,22 @@ class ModalPrediction:
 
     @property
     def failed(self) -> BoolArray:
-        """Which modes have no solution, shape (n, n_modes)."""
+        """Mask of the modes that have no solution, shape (n, n_modes)."""
         return np.isnan(self.frequencies)
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """Candidates, at n parameter vectors, for a pairing with m measured modes.
+    """Candidate modes, at n parameter vectors, for a pairing with m measured modes.
 
     Attributes
     ----------
     frequencies : ndarray, shape (n, k), Hz; NaN where a solve failed
     shapes : ndarray, shape (n, n_sensors, k)
-        At the sensors where shapes were measured, else empty: n_sensors = 0.
+        Shapes at the sensors if shapes were measured, otherwise empty: n_sensors = 0.
     mac : ndarray, shape (n, m, k)
-        With the measured shapes or the references; −inf of a mode that moves none of the coordinates compared.
+        MAC with the measured shapes or the references; −inf for a mode that moves none of the coordinates
+        compared.
     frequency_slopes : ndarray, shape (n, k, n_parameters), or None
     shape_slopes : ndarray, shape (n, n_sensors, k, n_parameters), or None
     mac_slopes : ndarray, shape (n, m, k, n_parameters), or None
@@ -79,12 +80,12 @@ class Candidates:
 
     @property
     def failed(self) -> BoolArray:
-        """Which modes have no solution, shape (n, k)."""
+        """Mask of the modes that have no solution, shape (n, k)."""
         return np.isnan(self.frequencies)
 
 
 def with_rows[Batch: "DataclassInstance"](batch: Batch, rows: BoolArray, other: Batch) -> Batch:
-    """Return a dataclass of arrays (n, …) with some rows taken from `other`; None remains None."""
+    """Return a copy of a dataclass of arrays (n, …) with `rows` taken from `other`; None remains None."""
     replaced = {}
     for name, mine in vars(batch).items():
         if mine is not None:
@@ -95,13 +96,13 @@ def with_rows[Batch: "DataclassInstance"](batch: Batch, rows: BoolArray, other: 
 
 
 def join_batches[Batch: "DataclassInstance"](parts: Sequence[Batch]) -> Batch:
-    """Return batches, dataclasses of arrays (n, …), joined along the first axis; None remains None."""
+    """Return the batches, dataclasses of arrays (n, …), joined along the first axis; None remains None."""
     columns = {name: [vars(part)[name] for part in parts] for name in vars(parts[0])}
     return type(parts[0])(**{n: None if c[0] is None else np.concatenate(c) for n, c in columns.items()})
 
 
 class SensorView:
-    """The paired modes of a model, full or reduced, as its sensors see them.
+    """The paired modes of a model, full or reduced, as seen by its sensors.
 
     Parameters
     ----------
@@ -116,16 +117,16 @@ class SensorView:
         self.model, self._solve, self._sensors = model, solve, sensors
 
     def __getstate__(self) -> dict[str, object]:
-        """Leave out what is prepared when needed."""
+        """Return the state for pickling, without data that are recomputed on demand."""
         return {name: value for name, value in self.__dict__.items() if name != "_rows"}
 
     @cached_property
     def _rows(self) -> list[Matrix]:
-        """The sensors on each block; many problems have no errors of shapes, and never need them."""
+        """Sensor rows of each block, computed on demand: many problems have no errors of shapes."""
         return [block.coordinates(self._sensors[:, block.dofs]) for block in self.model.blocks]
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies and shapes at the sensors, at theta (n, n_parameters), and derivatives if wanted."""
+        """Return frequencies and shapes at the sensors at theta (n, n_parameters), with optional derivatives."""
         block, rank, solved = self._solve.locate(theta, gradient)
         n, m = block.shape
         q, p = self._sensors.shape[0], self.model.n_parameters
@@ -152,7 +153,7 @@ class SensorView:
 
 
 class _View(NamedTuple):
-    """A block, how many modes it offers, the coordinates of comparison, and the references there."""
+    """A block, its number of candidates, the coordinates of comparison, and the reference shapes there."""
 
     block: Block
     n_candidates: int
@@ -168,8 +169,8 @@ class CandidateView:
     model : BlockModel
     rule : ShapePairing
     at_sensors : bool
-        Whether the rule compares at the sensors, so that shapes there are of use beside their MAC. Where they are
-        not, a reduced block is compared in a basis of all that it can show.
+        Whether the rule compares shapes at the sensors, so that the shapes there are needed in addition to their
+        MAC. Otherwise a reduced block is compared in a basis of all shapes that the block can represent.
     """
 
     def __init__(self, model: BlockModel, rule: ShapePairing, at_sensors: bool) -> None:
@@ -177,7 +178,7 @@ class CandidateView:
         self._reference_size = np.sum(rule.shapes**2, axis=0)
 
     def __getstate__(self) -> dict[str, object]:
-        """Leave out what is prepared when needed."""
+        """Return the state for pickling, without data that are recomputed on demand."""
         return {name: value for name, value in self.__dict__.items() if name != "_views"}
 
     @cached_property
@@ -195,7 +196,7 @@ class CandidateView:
         """Return the candidates at theta (n, n_parameters), with derivatives if `gradient`."""
         parts = [self._of_block(view, theta, gradient) for view in self._views]
         names = [field.name for field in fields(Candidates)][: None if gradient else 3]
-        # the candidates are on the second axis of frequencies and their slopes, on the third of all others
+        # the candidates are on the second axis of frequencies and their slopes, on the third axis of all others
         axes = {"frequencies": 1, "frequency_slopes": 1}
         return Candidates(
             **{name: np.concatenate([vars(p)[name] for p in parts], axis=axes.get(name, 2)) for name in names}

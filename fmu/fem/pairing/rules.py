@@ -1,9 +1,9 @@
-"""Rules that pair computed modes with measured ones.
+"""Rules that pair computed modes with measured modes.
 
-By number: the k-th of the sorted spectrum, whatever it looks like (the paper). By shape: a one-to-one
-assignment that maximises the sum of MAC values. A beam's eigenvalues within one plane are simple, so that the
-assignment by shape usually cannot change inside a decoupled block: where it is verified constant, it is a fixed
-rank within the block, and eigenvalues suffice.
+Pairing by number takes the k-th mode of the sorted spectrum, whatever its shape (the paper). Pairing by shape is
+the one-to-one assignment that maximises the sum of MAC values. A beam's eigenvalues within one plane are simple,
+so that the assignment by shape usually cannot change inside a decoupled block. Where the assignment is verified to
+be constant, each mode has a fixed rank within its block, and eigenvalues suffice.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from fmu.fem.modes.modal import BlockModel, FixedModes, ModalSolution, is_rigid
 from fmu.types import FloatArray, IntArray
 
 SPARE = 3
-"""How many modes beyond the highest reference of a block may be candidates."""
+"""Number of modes beyond the highest reference of a block that may be candidates."""
 SOFTNESS = 0.02
-"""Temperature τ of the weights exp(MAC/τ): a shape that is nothing like the measured one costs 1/τ = 50 nats."""
+"""Temperature τ of the weights exp(MAC/τ): a shape with MAC 0 costs 1/τ = 50 nats."""
 _FAR_BELOW = 1e-3
 """Share of the lowest measured frequency below which a mode is a rigid-body mode."""
 AT_ONCE = 16
-"""Points whose shapes are compared at once: it bounds the memory."""
+"""Number of points whose shapes are compared at once, which limits the memory."""
 
 
 class PairedSolve(Protocol):
-    """A pairing bound to a model: it solves at theta (n, n_parameters) and picks the measured modes."""
+    """A pairing bound to a model, which solves at theta (n, n_parameters) and returns the paired modes."""
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
         """Return the paired modes, with the gradients of their eigenvalues if `gradient`."""
         ...
 
     def locate(self, theta: FloatArray, gradient: bool) -> tuple[IntArray, IntArray, Solved]:
-        """Return block and rank of the paired modes, (n, n_modes), and the blocks solved to find them.
+        """Return block and rank of the paired modes, (n, n_modes), and the modes of the blocks solved for.
 
-        Block and rank are −1 in rows where a solve failed. With `gradient` as many modes are solved for as
+        Block and rank are −1 in rows where a solve failed. With `gradient`, as many modes are solved for as
         `Block.seen` needs for derivatives.
         """
         ...
@@ -47,26 +47,26 @@ class PairedSolve(Protocol):
 
 @dataclass(frozen=True)
 class RankPairing:
-    """Measured mode i is number ``rank[i]`` (from 0) of block ``block[i]``, wherever theta is."""
+    """Pairing of measured mode i with mode ``rank[i]`` (from 0) of block ``block[i]``, at every theta."""
 
     block: tuple[int, ...]
     rank: tuple[int, ...]
     is_constant: ClassVar[bool] = True
 
     def bind(self, model: BlockModel) -> PairedSolve:
-        """Return the solver of those blocks alone, for eigenvalues alone unless the gradient is wanted."""
+        """Return the solver of these blocks only, which solves for shapes only if gradients are requested."""
         return FixedModes(model, self.block, self.rank)
 
 
 @dataclass(frozen=True)
 class IndexPairing:
-    """The paper's pairing: measured mode i is number ``numbers[i]`` (from 1) of the sorted spectrum.
+    """The paper's pairing, of measured mode i with mode ``numbers[i]`` (from 1) of the sorted spectrum.
 
     Attributes
     ----------
     numbers : tuple of int
     n_rigid : int
-        How many rigid-body modes were added to the numbers of the measurement, which begin at the elastic modes.
+        Number of rigid-body modes that were added to the measured numbers, which start at the first elastic mode.
     """
 
     numbers: tuple[int, ...]
@@ -82,25 +82,25 @@ class IndexPairing:
             raise ValueError(f"numbers: must be distinct and count from 1 (got {self.numbers})")
 
     def bind(self, model: BlockModel) -> PairedSolve:
-        """Return the solver that sorts the spectra of all blocks together and takes the given numbers."""
+        """Return the solver that sorts the spectra of all blocks together and takes the modes of these numbers."""
         return _IndexSolve(self, model)
 
     def counts(self, model: BlockModel) -> dict[int, int]:
-        """Return how many of the lowest modes of which blocks may be among those paired."""
+        """Return a dict from block index to the number of its lowest modes that may be paired."""
         return {b: min(max(self.numbers), block.n_modes) for b, block in enumerate(model.blocks) if block.n_modes}
 
     def find_needed(
         self, model: BlockModel, eigenvalues: Mapping[int, FloatArray], shapes: Mapping[int, FloatArray]
     ) -> tuple[RankPairing | None, dict[int, int]]:
-        """Return None, and how many modes of each block the pairing needs; see `ShapePairing.find_needed`."""
+        """Return None and a dict of the modes needed per block; see `ShapePairing.find_needed`."""
         values = [eigenvalues[b] for b in sorted(eigenvalues)]
         highest = np.sort(np.concatenate(values, axis=1), axis=1)[:, max(self.numbers) - 1]
-        # one mode more than was ever among the lowest: it shows that none is missing
+        # one mode more than was ever among the lowest shows that no mode is missing
         counts = (int(np.max(np.sum(lam <= highest[:, None], axis=1))) + 1 for lam in values)
         return None, {b: min(c, eigenvalues[b].shape[1]) for b, c in zip(sorted(eigenvalues), counts, strict=True)}
 
     def identity(self) -> tuple[bytes, tuple[sp.csr_array, ...]]:
-        """Return the data besides its name that identify the rule: bytes, and sparse matrices."""
+        """Return the data that, with its name, identify the rule: bytes, and sparse matrices."""
         return repr(self).encode(), ()
 
 
@@ -115,7 +115,7 @@ class _IndexSolve:
 
     def locate(self, theta: FloatArray, gradient: bool) -> tuple[IntArray, IntArray, Solved]:
         numbers = self.pairing.numbers
-        if len(self.model.blocks) == 1:  # a number is a rank: nothing to solve for
+        if len(self.model.blocks) == 1:  # a number is a rank, so that nothing is solved for
             rank = np.tile(np.array(numbers) - 1, (len(theta), 1))
             return np.zeros_like(rank), rank, {}
         modes = self(theta)
@@ -130,13 +130,13 @@ class ShapePairing:
     Attributes
     ----------
     rows : scipy.sparse.csr_array, shape (q, n_dof)
-        The coordinates at which shapes are compared, one per row:
+        The coordinates at which shapes are compared, one per row, from
         `fmu.fem.modes.separable.SeparableModel.observation`.
     shapes : ndarray, shape (q, n_modes)
-        Reference shapes there: measured ones, or those of the model before updating.
+        Reference shapes at these coordinates: measured shapes, or shapes of the model before updating.
     margin : int
-        How many modes beyond the number of references each block offers as candidates: those below them that
-        were not measured, as rigid-body modes, and a few above.
+        Number of candidates of each block beyond the number of references: modes below the references that were
+        not measured, such as rigid-body modes, and a few modes above.
     """
 
     rows: sp.csr_array
@@ -149,19 +149,19 @@ class ShapePairing:
     is_constant: ClassVar[bool] = False
 
     def bind(self, model: BlockModel) -> PairedSolve:
-        """Return the solver that assigns by MAC among the modes of every block that a reference moves in."""
+        """Return the solver that assigns by MAC among the modes of every block in which a reference moves."""
         return _ShapeSolve(self, model)
 
     def n_candidates(self, model: BlockModel, b: int) -> int:
-        """Return how many modes block `b` offers as candidates."""
+        """Return the number of modes that block `b` offers as candidates."""
         return min(self.shapes.shape[1] + self.margin, model.blocks[b].n_modes)
 
     def counts(self, model: BlockModel) -> dict[int, int]:
-        """Return how many of the lowest modes of which blocks may be among those paired."""
+        """Return a dict from block index to the number of its lowest modes that may be paired."""
         return {b: self.n_candidates(model, b) for b in self.observe(model)}
 
     def observe(self, model: BlockModel) -> dict[int, Observation]:
-        """Return, for every block that a reference moves in, how its shapes are compared."""
+        """Return a dict from each block in which a reference moves to its `Observation` of shapes."""
         observed = {}
         for b, block in enumerate(model.blocks):
             seen = self.rows[:, block.dofs]
@@ -173,7 +173,7 @@ class ShapePairing:
     def find_needed(
         self, model: BlockModel, eigenvalues: Mapping[int, FloatArray], shapes: Mapping[int, FloatArray]
     ) -> tuple[RankPairing | None, dict[int, int]]:
-        """Return the pairing as fixed ranks where that is exact, and how many modes of each block are needed.
+        """Return the pairing as fixed ranks if exact, else None, and a dict of the modes needed per block.
 
         Parameters
         ----------
@@ -204,7 +204,7 @@ class ShapePairing:
     def assign_modes(
         self, observed: Mapping[int, Observation], shapes: Mapping[int, FloatArray]
     ) -> tuple[IntArray, IntArray, IntArray]:
-        """Return block, rank and column among all candidates of the mode assigned to each reference, (n, n_modes).
+        """Return block, rank and candidate column of the mode assigned to each reference, (n, n_modes).
 
         Parameters
         ----------
@@ -225,21 +225,21 @@ class ShapePairing:
         return np.array(label)[column, 0], np.array(label)[column, 1], column
 
     def identity(self) -> tuple[bytes, tuple[sp.csr_array, ...]]:
-        """Return the data besides its name that identify the rule: bytes, and sparse matrices."""
+        """Return the data that, with its name, identify the rule: bytes, and sparse matrices."""
         return repr(self.margin).encode() + np.ascontiguousarray(self.shapes).tobytes(), (self.rows,)
 
 
 @dataclass(frozen=True, eq=False)
 class SoftPairing(ShapePairing):
-    """Every candidate is paired with every measured mode, with the weight exp(MAC/τ) over the sum of all.
+    """Pairing of every measured mode with every candidate, with normalised weights exp(MAC/τ).
 
-    Solved as `ShapePairing`, it gives the modes of the one-to-one assignment. It is never constant: all candidates
-    are needed everywhere.
+    The solver is that of `ShapePairing` and gives the modes of the one-to-one assignment. A soft pairing is never
+    constant, because all candidates are needed everywhere.
 
     Attributes
     ----------
     softness : float
-        τ.
+        Temperature τ of the weights.
     """
 
     softness: float = SOFTNESS
@@ -251,7 +251,7 @@ class SoftPairing(ShapePairing):
             raise ValueError(f"softness: must be positive and finite (got {self.softness})")
 
     def constant(self, model: BlockModel, shapes: Mapping[int, FloatArray]) -> RankPairing | None:
-        """Return None."""
+        """Return None: a soft pairing is never constant."""
         return None
 
 
@@ -280,7 +280,7 @@ class _ShapeSolve:
     def _solve(
         self, theta: FloatArray, gradient: bool
     ) -> tuple[Solved, FloatArray, tuple[IntArray, IntArray, IntArray]]:
-        """Return the modes of each block, the eigenvalues of all candidates, and what `assign_modes` returns."""
+        """Return the modes of each block, the eigenvalues of all candidates, and the result of `assign_modes`."""
         solved: Solved = {}
         values, shapes = [], {}
         for b in self.observed:
@@ -299,17 +299,17 @@ def reference_modes(
     n_modes: int,
     counterparts: tuple[int, ...] = (),
 ) -> ShapePairing:
-    """Return the pairing with elastic modes of a reference model that the sensors can see.
+    """Return the pairing with the elastic modes of a reference model that the sensors can see.
 
-    Without measured shapes, a mode that moves none of the sensors cannot have been measured. The lowest `n_modes`
-    of the others are taken, in ascending order, or the `counterparts`.
+    Without measured shapes, a mode that moves none of the sensors cannot have been measured. Of the modes that the
+    sensors can see, the lowest `n_modes` are taken in ascending order, or the `counterparts`.
 
     Parameters
     ----------
     model : BlockModel
         Unreduced.
     theta : ndarray, shape (n_parameters,)
-        The reference: usually the model before updating.
+        Parameters of the reference model, usually those before updating.
     sensors, rows : scipy.sparse.csr_array, shape (_, n_dof)
         The sensors, and the coordinates at which the shapes will be compared.
     n_modes : int
@@ -320,7 +320,7 @@ def reference_modes(
     Raises
     ------
     ValueError
-        If the sensors see fewer modes.
+        If the sensors see too few modes.
     """
     picked = counterparts or tuple(range(1, n_modes + 1))
     n_total = model.n_modes
@@ -338,19 +338,19 @@ def reference_modes(
 
 
 def count_rigid(model: BlockModel, theta: FloatArray, n_modes: int, elastic_hz: float = np.inf) -> int:
-    """Return how many rigid-body modes lie below the elastic ones at theta (n_parameters,).
+    """Return the number of rigid-body modes below the elastic modes at theta (n_parameters,).
 
-    Beside a very stiff spring every other mode is of a vanishing share of the highest frequency. A rigid-body mode
-    is one of a measured frequency too, `elastic_hz`, if that is given.
+    If there is a very stiff spring, every other mode has a vanishing share of the highest frequency. If a measured
+    frequency `elastic_hz` is given, a rigid-body mode must therefore have a vanishing share of that frequency too.
     """
-    count = min(n_modes + 7, model.n_modes)  # six at most, and one that is elastic
+    count = min(n_modes + 7, model.n_modes)  # at most six rigid-body modes, and one elastic mode
     lam = model.spectrum(np.atleast_2d(theta), count).eigenvalues[0]
     is_far_below = lam <= (_FAR_BELOW * 2.0 * np.pi * elastic_hz) ** 2
     return int(np.sum(is_rigid(lam) & is_far_below))
 
 
 def assign(mac: FloatArray) -> IntArray:
-    """Return, for each reference, the column of its mode under the one-to-one assignment of largest total MAC.
+    """Return the column of the mode assigned to each reference, one to one, with the largest total MAC.
 
     Parameters
     ----------
@@ -362,8 +362,8 @@ def assign(mac: FloatArray) -> IntArray:
 
     Notes
     -----
-    If every reference has a best candidate of its own, these are the optimum. The assignment solver is called only
-    for rows where two references share one.
+    If the best candidates of all references differ, they are the optimum. The assignment solver is called only for
+    rows where two references share their best candidate.
     """
     best = np.argmax(mac, axis=2)
     ordered = np.sort(best, axis=1)
@@ -378,12 +378,12 @@ def assign(mac: FloatArray) -> IntArray:
 def _visible_modes(
     model: BlockModel, theta: FloatArray, sensors: sp.csr_array, rows: sp.csr_array, count: int
 ) -> tuple[FloatArray, IntArray]:
-    """Return shapes (n, q) at `rows` and ranks (n,) in their blocks of the elastic modes that the sensors see."""
+    """Return shapes (n, q) at `rows`, and ranks (n,) in their blocks, of elastic modes that sensors see."""
     point = np.atleast_2d(theta)
     spectrum = model.spectrum(point, count)
     shapes = np.ascontiguousarray(model.shapes(point, spectrum).T)
     compared, seen = shapes @ rows.T, shapes @ sensors.T
-    # mass-normalised shapes have similar sizes: one that is tiny at the sensors moves there by rounding alone
+    # mass-normalised shapes have similar sizes: a shape that is tiny at the sensors is only rounding there
     elastic = ~is_rigid(spectrum.eigenvalues[0])
     visible = np.max(np.abs(seen), axis=1) > 1e-3 * np.max(np.abs(compared))
     return compared[elastic & visible], spectrum.rank[0][elastic & visible]
