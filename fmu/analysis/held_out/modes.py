@@ -192,7 +192,7 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
 
 @dataclass
 class _Known:
-    """Cached results of a problem: predictions of each mode with the largest number of solves, and an approximation."""
+    """Cached results of a problem: the prediction and the limit of solves of each mode, and an approximation."""
 
     rows: dict[int, tuple[int, HeldOut]] = field(default_factory=dict)
     approximation: Approximation | None = None

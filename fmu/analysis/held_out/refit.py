@@ -143,7 +143,7 @@ def approximation(problem: UpdatingProblem, near: FloatArray, rng: np.random.Gen
 
 
 def cheaper(problem: UpdatingProblem, u: FloatArray, log_p: FloatArray) -> UpdatingProblem:
-    """Return the problem with a share `_SHARE` of the reduced basis, if log P at its highest points hardly changes.
+    """Return the problem with `_SHARE` of the reduced basis, if log P at its highest points hardly changes.
 
     The chains of this problem only provide proposals, which need not be exact.
     """

@@ -165,7 +165,7 @@ def _walk(
 
 @dataclass(frozen=True, eq=False)
 class _Mixture:
-    """A mixture density with equal weights for all posteriors, shared equally by their Gaussians, and the prior."""
+    """A mixture with equal weights for all posteriors, shared equally by their Gaussians, and the prior."""
 
     parts: Sequence[Sequence[Proposal]]
     prior: Proposal

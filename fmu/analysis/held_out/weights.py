@@ -25,7 +25,7 @@ SMOOTHED_K = 0.5
 
 
 class Smoothed(NamedTuple):
-    """Log-weights (n,) of the draws for the posterior without a mode, Pareto k, whether it is low, elpd and its error."""
+    """Log-weights (n,) for the posterior without a mode, Pareto k, whether k is low, elpd and its error."""
 
     log_weight: FloatArray
     pareto_k: float
