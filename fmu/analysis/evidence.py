@@ -85,7 +85,7 @@ class Evidence:
         if self.method in OF_MIXTURE:
             tail = heavy_tail_in_words(self.pareto_k)
             return (*self.doubts, f"{tail}, and the error is underestimated") if tail else self.doubts
-        rhat = self.table["rhat"].to_numpy()[1:]  # the prior is drawn from independently
+        rhat = self.table["rhat"].to_numpy()[1:]  # draws from the prior are independent
         if np.all(rhat < RHAT_LIMIT):
             return ()
         if not np.any(np.isfinite(rhat)):

@@ -1,4 +1,4 @@
-"""Permutation tests: statistics of a sequence compared with those of the same values in random orders."""
+"""Permutation tests: statistics of a sequence, compared with the same statistics in random orders."""
 
 from __future__ import annotations
 

@@ -141,7 +141,7 @@ def measured_tests(trace: xr.DataTree) -> FloatArray | None:
 
 
 def measurement_in_words(tests: FloatArray | None) -> str:
-    """Return what a measured frequency is: ``"a measurement"``, or ``"the mean of 5 tests"``."""
+    """Return the description of a measured frequency: ``"a measurement"``, or ``"the mean of 5 tests"``."""
     if tests is None:
         return "a measurement"
     counts = np.sum(~np.isnan(tests), axis=0)

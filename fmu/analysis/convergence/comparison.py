@@ -100,7 +100,7 @@ def compare_runs(
     problem: UpdatingProblem | None = None,
     summaries: Mapping[str, pd.DataFrame] | None = None,
 ) -> Judged:
-    """Return summaries, verdicts and comparison of several runs; the arguments are those of `diagnose_all`."""
+    """Return the summaries, the verdicts and the comparison of several runs; arguments as in `diagnose_all`."""
     summaries = summaries or {name: summary(trace) for name, trace in traces.items()}
     verdicts = diagnose_all(traces, problem, summaries)
     rows = [_row(trace, summaries[name], verdicts[name]) for name, trace in traces.items()]

@@ -348,7 +348,7 @@ def draws_missing(trace: xr.DataTree, until_ess: float, maxima: Maxima | None) -
     draws = int(trace.attrs["draws"])
     if is_beyond_draws(trace):
         return 0
-    if walkers_of(trace) > 1:  # ensembles: the length is checked first, because it is fast and usually decides
+    if walkers_of(trace) > 1:  # ensembles: the length is fast to compute and usually the last to suffice
         growth = MIN_AUTOCORRELATION_TIMES / float(np.min(autocorrelation_times_run(trace)))
         if growth > 1:
             return draws_to_come(draws, growth)

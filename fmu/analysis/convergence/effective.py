@@ -42,13 +42,13 @@ def rhat(x: FloatArray) -> float:
     """
     if len(x) < 2 or _is_degenerate(x):
         return np.nan
-    # Chains that do not move from different points have no variance within: the division correctly gives inf.
+    # Chains that stay at different points have no variance within chains: the division correctly gives inf.
     with np.errstate(divide="ignore", invalid="ignore"):
         return rank_rhat(x)
 
 
 def ess_bulk(x: FloatArray, walkers: int = 1) -> float:
-    """Return the bulk effective sample size: rank-normalised for chains, of the mean for ensembles."""
+    """Return the bulk effective sample size: rank-normalised for chains; for ensembles, the ESS of the mean."""
     if _is_degenerate(x):
         return np.nan
     if walkers > 1:
@@ -75,7 +75,7 @@ def ess_mean(x: FloatArray, walkers: int = 1) -> float:
         return np.nan
     if walkers > 1:
         return _ensemble_ess(x, walkers)
-    # a range below 1e-15 passes for a constant, whatever the unit: second moments of area are 1e-9 m⁴
+    # scaled, because `chain_ess` treats a range below 1e-15 as a constant: second moments of area are 1e-9 m⁴
     return chain_ess(split_chains((x - x.mean()) / x.std()))
 
 
@@ -148,7 +148,7 @@ def _variance_by_batches(x: NDArray[np.generic], walkers: int) -> float:
 
 
 def by_walker(x: NDArray[np.generic], walkers: int) -> NDArray[np.generic]:
-    """Reshape (ensembles, steps * walkers, ...), step-major, to (ensembles, walkers, steps, ...)."""
+    """Return an array (ensembles, steps * walkers, ...), step-major, as (ensembles, walkers, steps, ...)."""
     return x.reshape(len(x), x.shape[1] // walkers, walkers, *x.shape[2:]).swapaxes(1, 2)
 
 
@@ -186,7 +186,7 @@ def autocorrelation(x: NDArray[np.generic], walkers: int = 1) -> FloatArray:
 
 
 def apart(draws: int, most: int, walkers: int = 1) -> int:
-    """Return the step of a thinning that leaves about `most` draws and treats all walkers alike."""
+    """Return the step of a thinning that leaves at most `most` draws and treats all walkers alike."""
     distance = max(1, -(-draws // most))
     while math.gcd(distance, walkers) > 1:
         distance += 1
@@ -198,7 +198,7 @@ def _autocorrelation(paths: FloatArray) -> FloatArray:
     from scipy.fft import irfft, next_fast_len, rfft
 
     steps = paths.shape[1]
-    padded = next_fast_len(2 * steps, real=True)  # with zeros, or the end of a path would meet its beginning
+    padded = next_fast_len(2 * steps, real=True)  # with zeros, so that the end of a path does not meet its beginning
     power = np.abs(rfft(paths - paths.mean(), padded)) ** 2
     autocovariance = irfft(power.sum(axis=0), padded)[:steps]
     return autocovariance / autocovariance[0]

@@ -152,7 +152,7 @@ def for_divergences(trace: xr.DataTree) -> str:
     if trace.attrs["sampler"] == "mixture":
         return f"; {RATIOS}"
     settings = json.loads(trace.attrs["settings"]) | json.loads(trace.attrs.get("learnt", "{}"))
-    if np.max(settings.get("target_accept") or 0.0) >= SHORT_STEPS:  # of several groups
+    if np.max(settings.get("target_accept") or 0.0) >= SHORT_STEPS:  # one value per group
         return f"; take the default sampler, the mixture; {RATIOS}"
     return f"; use a shorter step: fmu.HamiltonianMonteCarlo(target_accept={typed(SHORT_STEPS)})"
 

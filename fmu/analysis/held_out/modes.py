@@ -174,7 +174,7 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
     if sum(use) > 1:  # without the only used mode there are no data
         doubtful = sorted(doubtful + [k for k, used in enumerate(use) if used])
     found |= _left_out_all(problem, doubtful, most / (len(doubtful) + 1))
-    # weights with a Pareto k of 0.4 were off by 0.4 nats: only where no refit is affordable
+    # weights with a Pareto k of 0.4 were wrong by 0.4 nats: used only if a refit takes too long
     smoothed = smooth_weights(trace) if len(found) < len(use) else {}
     good = {label for label, one in smoothed.items() if one.is_good}
     poor = [k for k in doubtful if k not in found and problem.data.labels[k] not in good]

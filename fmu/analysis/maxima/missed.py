@@ -111,7 +111,7 @@ def compare_shares(trace: xr.DataTree, maxima: Maxima) -> Comparison:
     trace : xarray.DataTree
     maxima : Maxima
     """
-    if maxima.search and not maxima.are_weighed:  # of a plain log-density: may hold no mass, as in a funnel
+    if maxima.search and not maxima.are_weighed:  # the maxima of a plain log-density may hold no mass
         return Comparison([], [])
     walkers = walkers_of(trace)
     draws = parameter_draws(trace)

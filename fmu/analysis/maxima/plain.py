@@ -110,7 +110,7 @@ class PlainDensity:
         return np.clip(np.concatenate([self.start[None], theta]), self.lower, self.upper)
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return no frequencies, shape (..., 0)."""
+        """Return an empty array in place of frequencies, shape (..., 0)."""
         return np.empty((*np.shape(theta)[:-1], 0))
 
     def log_prob(self, theta: ArrayLike) -> Any:

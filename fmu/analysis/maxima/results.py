@@ -52,7 +52,7 @@ def mass_in_words(part: float) -> str:
 def theta_in_words(
     names: Iterable[str], theta: FloatArray, units: Iterable[str], sd: FloatArray | None = None
 ) -> str:
-    """Return a parameter vector as text, to the digits that `sd` supports: ``"Ix1 = 3904 mm⁴"``, joined by commas."""
+    """Return a parameter vector as text: ``"Ix1 = 3904 mm⁴, Ax1 = 900.0 mm²"``; `sd` determines the digits."""
     spread = np.zeros(len(theta)) if sd is None else np.nan_to_num(sd)
     parts = zip(names, theta, spread, units, strict=True)
     return ", ".join(f"{name} = {with_unit(float(x), unit, float(s))}" for name, x, s, unit in parts)

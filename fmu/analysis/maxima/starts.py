@@ -62,7 +62,8 @@ def choose_starts(
 
     Parameters ---------- density : LogDensity init : "maxima", "prior", "start" or array_like
         For a hierarchical posterior, "maxima" means its typical point. For another density without `maxima`, it
-        means the prior, or scattered points if there is no prior or the density is not finite at all of its draws.
+        means the prior, or scattered points if there is no prior, or if the density is not finite at some of its
+        draws.
     maxima : Maxima or None chains, walkers, seed : int
         See `starts_at_maxima`.
     """

@@ -264,14 +264,14 @@ def check(
     ----------
     problem : UpdatingProblem
     draws : int
-        Draws from the prior at which the model is solved, at least 2.
+        Number of draws from the prior at which the model is solved, at least 2.
     seed : int
         Seed of these draws, and of the points at which the gradient is checked.
 
     Returns
     -------
     Check
-        Can be printed, and is shown as HTML in a notebook.
+        The findings, which can be printed and are shown as HTML in a notebook.
 
     Raises
     ------

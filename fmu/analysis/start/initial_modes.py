@@ -69,11 +69,11 @@ class InitialModes:
         object.__setattr__(self, "_column", columns)
 
     def of(self, k: int) -> ComputedMode:
-        """Return the computed mode paired with measured mode `k` (from 0)."""
+        """Return the computed mode that is paired with the measured mode with index `k`."""
         return self.modes[self._column[k]]
 
     def error_percent(self, k: int) -> float:
-        """Return the error of the computed frequency of measured mode `k`, in % of the measured one."""
+        """Return the error of the computed frequency of the measured mode with index `k`, in % of the measured one."""
         return 100.0 * (self.of(k).frequency_hz / float(self.measured_hz[k]) - 1.0)
 
     def subspace_mac(self, k: int) -> float:

@@ -53,17 +53,17 @@ class PriorPrediction:
 
     @property
     def mean(self) -> FloatArray:
-        """Mean prediction, shape (n_modes,)."""
+        """Mean of the computed frequencies over the prior, Hz, shape (n_modes,)."""
         return np.asarray(self._drawn.mean(axis=0))
 
     @property
     def sd(self) -> FloatArray:
-        """Standard deviation of the predicted measurement, noise included, shape (n_modes,)."""
+        """Standard deviation of the predicted measurement, noise included, Hz, shape (n_modes,)."""
         return np.asarray(np.hypot(self._drawn.std(axis=0, ddof=1), np.nan_to_num(self.noise_sd)))
 
     @property
     def interval(self) -> FloatArray:
-        """Ends of the 90 % interval of the computed frequencies, shape (2, n_modes)."""
+        """Ends of the 90 % interval of the computed frequencies, Hz, shape (2, n_modes)."""
         return np.asarray(np.quantile(self._drawn, [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2], axis=0))
 
     @property

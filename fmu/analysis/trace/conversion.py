@@ -197,7 +197,7 @@ def load_traces(directory: str | os.PathLike[str]) -> dict[str, xr.DataTree]:
 
 
 def generator(seed: int, stream: int) -> np.random.Generator:
-    """Return a random generator from the run's seed, independent of those of the chains (tasks 0, 1, ...)."""
+    """Return a random generator from the run's seed, independent of the chains' generators (tasks 0, 1, ...)."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_OUTSIDE_THE_CHAINS, stream)))
 
 
@@ -234,7 +234,7 @@ def _stats(draws: Draws, density: LogDensity) -> xr.Dataset:
 
 
 def _constants(density: LogDensity, names: tuple[str, ...]) -> xr.Dataset:
-    """Return the bounds, the start vector and the weights of the measured frequencies."""
+    """Return a dataset of the bounds, the start vector and the weights of the measured frequencies."""
     import xarray as xr
 
     known = {"lower": density.lower, "upper": density.upper, "start": start_of(density)}

@@ -311,7 +311,7 @@ def _check_log_prob(
     off = np.abs(stored[at] - computed)
     allowed = precision * np.maximum(1.0, np.abs(computed))
     tolerance = getattr(problem, "tolerance", None)
-    if tolerance is not None:  # the run may have been of the full model
+    if tolerance is not None:  # the run may have used the full model
         allowed = allowed + tolerance.log_prob
     if not np.all(off <= allowed):
         worst = int(np.argmax(np.where(np.isnan(off), np.inf, off)))

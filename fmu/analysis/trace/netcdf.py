@@ -126,7 +126,7 @@ def _read(group: h5py.Group) -> xr.Dataset:
 
 
 def _attributes(found: Mapping[str, str | AnyArray]) -> dict[str, object]:
-    """Return the attributes without those of the file format; arrays of one number become numbers."""
+    """Return the attributes without the attributes of the file format; arrays of one number become numbers."""
     return {
         name: value[0] if np.ndim(value) and np.size(value) == 1 else value
         for name, value in found.items()
