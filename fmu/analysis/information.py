@@ -145,8 +145,8 @@ def information(trace: xr.DataTree) -> Information | None:
 
     The same criterion applies to parameters and to the principal directions of the draws: below a contraction of
     0.3 (`CONTRACTED`) the data have not informed them. Draws in separate narrow peaks have a large variance but
-    are informed. Therefore a parameter or direction counts as uninformed only if the entropy of its draws is also
-    that of a wide distribution.
+    are informed. Therefore a parameter or direction counts as uninformed only if the entropy of its draws also
+    matches a wide distribution.
 
     A parameter is determined only in a combination if it is not itself an uninformed direction, and if it is not
     informed or the uninformed directions leave it at least 0.3 of its prior variance.
@@ -206,7 +206,7 @@ def _is_informed(x: FloatArray, prior: FloatArray, direction: FloatArray) -> boo
 
 
 def separation_in_words(trace: xr.DataTree, linearised: Identifiability) -> str:
-    """Return the sentence on the two parameters that the data separate least; empty if all are separated.
+    """Return the sentence on the two parameters that the data separate least; empty if no two are confused.
 
     The draws decide, by the criterion of `information`. If the trace has no draws from the prior, the linearised
     model decides.
@@ -234,7 +234,7 @@ def _determined_instead(trace: xr.DataTree) -> dict[frozenset[str], str]:
 def left_along(trace: xr.DataTree, linearised: Identifiability) -> FloatArray:
     """Return the ratio of posterior to prior standard deviation of the draws along the directions, shape (n,).
 
-    The directions are those of the linearised model. The result corresponds to ``remaining_sd`` of its table, but
+    The directions belong to the linearised model. The result corresponds to ``remaining_sd`` of its table, but
     without linearisation.
     """
     n = len(linearised.names)

@@ -73,7 +73,7 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
           run; NaN without gradients;
         - ``ess_per_solve``, ``ess_per_s``: the smallest bulk ESS per solve and per second of these costs;
         - the columns of `costs_side_by_side`: total solves until the common criterion and per effective draw, also
-          as multiples of those of emcee.
+          as multiples of the values of emcee.
 
     Raises
     ------

@@ -313,7 +313,7 @@ def choose_run(verdicts: Mapping[str, Diagnosis], summaries: Mapping[str, pd.Dat
     """Return the name of the representative run: a converged one if possible, with the most effective draws.
 
     This run gives the verdict on the model, the losses and the exported values wherever no sampler is named. The
-    order of the runs does not matter: the effective draws are those of the worst parameter, and ties are resolved
+    order of the runs does not matter: the worst parameter determines the effective draws, and ties are resolved
     alphabetically.
 
     Parameters

@@ -144,7 +144,7 @@ def rhat_over_walkers(trace: xr.DataTree) -> FloatArray:
 def autocorrelation_times_run(trace: xr.DataTree, part: float = 1.0) -> FloatArray:
     """Return the length of the first `part` of a run in its longest autocorrelation times, shape (ndim,).
 
-    The autocorrelation time of each parameter is that of the slowest ensemble.
+    For each parameter, the slowest ensemble determines the autocorrelation time.
     """
     walkers = walkers_of(trace)
     draws = np.moveaxis(parameter_draws(trace), -1, 0)

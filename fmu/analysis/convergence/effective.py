@@ -75,7 +75,7 @@ def ess_mean(x: FloatArray, walkers: int = 1) -> float:
         return np.nan
     if walkers > 1:
         return _ensemble_ess(x, walkers)
-    # scaled, because `chain_ess` treats a range below 1e-15 as a constant: second moments of area are 1e-9 m⁴
+    # scaled: `chain_ess` treats a range below 1e-15 as a constant, and second moments of area are 1e-9 m⁴
     return chain_ess(split_chains((x - x.mean()) / x.std()))
 
 
@@ -89,7 +89,7 @@ def mcse_mean(x: FloatArray, walkers: int = 1) -> float:
 def mcse_sd(x: FloatArray, walkers: int = 1) -> float:
     """Return the Monte-Carlo standard error of the standard deviation s: the error of s² over 2 s.
 
-    The effective sample size is the smaller of those of the squares and of the tails, because slow mixing in a
+    The smaller effective sample size of the squares and of the tails is used, because slow mixing in a
     seldom visited tail shows earlier in the tail.
     """
     if _is_degenerate(x):
@@ -198,7 +198,7 @@ def _autocorrelation(paths: FloatArray) -> FloatArray:
     from scipy.fft import irfft, next_fast_len, rfft
 
     steps = paths.shape[1]
-    padded = next_fast_len(2 * steps, real=True)  # with zeros, so that the end of a path does not meet its beginning
+    padded = next_fast_len(2 * steps, real=True)  # zeros keep the end of a path from its beginning
     power = np.abs(rfft(paths - paths.mean(), padded)) ** 2
     autocovariance = irfft(power.sum(axis=0), padded)[:steps]
     return autocovariance / autocovariance[0]

@@ -145,7 +145,7 @@ class Maxima:
         as a search can.
     level : float
         The third-highest log-density at points scattered over the region in which a plain density was searched. If
-        draws lie above this level, the points are too sparse to find another mode as narrow as that of the draws.
+        draws lie above this level, the points are too sparse to find another such narrow mode.
     """
 
     maxima: tuple[PosteriorMaximum, ...]
@@ -179,7 +179,7 @@ class Maxima:
 
     @property
     def effective_draws(self) -> float:
-        """Smallest effective number of draws behind the mass of any maximum whose mass is not negligible."""
+        """Smallest effective sample size of the masses that are not negligible."""
         return min(m.effective_draws for m in self.maxima if m.share > NEGLIGIBLE)
 
     @property

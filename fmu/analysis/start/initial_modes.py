@@ -73,7 +73,7 @@ class InitialModes:
         return self.modes[self._column[k]]
 
     def error_percent(self, k: int) -> float:
-        """Return the error of the computed frequency of the measured mode with index `k`, in % of the measured one."""
+        """Return the relative error of the frequency computed for the measured mode with index `k`, in %."""
         return 100.0 * (self.of(k).frequency_hz / float(self.measured_hz[k]) - 1.0)
 
     def subspace_mac(self, k: int) -> float:

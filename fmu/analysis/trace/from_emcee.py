@@ -299,7 +299,7 @@ def _check_log_prob(
 ) -> FloatArray | None:
     """Compare five draws with the problem; return its frequencies at all draws if they are among the blobs.
 
-    The frequencies are removed from `blobs`. ValueError if a log-probability differs from that of the problem.
+    The frequencies are removed from `blobs`. ValueError if a stored log-probability is not the computed one.
     """
     theta = draws.position.reshape(-1, draws.position.shape[2])
     stored = draws.stats["lp"].ravel()

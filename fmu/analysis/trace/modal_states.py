@@ -210,7 +210,7 @@ def _sketch_variables(found: Sketch) -> dict[str, Any]:
 def drawn_structure(problem: UpdatingProblem) -> dict[str, xr.Dataset]:
     """Return a dict with the group of a trace of several tests that `sketch_of` draws; empty without geometry.
 
-    The structure is that of the first test.
+    It shows the structure of the first test.
     """
     import xarray as xr
 
