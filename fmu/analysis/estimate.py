@@ -47,7 +47,9 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
     The list is empty if the whole run takes less than a minute. Then progress bars suffice, and a busy machine
     would make the estimates wrong.
 
-    Parameters ---------- problem : UpdatingProblem
+    Parameters
+    ----------
+    problem : UpdatingProblem
         The problem, which is solved a few times to measure the time of a solve.
     orders : mapping of str
         ``samplers``, ``draws``, ``warmup``, ``chains``, ``groups`` and ``max_solves`` of the run. Without

@@ -47,12 +47,15 @@ class Evidence:
     The likelihood is normalised as a density of the data, in Hz for measured frequencies, and the prior is
     normalised within the bounds, so that evidences of different models of the same data can be compared.
 
-    Attributes ---------- log_evidence : float
+    Attributes
+    ----------
+    log_evidence : float
         Natural logarithm of the evidence.
     error : float
         Standard error of `log_evidence`, the larger of `within` and `between`. It does not include modes that no
         replica has found: see `warnings`.
-    method : {"stepping-stone", "thermodynamic", "importance", "bridge"} within : float
+    method : {"stepping-stone", "thermodynamic", "importance", "bridge"}
+    within : float
         Standard error from the autocorrelation along the chains, over all rungs together. For the candidates of a
         mixture, which are independent, it follows from the spread of their weights.
     between : float
@@ -117,7 +120,9 @@ class Evidence:
 def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
     """Estimate the evidence from a run of parallel tempering, or of a sampler with candidates from a mixture.
 
-    Parameters ---------- trace : xarray.DataTree
+    Parameters
+    ----------
+    trace : xarray.DataTree
         A trace of `fmu.sample(problem, "tempering")`, of `fmu.sample(problem, "mixture")`, or of a sampler with
         ``jumps=True``.
     method : {"stepping-stone", "thermodynamic", "importance", "bridge"}, optional
@@ -276,7 +281,9 @@ def found_evidences(
         Verdict on each trace, by sampler.
     maxima : Maxima or None
 
-    Returns ------- list of FoundEvidence
+    Returns
+    -------
+    list of FoundEvidence
         Empty for a pseudo-likelihood, and if there are neither maxima, nor a run of parallel tempering, nor a run
         with candidates of a mixture. An estimate that disagrees with a reliable one is marked as unreliable.
     """

@@ -114,7 +114,9 @@ _MOST_BRIDGES = 200
 def tempering_group(result: RunResult) -> xr.Dataset:
     """Return a dataset of the log-likelihoods and swaps at the rungs in a run of parallel tempering.
 
-    Returns ------- xarray.Dataset
+    Returns
+    -------
+    xarray.Dataset
         ``log_likelihood`` (chain, draw, rung) from the prior to the posterior, and ``inverse_temperature`` and
         ``rejection`` (rejection rate of swaps with the next rung) along ``rung``. Attributes: ``barrier``, Λ;
         ``round_trips`` of replicas from the posterior to the prior and back; ``round_trip_rate``, per draw and

@@ -59,7 +59,9 @@ class Identifiability:
     singular value s, a posterior with a Gaussian prior has 1/√(1 + s²) of the prior's standard deviation (Cui et
     al. 2014, Inverse Problems 30, 114015, section 2). Truncation of the posterior by the bounds is not included.
 
-    Attributes ---------- names, units : tuple of str
+    Attributes
+    ----------
+    names, units : tuple of str
         Names and units of the parameters.
     labels : tuple of str
         Labels of the rows of `sensitivity`: the measured modes, or their frequencies and shape components.
@@ -163,7 +165,9 @@ class Identifiability:
 def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) -> Identifiability:
     """Find the directions of the parameter space that the data constrain, by a linearised model.
 
-    Parameters ---------- problem : UpdatingProblem
+    Parameters
+    ----------
+    problem : UpdatingProblem
         A problem with an error model of modes. Inferred standard deviations of errors are held fixed. The scores
         of tests in a population are integrated out. The standard deviation of the population is omitted, because
         it changes no mode of a test at the population mean.
@@ -174,7 +178,9 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
     -------
     Identifiability
 
-    Raises ------ ValueError
+    Raises
+    ------
+    ValueError
         If `theta` is not within the bounds, the model has no finite derivative there, or the errors are not errors
         of modes (the modal residual).
     """

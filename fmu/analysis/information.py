@@ -47,7 +47,10 @@ _ALONE, _AGREE = 0.9, 0.1
 class Information:
     """The parameters and directions that the data determine, judged by the draws of a run.
 
-    Attributes ---------- names : tuple of str contraction : ndarray, shape (ndim,)
+    Attributes
+    ----------
+    names : tuple of str
+    contraction : ndarray, shape (ndim,)
         1 − the ratio of posterior to prior variance (Betancourt 2018, "Towards a principled Bayesian workflow"),
         of the logarithm where `of_logarithm`.
     of_logarithm : tuple of bool

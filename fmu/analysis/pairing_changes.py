@@ -42,7 +42,9 @@ _MEANS = {
 class PairingChanges:
     """Changes of the pairing of modes over the draws of a run.
 
-    Attributes ---------- labels : tuple of str
+    Attributes
+    ----------
+    labels : tuple of str
         Labels of the measured modes.
     swapped : ndarray, shape (n_modes, n_modes)
         Share of all draws in which two measured modes are in the reverse of their order before updating.

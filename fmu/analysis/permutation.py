@@ -21,7 +21,9 @@ def in_random_orders(z: FloatArray, present: BoolArray, statistics: Statistics) 
 
     The same sequence always gives the same result.
 
-    Parameters ---------- z : ndarray, shape (n, m)
+    Parameters
+    ----------
+    z : ndarray, shape (n, m)
         The sequence, zero where a value is missing. Rows are permuted together, because the columns may depend on
         each other.
     present : ndarray of bool, shape (n, m)
@@ -41,7 +43,9 @@ def adjusted_probabilities(statistics: FloatArray, two_sided: BoolArray) -> Floa
     largest of all statistics in each random order (Westfall & Young 1993, *Resampling-based multiple testing*,
     section 2.3). The smallest p-value is one over the number of orders.
 
-    Parameters ---------- statistics : ndarray, shape (1 + n_orders, k)
+    Parameters
+    ----------
+    statistics : ndarray, shape (1 + n_orders, k)
         Result of `in_random_orders`.
     two_sided : ndarray of bool, shape (k,)
         Whether a statistic is unusual if it is far from zero on either side; otherwise it is unusual if it is

@@ -35,7 +35,9 @@ if TYPE_CHECKING:
 class Expectation(NamedTuple):
     """A posterior mean and its Monte-Carlo standard error.
 
-    Attributes ---------- value : float, or ndarray of shape (k,)
+    Attributes
+    ----------
+    value : float, or ndarray of shape (k,)
         Mean of G over the retained draws, eq. (11).
     mcse : float, or ndarray of shape (k,)
         Monte-Carlo standard error of `value`; NaN if G is the same at every draw, or if there are fewer than four

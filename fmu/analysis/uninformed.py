@@ -96,7 +96,10 @@ _REMEDY = "Add a known mass, make a static test, measure other modes, or fix one
 class Pair(NamedTuple):
     """Two parameters, and the combination of them that the data constrain least.
 
-    Attributes ---------- names : tuple of (str, str) direction : ndarray, shape (ndim,)
+    Attributes
+    ----------
+    names : tuple of (str, str)
+    direction : ndarray, shape (ndim,)
         The combination, a unit vector in prior standard deviations.
     remaining_sd : float
         Ratio of posterior to prior standard deviation along this direction.

@@ -51,7 +51,9 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
     ``ess_per_s``. The attributes of each trace give the counts without the warm-up. In ``ess_per_solve`` a solve
     is a log-probability, and an exact gradient counts as ``gradient_cost`` solves.
 
-    Parameters ---------- traces : mapping of str to xarray.DataTree
+    Parameters
+    ----------
+    traces : mapping of str to xarray.DataTree
         Traces by the names of the rows.
     problem : UpdatingProblem, optional
         The problem that was sampled. Its maxima are searched for, and a run that missed an important maximum has

@@ -73,7 +73,9 @@ GROUP = "maxima"
 class Diagnosis:
     """The verdict on a run.
 
-    Attributes ---------- converged : bool
+    Attributes
+    ----------
+    converged : bool
         Whether all tests passed.
     reasons : tuple of str
         Reasons why the run has not converged, one sentence each, the most serious first; empty if it has.
@@ -175,7 +177,10 @@ def diagnose(
     `find_map` and from other runs. Chains alone cannot show them: if all chains are in one of several modes, they
     agree with each other.
 
-    Parameters ---------- trace : xarray.DataTree problem : LogDensity, optional
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    problem : LogDensity, optional
         The problem or density that was sampled; its maxima are searched for. Maxima stored in the traces are
         always used.
     others : mapping of str to xarray.DataTree, or iterable of xarray.DataTree, optional

@@ -70,7 +70,9 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
     ci_prob : float
         Probability inside the equal-tailed interval.
 
-    Returns ------- pandas.DataFrame
+    Returns
+    -------
+    pandas.DataFrame
         One row per parameter, SI units: ``mean``, ``sd``, the ends of the interval, named after its probability in
         per cent (``eti90_lb``, ``eti90_ub``), ``rhat`` (over ensembles for an ensemble sampler), ``ess_bulk``,
         ``ess_tail`` (of the 5 % and the 95 % quantile), and the Monte-Carlo standard errors of the mean and of
@@ -199,14 +201,19 @@ def convergence_failures(
 
     Draws cannot show a mode that no chain visited; see `fmu.diagnose`.
 
-    Parameters ---------- trace : xarray.DataTree table : pandas.DataFrame, optional
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    table : pandas.DataFrame, optional
         ``summary(trace)``, if already computed.
     places : {"unknown", "one", "missed"}
         What is known about the maxima of the posterior: "unknown" if they are not known or several are important;
         "one" if a single maximum is important and was visited; "missed" if the run missed one, so that more draws
         would not help.
 
-    Returns ------- list of str
+    Returns
+    -------
+    list of str
         One sentence for each failed test, the most serious first. The first of the tests that more draws would
         remedy states about how many draws are needed (`fmu.analysis.convergence.remedies`).
     """

@@ -270,7 +270,9 @@ def live_diagnostics(draws: FloatArray, walkers: int = 1, *, ended: bool = False
     ended : bool
         Whether the run has ended. Both values then equal those of `fmu.summary` for a run of any length.
 
-    Returns ------- dict of str to float
+    Returns
+    -------
+    dict of str to float
         ``rhat`` and ``ess``. A value is NaN if it is undefined for one parameter: R-hat of one chain, fewer than
         four draws, a parameter that has not moved yet, a draw that is not finite.
 

@@ -88,7 +88,10 @@ def _of_steps(trace: xr.DataTree, group: str, name: str, walkers: int) -> FloatA
 def solves_to_criterion(trace: xr.DataTree, grown: Growth | None = None) -> float:
     """Return the solves, warm-up included, after which the draws first met the criterion; NaN if never.
 
-    Parameters ---------- trace : xarray.DataTree grown : Growth, optional
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    grown : Growth, optional
         ``growth(trace)``, if already computed. Between two of its numbers of draws, the first number that meets
         the criterion is found by bisection.
     """

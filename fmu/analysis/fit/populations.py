@@ -85,11 +85,7 @@ def population_group(
     problem : UpdatingProblem
         A problem with a population.
     theta : ndarray, shape (n, n_structural)
-        Posterior draws.
-    shape : tuple of int
-        Numbers of chains and draws.
-    coordinates : dict
-        Coordinates of the chains and draws.
+        Posterior draws; `shape` is (chains, draws), and `coordinates` has the coordinates of both.
     """
     import xarray as xr
 

@@ -91,7 +91,10 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
     seconds. In that case the draws are weighted by importance (PSIS, Vehtari, Gelman & Gabry 2017), if the Pareto
     k of the weights is low.
 
-    Parameters ---------- trace : xarray.DataTree problem : UpdatingProblem, optional
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    problem : UpdatingProblem, optional
         The problem that was sampled. With a problem, the table is computed again, however long this takes. Without
         a problem, the table stored in the trace is returned; for a trace without a table, only ``elpd`` and
         ``pareto_k`` are known.
@@ -142,7 +145,10 @@ def kept_table(trace: xr.DataTree) -> pd.DataFrame | None:
 def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | None = None) -> xr.DataTree:
     """Return the trace with the table of `leave_one_out` stored in it.
 
-    Parameters ---------- trace : xarray.DataTree problem : UpdatingProblem
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    problem : UpdatingProblem
         The problem that was sampled.
     most : float, optional
         Largest number of solves for updating without modes. The default is half the solves of the draws or the

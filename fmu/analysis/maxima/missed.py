@@ -153,7 +153,9 @@ def compare_shares(trace: xr.DataTree, maxima: Maxima) -> Comparison:
 class Visits(NamedTuple):
     """Division of the draws among the maxima, and changes of the chains between maxima.
 
-    Attributes ---------- share, error : ndarray, shape (maxima,)
+    Attributes
+    ----------
+    share, error : ndarray, shape (maxima,)
         Share of the draws that belong to each maximum, and its Monte Carlo standard error; NaN if no chain ever
         changed.
     crossings : ndarray of int, shape (chains,)

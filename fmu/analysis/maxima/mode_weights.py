@@ -23,7 +23,9 @@ _HOPELESS = 40.0
 class ModeWeight:
     """The mass of a maximum of the posterior.
 
-    Attributes ---------- log_mass : float
+    Attributes
+    ----------
+    log_mass : float
         Logarithm of ∫ P du over the part of the posterior that belongs to the maximum.
     mean, covariance : ndarray, shape (ndim,) and (ndim, ndim)
         Moments of this part.

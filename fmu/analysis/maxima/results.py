@@ -62,7 +62,10 @@ def theta_in_words(
 class PosteriorMaximum:
     """A local maximum of the posterior within the bounds. SI units.
 
-    Attributes ---------- theta : ndarray, shape (ndim,) log_prob : float
+    Attributes
+    ----------
+    theta : ndarray, shape (ndim,)
+    log_prob : float
         Log-probability, as ``problem.log_prob``.
     frequencies : ndarray, shape (n_modes,)
         Computed frequencies in Hz, paired with the measured modes.
@@ -127,7 +130,10 @@ class PosteriorMaximum:
 class Maxima:
     """All local maxima that were found, the highest first; a sequence of `PosteriorMaximum`.
 
-    Attributes ---------- maxima : tuple of PosteriorMaximum names, units : tuple of str
+    Attributes
+    ----------
+    maxima : tuple of PosteriorMaximum
+    names, units : tuple of str
         Names and units of the parameters.
     labels : tuple of str
         Labels of the measured modes.

@@ -87,7 +87,10 @@ def find_map(
     density with neither is searched around its start, which excludes no other maxima; `Maxima.doubts` and the
     verdict on a run state this. A maximum that attracts fewer than one start in `starts` may be missed.
 
-    Parameters ---------- problem : LogDensity starts : int, optional
+    Parameters
+    ----------
+    problem : LogDensity
+    starts : int, optional
         Number of optimiser starts, see `fmu.posterior.maxima.local_maxima`. Fewer starts are faster but may miss a
         maximum. The default is 256. It is 16 without derivatives, and 64 for a plain log-density and for a large
         model that is not reduced, or is reduced to 128 or more unknowns.

@@ -60,11 +60,15 @@ def choose_starts(
 ) -> Starts:
     """Return the starts of the chains.
 
-    Parameters ---------- density : LogDensity init : "maxima", "prior", "start" or array_like
+    Parameters
+    ----------
+    density : LogDensity
+    init : "maxima", "prior", "start" or array_like
         For a hierarchical posterior, "maxima" means its typical point. For another density without `maxima`, it
         means the prior, or scattered points if there is no prior, or if the density is not finite at some of its
         draws.
-    maxima : Maxima or None chains, walkers, seed : int
+    maxima : Maxima or None
+    chains, walkers, seed : int
         See `starts_at_maxima`.
     """
     if not isinstance(init, str):
@@ -130,7 +134,10 @@ def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: 
     log-probability that is lower than on the surface of the ellipsoid, or not finite, is moved halfway towards the
     maximum until it is high enough.
 
-    Parameters ---------- density : LogDensity maxima : Maxima
+    Parameters
+    ----------
+    density : LogDensity
+    maxima : Maxima
         The result of `fmu.find_map`.
     chains : int
         Number of chains, or of ensembles.

@@ -48,7 +48,9 @@ type Block = tuple[str, Iterable[str], pd.DataFrame | None]
 class Check:
     """The findings of `check`.
 
-    Attributes ---------- name : str
+    Attributes
+    ----------
+    name : str
         Name of the problem.
     model : tuple of str
         Description of the model, one sentence each.
@@ -57,7 +59,8 @@ class Check:
         in words.
     modes : InitialModes
         Computed modes at the start, paired with the measured ones.
-    gradient : GradientCheck identifiability : Identifiability or None
+    gradient : GradientCheck
+    identifiability : Identifiability or None
         None if the error model is not of modes (the modal residual), or the gradient is not finite.
     prior : PriorPrediction
         Prior prediction of the measured frequencies.

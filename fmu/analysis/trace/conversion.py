@@ -59,7 +59,9 @@ def to_trace(
 ) -> xr.DataTree:
     """Convert a run to an ArviZ trace.
 
-    Parameters ---------- result : RunResult
+    Parameters
+    ----------
+    result : RunResult
         Result of `fmu.samplers.loop.run.run`.
     density : LogDensity
         The density that was sampled. An `UpdatingProblem` gives all groups below. A plain log-density gives only
@@ -139,7 +141,9 @@ def save_trace(trace: xr.DataTree, path: str | os.PathLike[str]) -> Path:
     -------
     Path
 
-    Raises ------ OSError
+    Raises
+    ------
+    OSError
         If the file cannot be written, for example because the disk is full. An earlier file is then left
         unchanged.
     """

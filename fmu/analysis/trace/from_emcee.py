@@ -56,7 +56,9 @@ def from_emcee(
     Every ensemble is a chain of the trace. With fewer than four ensembles, the verdict depends on autocorrelation
     times and on the mixing of the walkers, and states that separate modes cannot be excluded.
 
-    Parameters ---------- source : emcee.EnsembleSampler, emcee.backends.Backend, path-like, or a list of these
+    Parameters
+    ----------
+    source : emcee.EnsembleSampler, emcee.backends.Backend, path-like, or a list of these
         The ensembles; a path is the path of an HDF file. The steps stored so far are read, also from a run that
         was interrupted, is still running, or was resumed.
     problem : UpdatingProblem or LogDensity, optional
@@ -81,7 +83,9 @@ def from_emcee(
     maxima : Maxima, optional
         The result of `fmu.find_map`. It is stored in the trace, and every verdict on the trace uses it.
 
-    Returns ------- xarray.DataTree
+    Returns
+    -------
+    xarray.DataTree
         The groups of `fmu.analysis.trace.conversion.to_trace`; for an updating problem also ``modes``, ``pairing``
         and ``identifiability``, as from `fmu.sample`. A blob with the problem's frequencies becomes
         ``model_frequency`` of ``posterior_predictive``, so that no draw is solved again; other blobs are in the

@@ -35,7 +35,9 @@ def misfit_group(
     coordinates : mapping
         Coordinates of chain, draw and mode.
 
-    Returns ------- mapping of str to xarray.Dataset
+    Returns
+    -------
+    mapping of str to xarray.Dataset
         The group has ``squares`` (chain, draw, quantity, mode), Σ r² over the standardised residuals of a mode, a
         chi-square variable with ``freedom`` (quantity) degrees of freedom if the model is correct. For inferred
         standard deviations it has ``noise_isf`` (noise, tail), the value that the prior exceeds with the

@@ -62,7 +62,9 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
     states : mapping of str to array_like, shape (ndim,)
         Parameter vectors in SI units, by name; shapes are compared with the shapes of the first state.
 
-    Returns ------- xarray.Dataset
+    Returns
+    -------
+    xarray.Dataset
         - ``theta`` (state, parameter), and ``frequency`` (state, mode), Hz, paired with the measured modes.
         - For a structure defined by its matrices also ``mac`` (state, reference_mode, mode): the MAC with the
           measured shapes at the sensors, or without measured shapes with the shapes of the first state at all
