@@ -201,7 +201,7 @@ def information(trace: xr.DataTree) -> Information | None:
 
 
 def _is_informed(x: FloatArray, prior: FloatArray, direction: FloatArray) -> bool:
-    """Return True if the data informed a direction, by draws (n, ndim) in prior standard deviations."""
+    """Return True if the data informed a direction; `x`, `prior` (n, ndim) are in prior standard deviations."""
     along = x @ direction
     return float(np.var(along, ddof=1)) <= 1.0 - CONTRACTED or (
         _entropy_sd(along, prior @ direction) < _LEAST_BY_ENTROPY

@@ -90,7 +90,7 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
 
 
 class Judged(NamedTuple):
-    """Results of several runs on one posterior: summaries and verdicts by run, and the table of `compare`."""
+    """Several runs on one posterior: ``summary(trace)`` and verdict of each run, and the table of `compare`."""
 
     summaries: Mapping[str, pd.DataFrame]
     verdicts: dict[str, Diagnosis]

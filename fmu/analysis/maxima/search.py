@@ -65,7 +65,7 @@ def _is_slow(problem: UpdatingProblem) -> bool:
 
 
 def is_searchable(problem: LogDensity) -> bool:
-    """Return True unless the density has a population, whose maximum is far from its mass."""
+    """Return True if `find_map` can search the density: not a population's, whose maximum is far from its mass."""
     return not getattr(problem, "is_hierarchical", False)
 
 
