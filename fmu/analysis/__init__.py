@@ -1,6 +1,6 @@
-"""What the draws say, and whether they can be believed.
+"""Analysis before and after sampling: what the data determine, what the draws show, and whether they are reliable.
 
 Before sampling: start, identifiability, uninformed, repeatability, estimate.
-After it: trace, convergence, maxima; then prediction, held_out, information, fit, pairing_changes, evidence,
+After sampling: trace, convergence, maxima; then prediction, held_out, information, fit, pairing_changes, evidence,
 certificate.
 """

@@ -1,4 +1,4 @@
-"""The certificate of a run: bounds of the reduced model's error at the draws, confirmed by full solves of some."""
+"""The certificate of a run: bounds of the reduced model's error at the draws, confirmed by some full solves."""
 
 from __future__ import annotations
 
@@ -28,28 +28,29 @@ if TYPE_CHECKING:
 
 _AT_ONCE = 16  # draws
 _MOST_BY_FULL = 0.03
-"""Share of the draws at which the full model may answer in place of the reduced one without a word."""
+"""Largest share of the draws at which the full model may replace the reduced model without a warning."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How many draws a certificate is of.
+    """The number of draws at which a certificate bounds and confirms errors.
 
     Attributes
     ----------
     work : int
-        Degrees of freedom times draws at which the bound is evaluated.
+        Limit of the degrees of freedom times the draws at which the bound is evaluated.
     fewest, most : int
-        At least and at most so many draws.
+        Smallest and largest number of these draws.
     each : int
-        One of so many of these draws is solved with the full model.
+        One in this many of these draws is solved with the full model.
     solved, solved_of_large : int
-        At least so many are solved; of structures with `large` degrees of freedom or more, so many.
+        Smallest number of full solves, and the same for structures with at least `large` degrees of freedom.
     worst : int
-        So many of them are those with the largest bounds.
+        Number of full solves at the draws with the largest bounds.
     large : int
+        Number of degrees of freedom from which a structure is large.
     rounding : float
-        Part of the tolerance by which the full model's own rounding may exceed the bound.
+        Share of the tolerance by which the rounding of the full model may exceed the bound.
     """
 
     work: int = 150_000
@@ -67,7 +68,7 @@ USUAL = Effort()
 
 
 class CertificateWarning(UserWarning):
-    """The reduced model misses its tolerance at retained draws, or the bound of its error."""
+    """The error of the reduced model exceeds its tolerance or its bound at retained draws."""
 
 
 def certify(
@@ -76,9 +77,10 @@ def certify(
     """Bound the error of the reduced model at retained draws, and solve some of them with the full model.
 
     The errors of the frequencies are bounded by their residuals (`fmu.fem.reduced.residuals`) at up to 512 draws
-    of small structures, and fewer of larger ones or of several tests, chosen at random by the seed of the trace.
-    Of these one in twelve is solved with the full model, and at least 16, or 8 where the structure has 20 000
-    degrees of freedom or more (`fmu.fem.reduced.confirming`); the four with the largest bounds are among them.
+    of small structures, and at fewer draws of larger structures or of several tests, chosen at random by the seed
+    of the trace. One in twelve of these draws is solved with the full model, and at least 16, or 8 if the
+    structure has 20 000 degrees of freedom or more (`fmu.fem.reduced.confirming`). The four draws with the largest
+    bounds are among them.
 
     Parameters
     ----------
@@ -93,15 +95,14 @@ def certify(
     Returns
     -------
     Certificate or None
-        None without a reduced model or a surrogate. The certificate of a surrogate is what was found when it was
-        learnt.
+        None without a reduced model or a surrogate. The certificate of a surrogate was made when the surrogate was
+        built.
 
     Warns
     -----
     CertificateWarning
-        If an error is above its tolerance, 1e-6 (frequency, relative) and 1e-3 (log-probability) unless the
-        problem was given another one, or above its bound, or if a pairing changed; or if the full model answered
-        at more than 3 % of the draws.
+        If an error exceeds its bound or its tolerance, by default 1e-6 (frequency, relative) and 1e-3
+        (log-probability); if a pairing changed; or if the full model was used at more than 3 % of the draws.
     """
     if not is_updating(problem):
         return None
@@ -125,7 +126,7 @@ def certify(
         by_parts("certificate", lambda part: model.of_modes(part, _bound), theta, _AT_ONCE, _AT_ONCE)
     )
     n_bounded = len(theta)
-    # where a basis is poor is not left to chance
+    # the draws with the largest bounds are always solved, because the basis may be poor there
     solved = np.argsort(-np.max(bound, axis=1), kind="stable")[:worst]
     others = np.setdiff1d(np.arange(n_bounded), solved)
     solved = np.concatenate([solved, others[: max(n_bounded // effort.each, fewest_solved) - worst]])
@@ -143,7 +144,7 @@ def certify(
         plausible = total >= total.max() - PLAUSIBLE
         log_prob_error = float(np.max(np.abs(np.sum(of_reduced - of_exact, axis=1)[plausible])))
     changed = np.any(exact[..., 1:] != found[..., 1:], axis=(1, 2))
-    # with another pairing these are not the modes that were bounded
+    # if the pairing differs, the bounds are of other modes
     exceeded = ~changed & np.any(errors > bound[solved] + effort.rounding * tolerance.frequency, axis=1)
     certificate = ReductionCertificate(
         draws=len(theta),
@@ -170,7 +171,7 @@ def certify(
 def _terms_of_both(
     problem: UpdatingProblem, theta: FloatArray, exact_hz: FloatArray, reduced_hz: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the terms of the log-likelihood at theta (n, ndim) by the full model and by the reduced one."""
+    """Return the log-likelihood terms at `theta` (n, ndim) by the full model and by the reduced model."""
     likelihood = problem.likelihood
     of_reduced = likelihood.terms_of_frequencies(reduced_hz, theta)
     if likelihood.by_frequencies:
@@ -180,13 +181,13 @@ def _terms_of_both(
 
 
 def certificate_failures(attrs: Mapping[Hashable, str | float]) -> list[str]:
-    """Return why draws of a surrogate do not count: its certificate is not kept. Exact draws need none."""
+    """Return reasons why draws of a surrogate are unreliable; empty for exact draws or a valid certificate."""
     found = SurrogateCertificate.from_trace(attrs)
     return [] if found is None or "second_stage_proposals" in attrs else found.reason_against()
 
 
 def exact_in_words(attrs: Mapping[Hashable, str | float]) -> list[str]:
-    """Return sentences on the second stage of delayed acceptance; none if the run has none."""
+    """Return sentences on the second stage of delayed acceptance; empty if the run has no second stage."""
     if "second_stage_proposals" not in attrs:
         return []
     proposals, accepted, failed = (
@@ -204,14 +205,14 @@ def exact_in_words(attrs: Mapping[Hashable, str | float]) -> list[str]:
 
 
 def _bound(structure: ReducedStructure, points: FloatArray) -> FloatArray:
-    """Return the bounds of the errors, (n, n_modes): none where the full model answers."""
+    """Return the bounds of the frequency errors, (n, n_modes); zero where the full model is used."""
     bound = structure.frequency_bound(points)
     bound[~structure.within(points)] = 0.0
     return np.asarray(bound)
 
 
 def _is_outside(structure: ReducedStructure, points: FloatArray) -> FloatArray:
-    """Return 1 where the full model answers because a point lies outside the trained box, (n, n_modes)."""
+    """Return 1 where a point lies outside the trained box, so that the full model is used, shape (n, n_modes)."""
     outside = ~structure.within(points[:, : structure.n_parameters])
     return np.repeat(outside[:, None].astype(float), structure.n_modes, axis=1)
 

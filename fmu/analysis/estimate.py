@@ -1,4 +1,4 @@
-"""The cost of a run in solves and, by the measured time of one, in seconds; and the cost of a gradient."""
+"""Estimates of the cost of a run, in solves and in seconds, and of the cost of a gradient."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 _CLIMB = 12  # evaluations with gradient
 _WEIGHED = 1024  # draws for each maximum
 _SLOW_S = 0.005
-_OVERHEAD_S = 1e-4  # of a step beside a solve
+_OVERHEAD_S = 1e-4  # time of a step without its solve
 _MOST_OVERHEAD_S = 5e-3
 _PROBES, _PROBE_S = 5, 0.04
-_CERTIFIED = 64  # as long as so many full solves
+_CERTIFIED = 64  # time of a certificate, in full solves
 _WORTH_S = 60.0
 _NEAR = (
     0.1  # part of the way from the start to a prior draw, where the reduced model answers as it does in the run
@@ -33,7 +33,7 @@ _FEWEST, _MOST, _MEASURED_S, _AT_ONCE = 5, 50, 0.05, 16
 
 
 class Estimate(NamedTuple):
-    """Estimated cost of a part of a run: name, solves, seconds; for a sampler that may go on, its most solves."""
+    """Estimated cost of a part of a run: its name, solves, seconds, and the limit of solves if it has one."""
 
     name: str
     solves: float
@@ -42,22 +42,22 @@ class Estimate(NamedTuple):
 
 
 def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, workers: int) -> list[Estimate]:
-    """Return the estimated cost of the parts of a run: each sampler, and every other part of more than a second.
+    """Return the estimated cost of each sampler, and of each other part of a run that takes over a second.
 
-    Empty if the whole run takes less than a minute: then progress bars say all, and a machine that is busy makes
-    the estimate wrong.
+    The list is empty if the whole run takes less than a minute. Then progress bars suffice, and a busy machine
+    would make the estimates wrong.
 
     Parameters
     ----------
     problem : UpdatingProblem
-        It is solved a few times, to measure how long a solve takes.
+        The problem, which is solved a few times to measure the time of a solve.
     orders : mapping of str
-        ``samplers``, ``draws``, ``warmup``, ``chains``, ``groups`` and ``max_solves`` of the run. Without draws,
-        each sampler is estimated to the first verdict.
+        ``samplers``, ``draws``, ``warmup``, ``chains``, ``groups`` and ``max_solves`` of the run. Without
+        ``draws``, each sampler is estimated up to the first verdict.
     starts : int
-        Optimiser starts of the search for maxima.
+        Number of optimiser starts in the search for maxima.
     workers : int
-        Processes that share the work.
+        Number of processes that share the work.
     """
     per_gradient = problem.solves_per_gradient
     is_function = bool(problem.model.functions)
@@ -84,7 +84,7 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
                     each_s = _seconds_in_a_sampler(problem, settings, orders, warmup, draws)
         else:
             each_s = one_s + _OVERHEAD_S
-            # a function's evaluations are shared out, those of the chains of one step at most
+            # the evaluations of a function are distributed, at most those of all chains in one step
             side_by_side = min(workers, lines) if is_function else min(workers, orders["groups"] or 1)
         most = orders["max_solves"] if orders["draws"] is None else None
         found.append(Estimate(name, solves, solves * each_s / side_by_side, most))
@@ -104,7 +104,7 @@ def estimates(problem: UpdatingProblem, orders: Mapping[str, Any], starts: int, 
 def estimates_in_words(parts: list[Estimate]) -> str:
     """Return the estimates in one line: ``hmc: about 36 000 solves, 12 min (at most 2 000 000 solves)``.
 
-    How long the most solves would take is not said: it is no estimate of the run.
+    The time of the largest number of solves is not stated, because it does not estimate the time of the run.
     """
     found = []
     for name, solves, seconds, most in parts:
@@ -114,17 +114,17 @@ def estimates_in_words(parts: list[Estimate]) -> str:
 
 
 def gradient_cost(density: LogDensity, theta: FloatArray) -> float:
-    """Return how many times as long a gradient takes as a log-probability.
+    """Return the time of a gradient divided by the time of a log-probability.
 
-    The least time of each counts, of at least five, taken in turns: a machine that does other things makes none
-    shorter.
+    Each time is the shortest of at least five measurements, which alternate between the two: other work on the
+    machine never makes a measurement shorter.
 
     Parameters
     ----------
     density : LogDensity
-        With exact gradients.
+        A density with exact gradients.
     theta : ndarray, shape (n, ndim)
-        Where it is evaluated, in one batch; of more than 16 points the first 16.
+        Points of the evaluation, in one batch; only the first 16 are used.
     """
     theta = theta[:_AT_ONCE]
     took: list[tuple[float, float]] = []
@@ -140,7 +140,7 @@ def gradient_cost(density: LogDensity, theta: FloatArray) -> float:
 
 
 def seconds_of_a_solve(problem: UpdatingProblem) -> float:
-    """Return the time of one solve; for a function, of one call, or of as many as there are different tests."""
+    """Return the time of one solve in seconds; for functions, the time of one call for each different test."""
     of_calls = problem.model.seconds_at(problem.model_parameters(problem.start[None])[0])
     return _time_call(lambda: problem.log_prob(problem.start)) if of_calls is None else of_calls
 
@@ -160,7 +160,7 @@ def _time_call(work: Callable[[], object]) -> float:
 def _seconds_in_a_sampler(
     problem: UpdatingProblem, settings: Sampler, orders: Mapping[str, Any], warmup: int, draws: int
 ) -> float:
-    """Return the time of a solve, the work of the sampler included, in the first steps of warm-up."""
+    """Return the seconds per solve in the first steps of a sampler, including the sampler's own work."""
     from fmu.samplers.loop.group import DRAWS, WARMUP, Chunk, GroupState, RunContext, advance
     from fmu.samplers.loop.run import n_groups
 
@@ -182,13 +182,13 @@ def _seconds_in_a_sampler(
 
 
 def _round_number(number: float) -> str:
-    """Return a number in two digits, thousands apart."""
+    """Return a number rounded to two digits, with thousands separated."""
     digits = len(str(int(number))) - 2
     return whole(round(number, -max(digits, 0)))
 
 
 def time_in_words(seconds: float) -> str:
-    """Return a time in two digits, in plain words."""
+    """Return a time rounded to two digits, with its unit: ``"12 min"``."""
     if seconds < 1.0:
         return "under 1 s"
     for size, unit in ((3600.0, "h"), (60.0, "min")):

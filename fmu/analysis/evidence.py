@@ -1,4 +1,4 @@
-"""The evidence of a model, with its error and how it was computed."""
+"""The evidence of a model, its standard error and the method of its estimation."""
 
 from __future__ import annotations
 
@@ -31,44 +31,46 @@ if TYPE_CHECKING:
 
 
 GROUP = "tempering"
-"""Group of a trace that keeps what the rungs of a ladder saw."""
+"""Group of a trace that stores the log-likelihoods and swaps at the rungs of a temperature ladder."""
 METHODS = ("stepping-stone", "thermodynamic")
 OF_MIXTURE = ("importance", "bridge")
 FEWEST_CANDIDATES = 100
-"""To estimate the tail of their weights from."""
+"""Smallest number of candidates from which the tail of their weights is estimated."""
 RHAT_LIMIT = 1.05
-"""With an R-hat of the log-likelihood above this, the chains of a rung disagree too much for an evidence."""
+"""If R-hat of the log-likelihood at a rung reaches this limit, the evidence is unreliable."""
 
 
 @dataclass(frozen=True)
 class Evidence:
     """The logarithm of the evidence ∫ P(D|θ) P(θ) dθ.
 
-    The likelihood is normalised as a density of the data, in Hz for measured frequencies, and the prior within the
-    bounds, so that evidences of different models of the same data can be compared.
+    The likelihood is normalised as a density of the data, in Hz for measured frequencies, and the prior is
+    normalised within the bounds, so that evidences of different models of the same data can be compared.
 
     Attributes
     ----------
     log_evidence : float
-        Natural logarithm.
+        Natural logarithm of the evidence.
     error : float
-        Its standard error, the larger of `within` and `between`. It does not include modes that no replica has
-        found: see `warnings`.
+        Standard error of `log_evidence`, the larger of `within` and `between`. It does not include modes that no
+        replica has found: see `warnings`.
     method : {"stepping-stone", "thermodynamic", "importance", "bridge"}
     within : float
-        Standard error from the autocorrelation along the chains, of all rungs together; of candidates, which are
-        independent, from the spread of their weights.
+        Standard error from the autocorrelation along the chains, over all rungs together. For the candidates of a
+        mixture, which are independent, it follows from the spread of their weights.
     between : float
-        Standard error from the chains' own estimates, NaN for a single chain.
+        Standard error from the spread of the chains' separate estimates; NaN for a single chain.
     table : pandas.DataFrame
-        Of a mixture one row per chain, with its ``log_evidence``. Of tempering one row per rung:
-        ``inverse_temperature``, ``mean`` and ``sd`` of the log-likelihood there (of draws at
-        which the model did not fail), ``rhat`` of it and ``ess`` of its mean, ``rejection`` of swaps with the
-        next rung, and ``log_ratio``, the logarithm of the evidence at the next rung over that at this one.
+        For a mixture, one row per chain with its ``log_evidence``. For tempering, one row per rung:
+        ``inverse_temperature``; ``mean`` and ``sd`` of the log-likelihood at this rung (of draws at which the
+        model did not fail), its ``rhat`` and the ``ess`` of its mean; ``rejection``, the rejection rate of swaps
+        with the next rung; and ``log_ratio``, the logarithm of the evidence at the next rung over that at this
+        one.
     pareto_k : float
-        Shape of the tail of the candidates' weights; NaN for tempering.
+        Pareto shape parameter of the tail of the candidates' weights; NaN for tempering.
     doubts : tuple of str
-        Places that it may leave out, because a mixture knows those alone that its chains visited; else empty.
+        Warnings about regions that the estimate may miss, because a mixture covers only what its chains visited;
+        else empty.
     """
 
     log_evidence: float
@@ -82,11 +84,11 @@ class Evidence:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Why it is not reliable, a sentence each: places left out, chains that disagree, heavy tails."""
+        """Reasons why the estimate is unreliable, one sentence each: missed regions, no agreement, heavy tails."""
         if self.method in OF_MIXTURE:
             tail = heavy_tail_in_words(self.pareto_k)
             return (*self.doubts, f"{tail}, and the error is underestimated") if tail else self.doubts
-        rhat = self.table["rhat"].to_numpy()[1:]  # the prior is drawn from independently
+        rhat = self.table["rhat"].to_numpy()[1:]  # draws from the prior are independent
         if np.all(rhat < RHAT_LIMIT):
             return ()
         if not np.any(np.isfinite(rhat)):
@@ -124,11 +126,12 @@ def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
         A trace of `fmu.sample(problem, "tempering")`, of `fmu.sample(problem, "mixture")`, or of a sampler with
         ``jumps=True``.
     method : {"stepping-stone", "thermodynamic", "importance", "bridge"}, optional
-        Of tempering, "stepping-stone" if not given: the product of the ratios of evidences from rung to rung, each
-        an average over the lower one (Xie et al. 2011); or the integral of the mean log-likelihood over the
-        inverse temperature, by the trapezium rule with its second-order correction (Friel, Hurn & Wyse 2014),
-        whose own error is not in the standard error. Of a mixture, "importance" if not given: the mean weight P/q
-        of all candidates; or the optimal bridge between candidates and draws (Meng & Wong 1996).
+        For tempering, the default "stepping-stone" is the product of the ratios of evidences from rung to rung,
+        each an average over the lower rung (Xie et al. 2011). "thermodynamic" is the integral of the mean
+        log-likelihood over the inverse temperature, by the trapezium rule with its second-order correction (Friel,
+        Hurn & Wyse 2014); the standard error does not include the error of this rule. For a mixture, the default
+        "importance" is the mean weight P/q of all candidates. "bridge" is the optimal bridge between candidates
+        and draws (Meng & Wong 1996).
 
     Returns
     -------
@@ -137,7 +140,7 @@ def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
     Raises
     ------
     ValueError
-        If the method is unknown, or the trace has neither rungs nor candidates for it.
+        If the method is unknown, or the trace does not have the rungs or candidates that the method needs.
 
     References
     ----------
@@ -165,14 +168,14 @@ def evidence(trace: xr.DataTree, method: str | None = None) -> Evidence:
 
 
 def has_candidates(trace: xr.DataTree) -> bool:
-    """Return whether a trace has the weights of enough candidates of a mixture."""
+    """Return True if a trace has the weights of at least `FEWEST_CANDIDATES` candidates of a mixture."""
     if not has(trace, "sample_stats") or CANDIDATE not in trace["sample_stats"]:
         return False
     return int(np.sum(np.isfinite(array_of(trace, "sample_stats", CANDIDATE)))) >= FEWEST_CANDIDATES
 
 
 def _of_mixture(trace: xr.DataTree, method: str) -> Evidence:
-    """Return the evidence from the log-weights log P − log q of candidates and of draws."""
+    """Return the evidence estimated from the log-weights log P − log q of the candidates and of the draws."""
     of_candidates, of_draws = (array_of(trace, "sample_stats", name) for name in (CANDIDATE, LOG_WEIGHT))
     jumped = ~np.isnan(of_candidates[0])  # all chains jump at the same steps
     candidates = np.where(np.isfinite(of_candidates), of_candidates, -np.inf)[:, jumped]
@@ -190,7 +193,7 @@ def _of_mixture(trace: xr.DataTree, method: str) -> Evidence:
 
 
 def _places_left_out(trace: xr.DataTree) -> tuple[str, ...]:
-    """Return why candidates may leave out a part of the posterior, judged by the maxima kept in the trace."""
+    """Return warnings about regions that the candidates may miss, judged by the maxima stored in the trace."""
     from fmu.analysis.convergence.diagnosis import doubts_of_search, maxima_of
     from fmu.analysis.maxima.missed import compare_shares
 
@@ -200,13 +203,13 @@ def _places_left_out(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def _errors(within: float, alone: Sequence[float]) -> tuple[float, float]:
-    """Return the standard error from the chains' own estimates, NaN for a single one, and the larger one."""
+    """Return the standard error from the chains' separate estimates, NaN for one chain, and the larger error."""
     between = float(np.std(alone, ddof=1) / np.sqrt(len(alone))) if len(alone) > 1 else np.nan
     return between, float(np.fmax(within, between))
 
 
 def _rung_table(draws: FloatArray, t: FloatArray) -> pd.DataFrame:
-    """Return the table of `Evidence`."""
+    """Return the table of `Evidence` for tempering, one row per rung."""
     finite = np.where(np.isfinite(draws), draws, np.nan)
     return data_frame(
         {
@@ -234,16 +237,16 @@ WHAT = (
 
 @dataclass(frozen=True)
 class FoundEvidence:
-    """A log-evidence with its source.
+    """A log-evidence and the method of its estimation.
 
     Attributes
     ----------
     log_evidence, error : float
-        Natural logarithm, and its standard error; NaN if unknown.
+        Natural logarithm of the evidence, and its standard error; NaN if unknown.
     method : str
-        How it was estimated, in words: ``"importance sampling at the maximum"``.
+        The method in words: ``"importance sampling at the maximum"``.
     doubts : tuple of str
-        Why it is not reliable, half a sentence each; empty if it is.
+        Reasons why the estimate is unreliable, each a clause; empty if it is reliable.
     """
 
     log_evidence: float
@@ -253,12 +256,12 @@ class FoundEvidence:
 
     @property
     def value(self) -> str:
-        """The log-evidence with its error."""
+        """The log-evidence with its standard error, as text."""
         return with_sd(self.log_evidence, self.error)
 
     @property
     def is_reliable(self) -> str:
-        """``"reliable"``, or ``"not reliable: "`` and why."""
+        """``"reliable"``, or ``"not reliable: "`` followed by the reasons."""
         return f"not reliable: {'; '.join(self.doubts)}" if self.doubts else "reliable"
 
     def __str__(self) -> str:
@@ -268,21 +271,21 @@ class FoundEvidence:
 def found_evidences(
     traces: Mapping[str, xr.DataTree], verdicts: Mapping[str, Diagnosis], maxima: Maxima | None
 ) -> list[FoundEvidence]:
-    """Return the evidences from runs of parallel tempering, from candidates and from the masses of the maxima.
+    """Return the evidences from parallel tempering, from candidates of a mixture and from masses of the maxima.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
         Traces of one problem, by sampler.
     verdicts : mapping of str to Diagnosis
-        On each of them.
+        Verdict on each trace, by sampler.
     maxima : Maxima or None
 
     Returns
     -------
     list of FoundEvidence
-        Empty for a pseudo-likelihood, and if there is no maximum, no run of parallel tempering and none with
-        candidates of a mixture. What disagrees with a reliable one is doubted.
+        Empty for a pseudo-likelihood, and if there are neither maxima, nor a run of parallel tempering, nor a run
+        with candidates of a mixture. An estimate that disagrees with a reliable one is marked as unreliable.
     """
     if any(is_pseudo(trace) for trace in traces.values()):
         return []
@@ -312,7 +315,7 @@ def _of_run(name: str, trace: xr.DataTree, verdict: Diagnosis, method: str) -> F
 
 
 def _of_maxima(maxima: Maxima, reached: float) -> FoundEvidence:
-    """Return the sum of the masses of the maxima, and why it may be unreliable."""
+    """Return the sum of the masses of the maxima, with the reasons why it may be unreliable."""
     fewest = maxima.effective_draws
     at = "at the maximum" if len(maxima) == 1 else f"at {len(maxima)} maxima"
     doubts = []
@@ -332,7 +335,7 @@ def _of_maxima(maxima: Maxima, reached: float) -> FoundEvidence:
 
 
 def _compare_evidences(found: list[FoundEvidence]) -> list[FoundEvidence]:
-    """Return the evidences, with a doubt for each that disagrees with a reliable one."""
+    """Return the evidences; each that disagrees with a reliable one has this as a further doubt."""
     reliable = [one for one in found if not one.doubts]
     compared = []
     for one in found:

@@ -1,4 +1,4 @@
-"""Rungs of a ladder in a trace; estimators of the evidence from their draws and from candidates of a mixture."""
+"""Estimators of the evidence from the rungs of a temperature ladder and from candidates of a mixture."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class _Estimate(NamedTuple):
-    """An estimate from draws (chains, draws, rungs), and the influence of each draw (chains, draws) on it."""
+    """An estimate from draws (chains, draws, rungs), and the influence (chains, draws) of each draw on it."""
 
     value: float
     influence: FloatArray
@@ -33,17 +33,17 @@ def by_importance(q: FloatArray) -> tuple[float, float]:
 
 
 def by_bridge(q: FloatArray, p: FloatArray, ratio: float) -> tuple[float, float]:
-    """Return log-evidence and standard error by the optimal bridge (Meng & Wong 1996).
+    """Return log-evidence and its standard error by the optimal bridge (Meng & Wong 1996).
 
-    The error is that of Frühwirth-Schnatter (2004). The draws of the posterior count in it by the effective sample
-    size of their terms, where that is smaller than `ratio` says.
+    The error is that of Frühwirth-Schnatter (2004). In this error, the number of posterior draws is the effective
+    sample size of their terms, but at most `ratio` times their number.
 
     Parameters
     ----------
     q, p : ndarray, shape (n,) and (chains, draws)
         Log-weights log P − log q of independent draws from q, and of draws from the posterior.
     ratio : float
-        How many independent draws one of the posterior counts for.
+        Number of independent draws that one posterior draw is worth.
     """
     n = ratio * p.size
     of_p, of_q = n / (n + len(q)), len(q) / (n + len(q))
@@ -69,31 +69,34 @@ def stepping_stone(draws: FloatArray, t: FloatArray) -> _Estimate:
 
 
 def stones(draws: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (t_{k+1} − t_k) l and the logarithm of the mean of its exponential, (..., rungs − 1) each."""
+    """Return (t_{k+1} − t_k) l for log-likelihoods l, and the logarithm of the mean exponential at each rung.
+
+    The shapes are (chains, draws, rungs − 1) and (rungs − 1,).
+    """
     log_weight = np.diff(t) * draws[..., :-1]
     highest = log_weight.max(axis=(0, 1))  # taken out of the exponential, which would overflow or vanish
     return log_weight, highest + np.log(np.mean(np.exp(log_weight - highest), axis=(0, 1)))
 
 
 def thermodynamic(draws: FloatArray, t: FloatArray) -> _Estimate:
-    """Return log Z = ∫₀¹ m(t) dt, where m and v are mean and variance of the log-likelihood l at t.
+    """Return log Z = ∫₀¹ m(t) dt, where m and v are the mean and variance of the log-likelihood l at t.
 
-    The corrected trapezium rule Σ_k h_k (g_k + g_{k+1})/2 − h_k² (g'_{k+1} − g'_k)/12 is applied in s = log(t +
-    a) instead of t. For a Gaussian likelihood in d dimensions m varies as −d/(2 (t + a)) towards the prior, so
-    that g = m (t + a) is smooth in s, with g' = v (t + a)² + m (t + a), because dm/dt = v. The first three rungs
-    are equidistant in s, which determines a. If the model fails in a part of the prior, the mean at t = 0 is
-    that of the rest, and the logarithm of the share of the rest is added to the integral.
+    The corrected trapezium rule Σ_k h_k (g_k + g_{k+1})/2 − h_k² (g'_{k+1} − g'_k)/12 is applied in s = log(t + a)
+    instead of t. For a Gaussian likelihood in d dimensions m varies as −d/(2 (t + a)) towards the prior, so that g
+    = m (t + a) is smooth in s, with g' = v (t + a)² + m (t + a), because dm/dt = v. The constant a is chosen so
+    that the first three rungs are equidistant in s. If the model fails in a part of the prior, the mean at t = 0
+    is taken over the rest, and the logarithm of the share of the rest is added to the integral.
     """
     known = np.isfinite(draws)
     share = known.mean(axis=(0, 1))
-    # the right a makes the first three rungs equidistant in s: (t_1 + a)² = a (t_2 + a), a = t_1²/(t_2 − 2 t_1)
+    # with this a the first three rungs are equidistant in s: (t_1 + a)² = a (t_2 + a), a = t_1²/(t_2 − 2 t_1)
     curved = len(t) > 2 and t[2] > 2.0 * t[1]
     w = t + (min(1.0, t[1] ** 2 / (t[2] - 2.0 * t[1])) if curved else 1.0)
     h = np.diff(np.log(w))
-    # the rule collected by rungs: each gets half of both neighbouring intervals, and h²/12 with opposite signs
+    # weights of the rungs: half of both neighbouring intervals for g, and h²/12 with opposite signs for g'
     of_g = 0.5 * (np.append(h, 0.0) + np.append(0.0, h))
     of_slope = (np.append(h**2, 0.0) - np.append(0.0, h**2)) / 12.0
-    # with g = w m and g' = w² v + w m it is a weighted sum of the means and variances
+    # with g = w m and g' = w² v + w m the integral is a weighted sum of the means and variances
     of_mean, of_variance = w * (of_g + of_slope), w**2 * of_slope
     finite = np.where(known, draws, 0.0)
     mean = finite.mean(axis=(0, 1)) / share
@@ -109,16 +112,16 @@ _MOST_BRIDGES = 200
 
 
 def tempering_group(result: RunResult) -> xr.Dataset:
-    """Return log-likelihoods and swaps of the rungs in a run of parallel tempering.
+    """Return a dataset of the log-likelihoods and swaps at the rungs in a run of parallel tempering.
 
     Returns
     -------
     xarray.Dataset
         ``log_likelihood`` (chain, draw, rung) from the prior to the posterior, and ``inverse_temperature`` and
-        ``rejection`` (of swaps with the next rung) along ``rung``. Attributes: ``barrier``, Λ; ``round_trips`` of
-        replicas from the posterior to the prior and back, and ``round_trip_rate``, a draw and chain;
-        ``round_trip_limit``, (2 + 2Λ)⁻¹, which it has where replicas forget where they were in every step
-        (Syed et al. 2022, section 3.4).
+        ``rejection`` (rejection rate of swaps with the next rung) along ``rung``. Attributes: ``barrier``, Λ;
+        ``round_trips`` of replicas from the posterior to the prior and back; ``round_trip_rate``, per draw and
+        chain; ``round_trip_limit``, (2 + 2Λ)⁻¹, the rate if replicas forget their position in every step (Syed et
+        al. 2022, section 3.4).
     """
     import xarray as xr
 

@@ -1,4 +1,4 @@
-"""Which parameters, and combinations of them, the measured modes constrain, by the model linearised at a point."""
+"""Directions of the parameter space that the measured modes constrain, by the model linearised at a point."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ if TYPE_CHECKING:
 
 
 GROUP = "identifiability"
-"""Group of a trace that stores it."""
+"""Group of a trace that stores the identifiability."""
 INFORMED = 1.0
 """Singular value above which the data constrain a direction more than the prior does."""
 _NODES = 256
 NAMED = 0.25
-"""A component is named if it is at least this part of the largest."""
+"""A component is named if it is at least this share of the largest component."""
 _SENTENCES = 3
 
 
 def combination(direction: FloatArray, names: Sequence[str]) -> str:
-    """Return a direction as a sum of its larger components, the largest first: ``"0.71 E3 − 0.70 E4"``."""
+    """Return a direction as a sum of its larger components in descending order: ``"0.71 E3 − 0.70 E4"``."""
     size = np.abs(direction)
     large = [k for k in np.argsort(-size, kind="stable") if size[k] >= NAMED * size.max()]
     sign = np.sign(direction[large[0]])
@@ -51,13 +51,13 @@ def combination(direction: FloatArray, names: Sequence[str]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """Which directions of the parameter space the data constrain, linearised at one parameter vector.
+    """The directions of the parameter space that the data constrain, linearised at one parameter vector.
 
-    With S = L⁻¹ (∂f/∂θ) D, where LLᵀ is the covariance of the measurement and D the standard deviations of the
-    prior within its bounds, SᵀS is the Fisher information in prior standard deviations. Its singular value
-    decomposition orders directions by the information in the data: along a direction of singular value s, a
-    posterior with a Gaussian prior has 1/√(1 + s²) of the prior's standard deviation (Cui et al. 2014, Inverse
-    Problems 30, 114015, section 2). Truncation of the posterior by the bounds is not included.
+    With S = L⁻¹ (∂f/∂θ) D, where LLᵀ is the covariance of the measurement and D the diagonal matrix of the
+    standard deviations of the prior within its bounds, SᵀS is the Fisher information in prior standard deviations.
+    The singular value decomposition of S orders directions by the information in the data: along a direction of
+    singular value s, a posterior with a Gaussian prior has 1/√(1 + s²) of the prior's standard deviation (Cui et
+    al. 2014, Inverse Problems 30, 114015, section 2). Truncation of the posterior by the bounds is not included.
 
     Attributes
     ----------
@@ -66,12 +66,13 @@ class Identifiability:
     labels : tuple of str
         Labels of the rows of `sensitivity`: the measured modes, or their frequencies and shape components.
     theta : ndarray, shape (ndim,), SI units
-        Where the model is linearised.
+        Parameter vector at which the model is linearised.
     prior_sd : ndarray, shape (ndim,), SI units
         Diagonal of D.
     sensitivity : ndarray, shape (n_measured, ndim)
-        S: change of each frequency or shape component, in standard deviations of its measurement, for a change
-        of one prior standard deviation. If the errors are correlated, conditional on the modes before it.
+        The matrix S: change of each frequency or shape component, in standard deviations of its measurement, for a
+        change of each parameter by one prior standard deviation. If the errors are correlated, each row is
+        conditional on the modes before it.
     """
 
     names: tuple[str, ...]
@@ -88,7 +89,7 @@ class Identifiability:
 
     @property
     def directions(self) -> FloatArray:
-        """Orthonormal directions, shape (ndim, ndim), a row each, in units of the prior's standard deviations."""
+        """Orthonormal directions in prior standard deviations, shape (ndim, ndim), one direction per row."""
         return self._svd[1]
 
     @property
@@ -107,30 +108,30 @@ class Identifiability:
 
     @property
     def fisher_information(self) -> FloatArray:
-        """JᵀΣ⁻¹J of the parameters themselves, shape (ndim, ndim), 1/SI units²."""
+        """Fisher information JᵀΣ⁻¹J in the units of the parameters, shape (ndim, ndim), 1/SI units²."""
         information: FloatArray = (self.sensitivity.T @ self.sensitivity) / np.outer(self.prior_sd, self.prior_sd)
         return information
 
     @property
     def remaining_sd(self) -> FloatArray:
-        """Posterior over prior standard deviation of each parameter, shape (ndim,), in the linearised model."""
+        """Ratio of posterior to prior standard deviation of each parameter, linearised, shape (ndim,)."""
         return np.asarray(np.sqrt(np.sum(self.directions**2 / (1.0 + self.singular_values**2)[:, None], axis=0)))
 
     @property
     def covariance(self) -> FloatArray:
-        """Posterior covariance (I + SᵀS)⁻¹ in prior standard deviations, shape (ndim, ndim), linearised."""
+        """Posterior covariance (I + SᵀS)⁻¹, linearised, in prior standard deviations, shape (ndim, ndim)."""
         V, s = self.directions, self.singular_values
         return np.asarray((V.T / (1.0 + s**2)) @ V)
 
     def table(self) -> pd.DataFrame:
-        """Return one row per direction: ``singular_value``, ``remaining_sd``, and each parameter's component."""
+        """Return a table with one row per direction: ``singular_value``, ``remaining_sd`` and its components."""
         s = self.singular_values
         names = distinct(["singular_value", "remaining_sd", *self.names])
         columns = dict(zip(names, (s, 1.0 / np.sqrt(1.0 + s**2), *self.directions.T), strict=True))
         return data_frame(columns, "direction", range(1, len(s) + 1))
 
     def sentences(self) -> list[str]:
-        """Return the findings on the directions of the linearised model, which ignores the bounds, in words."""
+        """Return sentences on the directions of the linearised model, which ignores the bounds."""
         n, k = len(self.names), self.n_informed
         said = [
             f"Linearised, and without the bounds, the data constrain {k} of {n} directions of the parameter space "
@@ -167,9 +168,9 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
     Parameters
     ----------
     problem : UpdatingProblem
-        With errors in the modes. Inferred standard deviations of errors are held fixed. The scores of tests in a
-        population are integrated out; its standard deviation is left out, as it changes no mode of a test that is
-        at the mean.
+        A problem with an error model of modes. Inferred standard deviations of errors are held fixed. The scores
+        of tests in a population are integrated out. The standard deviation of the population is omitted, because
+        it changes no mode of a test at the population mean.
     theta : array_like, shape (ndim,), optional
         Point of linearisation, SI units, within the bounds; the start if not given.
 
@@ -180,8 +181,8 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
     Raises
     ------
     ValueError
-        If theta is not within the bounds, the model has no finite derivative there, or the problem's errors are
-        not those of modes (the modal residual).
+        If `theta` is not within the bounds, the model has no finite derivative there, or the errors are not errors
+        of modes (the modal residual).
     """
     if not (is_updating(problem) and problem.likelihood.of_modes):
         raise ArgumentError("problem", "must be an UpdatingProblem with errors in the modes")
@@ -189,7 +190,7 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
     if point.shape != (problem.ndim,) or not find_inside(point, problem.lower, problem.upper)[1]:
         raise ArgumentError("theta", f"must be {problem.ndim} numbers within the bounds", point.tolist())
     roles = problem.layout.roles
-    if problem.is_hierarchical:  # about the mean, where values follow it
+    if problem.is_hierarchical:  # at the population mean, where values follow the mean
         problem = problem.with_layout(problem.layout.uncentred())
         point = np.where([role.kind == "score" for role in problem.roles], 0.0, point)
     prior_sd = np.array([truncated_sd(parameter) for parameter in problem.parameters[: len(roles)]])
@@ -205,7 +206,7 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
 
 
 def _integrate_out(sensitivity: FloatArray, by_scores: FloatArray) -> FloatArray:
-    """Return derivatives of the data in standard deviations of their errors and the scores' effects together."""
+    """Return the sensitivities scaled by the errors and the effects of the scores together."""
     if not by_scores.size:
         return sensitivity
     root = np.linalg.cholesky(np.eye(len(by_scores)) + by_scores @ by_scores.T)
@@ -217,7 +218,7 @@ def with_identifiability(
 ) -> xr.DataTree:
     """Return the trace with the identifiability at the start and, if known, at the highest maximum stored in it.
 
-    A point at which the model has no derivative is left out, so that the draws are not lost.
+    A point at which the model has no derivative is skipped, so that the draws are not lost.
     """
     import xarray as xr
 
@@ -246,7 +247,7 @@ def with_identifiability(
 
 
 def kept_identifiability(trace: xr.DataTree) -> dict[str, Identifiability]:
-    """Return the results that `with_identifiability` stored, by name of the state; empty if there is nothing."""
+    """Return a dict of the stored results of `with_identifiability` by name of the state; empty without any."""
     if not has(trace, GROUP):
         return {}
     kept = trace[GROUP].to_dataset()

@@ -1,4 +1,4 @@
-"""Which parameters, and combinations of them, the data inform, by the draws of a run."""
+"""Parameters and combinations of parameters that the data inform, judged by the draws of a run."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _ALONE, _AGREE = 0.9, 0.1
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """Parameters and directions that the data determine, judged from the draws of a run.
+    """The parameters and directions that the data determine, judged by the draws of a run.
 
     Attributes
     ----------
@@ -60,13 +60,14 @@ class Information:
     basis : tuple of str
         What determines each parameter: ``"data"``, ``"prior"`` or ``"combination"``.
     directions : ndarray, shape (ndim, ndim)
-        The principal directions of the draws, a row each, in prior standard deviations, the least informed first.
+        Principal directions of the draws in prior standard deviations, one per row, the least informed first.
     remaining_sd : ndarray, shape (ndim,)
-        Ratio of posterior to prior standard deviation along each of them.
+        Ratio of posterior to prior standard deviation along each direction.
     is_left : ndarray of bool, shape (ndim,)
-        Whether each of them is left to the prior.
+        Whether each direction is left to the prior.
     uninformed : tuple of (Uninformed, float)
-        A basis of the directions that are not informed, with few parameters in each, and the same ratio.
+        Combinations of few parameters that span the uninformed directions, each with its ratio of posterior to
+        prior standard deviation.
     """
 
     names: tuple[str, ...]
@@ -90,7 +91,7 @@ class Information:
         return int(np.sum(~self.is_left))
 
     def warnings(self) -> list[str]:
-        """Return a sentence for each direction that the data did not inform."""
+        """Return a list with one sentence for each direction that the data did not inform."""
         said = []
         for one, remains in self.uninformed:
             left = f"{share(min(remains, 1.0))} of the prior standard deviation remains"
@@ -109,7 +110,7 @@ class Information:
         return said
 
     def sentences(self) -> list[str]:
-        """Return the directions of the draws in words, the least informed first."""
+        """Return sentences on the directions of the draws, the least informed first."""
         n, k = len(self.names), self.n_informed
         said = [
             f"By the draws the data inform {k} of {n} directions of the parameter space, with a contraction of "
@@ -145,17 +146,18 @@ class Information:
 def information(trace: xr.DataTree) -> Information | None:
     """Find the parameters and directions that the data determine, by the contraction of the draws.
 
-    One criterion serves for parameters and for the principal directions of the draws: below a contraction of 0.3
-    (`CONTRACTED`) the data have not informed them. A wide spread over separate narrow peaks is not a lack of
-    information, although its variance is large: the entropy of the draws must be that of a wide distribution too.
+    The same criterion applies to parameters and to the principal directions of the draws: below a contraction of
+    0.3 (`CONTRACTED`) the data have not informed them. Draws in separate narrow peaks have a large variance but
+    are informed. Therefore a parameter or direction counts as uninformed only if the entropy of its draws also
+    matches a wide distribution.
 
-    A parameter is determined in a combination only, if the directions that are not informed leave it at least
-    that part of the prior variance, and if none of them is the parameter by itself.
+    A parameter is determined only in a combination if it is not itself an uninformed direction, and if it is not
+    informed or the uninformed directions leave it at least 0.3 of its prior variance.
 
     Parameters
     ----------
     trace : xarray.DataTree
-        With draws from the prior, as `fmu.sample` returns it.
+        A trace with draws from the prior, as `fmu.sample` returns it.
 
     Returns
     -------
@@ -199,7 +201,7 @@ def information(trace: xr.DataTree) -> Information | None:
 
 
 def _is_informed(x: FloatArray, prior: FloatArray, direction: FloatArray) -> bool:
-    """Say whether the data informed a direction, by draws `x`, `prior` (n, ndim) in prior standard deviations."""
+    """Return True if the data informed a direction; `x`, `prior` (n, ndim) are in prior standard deviations."""
     along = x @ direction
     return float(np.var(along, ddof=1)) <= 1.0 - CONTRACTED or (
         _entropy_sd(along, prior @ direction) < _LEAST_BY_ENTROPY
@@ -207,10 +209,10 @@ def _is_informed(x: FloatArray, prior: FloatArray, direction: FloatArray) -> boo
 
 
 def separation_in_words(trace: xr.DataTree, linearised: Identifiability) -> str:
-    """Name the two parameters that the data separate least, and say whether they do; empty if they confuse none.
+    """Return the sentence on the two parameters that the data separate least; empty if no two are confused.
 
-    The draws decide, by the criterion of `information`; the linearised model, if the trace has no draws from the
-    prior.
+    The draws decide, by the criterion of `information`. If the trace has no draws from the prior, the linearised
+    model decides.
     """
     if information(trace) is None:
         pair = hardest_pair(linearised, linearised.covariance)
@@ -222,7 +224,10 @@ def separation_in_words(trace: xr.DataTree, linearised: Identifiability) -> str:
 
 
 def _determined_instead(trace: xr.DataTree) -> dict[frozenset[str], str]:
-    """Return the combinations that the data determine of parameters which a linearised model cannot separate."""
+    """Return a dict from sets of parameters that cannot be separated to the combinations that are determined.
+
+    The sets follow from the linearised model stored in the trace.
+    """
     kept = kept_identifiability(trace)
     if not kept:
         return {}
@@ -230,9 +235,10 @@ def _determined_instead(trace: xr.DataTree) -> dict[frozenset[str], str]:
 
 
 def left_along(trace: xr.DataTree, linearised: Identifiability) -> FloatArray:
-    """Return the ratio of posterior to prior standard deviation of the draws, shape (n,), along the directions.
+    """Return the ratio of posterior to prior standard deviation of the draws along the directions, shape (n,).
 
-    The directions are those of the linearised model: this is ``remaining_sd`` of its table without linearisation.
+    The directions belong to the linearised model. The result corresponds to ``remaining_sd`` of its table, but
+    without linearisation.
     """
     n = len(linearised.names)
     x = parameter_draws(trace).reshape(-1, len(parameter_names(trace)))[:, :n]
@@ -244,19 +250,19 @@ def left_along(trace: xr.DataTree, linearised: Identifiability) -> FloatArray:
 def compared_with_draws(
     trace: xr.DataTree, linearised: Identifiability, place: str, n_maxima: int, converged: bool
 ) -> list[str]:
-    """Return in words how a linearised model differs from the draws, which to believe, and why they differ.
+    """Return sentences on how a linearised model differs from the draws, why, and which of them is reliable.
 
     Parameters
     ----------
     trace : xarray.DataTree
-        With draws from the prior.
+        A trace with draws from the prior.
     linearised : Identifiability
     place : str
-        Where it is linearised: ``"the start"``.
+        The point of linearisation in words: ``"the start"``.
     n_maxima : int
-        Maxima that hold a share of the probability.
+        Number of maxima that hold a share of the probability.
     converged : bool
-        Whether the draws can be relied on.
+        Whether the draws are reliable.
     """
     s, drawn = linearised.singular_values, left_along(trace, linearised)
     left = 1.0 / np.hypot(1.0, s)
@@ -290,23 +296,23 @@ def compared_with_draws(
 
 
 def not_informed(trace: xr.DataTree) -> tuple[str, ...]:
-    """Return the parameters that the data did not inform; none if the trace has no draws from the prior."""
+    """Return the names of the parameters that the data did not inform; empty without draws from the prior."""
     found = information(trace)
     return () if found is None else found.not_informed
 
 
 def information_warnings(trace: xr.DataTree) -> list[str]:
-    """Return `Information.warnings` of a trace; empty if it has no draws from the prior."""
+    """Return the list of `Information.warnings` of a trace; empty if the trace has no draws from the prior."""
     found = information(trace)
     return [] if found is None else found.warnings()
 
 
 def standardise_draws(trace: xr.DataTree) -> tuple[FloatArray, FloatArray, tuple[bool, ...]]:
-    """Return posterior and prior draws in prior standard deviations from the prior mean, each (n, ndim).
+    """Return posterior and prior draws in prior standard deviations from the prior mean, each of shape (n, ndim).
 
-    And for each parameter whether the logarithm of the draws is meant, as it is where the prior is log-normal.
-    Normal scores would magnify what is next to a bound, where a prior that it cuts off has a density: 1 % of the
-    range there would keep 35 % of the standard deviation.
+    The third value is a tuple of bool: whether the logarithms of a parameter's draws are used, as they are for a
+    log-normal prior. Normal scores would magnify the region next to a bound at which the prior is truncated with a
+    positive density: 1 % of the range there would keep 35 % of the standard deviation.
     """
     names = parameter_names(trace)
     x = parameter_draws(trace).reshape(-1, len(names))
@@ -319,15 +325,15 @@ def standardise_draws(trace: xr.DataTree) -> tuple[FloatArray, FloatArray, tuple
 
 
 def _entropy_sd(x: FloatArray, prior: FloatArray) -> float:
-    """Return exp(entropy) of `x` over exp(entropy) of the prior's draws, by histograms.
+    """Return exp(entropy) of `x` over exp(entropy) of the prior draws, by histograms.
 
-    For two distributions of one shape it is the ratio of their standard deviations.
+    For two distributions of the same shape this is the ratio of their standard deviations.
     """
     return float(np.exp(_entropy(x) - _entropy(prior)))
 
 
 def _entropy(x: FloatArray) -> float:
-    """Return the entropy of `x`, in nats, by a histogram of bins of 0.2."""
+    """Return the entropy of `x` in nats, by a histogram with bins of width 0.2."""
     width = 0.2
     counts = np.bincount(np.floor((x - x.min()) / width).astype(int))
     part = counts[counts > 0] / len(x)

@@ -1,4 +1,4 @@
-"""How the pairing of computed with measured modes changed over the draws of a run."""
+"""Changes of the pairing of computed with measured modes over the draws of a run."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
 
 GROUP = "pairing"
-"""Group of a trace that stores which computed mode was paired with each measured one."""
+"""Group of a trace that stores which computed mode was paired with each measured mode."""
 MOST_DRAWS = 2000
-"""Draws examined: evenly spaced over the chains, and the most probable one."""
+"""Number of draws examined, evenly spaced over the chains; the most probable draw is added."""
 _MEANS = {
     "shape": "the log-probability jumps there if the two modes veer, but not if they cross without mixing",
     "index": "the log-probability has a kink there, and the frequency belongs to another shape",
@@ -40,28 +40,28 @@ _MEANS = {
 
 @dataclass(frozen=True, eq=False)
 class PairingChanges:
-    """How often the pairing of modes changed over the draws of a run.
+    """Changes of the pairing of modes over the draws of a run.
 
     Attributes
     ----------
     labels : tuple of str
         Labels of the measured modes.
     swapped : ndarray, shape (n_modes, n_modes)
-        Share of all draws in which two measured modes are in the reverse order, compared with before updating.
+        Share of all draws in which two measured modes are in the reverse of their order before updating.
     rule : {"shape", "index", "soft"} or None
-        How modes are paired; None if the trace does not store the pairing: the following is then unknown.
+        How modes are paired; None if the trace does not store the pairing, so that the following is unknown.
     constant : bool
         Whether the pairing cannot change: each measured mode is a fixed mode of a block, as was verified.
     project : int
         Number of draws examined for `changed` and `gap`.
     changed : ndarray, shape (n_modes,)
-        Share of these draws that pair the measured mode with another computed mode (block, or number within it)
-        than the most probable draw does.
+        Share of these draws in which the measured mode is paired with another computed mode (block, or number
+        within the block) than in the most probable draw.
     jumps : int
         Number of these draws with such a change in any mode.
     gap : ndarray, shape (n_modes,)
-        How near in frequency another computed mode came, relative, at the nearest of these draws; infinite where
-        there is no other. Where the pairing is constant, of the paired modes alone, over all draws.
+        Smallest relative distance in frequency to another computed mode over these draws; infinite if there is no
+        other mode. If the pairing is constant, only paired modes are compared, over all draws.
     """
 
     labels: tuple[str, ...]
@@ -74,7 +74,12 @@ class PairingChanges:
     gap: FloatArray
 
     def table(self) -> pd.DataFrame:
-        """Return one row per measured mode: shares of draws, and the distance to the nearest other mode, in %."""
+        """Return a table with one row per measured mode, for changes of the pairing.
+
+        The columns are ``swapped_percent``, the share of draws with a reversed order, in %; ``swapped_with``, the
+        labels of these modes; ``other_mode_percent``, the share of draws with another computed mode, in %; and
+        ``closest_percent``, the smallest distance in frequency to another mode, in %.
+        """
         return data_frame(
             {
                 "swapped_percent": 100.0 * self.swapped.max(axis=1, initial=0.0),
@@ -87,7 +92,7 @@ class PairingChanges:
         )
 
     def sentences(self) -> tuple[str, ...]:
-        """Return the findings in words, the most important first."""
+        """Return the findings as sentences, the most important first."""
         said = [*self._jumps(), *self._swaps()]
         if not said:
             said.append("In all draws the measured modes are in the same order as in the model before updating.")
@@ -140,11 +145,11 @@ class PairingChanges:
 def pairing_changes(trace: xr.DataTree) -> PairingChanges:
     """Return how often the pairing of modes changed over the retained draws of a run.
 
-    Two things may change. The *order* of the measured modes may differ from that before updating, which is
-    harmless as long as each keeps its shape. Or another *computed mode* may be paired with a measured one. If
-    modes are paired one to one by MAC and veer, the log-probability then jumps, which gradient-based samplers do
-    not expect; with ``pairing="soft"`` it does not jump (`fmu.posterior.errors.mixture`). If the modes cross
-    without mixing (one symmetric, one antisymmetric), it stays smooth in any case.
+    Two kinds of change are possible. The *order* of the measured modes may differ from the order before updating.
+    This is harmless as long as each mode keeps its shape. Or another *computed mode* may be paired with a measured
+    mode. If modes are paired one to one by MAC and veer, the log-probability then jumps, which gradient-based
+    samplers do not expect; with ``pairing="soft"`` it does not jump (`fmu.posterior.errors.mixture`). If the modes
+    cross without mixing (one symmetric, one antisymmetric), the log-probability stays smooth in any case.
 
     Parameters
     ----------
@@ -208,10 +213,10 @@ def jump_warnings(trace: xr.DataTree) -> list[str]:
 def with_pairing(trace: xr.DataTree, problem: UpdatingProblem) -> xr.DataTree:
     """Return the trace with the paired computed modes stored in it, if the model of the problem is a structure.
 
-    ``block`` and ``rank`` (sample, mode), small integers, at `MOST_DRAWS` draws at most, given by ``chain`` and
-    ``draw``; ``gap``, the relative distance in frequency of the nearest other computed mode. If the pairing is
-    constant by construction, for one draw only and without the gap: this costs one solve, otherwise two for each
-    draw.
+    The group has ``block`` and ``rank`` (sample, mode), small integers, at about `MOST_DRAWS` draws given by
+    ``chain`` and ``draw``; and ``gap``, the relative distance in frequency to the nearest other computed mode. If
+    the pairing is constant by construction, only one draw is stored, without the gap. This costs one solve,
+    otherwise two solves per draw.
     """
     import xarray as xr
 
@@ -246,7 +251,7 @@ def with_pairing(trace: xr.DataTree, problem: UpdatingProblem) -> xr.DataTree:
 
 
 def nearest_other(structure: Any, theta: FloatArray, block: IntArray, rank: IntArray) -> FloatArray:
-    """Return the relative distance in frequency of each mode to the nearest other candidate, shape (n, n_modes).
+    """Return the relative distance in frequency of each mode to the nearest other mode, shape (n, n_modes).
 
     Parameters
     ----------

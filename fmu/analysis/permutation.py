@@ -1,4 +1,4 @@
-"""Tests by permutation: statistics of a sequence beside those of the same values in random orders."""
+"""Permutation tests: statistics of a sequence, compared with the same statistics in random orders."""
 
 from __future__ import annotations
 
@@ -10,22 +10,24 @@ from fmu.types import BoolArray, FloatArray
 
 _PERMUTATIONS = 2000
 _AT_ONCE = 1_000_000
-"""Entries of an array of random orders."""
+"""Number of array entries that are permuted at a time."""
 
 type Statistics = Callable[[FloatArray, BoolArray], FloatArray]
-"""From sequences (n_orders, n, m) and which values they have, to statistics (n_orders, k)."""
+"""Function from sequences (n_orders, n, m) and the mask of their present values to statistics (n_orders, k)."""
 
 
 def in_random_orders(z: FloatArray, present: BoolArray, statistics: Statistics) -> FloatArray:
-    """Return the statistics of a sequence, and after it those in random orders, shape (1 + n_orders, k).
+    """Return the statistics of a sequence, followed by those in random orders, shape (1 + n_orders, k).
 
-    The same sequence gives the same result.
+    The same sequence always gives the same result.
 
     Parameters
     ----------
     z : ndarray, shape (n, m)
-        Rows are permuted together, as the columns may depend on each other. Zero where a value is missing.
+        The sequence, zero where a value is missing. Rows are permuted together, because the columns may depend on
+        each other.
     present : ndarray of bool, shape (n, m)
+        Whether each value is present.
     statistics : Statistics
     """
     rng = np.random.default_rng(0)
@@ -35,18 +37,19 @@ def in_random_orders(z: FloatArray, present: BoolArray, statistics: Statistics) 
 
 
 def adjusted_probabilities(statistics: FloatArray, two_sided: BoolArray) -> FloatArray:
-    """Return the probability that any statistic is as unusual as each, if the order means nothing, shape (k,).
+    """Return the adjusted p-values of the statistics under random order, shape (k,).
 
     Every statistic is standardised by its mean and standard deviation over random orders and compared with the
-    largest of all of them (Westfall & Young 1993, *Resampling-based multiple testing*, section 2.3). The smallest
-    probability is one over the number of orders.
+    largest of all statistics in each random order (Westfall & Young 1993, *Resampling-based multiple testing*,
+    section 2.3). The smallest p-value is one over the number of orders.
 
     Parameters
     ----------
     statistics : ndarray, shape (1 + n_orders, k)
-        From `in_random_orders`.
+        Result of `in_random_orders`.
     two_sided : ndarray of bool, shape (k,)
-        Statistics that are unusual where they are far from zero, on either side; the others where they are large.
+        Whether a statistic is unusual if it is far from zero on either side; otherwise it is unusual if it is
+        large.
     """
     sizes = np.where(two_sided, np.abs(statistics), statistics)
     given, shuffled = sizes[0], sizes[1:]
@@ -60,14 +63,14 @@ def adjusted_probabilities(statistics: FloatArray, two_sided: BoolArray) -> Floa
 
 
 def lag_one(z: FloatArray, present: BoolArray) -> FloatArray:
-    """Return the lag-1 autocorrelation of each column, shape (n_orders, m), of centred sequences."""
+    """Return the lag-1 autocorrelation of each column of centred sequences, shape (n_orders, m)."""
     square, n = np.sum(z**2, axis=1), present.sum(axis=1)
     pairs = np.maximum(np.sum(present[:, 1:] & present[:, :-1], axis=1), 1)
     return np.asarray(np.sum(z[:, 1:] * z[:, :-1], axis=1) / square * (n - 1) / pairs)
 
 
 def correlation_with(x: FloatArray, z: FloatArray, present: BoolArray) -> FloatArray:
-    """Return the correlation of each column with x (n,), shape (n_orders, m), of centred sequences."""
+    """Return the correlation of each column of centred sequences with x (n,), shape (n_orders, m)."""
     square, n = np.sum(z**2, axis=1), present.sum(axis=1)
     t = np.where(present, x[:, None], 0.0)
     t = np.where(present, t - (t.sum(axis=1) / n)[:, None], 0.0)
@@ -75,9 +78,9 @@ def correlation_with(x: FloatArray, z: FloatArray, present: BoolArray) -> FloatA
 
 
 def between_groups(of_group: FloatArray, z: FloatArray, present: BoolArray) -> FloatArray:
-    """Return the share of each column's variance that lies between groups, (n_orders, m), of centred sequences.
+    """Return the share of the variance between groups for each column of centred sequences, (n_orders, m).
 
-    `of_group`, (n, n_groups), is one where a row is of a group.
+    The matrix `of_group`, (n, n_groups), is one where a row belongs to a group.
     """
     sums = np.einsum("onm,ng->omg", z, of_group)
     counts = np.einsum("onm,ng->omg", present.astype(float), of_group)

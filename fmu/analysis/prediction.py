@@ -33,14 +33,15 @@ if TYPE_CHECKING:
 
 
 class Expectation(NamedTuple):
-    """A posterior mean and how well the draws determine it.
+    """A posterior mean and its Monte-Carlo standard error.
 
     Attributes
     ----------
     value : float, or ndarray of shape (k,)
         Mean of G over the retained draws, eq. (11).
     mcse : float, or ndarray of shape (k,)
-        Monte-Carlo standard error of `value`; NaN if G is the same at every draw, or there are fewer than four.
+        Monte-Carlo standard error of `value`; NaN if G is the same at every draw, or if there are fewer than four
+        draws.
     """
 
     value: float | FloatArray
@@ -94,12 +95,15 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
     Returns
     -------
     pandas.DataFrame
-        One row per mode, Hz: ``measured``; ``mean``, its standard error ``mcse_mean``, ``sd`` and the interval
-        (``eti90_lb``, ``eti90_ub``) of the model's frequency, without measurement noise; ``noisy_sd`` and the
-        interval (``noisy_eti90_lb``, ``noisy_eti90_ub``) of a new measurement, with noise; these are missing for
-        the modal residual, which has no measurement noise. If the measured frequency is the mean of repeated
-        tests, a new measurement is the mean of as many tests; ``test_eti90_lb`` and ``test_eti90_ub`` are the
-        ends of the interval of one more test.
+        One row per mode, Hz:
+
+        - ``measured``: the measured frequency;
+        - ``mean``, its standard error ``mcse_mean``, ``sd``, ``eti90_lb`` and ``eti90_ub``: mean, standard
+          deviation and interval of the computed frequency, without measurement noise;
+        - ``noisy_sd``, ``noisy_eti90_lb``, ``noisy_eti90_ub``: the same for a new measurement, with noise; missing
+          for the modal residual, which has no measurement noise. If the measured frequency is the mean of repeated
+          tests, a new measurement is the mean of as many tests;
+        - ``test_eti90_lb``, ``test_eti90_ub``: interval of one more test, for repeated tests.
 
     Raises
     ------
@@ -132,14 +136,14 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
 
 
 def measured_tests(trace: xr.DataTree) -> FloatArray | None:
-    """Return the single tests (n_tests, n_modes) in Hz, NaN where a test missed a mode; None if there are none."""
+    """Return the single tests (n_tests, n_modes), Hz, NaN where a test missed a mode; None without tests."""
     if not has(trace, "observed_data", "tests"):
         return None
     return np.asarray(trace["observed_data"]["tests"].transpose("test", "mode").to_numpy())
 
 
 def measurement_in_words(tests: FloatArray | None) -> str:
-    """Describe a measured frequency: ``"a measurement"``, ``"the mean of 5 tests"``."""
+    """Return the description of a measured frequency: ``"a measurement"``, or ``"the mean of 5 tests"``."""
     if tests is None:
         return "a measurement"
     counts = np.sum(~np.isnan(tests), axis=0)
@@ -172,13 +176,13 @@ def _evaluate(trace: xr.DataTree, G: Callable[[FloatArray], FloatArray]) -> Floa
 
 
 NEAR_A_BOUND = 0.02
-"""Part of the range between the bounds."""
+"""Largest distance of a draw next to a bound, as a share of the range between the bounds."""
 MORE_THAN_THE_PRIOR, LEAST_SHARE = 3.0, 0.05
 _WITHIN = 2.0
 
 
 class AtBound(NamedTuple):
-    """A parameter whose draws accumulate at a bound: the shares of posterior and prior that lie next to it."""
+    """A parameter whose draws accumulate at a bound, and the shares of posterior and prior next to this bound."""
 
     name: str
     side: str
@@ -188,10 +192,10 @@ class AtBound(NamedTuple):
 
 
 def at_bounds(trace: xr.DataTree) -> list[AtBound]:
-    """Return the parameters whose draws accumulate at a bound: the data ask for values beyond it.
+    """Return the parameters whose draws accumulate at a bound, which suggests values beyond the bound.
 
-    Within 2 % of the range from the bound there is at least 5 % of the posterior, and three times as much as of
-    the prior; and the posterior mean is within two standard deviations of the bound.
+    A parameter is listed if at least 5 % of the posterior, and three times as much as of the prior, lie within 2 %
+    of the range from the bound, and if the posterior mean is within two standard deviations of the bound.
     """
     constants, names, found = trace["constant_data"], parameter_names(trace), []
     lower, upper = (constants[side].to_numpy() for side in ("lower", "upper"))
@@ -210,16 +214,16 @@ def at_bounds(trace: xr.DataTree) -> list[AtBound]:
 
 
 PINNED = 0.5
-"""Share of the draws next to a bound with which the bound determines a parameter, together with the data."""
+"""If more than this share of the draws lies next to a bound, the bound helps to determine the parameter."""
 
 
 def pinned_parameters(trace: xr.DataTree) -> list[str]:
-    """Return parameters with most draws next to a bound, except losses, which physics bounds."""
+    """Return the names of parameters with most draws next to a bound, except losses, which physics bounds."""
     return [one.name for one in at_bounds(trace) if one.near > PINNED and not is_loss(trace, one.name)]
 
 
 def bound_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a sentence for each parameter whose draws accumulate at a bound."""
+    """Return a list with a sentence for each parameter whose draws accumulate at a bound."""
     return [
         f"{one.name}: {share(one.near)} of the draws (prior: {share(one.before)}) lie within "
         f"{share(NEAR_A_BOUND)} of the range from the {one.side} bound, {one.bound}"
@@ -235,7 +239,7 @@ def _prior_share(trace: xr.DataTree, name: str, bound: float, sign: float, margi
 
 
 def shape_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a sentence for each mode whose MAC with the measured shape is below `ALIKE` after updating.
+    """Return a sentence for each mode whose MAC with its measured shape is below `ALIKE` after updating.
 
     If the size of the shape errors is inferred, it grows until any shape is probable, and no prediction shows the
     misfit.
@@ -253,12 +257,12 @@ def shape_warnings(trace: xr.DataTree) -> list[str]:
 
 
 def _below(mac: float) -> str:
-    """Format a MAC below `ALIKE` with enough digits to show that it is."""
+    """Return a MAC below `ALIKE` as text, with enough digits to show that it is below."""
     return apart(mac, ALIKE, sd=0.1)[0]
 
 
 def measured_mac(trace: xr.DataTree) -> xr.DataArray | None:
-    """Return MAC (state, reference_mode, mode) with the measured shapes; None if the trace has none."""
+    """Return the MAC with the measured shapes (state, reference_mode, mode); None without measured shapes."""
     if not has(trace, GROUP, "mac"):
         return None
     found = trace[GROUP]["mac"].transpose("state", "reference_mode", "mode")
@@ -266,7 +270,7 @@ def measured_mac(trace: xr.DataTree) -> xr.DataArray | None:
 
 
 def search_warnings(trace: xr.DataTree, highest: float) -> list[str]:
-    """Return a warning if a draw has a higher log-probability than any maximum found."""
+    """Return a list with a warning if a draw has a higher log-probability than any maximum found."""
     reached = float(array_of(trace, "sample_stats", "lp").max())
     if reached <= highest + 1e-3:
         return []

@@ -1,4 +1,4 @@
-"""Whether repeated tests are independent, as the standard error of their mean assumes."""
+"""Tests of whether repeated tests are independent, as the standard error of their mean assumes."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ class Repeatability:
     drift : ndarray, shape (n_modes,)
         Change from first to last test along the least-squares line, relative to the mean.
     resembles, drifts : ndarray of bool, shape (n_modes,)
-        For which modes the autocorrelation or the trend is too large for independent tests.
+        Whether the autocorrelation or the trend of each mode is too large for independent tests.
     all_resemble : bool
-        Whether the mean autocorrelation over all modes is too large.
+        Whether the mean autocorrelation over all modes is too large for independent tests.
     """
 
     labels: tuple[str, ...]
@@ -58,15 +58,16 @@ class Repeatability:
     def effective(self) -> FloatArray:
         """Number of independent tests with the same standard error of the mean, at least 1, shape (n_modes,).
 
-        n (1 − ρ)/(1 + ρ) for an autoregressive series of order 1. ρ is r_1 corrected for its bias in short series,
-        (r_1 + 1/n)/(1 − 3/n) to the first order in 1/n (Marriott & Pope 1954, Biometrika 41, 390–402).
+        It is n (1 − ρ)/(1 + ρ) for an autoregressive series of order 1, where ρ is r_1 corrected for its bias in
+        short series, (r_1 + 1/n)/(1 − 3/n) to the first order in 1/n (Marriott & Pope 1954, Biometrika 41,
+        390–402).
         """
         n = np.maximum(self.n, 4)
         rho = np.clip((self.autocorrelation + 1.0 / n) / (1.0 - 3.0 / n), 0.0, _MOST_CORRELATED)
         return np.asarray(np.maximum(self.n * (1.0 - rho) / (1.0 + rho), 1.0))
 
     def doubts(self) -> list[str]:
-        """Return a sentence for each mode with drift or correlated tests, and a remedy."""
+        """Return a list with a sentence for each mode with drift or correlated tests, and a remedy."""
         said = [self._of_mode(int(k)) for k in np.flatnonzero(self.resembles | self.drifts)]
         if not said and self.all_resemble:
             n, effective = self.n.mean(), self.effective.mean()
@@ -107,19 +108,19 @@ def _worth(n: float, effective: float) -> str:
 def repeatability(tests: ArrayLike, labels: tuple[str, ...]) -> Repeatability:
     """Test repeated tests for drift and correlation, by permutation.
 
-    If the tests are independent, every order of them is equally probable. The statistics are r_1 of each mode,
-    its mean over the modes, and the absolute correlation of each mode with the order, each standardised by its
-    mean and standard deviation over random orders. All modes are permuted together, since they may depend on
-    each other. A statistic is significant if it exceeds the largest of all statistics in all but 0.5 % of the
-    random orders; independent tests of any distribution are then called dependent in less than 1 % of problems
-    (Westfall & Young 1993, *Resampling-based multiple testing*, section 2.3). With five tests or fewer nothing
-    can be significant. An autoregression of 0.7 in one mode is detected once in seven by ten tests, and five
-    times in six by thirty.
+    If the tests are independent, all orders of the tests are equally probable. The statistics are r_1 of each
+    mode, the mean of r_1 over the modes, and the absolute correlation of each mode with the order. Each statistic
+    is standardised by its mean and standard deviation over random orders. All modes are permuted together, since
+    they may depend on each other. A statistic is significant if it exceeds the largest of all statistics in all
+    but 0.5 % of the random orders; independent tests of any distribution are then called dependent in less than 1
+    % of problems (Westfall & Young 1993, *Resampling-based multiple testing*, section 2.3). With five tests or
+    fewer nothing can be significant. An autoregression of 0.7 in one mode is detected with a probability of one in
+    seven by ten tests, and of five in six by thirty.
 
     Parameters
     ----------
     tests : array_like, shape (n_tests, n_modes), Hz
-        NaN where a test missed a mode.
+        Measured frequencies, NaN where a test missed a mode.
     labels : tuple of str
         Labels of the modes.
     """
@@ -150,7 +151,7 @@ def repeatability(tests: ArrayLike, labels: tuple[str, ...]) -> Repeatability:
 
 
 def repeatability_warnings(trace: xr.DataTree) -> list[str]:
-    """Return `Repeatability.doubts` of the tests that a trace keeps; empty if there are none."""
+    """Return `Repeatability.doubts` of the tests stored in a trace; empty without repeated tests."""
     tests = measured_tests(trace)
     if tests is None:
         return []
@@ -158,9 +159,9 @@ def repeatability_warnings(trace: xr.DataTree) -> list[str]:
 
 
 def _statistics(z: FloatArray, present: BoolArray) -> FloatArray:
-    """Return r_1 of each mode, their mean, and the correlations with the order, shape (n_orders, 2 n_modes + 1).
+    """Return r_1 of each mode, their mean, and the correlations with the order, (n_orders, 2 n_modes + 1).
 
-    `z` (n_orders, n_tests, n_modes) is centred, and zero where a test missed a mode.
+    The sequences `z` (n_orders, n_tests, n_modes) are centred, and zero where a test missed a mode.
     """
     r = lag_one(z, present)
     trend = correlation_with(np.arange(z.shape[1], dtype=float), z, present)

@@ -1,4 +1,4 @@
-"""Which parameters, and combinations of them, the data leave to the prior or cannot separate."""
+"""Parameters and combinations of parameters that the data leave to the prior or cannot separate."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from fmu.numbers import names_in_words, share, significant
 from fmu.types import FloatArray
 
 _CONFUSED = 0.5
-"""Two parameters are confused if the smaller component of a combination is at least this part of the larger."""
+"""Two parameters are confused if the smaller component of a combination is at least this share of the larger."""
 LINEARISED_LEFT = 0.95
-"""A direction is uninformed if this part of its prior standard deviation remains in the linearised model."""
+"""A direction is uninformed if this share of its prior standard deviation remains in the linearised model."""
 _ALIKE = 0.05
 
 
@@ -27,9 +27,9 @@ class Uninformed(NamedTuple):
     direction : ndarray, shape (ndim,)
         A unit vector, in prior standard deviations.
     names : tuple of str
-        The parameters that make it up, in the order of theta.
+        The parameters with large components, in the order of theta.
     words : str
-        ``"k"``, or the combination, the largest component first: ``"0.80 c − 0.60 b"``.
+        The parameter ``"k"``, or the combination with the largest component first: ``"0.80 c − 0.60 b"``.
     told : str
         The combination that the data determine instead, if it has a simple form: ``"k/m"``; else empty.
     """
@@ -43,8 +43,8 @@ class Uninformed(NamedTuple):
 def left_to_prior(found: Identifiability) -> list[Uninformed]:
     """Return the directions along which 95 % or more of the prior sd remains in a linearised model.
 
-    Parameters on which no measured mode depends come first, one direction each. The other directions are given in
-    the sparsest basis that elimination finds, since any basis of their span would do.
+    Parameters on which no measured mode depends come first, one direction each. The other directions are returned
+    in the sparsest basis that elimination finds, since any basis of their span is valid.
     """
     most = np.sqrt(LINEARISED_LEFT**-2 - 1.0)
     S, n = found.sensitivity, len(found.names)
@@ -66,7 +66,7 @@ def left_to_prior(found: Identifiability) -> list[Uninformed]:
 
 
 def doubts(found: Identifiability) -> list[str]:
-    """Return a sentence for each direction that the measured modes cannot determine, with a remedy."""
+    """Return a list with a sentence for each direction that the measured modes cannot determine, with a remedy."""
     said = []
     for one in left_to_prior(found):
         names = names_in_words(one.names)
@@ -94,7 +94,7 @@ _REMEDY = "Add a known mass, make a static test, measure other modes, or fix one
 
 
 class Pair(NamedTuple):
-    """Two parameters, and the combination of them that the data narrow least.
+    """Two parameters, and the combination of them that the data constrain least.
 
     Attributes
     ----------
@@ -102,12 +102,12 @@ class Pair(NamedTuple):
     direction : ndarray, shape (ndim,)
         The combination, a unit vector in prior standard deviations.
     remaining_sd : float
-        Posterior over prior standard deviation along it.
+        Ratio of posterior to prior standard deviation along this direction.
     change : float
-        By how many standard deviations of the measurement the data change for one prior standard deviation along
-        it, in the linearised model.
+        Change of the data in the linearised model, in standard deviations of the measurement, for a step of one
+        prior standard deviation along this direction.
     words : str
-        ``"0.71 E1 − 0.70 E5"``.
+        The combination in words: ``"0.71 E1 − 0.70 E5"``.
     """
 
     names: tuple[str, str]
@@ -117,7 +117,7 @@ class Pair(NamedTuple):
     words: str
 
     def sentence(self, is_separated: bool) -> str:
-        """Return in words whether the data separate the two, with both numbers."""
+        """Return the sentence on whether the data separate the two parameters, with both numbers."""
         names = names_in_words(self.names)
         first = f"Hardest to separate: {names}" if is_separated else f"The data cannot separate {names}"
         left = share(min(self.remaining_sd, 1.0))
@@ -130,21 +130,21 @@ class Pair(NamedTuple):
 def hardest_pair(found: Identifiability, covariance: FloatArray) -> Pair | None:
     """Return the two parameters that the data separate least, by the posterior covariance.
 
-    In the plane of two parameters the data narrow one combination least: the leading eigenvector of their
-    posterior covariance in prior standard deviations. If it is mostly one parameter, the data do not confuse the
-    two. The cosine between two columns of the sensitivity does not say whether they can be separated: columns of
-    cosine 0.99 and length 50 differ by 7 standard deviations of the measurement.
+    In the plane of two parameters, the combination that the data constrain least is the leading eigenvector of the
+    posterior covariance in prior standard deviations. If this eigenvector is mostly one parameter, the data do not
+    confuse the two. The cosine between two columns of the sensitivity does not show whether they can be separated:
+    columns of cosine 0.99 and length 50 differ by 7 standard deviations of the measurement.
 
     Parameters
     ----------
     found : Identifiability
     covariance : ndarray, shape (ndim, ndim)
-        Posterior covariance of its parameters, in prior standard deviations.
+        Posterior covariance of the parameters, in prior standard deviations.
 
     Returns
     -------
     Pair or None
-        None if the data confuse no two parameters, or there is only one.
+        None if the data confuse no two parameters, or there is only one parameter.
     """
     hardest, most = None, 0.0
     for i, j in combinations(range(len(found.names)), 2):
@@ -163,7 +163,7 @@ def hardest_pair(found: Identifiability, covariance: FloatArray) -> Pair | None:
 
 
 def eliminate(rows: FloatArray) -> FloatArray:
-    """Return a basis of the span of orthonormal `rows` with zeros in it, by Gauss–Jordan elimination."""
+    """Return a sparse basis of the span of orthonormal `rows`, by Gauss–Jordan elimination."""
     rows = rows.copy()
     free = np.ones(rows.shape[1], dtype=bool)
     for i in range(len(rows)):
@@ -178,7 +178,7 @@ def eliminate(rows: FloatArray) -> FloatArray:
 
 
 def name_direction(direction: FloatArray, names: tuple[str, ...], relative: FloatArray) -> Uninformed:
-    """Name a direction; `relative` is the change of each parameter along it over its own size."""
+    """Return a direction with its name; `relative` has the relative change of each parameter along it."""
     size = np.abs(direction)
     large = np.argsort(-size, kind="stable")
     large = large[size[large] >= NAMED * size.max()]

@@ -1,4 +1,4 @@
-"""Whether a run has converged: R-hat, effective sample size, verdict and remedy.
+"""Convergence of a run: R-hat, effective sample size, verdict and remedy.
 
 Reading order: effective, candidates, diagnostics, remedies, diagnosis.
 """

@@ -1,4 +1,4 @@
-"""Whether samplers of one posterior agree: differences of means and standard deviations in standard errors."""
+"""Agreement of samplers of one posterior: differences of means and sds in Monte-Carlo standard errors."""
 
 from __future__ import annotations
 
@@ -20,22 +20,23 @@ if TYPE_CHECKING:
     import xarray as xr
 
 CLOSE = 4.0
-"""Differences below so many standard errors are chance: 1 in 16 000 goes beyond."""
+"""Smaller differences, in standard errors, are attributed to chance: 1 in 16 000 exceeds this limit."""
 
 
 class Agreement(NamedTuple):
-    """Whether samplers agree.
+    """The result of comparing samplers of one posterior.
 
     Attributes
     ----------
     agrees : bool or None
-        None if fewer than two can be compared.
+        Whether the samplers agree; None if fewer than two can be compared.
     z : float
-        Largest difference of a mean or a standard deviation, in its Monte-Carlo standard errors; NaN if none.
+        Largest difference of a mean or a standard deviation, in its Monte-Carlo standard errors; NaN without a
+        comparison.
     sentence : str
-        The answer in one sentence, with the largest difference.
+        The result in one sentence, with the largest difference.
     left_out : tuple of str
-        Runs that do not meet the criterion, so that their standard errors mean nothing.
+        Runs that do not meet the criterion, so that their standard errors are unreliable.
     """
 
     agrees: bool | None
@@ -47,14 +48,15 @@ class Agreement(NamedTuple):
 def agreement(traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.DataFrame]) -> Agreement:
     """Compare the posterior means and standard deviations of every two runs that meet the criterion.
 
-    Whatever the verdict on them: of two runs that each look converged and differ, at least one is wrong.
+    Their verdicts do not matter: if two runs each seem to have converged but differ, at least one of them is
+    wrong.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        Of one posterior, by the names that the sentence uses.
+        Traces of one posterior, by the names used in the sentence.
     summaries : mapping of str to pandas.DataFrame
-        ``summary(trace)`` of each.
+        ``summary(trace)`` of each trace.
     """
     sufficient = [name for name, table in summaries.items() if _suffices(traces[name], table)]
     left_out = tuple(name for name in traces if name not in sufficient)
@@ -81,13 +83,13 @@ def agreement(traces: Mapping[str, xr.DataTree], summaries: Mapping[str, pd.Data
 
 
 def _suffices(trace: xr.DataTree, table: pd.DataFrame) -> bool:
-    """Say whether a run meets the criterion."""
+    """Return True if a run meets the criterion."""
     return meets_criterion(
         float(np.max(table["rhat"].to_numpy())), fewest(table), trace["posterior"].sizes["chain"]
     )
 
 
 def _estimates(trace: xr.DataTree, table: pd.DataFrame) -> tuple[FloatArray, FloatArray]:
-    """Return means and standard deviations, and their standard errors, each of shape (2, ndim)."""
+    """Return the means and standard deviations, and their standard errors, each of shape (2, ndim)."""
     errors = [mcse_sd(x, walkers_of(trace)) for x in np.moveaxis(parameter_draws(trace), -1, 0)]
     return table[["mean", "sd"]].to_numpy().T, np.array([table["mcse_mean"].to_numpy(), errors])

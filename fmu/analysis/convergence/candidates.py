@@ -1,4 +1,4 @@
-"""Whether a run had enough candidates of its mixture to visit each of the components."""
+"""Whether a run had enough candidates of its mixture to visit every component."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ if TYPE_CHECKING:
 
 
 TIMES = 20
-"""Candidates that are to be expected of each component: their number then scatters by about a quarter."""
+"""Expected number of candidates required of each component: the number then scatters by about a quarter."""
 _IN_DOUBT = 0.1
 """Warm-up may underestimate the share of a component by this factor."""
 
 
 class Candidates(NamedTuple):
-    """The candidates of a run, after the warm-up.
+    """The candidates of a run after the warm-up.
 
     Attributes
     ----------
     drawn, needed : int
-        How many there were, and how many are needed.
+        Number of candidates, and number that is needed.
     share : float
-        The smallest weight of a component that counts.
+        The smallest weight of a component that is not negligible.
     """
 
     drawn: int
@@ -39,12 +39,13 @@ class Candidates(NamedTuple):
 
 
 def candidates_of(trace: xr.DataTree) -> Candidates | None:
-    """Return how many candidates a run had and how many it needs; None if it had none.
+    """Return the number of candidates that a run had and the number that it needs; None if it had none.
 
-    Chains visit a separated maximum by candidates of its component, whose weight says how many are expected. If
-    those are few, all chains may have missed what warm-up found, and neither R-hat nor effective sample sizes
-    show it. `TIMES` are needed of each component. Warm-up may have underestimated a weight: one below 1 % counts
-    as 1 %. One below 0.1 % does not matter.
+    Chains visit a separated maximum by candidates of its component, and the weight of the component gives their
+    expected number. If this number is small, all chains may have missed a maximum that was found in the warm-up,
+    and neither R-hat nor effective sample sizes show it. `TIMES` candidates are needed of each component. The
+    warm-up may have underestimated a weight: a weight below 1 % counts as 1 %. Components with a weight below 0.1
+    % are ignored.
 
     Parameters
     ----------
@@ -62,7 +63,7 @@ def candidates_of(trace: xr.DataTree) -> Candidates | None:
 
 
 def has_curved_mixture(trace: xr.DataTree) -> bool:
-    """Say whether the candidates of a run came from a curved mixture, of one group of chains at least."""
+    """Return True if the candidates of at least one group of chains came from a curved mixture."""
     if not has(trace, "sample_stats", CANDIDATE):
         return False
     components = [mixture.get("components") for mixture in _mixtures_of(trace)]
@@ -70,7 +71,7 @@ def has_curved_mixture(trace: xr.DataTree) -> bool:
 
 
 def _mixtures_of(trace: xr.DataTree) -> list[dict[str, Any]]:
-    """Return the settings of the mixture of each group of chains, with which the draws were made."""
+    """Return a list with the settings of each group's mixture, from which the draws were made."""
     learnt = json.loads(trace.attrs["learnt"])
     if not learnt or int(trace.attrs["groups"]) == 1:
         return [learnt or json.loads(trace.attrs["settings"])]
@@ -78,6 +79,6 @@ def _mixtures_of(trace: xr.DataTree) -> list[dict[str, Any]]:
 
 
 def growth_for_candidates(trace: xr.DataTree) -> float:
-    """Return the factor by which the draws must grow until candidates suffice; at most 1 if they do."""
+    """Return the factor by which the draws must grow for enough candidates; at most 1 if there are enough."""
     found = candidates_of(trace)
     return 0.0 if found is None else found.needed / found.drawn

@@ -1,4 +1,4 @@
-"""Samplers side by side: verdicts, reliability, and costs, also as multiples of the cost of a baseline."""
+"""Comparison of samplers: verdicts, reliability, and costs, also as multiples of the cost of a baseline."""
 
 from __future__ import annotations
 
@@ -48,16 +48,17 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
     """Compare the traces of several samplers on one problem.
 
     The costs ``n_solves``, ``n_gradients`` and ``wall_s`` include the warm-up, and so do ``ess_per_solve`` and
-    ``ess_per_s``. The attributes of each trace give the counts without it. In ``ess_per_solve`` a solve is a
-    log-probability, and an exact gradient counts as ``gradient_cost`` of them.
+    ``ess_per_s``. The attributes of each trace give the counts without the warm-up. In ``ess_per_solve`` a solve
+    is a log-probability, and an exact gradient counts as ``gradient_cost`` solves.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
         Traces by the names of the rows.
     problem : UpdatingProblem, optional
-        The problem that was sampled. Its maxima are searched for; a run that left out one that matters has not
-        converged. Maxima kept in a trace, and what other runs on the same posterior found, are always used.
+        The problem that was sampled. Its maxima are searched for, and a run that missed an important maximum has
+        not converged. Maxima stored in a trace, and regions found by other runs on the same posterior, are always
+        used.
 
     Returns
     -------
@@ -65,16 +66,16 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
         One row per sampler:
 
         - ``verdict``: ``"converged"``, or ``"not converged: "`` and the first reason of `fmu.diagnose`;
-        - ``rhat_max``, ``ess_bulk_min``, ``ess_tail_min``: of the worst parameter, NaN if one is NaN;
-        - ``mcse_over_sd_max``: largest standard error of a posterior mean over the posterior's sd;
-        - ``accept_rate``: share of the retained draws that left the previous position;
+        - ``rhat_max``, ``ess_bulk_min``, ``ess_tail_min``: of the worst parameter, NaN if any of them is NaN;
+        - ``mcse_over_sd_max``: largest ratio of the standard error of a posterior mean to the posterior sd;
+        - ``accept_rate``: share of the retained draws that differ from the previous position;
         - ``divergences``: retained draws whose trajectory diverged, missing for samplers without trajectories;
         - ``n_solves``, ``n_gradients``, ``wall_s``: cost, warm-up included; an exact gradient is also a solve;
         - ``gradient_cost``: time of an exact gradient over that of a log-probability, measured at the end of the
-          run; NaN if there are none;
-        - ``ess_per_solve``, ``ess_per_s``: the smallest bulk ESS per solve and per second of that cost;
-        - the columns of `costs_side_by_side`: solves to one criterion and per effective draw, everything counted,
-          also as a multiple of emcee's.
+          run; NaN without gradients;
+        - ``ess_per_solve``, ``ess_per_s``: the smallest bulk ESS per solve and per second of these costs;
+        - the columns of `costs_side_by_side`: total solves until the common criterion and per effective draw, also
+          as multiples of the values of emcee.
 
     Raises
     ------
@@ -89,7 +90,7 @@ def compare(traces: Mapping[str, xr.DataTree], problem: UpdatingProblem | None =
 
 
 class Judged(NamedTuple):
-    """Several runs on one posterior: ``summary(trace)`` and verdict of each, and the table of `compare`."""
+    """Several runs on one posterior: ``summary(trace)`` and verdict of each run, and the table of `compare`."""
 
     summaries: Mapping[str, pd.DataFrame]
     verdicts: dict[str, Diagnosis]
@@ -101,7 +102,7 @@ def compare_runs(
     problem: UpdatingProblem | None = None,
     summaries: Mapping[str, pd.DataFrame] | None = None,
 ) -> Judged:
-    """Return summaries, verdicts and comparison of several runs; it takes the arguments of `diagnose_all`."""
+    """Return the summaries, the verdicts and the comparison of several runs; arguments as in `diagnose_all`."""
     summaries = summaries or {name: summary(trace) for name, trace in traces.items()}
     verdicts = diagnose_all(traces, problem, summaries)
     rows = [_row(trace, summaries[name], verdicts[name]) for name, trace in traces.items()]
@@ -111,7 +112,7 @@ def compare_runs(
 
 
 def _row(trace: xr.DataTree, table: pd.DataFrame, diagnosis: Diagnosis) -> dict[str, object]:
-    """Return one row of the comparison."""
+    """Return one row of the comparison, as a dict from columns to values."""
     import pandas as pd
 
     stats = trace["sample_stats"]
@@ -141,26 +142,27 @@ def _row(trace: xr.DataTree, table: pd.DataFrame, diagnosis: Diagnosis) -> dict[
 def costs_side_by_side(
     traces: Mapping[str, xr.DataTree], grown: Mapping[str, Growth] | None = None
 ) -> pd.DataFrame:
-    """Return the cost of each sampler, in solves, and as a multiple of the one of `BASELINE`.
+    """Return the cost of each sampler in solves, and as a multiple of the cost of `BASELINE`.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
     grown : mapping of str to Growth, optional
-        ``growth(trace)`` of each, if already computed.
+        ``growth(trace)`` of each trace, if already computed.
 
     Returns
     -------
     pandas.DataFrame
         One row per trace:
 
-        - ``search_solves``: of the search for maxima, which all share and each is charged with; zero if unknown;
+        - ``search_solves``: solves of the search for maxima, which all samplers share and each is charged with;
+          zero if unknown;
         - ``criterion_solves``: search, warm-up and draws until R-hat of every parameter was below 1.01 and bulk
-          and tail ESS at least 400; NaN if that was not reached;
+          and tail ESS were at least 400; NaN if this was never reached;
         - ``total_solves``: search, warm-up and all draws;
-        - ``solves_per_ess``: draws after warm-up, per effective draw of the worst parameter;
-        - ``criterion_over_baseline``, ``per_ess_over_baseline``: the second and the fourth over those of the
-          baseline; NaN if there is none.
+        - ``solves_per_ess``: solves after the warm-up per effective draw of the worst parameter;
+        - ``criterion_over_baseline``, ``per_ess_over_baseline``: ``criterion_solves`` and ``solves_per_ess`` over
+          those of the baseline; NaN without a baseline.
     """
     grown = {name: growth(trace) for name, trace in traces.items()} if grown is None else grown
     search = _search(traces)
@@ -183,7 +185,7 @@ def costs_side_by_side(
 
 
 def cost_rows(costs: pd.DataFrame) -> list[list[str]]:
-    """Return the costs as rows of text, one column per sampler; costs that no sampler has are left out."""
+    """Return the costs as rows of text, one column per sampler; costs that no sampler has are skipped."""
     rows = []
     for column, label in _ROWS.items():
         values = list(map(float, costs[column]))
@@ -194,7 +196,7 @@ def cost_rows(costs: pd.DataFrame) -> list[list[str]]:
 
 
 def at_both_points(costs: pd.DataFrame, converged: Mapping[str, bool], traces: Mapping[str, xr.DataTree]) -> str:
-    """Return when an ensemble met the criterion and when its own tests, in words; empty without one."""
+    """Return sentences on when each ensemble met the criterion and passed its further tests; else empty."""
     said = []
     for name, trace in traces.items():
         if walkers_of(trace) == 1:
@@ -210,19 +212,19 @@ def at_both_points(costs: pd.DataFrame, converged: Mapping[str, bool], traces: M
 
 
 def over_baseline(ratio: float) -> str:
-    """Return a ratio of costs in two digits; a dash where it is not known."""
+    """Return a ratio of costs with two digits as text; a dash if it is unknown."""
     return MISSING if np.isnan(ratio) else f"{fixed(ratio, 2) if ratio < 10 else significant(ratio, 2)} ×"
 
 
 def about_solves(solves: float) -> str:
-    """Return a number of solves in three digits."""
+    """Return a number of solves with three digits as text; ``"not met"`` if it is NaN."""
     if np.isnan(solves):
         return "not met"
     return whole(round(solves, 2 - int(np.log10(solves)))) if solves >= 100 else significant(solves)
 
 
 def _search(traces: Mapping[str, xr.DataTree]) -> float:
-    """Return the solves of the search for maxima, gradients at the cost that a sampler of them measured."""
+    """Return the solves of the search for maxima, with gradients at the cost measured in one of the runs."""
     known = next((m for m in map(maxima_of, traces.values()) if m is not None), None)
     if known is None:
         return 0.0

@@ -1,4 +1,4 @@
-"""The verdict on a run: converged or not, and why; and whether the model fits."""
+"""The verdict on a run: whether it has converged, the reasons, and whether the model fits."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ _SPARSE = (
     "prior, or search more, maxima=fmu.find_map(density, starts=1000)"
 )
 GROUP = "maxima"
-"""Group of a trace that keeps the maxima known when it was made."""
+"""Group of a trace that stores the maxima known when the trace was made."""
 
 
 @dataclass(frozen=True)
@@ -78,20 +78,22 @@ class Diagnosis:
     converged : bool
         Whether all tests passed.
     reasons : tuple of str
-        Why it has not converged, one sentence each, the most serious first; empty if it has.
+        Reasons why the run has not converged, one sentence each, the most serious first; empty if it has.
     warnings : tuple of str
-        Warnings about the model, converged or not: what contradicts it (`fit`), parameters at their bounds, shapes
-        unlike the measured ones, a pairing that jumps; and about the data: parameters that they did not update,
-        repeated tests that are not independent.
+        Warnings about the model, whether or not the run has converged: failed checks (`fit`), parameters at their
+        bounds, shapes unlike the measured ones, a pairing that jumps. Also warnings about the data: parameters
+        that the data did not update, repeated tests that are not independent.
     doubts_of_search : tuple of str
-        Why maxima that no chain visited are not excluded, one sentence each; empty if the search for them was
-        complete. A run that misses one passes its tests, so that it has converged locally at best.
+        Reasons why maxima that no chain visited are not excluded, one sentence each; empty if the search for
+        maxima was complete. A run that misses a maximum can pass all tests, so that with such a doubt it has
+        converged only locally.
     search : str
         Where the search of a plain log-density began and what it found; else empty.
     stopped : str
-        If the run was stopped early, after how many draws or at which limit, in words; else empty.
+        If the run was stopped early, the number of draws or the limit, in words; else empty.
     fit : ModelFit
-        Whether the data contradict the model, and what could have; provisional where the run has not converged.
+        Whether the data contradict the model, and which checks could have failed; provisional if the run has not
+        converged.
     few : str
         What fewer than four ensembles of plain emcee cannot exclude, and the remedy; else empty.
     """
@@ -107,24 +109,24 @@ class Diagnosis:
 
     @property
     def searched(self) -> bool:
-        """Whether maxima that no chain visited are excluded, as far as a search can."""
+        """Whether maxima that no chain visited are excluded, as far as a search can exclude them."""
         return not self.doubts_of_search
 
     @property
     def state(self) -> str:
-        """``"converged"``; ``"converged locally"`` if other maxima are not excluded; ``"not converged"``."""
+        """``"converged"``; ``"converged locally"`` if other maxima are not excluded; or ``"not converged"``."""
         if not self.converged:
             return NOT_CONVERGED
         return CONVERGED if self.searched else LOCALLY
 
     @property
     def verdict(self) -> str:
-        """The `state`; if the run has not converged, with the first reason."""
+        """The `state`, followed by the first reason if the run has not converged."""
         return self.state if self.converged else f"{self.state}: {self.reasons[0]}"
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """The reasons; for a converged run, what its verdict does not cover."""
+        """The reasons; for a converged run, sentences on what its verdict does not cover."""
         said = self.reasons
         if self.converged and not self.few:
             said = self.doubts_of_search or ((self.search,) if self.search else ())
@@ -132,12 +134,12 @@ class Diagnosis:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """The warnings that are no failed check of the model."""
+        """The warnings that do not come from failed checks of the model."""
         return tuple(warning for warning in self.warnings if warning not in self.fit.against)
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Reasons to doubt probabilities from the draws: no convergence, a model that is contradicted."""
+        """Reasons why probabilities from the draws are unreliable: no convergence, or a contradicted model."""
         unfinished = () if self.converged else ("the draws have not converged",)
         return (*unfinished, f"the model is {self.fit.answer}") if self.fit.against else unfinished
 
@@ -156,7 +158,7 @@ class Diagnosis:
         return "".join(block(*one) for one in blocks)
 
     def _of_model(self) -> list[tuple[str, tuple[str, ...]]]:
-        """Return headings with their items: the verdict on the model with the failed checks; the notes."""
+        """Return headings with their items: the verdict on the model with the failed checks, and the notes."""
         doubt = "" if self.converged else ", provisionally"
         blocks = [(f"the model: {self.fit.answer}{doubt}", self.fit.against)] if self.fit.checks else []
         return blocks + ([(NOTES, self.notes)] if self.notes else [])
@@ -171,16 +173,16 @@ def diagnose(
     """Judge whether a run has converged, and if not, why; and whether the model fits the data.
 
     A run has converged if it passes the tests of `fmu.analysis.convergence.diagnostics.convergence_failures`,
-    which a NaN fails, and if it left out no region that holds 1 % of the probability. Such regions are known
-    from `find_map` and from other runs. Chains alone cannot show them: chains in one of several modes agree with
-    each other.
+    which fail for NaN, and if it missed no region that holds 1 % of the probability. Such regions are known from
+    `find_map` and from other runs. Chains alone cannot show them: if all chains are in one of several modes, they
+    agree with each other.
 
     Parameters
     ----------
     trace : xarray.DataTree
     problem : LogDensity, optional
-        The problem or density that was sampled; its maxima are searched for. Maxima kept in the traces are always
-        used.
+        The problem or density that was sampled; its maxima are searched for. Maxima stored in the traces are
+        always used.
     others : mapping of str to xarray.DataTree, or iterable of xarray.DataTree, optional
         Other runs on the same posterior.
 
@@ -191,7 +193,7 @@ def diagnose(
     Raises
     ------
     ValueError
-        If `trace` or one of `others` is not a trace, or the problem or one of `others` has other parameters.
+        If `trace` or one of `others` is not a trace, or if `problem` or one of `others` has different parameters.
     """
     check_trace(trace)
     if problem is not None and names_of(problem) != parameter_names(trace):
@@ -204,7 +206,7 @@ def diagnose(
 
 
 def _kept_maxima(trace: xr.DataTree, others: Mapping[str, xr.DataTree]) -> list[Maxima]:
-    """Return the maxima that a trace and others keep."""
+    """Return the list of the maxima stored in a trace and in other traces."""
     return [maxima for maxima in map(maxima_of, (trace, *others.values())) if maxima is not None]
 
 
@@ -220,7 +222,7 @@ def judge(
     ----------
     trace : xarray.DataTree
     known : iterable of Maxima
-        Results of `find_map` on the same posterior; the one with the largest mass is used.
+        Results of `find_map` on the same posterior; the result with the largest total mass is used.
     others : mapping of str to xarray.DataTree, optional
     table : pandas.DataFrame, optional
         ``summary(trace)``, if already computed.
@@ -251,13 +253,13 @@ def judge(
 
 
 def doubts_of_search(trace: xr.DataTree, best: Maxima | None) -> tuple[str, ...]:
-    """Return why maxima that no chain visited are not excluded, a sentence each.
+    """Return reasons why maxima that no chain visited are not excluded, one sentence each.
 
     Parameters
     ----------
     trace : xarray.DataTree
     best : Maxima or None
-        The result of the search, None if there was none.
+        The result of the search; None without a search.
     """
     if best is None:
         started = json.loads(trace.attrs["configuration"])["run"].get("init")
@@ -269,14 +271,14 @@ def doubts_of_search(trace: xr.DataTree, best: Maxima | None) -> tuple[str, ...]
 
 
 def _is_above(trace: xr.DataTree, level: float) -> bool:
-    """Say whether all but a tenth of the draws have a higher log-density than `level`."""
+    """Return True if at least nine tenths of the draws have a higher log-density than `level`."""
     return float(np.quantile(array_of(trace, "sample_stats", "lp"), 0.1)) > level
 
 
 def _reasons(
     trace: xr.DataTree, best: Maxima | None, others: Mapping[str, xr.DataTree], table: pd.DataFrame | None
 ) -> tuple[list[str], list[str]]:
-    """Return why a run has not converged, and what is doubtful of the shares of the maxima."""
+    """Return the reasons why a run has not converged, and warnings about the shares of the maxima."""
     against = Comparison([], []) if best is None else compare_shares(trace, best)
     reasons = against.reasons + missed_places(trace, others, best)
     is_single = best is not None and sum(m.share > NEGLIGIBLE for m in best) == 1
@@ -289,15 +291,15 @@ def diagnose_all(
     problem: UpdatingProblem | None = None,
     summaries: Mapping[str, pd.DataFrame] | None = None,
 ) -> dict[str, Diagnosis]:
-    """Return the verdicts on several runs, each also compared with the others on the same posterior.
+    """Return a dict of the verdicts on several runs, each also compared with the other runs on its posterior.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
     problem : UpdatingProblem, optional
-        The problem that all of them sampled.
+        The problem that all of the runs sampled.
     summaries : mapping of str to pandas.DataFrame, optional
-        ``summary(trace)`` of each, if already computed.
+        ``summary(trace)`` of each trace, if already computed.
     """
     searched, found = _searched(problem), {}
     for name, trace in traces.items():
@@ -308,21 +310,22 @@ def diagnose_all(
 
 
 def _searched(problem: LogDensity | None) -> list[Maxima]:
-    """Return the maxima of a problem; none of a population, whose maximum is far from its mass."""
+    """Return the maxima of a problem, as a list; empty for a population, whose maximum is far from its mass."""
     return [search.find_map(problem)] if problem is not None and search.is_searchable(problem) else []
 
 
 def choose_run(verdicts: Mapping[str, Diagnosis], summaries: Mapping[str, pd.DataFrame]) -> str:
-    """Return the name of the run that speaks for all: converged if one is, and with the most effective draws.
+    """Return the name of the representative run: a converged one if possible, with the most effective draws.
 
-    It gives the verdict on the model, losses and exported values wherever no sampler is named, whatever the order
-    of the runs. Effective draws are those of the worst parameter; equal ones are decided by the alphabet.
+    This run gives the verdict on the model, the losses and the exported values wherever no sampler is named. The
+    order of the runs does not matter: the worst parameter determines the effective draws, and ties are resolved
+    alphabetically.
 
     Parameters
     ----------
     verdicts : mapping of str to Diagnosis
     summaries : mapping of str to pandas.DataFrame
-        ``summary(trace)`` of each.
+        ``summary(trace)`` of each trace.
     """
 
     def rank(name: str) -> tuple[bool, float]:
@@ -333,24 +336,24 @@ def choose_run(verdicts: Mapping[str, Diagnosis], summaries: Mapping[str, pd.Dat
 
 
 def is_enough(found: Diagnosis, table: pd.DataFrame, until_ess: float) -> bool:
-    """Say whether a run has converged and every ESS of its summary is at least `until_ess`; NaN is not."""
+    """Return True if a run has converged and every ESS of its summary is at least `until_ess`; False for NaN."""
     return found.converged and fewest(table) >= until_ess
 
 
 def draws_missing(trace: xr.DataTree, until_ess: float, maxima: Maxima | None) -> int:
-    """Return how many steps to draw before a run is judged again; 0 if it needs no more, or if none would help.
+    """Return the number of steps to draw before a run is judged again; 0 if no more are needed or would help.
 
     Parameters
     ----------
     trace : xarray.DataTree
     until_ess : float
-        Bulk and tail ESS wanted of every parameter, beside convergence.
+        Bulk and tail ESS required of every parameter, in addition to convergence.
     maxima : Maxima, optional
     """
     draws = int(trace.attrs["draws"])
     if is_beyond_draws(trace):
         return 0
-    if walkers_of(trace) > 1:  # their length, which takes least time, is what they lack longest
+    if walkers_of(trace) > 1:  # ensembles: the length is fast to compute and usually the last to suffice
         growth = MIN_AUTOCORRELATION_TIMES / float(np.min(autocorrelation_times_run(trace)))
         if growth > 1:
             return draws_to_come(draws, growth)
@@ -363,16 +366,16 @@ def draws_missing(trace: xr.DataTree, until_ess: float, maxima: Maxima | None) -
 
 
 def _same_posterior(one: xr.DataTree, other: xr.DataTree) -> bool:
-    """Say whether two traces are of the same posterior, by their configurations."""
+    """Return True if the configurations of two traces describe the same posterior."""
     first, second = (json.loads(trace.attrs["configuration"])["problem"] for trace in (one, other))
     return bool(first == second)
 
 
 def maxima_of(trace: xr.DataTree) -> Maxima | None:
-    """Return the maxima kept in a trace, None if there are none."""
+    """Return the maxima stored in a trace; None if there are none."""
     return Maxima.from_dataset(trace[GROUP].to_dataset()) if has(trace, GROUP) else None
 
 
 def with_maxima(trace: xr.DataTree, maxima: Maxima) -> xr.DataTree:
-    """Return the trace with the maxima stored in it, for every later verdict."""
+    """Return the trace with the maxima stored in it, so that every later verdict uses them."""
     return with_group(trace, GROUP, maxima.to_dataset())

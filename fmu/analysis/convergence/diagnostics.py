@@ -1,4 +1,4 @@
-"""The summary of a trace, and the rule by which a run counts as converged."""
+"""The summary of a trace, and the tests of convergence."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ LEAST_GROWTH = 1.1
 
 @check_arguments
 def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
-    """Summarise the posterior and the reliability of its estimate.
+    """Summarise the posterior and the reliability of its estimates.
 
     Parameters
     ----------
@@ -73,14 +73,15 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        One row per parameter, SI units: ``mean``, ``sd``, the ends of the interval, named after its
-        probability in per cent (``eti90_lb``, ``eti90_ub``), ``rhat`` (over ensembles for an ensemble sampler),
-        ``ess_bulk``, ``ess_tail`` (of the 5 % and the 95 % quantile), and the Monte-Carlo standard errors of the
-        mean and of both ends, ``mcse_mean``, ``mcse_eti90_lb`` and ``mcse_eti90_ub``. NaN if a quantity is
-        undefined: R-hat of one chain, everything for a constant. Of plain emcee (`fmu.from_emcee`) also
-        ``ess_emcee``, the draws over emcee's own autocorrelation time, which is shorter by about 10 times its
-        square over the steps (`fmu.analysis.convergence.effective.autocorrelation_times`), and by far more where
-        walkers stay in separate places. ``attrs["units"]`` maps parameters to units.
+        One row per parameter, SI units: ``mean``, ``sd``, the ends of the interval, named after its probability in
+        per cent (``eti90_lb``, ``eti90_ub``), ``rhat`` (over ensembles for an ensemble sampler), ``ess_bulk``,
+        ``ess_tail`` (of the 5 % and the 95 % quantile), and the Monte-Carlo standard errors of the mean and of
+        both ends, ``mcse_mean``, ``mcse_eti90_lb`` and ``mcse_eti90_ub``. A quantity is NaN if it is undefined:
+        R-hat of a single chain, every quantity of a constant. Plain emcee (`fmu.from_emcee`) has the further
+        column ``ess_emcee``, the number of draws over emcee's own autocorrelation time. This time is too short by
+        about 10 times its square over the number of steps
+        (`fmu.analysis.convergence.effective.autocorrelation_times`), and by far more if walkers stay in separate
+        modes. ``attrs["units"]`` maps parameters to units.
 
     Raises
     ------
@@ -120,7 +121,7 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
 
 
 def interval_columns(ci_prob: float) -> tuple[str, str]:
-    """Return the names of an equal-tailed interval's columns, ``eti90_lb`` and ``eti90_ub`` for 0.9."""
+    """Return the column names of an equal-tailed interval: ``eti90_lb`` and ``eti90_ub`` for 0.9."""
     if not 0 < ci_prob < 1:
         raise ArgumentError("ci_prob", "must lie between 0 and 1", repr(ci_prob))
     return f"eti{100 * ci_prob:g}_lb", f"eti{100 * ci_prob:g}_ub"
@@ -129,13 +130,13 @@ def interval_columns(ci_prob: float) -> tuple[str, str]:
 def rhat_over_walkers(trace: xr.DataTree) -> FloatArray:
     """Return R-hat over the walkers of an ensemble, for the worst ensemble, shape (ndim,).
 
-    It finds walkers that stay in separate places, which R-hat over ensembles does not if all ensembles are divided
-    alike. Of walkers that mix it says no more than the length of the run: R-hat² − 1 is about 2.7 autocorrelation
-    times over the steps (4 ensembles of 32 walkers, stretch moves, Gaussian and bounded targets of 2 and 5
-    parameters: on average 2.4 to 3.0, after 3 to 100 autocorrelation times). That is 1.07 after 20 autocorrelation
-    times, 1.03 after 50 (at most 1.03 in 50 such runs), and below 1.01, the limit for independent chains, only
-    after 130. Each ensemble is judged by itself, because a single trapped walker among all walkers of a run would
-    carry too little weight.
+    This R-hat finds walkers that stay in separate regions. R-hat over ensembles does not, if all ensembles are
+    divided in the same way. If the walkers mix, it depends only on the length of the run: R-hat² − 1 is about 2.7
+    autocorrelation times over the number of steps (4 ensembles of 32 walkers, stretch moves, Gaussian and bounded
+    targets of 2 and 5 parameters: on average 2.4 to 3.0, after 3 to 100 autocorrelation times). It is then 1.07
+    after 20 autocorrelation times, 1.03 after 50 (at most 1.03 in 50 such runs), and below 1.01, the limit for
+    independent chains, only after 130. Each ensemble is judged separately, because a single trapped walker among
+    all walkers of a run would have too little weight.
     """
     walkers = walkers_of(trace)
     draws = np.moveaxis(parameter_draws(trace), -1, 0)
@@ -143,7 +144,10 @@ def rhat_over_walkers(trace: xr.DataTree) -> FloatArray:
 
 
 def autocorrelation_times_run(trace: xr.DataTree, part: float = 1.0) -> FloatArray:
-    """Return the length of the first `part` of a run in autocorrelation times of the slowest ensemble, (ndim,)."""
+    """Return the length of the first `part` of a run in its longest autocorrelation times, shape (ndim,).
+
+    For each parameter, the slowest ensemble determines the autocorrelation time.
+    """
     walkers = walkers_of(trace)
     draws = np.moveaxis(parameter_draws(trace), -1, 0)
     steps = int(part * (draws.shape[2] // walkers))
@@ -153,11 +157,12 @@ def autocorrelation_times_run(trace: xr.DataTree, part: float = 1.0) -> FloatArr
 
 
 def walkers_stay_apart(trace: xr.DataTree, lengths: FloatArray) -> bool:
-    """Say whether walkers stay in separate places, so that more steps would not help.
+    """Return True if walkers stay in separate regions, so that more steps would not help.
 
-    A run of walkers that mix has twice as many autocorrelation times as its first half (1.1 to 2.5 times as many
-    in 140 runs of at least 3). Walkers that stay apart count as correlation over the whole run, which then has as
-    many of its own autocorrelation times as its first half, however long it is. Shorter runs may pass for either.
+    If walkers mix, a run has twice as many autocorrelation times as its first half (1.1 to 2.5 times as many in
+    140 runs of at least 3). If walkers stay apart, this counts as correlation over the whole run, which then has
+    as many of its own autocorrelation times as its first half, however long it is. In shorter runs the two cases
+    cannot be distinguished.
 
     Parameters
     ----------
@@ -172,20 +177,27 @@ def walkers_stay_apart(trace: xr.DataTree, lengths: FloatArray) -> bool:
 def convergence_failures(
     trace: xr.DataTree, table: pd.DataFrame | None = None, places: Places = "unknown"
 ) -> list[str]:
-    """Return why a run has not converged; an empty list if all tests pass.
+    """Return the list of reasons why a run has not converged; empty if all tests pass.
 
-    The rule: at least two chains; no chain that does not move for a fifth of its draws; R-hat of every parameter
-    below 1.01; bulk and tail ESS of every parameter at least 400 and at least 100 per chain (Vehtari et al. 2021);
-    standard errors of the means below a tenth of the posterior sd, and of the ends of the 90 % intervals below
-    0.12 of it. Of the scores of single tests in a population only R-hat is judged, which must be below 1.05. At
-    most one Hamiltonian trajectory in a thousand diverges, unless most steps are candidates of a mixture, and
-    E-BFMI of every chain is at least 0.3. A mixture had enough candidates for each of its components
-    (`fmu.analysis.convergence.candidates`), and the weights of those of a curved one have no heavy tail. For an
-    ensemble sampler, whose ensembles are the chains: at least four ensembles; a run of at least 50 autocorrelation
-    times; and R-hat over walkers below 1.05. In so long a run it is above only if walkers stay in separate places
-    (`rhat_over_walkers`); of a shorter one it is reported only then. A quantity that is NaN fails its test.
-    Ensembles of plain emcee (`fmu.from_emcee`) may be fewer, even one, which has no R-hat: the verdict then rests
-    on autocorrelation times and on R-hat over walkers, and `few_ensembles` says what it cannot exclude.
+    A run passes if:
+
+    - it has at least two chains, and no chain stays at one point for a fifth of its draws;
+    - R-hat of every parameter is below 1.01;
+    - bulk and tail ESS of every parameter are at least 400, and at least 100 per chain (Vehtari et al. 2021);
+    - the standard errors of the means are below a tenth of the posterior sd, and those of the ends of the 90 %
+      intervals below 0.12 of it;
+    - R-hat of the scores of single tests in a population is below 1.05, which is the only test of the scores;
+    - at most one Hamiltonian trajectory in a thousand diverges, unless most steps are candidates of a mixture, and
+      E-BFMI of every chain is at least 0.3;
+    - a mixture had enough candidates for each of its components (`fmu.analysis.convergence.candidates`), and the
+      weights of a curved mixture have no heavy tail.
+
+    The chains of an ensemble sampler are its ensembles. Such a run needs at least four ensembles, a length of at
+    least 50 autocorrelation times, and an R-hat over walkers below 1.05. In a run of this length, R-hat over
+    walkers is larger only if walkers stay in separate regions (`rhat_over_walkers`); for a shorter run it is
+    reported only in this case. Plain emcee (`fmu.from_emcee`) may have fewer ensembles. With a single ensemble
+    there is no R-hat; the verdict then depends on autocorrelation times and on R-hat over walkers, and
+    `few_ensembles` states what it cannot exclude. A quantity that is NaN fails its test.
 
     Draws cannot show a mode that no chain visited; see `fmu.diagnose`.
 
@@ -195,14 +207,15 @@ def convergence_failures(
     table : pandas.DataFrame, optional
         ``summary(trace)``, if already computed.
     places : {"unknown", "one", "missed"}
-        What the maxima of the posterior say: not known, or several that matter; a single one that matters, and
-        visited; or left out by the run, so that no number of draws is a remedy.
+        What is known about the maxima of the posterior: "unknown" if they are not known or several are important;
+        "one" if a single maximum is important and was visited; "missed" if the run missed one, so that more draws
+        would not help.
 
     Returns
     -------
     list of str
-        One sentence for each failed test, the most serious first. The first of those that more draws would mend
-        says about how many are needed (`fmu.analysis.convergence.remedies`).
+        One sentence for each failed test, the most serious first. The first of the tests that more draws would
+        remedy states about how many draws are needed (`fmu.analysis.convergence.remedies`).
     """
     check_trace(trace)
     if table is None:
@@ -244,7 +257,7 @@ def convergence_failures(
         can_tell = places != "one" or float(np.min(lengths)) >= RELIABLE_TIMES
         are_apart = bool(too_short) and can_tell and walkers_stay_apart(trace, lengths)
         short = too_short + short
-        if are_apart or not too_short:  # of walkers that mix, R-hat says that the run is short, once more
+        if are_apart or not too_short:  # if walkers mix, R-hat would only repeat that the run is too short
             why = "R-hat over walkers is {}; it must be below {}: walkers stay in separate places"
             unmixed = _above(rhat_over_walkers(trace), WALKER_RHAT_LIMIT, every.index, why)
             are_apart |= bool(unmixed)
@@ -255,7 +268,7 @@ def convergence_failures(
 
 
 def few_ensembles(trace: xr.DataTree) -> str:
-    """Warn that fewer than four emcee ensembles cannot exclude separate modes; empty if there are four."""
+    """Return a warning that fewer than four emcee ensembles cannot exclude separate modes; else empty."""
     n = trace["posterior"].sizes["chain"]
     if not is_imported(trace) or n >= MIN_ENSEMBLES:
         return ""
@@ -267,7 +280,7 @@ def few_ensembles(trace: xr.DataTree) -> str:
 
 
 def _seldom_proposed(trace: xr.DataTree) -> list[str]:
-    """Return a sentence on the component of a mixture with the fewest candidates, if those are too few."""
+    """Return a sentence on the mixture component with the fewest candidates, if these are too few."""
     found = candidates_of(trace)
     if found is None or found.drawn >= found.needed:
         return []
@@ -279,7 +292,7 @@ def _seldom_proposed(trace: xr.DataTree) -> list[str]:
 
 
 def _standing(trace: xr.DataTree) -> list[str]:
-    """Return a sentence on the chain or walker that stays longest at one point, if that is too long."""
+    """Return a sentence on the chain or walker that stays longest at one point, if this is too long."""
     walkers = walkers_of(trace)
     stands = longest_stands(parameter_draws(trace), walkers)
     steps = trace["posterior"].sizes["draw"] // walkers
@@ -291,7 +304,7 @@ def _standing(trace: xr.DataTree) -> list[str]:
 
 
 def _trajectories(trace: xr.DataTree) -> list[str]:
-    """Return the faults of the Hamiltonian trajectories; an empty list for samplers without them."""
+    """Return sentences on the failed tests of the Hamiltonian trajectories; empty for samplers without them."""
     failures = []
     diverging = _trajectories_that_diverged(trace)
     if not np.mean(diverging) <= DIVERGING_LIMIT:
@@ -306,10 +319,10 @@ def _trajectories(trace: xr.DataTree) -> list[str]:
 
 
 def _trajectories_that_diverged(trace: xr.DataTree) -> FloatArray:
-    """Return whether each trajectory diverged; none if most steps are candidates of a mixture.
+    """Return whether each trajectory diverged; a single zero if most steps are candidates of a mixture.
 
-    A trajectory that diverges stays where it began. The candidates do not depend on that place, and how well they
-    fit the posterior shows in their weights.
+    A trajectory that diverges stays where it began. The candidates do not depend on that point, and their weights
+    show how well they fit the posterior.
     """
     if not has(trace, "sample_stats", "diverging"):
         return np.zeros(1)
@@ -321,17 +334,17 @@ def _trajectories_that_diverged(trace: xr.DataTree) -> FloatArray:
 
 
 def _diverges_for_good(trace: xr.DataTree) -> bool:
-    """Say whether the share of diverging trajectories is certainly too large, by two standard errors."""
+    """Return True if the share of diverging trajectories exceeds its limit by two standard errors."""
     diverging = _trajectories_that_diverged(trace)
     n = float(diverging.sum())
     return n - 2.0 * np.sqrt(n) > DIVERGING_LIMIT * diverging.size
 
 
 def _heavy_weights(trace: xr.DataTree) -> list[str]:
-    """Return a sentence on the candidates' weights of a curved mixture if their tail is heavy.
+    """Return a sentence on the candidates' weights of a curved mixture, if their tail is heavy.
 
-    Its bends may go on wrongly beyond the draws that it was fitted to. Chains then hardly reach these places, and
-    R-hat does not show it.
+    The curvature of the mixture may be wrong beyond the draws to which it was fitted. Chains then hardly reach
+    these regions, and R-hat does not show this.
     """
     if not has_curved_mixture(trace):
         return []
@@ -341,12 +354,12 @@ def _heavy_weights(trace: xr.DataTree) -> list[str]:
 
 
 def is_beyond_draws(trace: xr.DataTree) -> bool:
-    """Say whether a run has a fault that no number of draws mends: divergences, or weights with a heavy tail."""
+    """Return True if a run has a fault that more draws do not remedy: divergences, or heavy-tailed weights."""
     return _diverges_for_good(trace) or bool(_heavy_weights(trace))
 
 
 def _above(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, sentence: str) -> list[str]:
-    """Return a sentence on the worst of `values` unless all are below `limit`."""
+    """Return a sentence on the worst of `values`, unless all are below `limit`."""
     if np.all(values < limit):
         return []
     worst = int(np.argmax(values))  # the first NaN, if there is one
@@ -354,7 +367,7 @@ def _above(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, se
 
 
 def _below(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, sentence: str) -> list[str]:
-    """Return a sentence on the worst of `values` unless all are at least `limit`."""
+    """Return a sentence on the worst of `values`, unless all are at least `limit`."""
     if np.all(values >= limit):
         return []
     worst = int(np.argmin(values))
@@ -362,5 +375,5 @@ def _below(values: FloatArray, limit: float, names: Sequence[str] | pd.Index, se
 
 
 def _beside(value: float, limit: float) -> str:
-    """Return a value with enough digits to show that it differs from the limit."""
+    """Return a value as text, with enough digits to show that it differs from the limit."""
     return apart(value, limit, digits=3)[0] if np.isfinite(value) else str(value)

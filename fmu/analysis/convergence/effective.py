@@ -1,11 +1,11 @@
 """R-hat, effective sample size and Monte-Carlo standard error of one scalar quantity.
 
-All take draws of shape (chains, draws). Chains of a single point are measured as ArviZ does
-(`fmu.analysis.convergence.rank_statistics`). An ensemble's walkers depend on one another, so that its draws are
-measured by the integrated autocorrelation time of emcee (Goodman & Weare 2010, section 5; Sokal's window).
+All functions take draws of shape (chains, draws). Chains whose state is a single point are treated as in ArviZ
+(`fmu.analysis.convergence.rank_statistics`). The walkers of an ensemble depend on each other. Therefore its draws
+are assessed by the integrated autocorrelation time of emcee (Goodman & Weare 2010, section 5; Sokal's window).
 
-What cannot be computed (one chain, a constant, a value that is not finite) is NaN, and NaN fails every test of
-the verdict.
+A quantity that cannot be computed (one chain, a constant, a value that is not finite) is NaN, and NaN fails every
+test of the verdict.
 """
 
 from __future__ import annotations
@@ -28,27 +28,27 @@ if TYPE_CHECKING:
 TAIL = (0.05, 0.95)
 """Quantiles of the tail ESS (Vehtari et al. 2021, section 4.3)."""
 WINDOW = 5
-"""Autocorrelation times over which the autocorrelation is summed (Sokal; emcee's default)."""
+"""Number of autocorrelation times over which the autocorrelation is summed (Sokal; emcee's default)."""
 _MIN_DRAWS = 4
 _LOG_ODDS, _NODES = 0.8, 21
-"""Half the range of log p/(1 − p) over which a quantile's slope is taken, and the quantiles there."""
+"""Half the range of log p/(1 − p) over which the slope of a quantile is fitted, and the number of quantiles."""
 _BATCHES = 20
 
 
 def rhat(x: FloatArray) -> float:
     """Return the rank-normalised split R-hat, the larger of bulk and folded (Vehtari et al. 2021, section 4.1).
 
-    NaN for one chain, a constant, fewer than four draws, or a draw that is not finite.
+    R-hat is NaN for one chain, a constant, fewer than four draws, or a draw that is not finite.
     """
     if len(x) < 2 or _is_degenerate(x):
         return np.nan
-    # Chains that stand still at different places have no variance within: the division gives inf, as it should.
+    # Chains that stay at different points have no variance within chains: the division correctly gives inf.
     with np.errstate(divide="ignore", invalid="ignore"):
         return rank_rhat(x)
 
 
 def ess_bulk(x: FloatArray, walkers: int = 1) -> float:
-    """Return the bulk effective sample size: rank-normalised for chains, of the mean for ensembles."""
+    """Return the bulk effective sample size: rank-normalised for chains; for ensembles, the ESS of the mean."""
     if _is_degenerate(x):
         return np.nan
     if walkers > 1:
@@ -57,7 +57,7 @@ def ess_bulk(x: FloatArray, walkers: int = 1) -> float:
 
 
 def ess_tail(x: FloatArray, walkers: int = 1) -> float:
-    """Return the effective sample size of the 5 % and the 95 % quantile, the smaller of the two."""
+    """Return the smaller of the effective sample sizes of the 5 % and the 95 % quantile."""
     if _is_degenerate(x):
         return np.nan
     below = [x <= quantile for quantile in np.quantile(x, TAIL)]
@@ -75,7 +75,7 @@ def ess_mean(x: FloatArray, walkers: int = 1) -> float:
         return np.nan
     if walkers > 1:
         return _ensemble_ess(x, walkers)
-    # a range below 1e-15 passes for a constant, whatever the unit: second moments of area are 1e-9 m⁴
+    # scaled: `chain_ess` treats a range below 1e-15 as a constant, and second moments of area are 1e-9 m⁴
     return chain_ess(split_chains((x - x.mean()) / x.std()))
 
 
@@ -89,8 +89,8 @@ def mcse_mean(x: FloatArray, walkers: int = 1) -> float:
 def mcse_sd(x: FloatArray, walkers: int = 1) -> float:
     """Return the Monte-Carlo standard error of the standard deviation s: the error of s² over 2 s.
 
-    With the effective sample size of the squares or of the tails, the smaller one: chains that are slow in a tail
-    which they seldom visit show it there sooner.
+    The smaller effective sample size of the squares and of the tails is used, because slow mixing in a
+    seldom visited tail shows earlier in the tail.
     """
     if _is_degenerate(x):
         return np.nan
@@ -105,11 +105,11 @@ def mcse_quantile(x: FloatArray, probability: float, walkers: int = 1) -> float:
     The error of the quantile q_p is the error of the share of draws below q_p, divided by the density at q_p:
 
     - The error of the share follows from the effective sample size of the indicator x ≤ q_p (Vehtari et al. 2021,
-      section 4.3). Where overlapping batch means give a larger error, they are taken: a slow part of the
+      section 4.3). If overlapping batch means give a larger error, this error is used: a slow part of the
       correlation that is weak at the quantile ends the sum of autocorrelations too early.
-    - One over the density is the slope of q_p as a function of log(p/(1 − p)), divided by p (1 − p). The slope is
-      fitted by least squares to quantiles whose odds p/(1 − p) are 0.45 to 2.2 times those of q_p.
-    - The slope scatters too, by some 20 % where 20 effective draws lie beyond the quantile. The relative variance
+    - The reciprocal of the density is the slope of q_p as a function of log(p/(1 − p)), divided by p (1 − p). The
+      slope is fitted by least squares to quantiles whose odds p/(1 − p) are 0.45 to 2.2 times those of q_p.
+    - The slope itself scatters, by some 20 % if 20 effective draws lie beyond the quantile. The relative variance
       is therefore larger by 2/(ESS p (1 − p)).
 
     In replicates of known processes the errors of quantiles, divided by this standard error, have a standard
@@ -119,7 +119,7 @@ def mcse_quantile(x: FloatArray, probability: float, walkers: int = 1) -> float:
     ----------
     x : ndarray, shape (chains, draws)
     probability : float
-        Of the quantile.
+        Probability of the quantile.
     walkers : int
     """
     if _is_degenerate(x):
@@ -148,21 +148,22 @@ def _variance_by_batches(x: NDArray[np.generic], walkers: int) -> float:
 
 
 def by_walker(x: NDArray[np.generic], walkers: int) -> NDArray[np.generic]:
-    """Reshape (ensembles, steps * walkers, ...), step-major, to (ensembles, walkers, steps, ...)."""
+    """Return an array (ensembles, steps * walkers, ...), step-major, as (ensembles, walkers, steps, ...)."""
     return x.reshape(len(x), x.shape[1] // walkers, walkers, *x.shape[2:]).swapaxes(1, 2)
 
 
 def autocorrelation_times(x: NDArray[np.generic], walkers: int) -> FloatArray:
     """Return the integrated autocorrelation time of each ensemble, in steps, shape (ensembles,).
 
-    The sum of the autocorrelation up to a window of five times itself, as in emcee, with two differences. The
-    autocovariance is taken about the mean of the whole ensemble, not about each walker's own, and averaged over
-    the walkers before it is divided by the variance: that spares short runs their downward bias (4 % instead of
-    33 % for 32 walkers and 20 autocorrelation times of an AR(1) process), makes walkers that stay in separate
-    modes count as correlation, and is defined if a single walker never moves. And if the run is shorter than the
-    window, all lags are summed; emcee.autocorr.integrated_time then takes lag 0 alone, tau = 1.
+    The autocorrelation is summed up to a window of five autocorrelation times, as in emcee, with two differences.
+    First, the autocovariance is taken about the mean of the whole ensemble instead of each walker's own mean, and
+    averaged over the walkers before it is divided by the variance. This spares short runs their downward bias (4 %
+    instead of 33 % for 32 walkers and 20 autocorrelation times of an AR(1) process), makes walkers that stay in
+    separate regions count as correlation, and is defined if a single walker never moves. Second, if the run is
+    shorter than the window, all lags are summed; emcee.autocorr.integrated_time then uses lag 0 alone, tau = 1.
 
-    NaN for an ensemble that does not move; at least 1/log10 of the number of draws, as in Vehtari et al. 2021.
+    The time is NaN for an ensemble that does not move. It is at least 1/log10 of the number of draws, as in
+    Vehtari et al. 2021.
     """
     times = np.full(len(x), np.nan)
     for i, correlation in enumerate(autocorrelation(x, walkers)):
@@ -177,14 +178,15 @@ def autocorrelation_times(x: NDArray[np.generic], walkers: int) -> FloatArray:
 def autocorrelation(x: NDArray[np.generic], walkers: int = 1) -> FloatArray:
     """Return the autocorrelation of each chain at lags 0, 1, ..., shape (chains, steps).
 
-    About the mean of all walkers of an ensemble, and averaged over them; NaN for a chain that does not move.
+    For an ensemble, it is taken about the mean of all walkers and averaged over the walkers. It is NaN for a chain
+    that does not move.
     """
     paths = by_walker(x, walkers).astype(float)
     return np.array([_autocorrelation(p) if np.ptp(p) > 0 else np.full(p.shape[1], np.nan) for p in paths])
 
 
 def apart(draws: int, most: int, walkers: int = 1) -> int:
-    """Return the step of a thinning that leaves about `most` draws and treats all walkers alike."""
+    """Return the step of a thinning that leaves at most `most` draws and treats all walkers alike."""
     distance = max(1, -(-draws // most))
     while math.gcd(distance, walkers) > 1:
         distance += 1
@@ -196,29 +198,29 @@ def _autocorrelation(paths: FloatArray) -> FloatArray:
     from scipy.fft import irfft, next_fast_len, rfft
 
     steps = paths.shape[1]
-    padded = next_fast_len(2 * steps, real=True)  # with zeros, or the end of a path would meet its beginning
+    padded = next_fast_len(2 * steps, real=True)  # zeros keep the end of a path from its beginning
     power = np.abs(rfft(paths - paths.mean(), padded)) ** 2
     autocovariance = irfft(power.sum(axis=0), padded)[:steps]
     return autocovariance / autocovariance[0]
 
 
 def _ensemble_ess(x: NDArray[np.generic], walkers: int) -> float:
-    """Return the draws of every ensemble over its autocorrelation time, summed."""
+    """Return the sum over ensembles of the number of draws divided by the autocorrelation time."""
     return float(np.sum(x.shape[1] / autocorrelation_times(x, walkers)))
 
 
 def _is_degenerate(x: FloatArray) -> bool:
-    """Say whether the draws are too few, not finite, or all the same."""
+    """Return True if the draws are too few, not finite, or all the same."""
     return x.shape[1] < _MIN_DRAWS or not np.all(np.isfinite(x)) or bool(np.ptp(x) == 0)
 
 
 def longest_stands(position: FloatArray, walkers: int = 1) -> IntArray:
-    """Return the longest run of identical draws, shape (chains, walkers).
+    """Return the length of the longest run of identical draws, shape (chains, walkers).
 
     Parameters
     ----------
     position : ndarray, shape (chains, steps · walkers, ndim)
-        Step-major.
+        Positions in step-major order.
     walkers : int
     """
     path = by_walker(position, walkers)
@@ -233,8 +235,8 @@ def energy_fraction(energy: FloatArray) -> FloatArray:
     """Return the Bayesian fraction of missing information of each chain, shape (chains,).
 
     E-BFMI = Σ (E_n − E_{n−1})² / Σ (E_n − Ē)² (Betancourt 2016, arXiv:1604.00695). It is small if new momenta
-    change the energy little compared with its range, so that a chain explores the energies slowly. NaN if the
-    energy never changes, or of one draw.
+    change the energy little compared with its range, so that a chain explores the energies slowly. It is NaN if
+    the energy never changes, or if there is only one draw.
 
     Parameters
     ----------
@@ -247,36 +249,36 @@ def energy_fraction(energy: FloatArray) -> FloatArray:
 
 
 MOST_RANKED = 2000
-"""Draws of each chain used for the R-hat of a growing run."""
+"""Number of draws of each chain used for R-hat of a run in progress."""
 MOST_BATCHES = 2000
-"""Batch means of each chain used for the effective sample size of a growing run."""
+"""Number of batch means of each chain used for the effective sample size of a run in progress."""
 MOST_STEPS = 20_000
-"""Steps of each chain that enter the batches."""
+"""Largest number of steps of each chain that enter the batches."""
 
 
 def live_diagnostics(draws: FloatArray, walkers: int = 1, *, ended: bool = False) -> dict[str, float]:
-    """Return the worst R-hat and bulk effective sample size over the parameters of a run under way.
+    """Return the worst R-hat and bulk effective sample size over the parameters of a run in progress.
 
-    Both are defined as in `fmu.summary`, and are equal to it up to 2000 draws per chain.
+    Both are defined as in `fmu.summary`, and equal the values there up to 1500 draws per chain.
 
     Parameters
     ----------
     draws : ndarray, shape (chains, draws, ndim) or (chains, steps, walkers, ndim)
         In the first form the draws of an ensemble are step-major.
     walkers : int
-        Walkers of an ensemble, for the first form.
+        Number of walkers of an ensemble, for the first form.
     ended : bool
-        Whether the run has ended: both are then equal to those of `fmu.summary`, however long the run was.
+        Whether the run has ended. Both values then equal those of `fmu.summary` for a run of any length.
 
     Returns
     -------
     dict of str to float
-        ``rhat`` and ``ess``. NaN where one parameter has none: R-hat of one chain, fewer than four draws, a
-        parameter that has not moved yet, a draw that is not finite.
+        ``rhat`` and ``ess``. A value is NaN if it is undefined for one parameter: R-hat of one chain, fewer than
+        four draws, a parameter that has not moved yet, a draw that is not finite.
 
     Notes
     -----
-    For longer runs R-hat is computed from every k-th draw, 2000 per chain; this changes it by less than its own
+    For longer runs R-hat is computed from every k-th draw, 1500 per chain; this changes R-hat by less than its own
     error. The ESS is that of the mean of all draws, from batch means: batching, unlike thinning, does not change
     the variance of the mean. With batch means b of the draws z, ESS = ESS(b) var(z)/var(b). Beyond 20 000 steps
     per chain every k-th step is taken; the ESS of nearly independent draws is then a lower bound, about 20 000
@@ -294,13 +296,13 @@ def live_diagnostics(draws: FloatArray, walkers: int = 1, *, ended: bool = False
 
 
 def _live_rhat(x: FloatArray, walkers: int) -> float:
-    if not np.all(np.isfinite(x)):  # also of the draws that are left out
+    if not np.all(np.isfinite(x)):  # including the draws that are skipped
         return np.nan
     return rhat(x[:, :: apart(x.shape[1], MOST_RANKED, walkers)])
 
 
 def _live_ess(x: FloatArray, walkers: int) -> float:
-    """Return the bulk ESS of one parameter, draws (chains, steps · walkers)."""
+    """Return the bulk ESS of one parameter from draws of shape (chains, steps · walkers)."""
     steps = x.shape[1] // walkers
     if steps <= MOST_BATCHES or not np.all(np.isfinite(x)) or np.ptp(x) == 0:
         return ess_bulk(x, walkers)
@@ -309,9 +311,9 @@ def _live_ess(x: FloatArray, walkers: int) -> float:
         paths = _rank_normalised(paths)
     steps = paths.shape[1]
     k = -(-steps // MOST_BATCHES)
-    paths = paths[:, steps % k :]  # leave out the first few steps rather than the last
+    paths = paths[:, steps % k :]  # skip the first few steps rather than the last
     batches = paths.reshape(len(x), -1, k, walkers).mean(axis=2)
-    # about the mean of each ensemble, as its autocorrelation is
+    # about the mean of each ensemble, like its autocorrelation
     axes = (1, 2) if walkers > 1 else (0, 1, 2)
     with np.errstate(divide="ignore", invalid="ignore"):  # NaN if an ensemble does not move
         ratio = np.var(paths, axis=axes) / np.var(batches, axis=axes)
@@ -323,7 +325,7 @@ def _live_ess(x: FloatArray, walkers: int) -> float:
 
 
 def _rank_normalised(x: FloatArray) -> FloatArray:
-    """Return the normal scores (Blom) of draws among every k-th of them, of the shape of `x`."""
+    """Return the normal scores (Blom) of all draws, ranked among every k-th of them; same shape as `x`."""
     from scipy.special import ndtri
 
     among = np.sort(x[:, :: -(-x.shape[1] // MOST_RANKED)], axis=None)
@@ -336,28 +338,28 @@ def _rank_normalised(x: FloatArray) -> FloatArray:
 LENGTHS = 20
 _FEWEST = 20
 MOST_RANKED = 1500
-"""Draws of a chain that R-hat of a growing run ranks."""
+"""Number of draws per chain that are ranked for R-hat of a run in progress, and of the first draws of a run."""
 
 
 def lengths(steps: int, n: int = LENGTHS) -> IntArray:
-    """Return at most `n` numbers of steps up to `steps`, evenly spaced on a logarithmic scale."""
+    """Return at most `n` increasing numbers of steps up to `steps`, evenly spaced on a logarithmic scale."""
     return np.unique(np.geomspace(min(_FEWEST, steps), steps, n).round().astype(np.int64))
 
 
 def running_means(trace: xr.DataTree, at: IntArray | None = None) -> tuple[IntArray, FloatArray]:
-    """Return the mean of every chain's first draws.
+    """Return the mean of the first draws of every chain, for increasing numbers of draws.
 
     Parameters
     ----------
     trace : xarray.DataTree
     at : ndarray of int, shape (n,), optional
-        Numbers of steps: `lengths` of the run if not given.
+        Numbers of steps; `lengths` of the run if not given.
 
     Returns
     -------
     at : ndarray, shape (n,)
     means : ndarray, shape (n, chains, ndim), SI units
-        Over all walkers of an ensemble.
+        Means over the first steps, and over all walkers of an ensemble.
     """
     walkers = walkers_of(trace)
     draws = parameter_draws(trace)
@@ -367,22 +369,23 @@ def running_means(trace: xr.DataTree, at: IntArray | None = None) -> tuple[IntAr
 
 
 def running_rhat(trace: xr.DataTree, most: int = MOST_RANKED) -> tuple[IntArray, FloatArray]:
-    """Return R-hat of the first draws of a run, for increasing numbers of them.
+    """Return R-hat of the first draws of a run, for increasing numbers of draws.
 
-    For long runs every k-th draw is ranked; at 1500 a chain this changes R-hat by less than its own error.
+    For long runs only every k-th draw is ranked; with 1500 draws per chain this changes R-hat by less than its own
+    error.
 
     Parameters
     ----------
     trace : xarray.DataTree
     most : int
-        Draws of a chain that are ranked.
+        Largest number of draws per chain that are ranked.
 
     Returns
     -------
     at : ndarray, shape (n,)
         Numbers of steps.
     rhat : ndarray, shape (n, ndim)
-        Over ensembles for an ensemble sampler; NaN for one chain.
+        R-hat over ensembles for an ensemble sampler; NaN for one chain.
     """
     walkers = walkers_of(trace)
     draws = parameter_draws(trace)

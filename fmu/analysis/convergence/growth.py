@@ -1,4 +1,4 @@
-"""R-hat and effective sample size of a run while it grew, and when they first met the common criterion."""
+"""R-hat and effective sample size of the first draws of a run, and the cost at which they met the criterion."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ if TYPE_CHECKING:
 
 _HALVINGS = 5
 _RANKED_IN_FULL = 10_000
-"""Draws of a chain from which R-hat is of every k-th draw."""
+"""Largest number of draws per chain for which R-hat is computed from all draws."""
 
 
 class Growth(NamedTuple):
-    """R-hat and effective sample size of the first draws of a run, of the worst parameter.
+    """R-hat and effective sample size of the worst parameter, for increasing numbers of draws.
 
     Attributes
     ----------
     steps : ndarray of int, shape (n,)
-        Numbers of draws per chain, increasing.
+        Increasing numbers of draws per chain.
     solves : ndarray, shape (n,)
-        What they cost with the warm-up; exact gradients count as ``gradient_cost`` solves.
+        Cost of these draws in solves, warm-up included; exact gradients count as ``gradient_cost`` solves.
     ess : ndarray, shape (n,)
         The smaller of bulk and tail effective sample size.
     rhat : ndarray, shape (n,)
@@ -40,14 +40,14 @@ class Growth(NamedTuple):
 
 
 def meets_criterion(rhat_max: float, ess_min: float, chains: int) -> bool:
-    """Say whether R-hat and effective sample size suffice: the criterion that is the same for every sampler."""
+    """Return True if R-hat and effective sample size meet the criterion, which is the same for all samplers."""
     return rhat_max < RHAT_LIMIT and ess_min >= required_ess(chains)
 
 
 def growth(trace: xr.DataTree, at: IntArray | None = None) -> Growth:
-    """Return how R-hat and effective sample size developed while a run grew.
+    """Return R-hat and effective sample size of a run for increasing numbers of draws.
 
-    R-hat of a chain of more than 10 000 draws is of every k-th draw, 2000 of them, as for a run under way.
+    If a chain has more than 10 000 draws, R-hat is computed from every k-th draw, 1500 per chain.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def growth(trace: xr.DataTree, at: IntArray | None = None) -> Growth:
 
 
 def _cumulative(trace: xr.DataTree, walkers: int) -> FloatArray:
-    """Return the solves of a run, with its warm-up, after each step, shape (steps,)."""
+    """Return the cumulative solves of a run after each step, warm-up included, shape (steps,)."""
     warm, drawn = (
         in_solves(trace, *(_of_steps(trace, group, name, walkers) for name in ("n_solves", "n_gradients")))
         for group in ("warmup_sample_stats", "sample_stats")
@@ -78,7 +78,7 @@ def _cumulative(trace: xr.DataTree, walkers: int) -> FloatArray:
 
 
 def _of_steps(trace: xr.DataTree, group: str, name: str, walkers: int) -> FloatArray:
-    """Return a count summed over chains and walkers, shape (steps,)."""
+    """Return a count of each step, summed over chains and walkers, shape (steps,)."""
     if not has(trace, group, name):
         return np.zeros(0)
     counts = array_of(trace, group, name)
@@ -92,7 +92,8 @@ def solves_to_criterion(trace: xr.DataTree, grown: Growth | None = None) -> floa
     ----------
     trace : xarray.DataTree
     grown : Growth, optional
-        ``growth(trace)``, if already computed: between two of its lengths the first one is found by bisection.
+        ``growth(trace)``, if already computed. Between two of its numbers of draws, the first number that meets
+        the criterion is found by bisection.
     """
     grown = growth(trace) if grown is None else grown
     chains = trace["posterior"].sizes["chain"]

@@ -1,7 +1,7 @@
-"""The tail of importance weights: its Pareto shape, and weights that are smoothed by it (PSIS).
+"""The tail of importance weights: its Pareto shape parameter k, and Pareto-smoothed weights (PSIS).
 
-Vehtari, Simpson, Gelman, Yao & Gabry 2024, *JMLR* 25, 72; the generalised Pareto distribution is fitted as Zhang &
-Stephens (2009, *Technometrics* 51, 316–325) do. The formulas are those of ArviZ; a test holds them to its numbers.
+Vehtari, Simpson, Gelman, Yao & Gabry 2024, *JMLR* 25, 72; the generalised Pareto distribution is fitted as in
+Zhang & Stephens (2009, *Technometrics* 51, 316–325). The formulas are those of ArviZ; a test compares the results.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from fmu.numbers import given, significant
 from fmu.types import FloatArray, IntArray
 
 GOOD_K = 0.7
-"""Importance weights with a Pareto k above this have no reliable mean."""
+"""Importance weights with a Pareto k above this limit have no reliable mean."""
 _FEWEST = 5
 _PRIOR_SCALE, _PRIOR_DRAWS, _PRIOR_SHAPE = 3.0, 10.0, 0.5
 _NEGLIGIBLE = 10.0 * np.finfo(float).eps
 
 
 class _Tail(NamedTuple):
-    """The largest weights: their places in ascending order, k, the scale, and the largest weight below them."""
+    """The largest weights: their indices in ascending order, k, the scale, and the largest weight below them."""
 
     places: IntArray
     shape: float
@@ -31,10 +31,10 @@ class _Tail(NamedTuple):
 
 
 def pareto_k(log_w: FloatArray) -> float:
-    """Return the shape k of the tail of importance weights, from their logarithms (n,).
+    """Return the shape parameter k of the tail of importance weights, from their logarithms (n,).
 
-    The largest weights may all be the same, as in a chain that has not moved: then it is infinite, or minus
-    infinity if all weights are the same. It is infinite too where fewer than five weights make the tail.
+    If the largest weights are all the same, as in a chain that has not moved, k is infinite, or minus infinity if
+    all weights are the same. It is also infinite if fewer than five weights form the tail.
     """
     try:
         return _tail(log_w - np.max(log_w)).shape
@@ -43,7 +43,7 @@ def pareto_k(log_w: FloatArray) -> float:
 
 
 def heavy_tail_in_words(k: float) -> str:
-    """Return a sentence on the weights of a mixture's candidates if their Pareto k is too large, else nothing."""
+    """Return a clause on the weights of a mixture's candidates if their Pareto k is too large, else ""."""
     if k <= GOOD_K:
         return ""
     return (
@@ -53,7 +53,7 @@ def heavy_tail_in_words(k: float) -> str:
 
 
 def smoothed_weights(log_w: FloatArray, efficiency: float = 1.0) -> tuple[FloatArray, float]:
-    """Return the logarithms of smoothed weights that sum to 1, (n,), and the shape k of their tail.
+    """Return the logarithms of smoothed weights that sum to 1, (n,), and the shape parameter k of their tail.
 
     The largest weights are replaced by quantiles of the generalised Pareto distribution fitted to them.
 
@@ -80,7 +80,7 @@ def smoothed_weights(log_w: FloatArray, efficiency: float = 1.0) -> tuple[FloatA
 
 
 def _tail(log_w: FloatArray, efficiency: float = 1.0) -> _Tail:
-    """Return the tail of weights whose largest is 1; ValueError if they are all the same, or fewer than five."""
+    """Return the tail of weights whose largest is 1; ValueError for fewer than five weights or equal weights."""
     n = len(log_w)
     size = int(3.0 * (n / efficiency) ** 0.5 if n * efficiency > 225 else n / 5)
     if size < _FEWEST:
@@ -95,10 +95,10 @@ def _tail(log_w: FloatArray, efficiency: float = 1.0) -> _Tail:
 
 
 def _generalised_pareto(x: FloatArray) -> tuple[float, float]:
-    """Return shape k and scale of the distribution of `x` (n,), ascending; NaN if it is far from a Pareto one.
+    """Return shape k and scale of the distribution of `x` (n,), ascending; NaN if it is far from Pareto.
 
-    The mean of the posterior of b = −k/scale under the prior of Zhang & Stephens, on a grid; k is drawn towards
-    0.5 as by ten further draws.
+    The estimate is the posterior mean of b = −k/scale under the prior of Zhang & Stephens, on a grid. The shape k
+    is shrunk towards 0.5 as by ten further draws.
     """
     n = len(x)
     quartile = x[int((n / 4 + 0.5) - 1)]

@@ -1,8 +1,8 @@
 """R-hat and effective sample size of chains, as ArviZ computes them (Vehtari et al. 2021, doi:10.1214/20-BA1221).
 
-The formulas are those of ArviZ, and a test holds them to its numbers. They are repeated here because importing
-ArviZ's array functions takes longer than the draws of a small model.
-All take draws of shape (chains, draws), finite and not all the same, at least four a chain.
+The formulas are those of ArviZ, and a test compares the results. They are repeated here because importing ArviZ's
+array functions takes longer than sampling a small model. All functions take draws of shape (chains, draws) that
+are finite and not all the same, with at least four draws per chain.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from scipy.special import ndtri
 from fmu.types import AnyArray, FloatArray
 
 _OFFSET = 3.0 / 8.0
-"""Of ranks (Blom 1958)."""
+"""Offset of ranks (Blom 1958)."""
 
 
 def split_chains(x: AnyArray) -> AnyArray:
@@ -23,7 +23,7 @@ def split_chains(x: AnyArray) -> AnyArray:
 
 
 def normal_scores(x: FloatArray) -> FloatArray:
-    """Return Φ⁻¹ of the ranks among all draws, the mean rank for ties; of the shape of `x` (section 4.1)."""
+    """Return Φ⁻¹ of the ranks among all draws, with mean ranks for ties; same shape as `x` (section 4.1)."""
     order = np.argsort(x, axis=None)
     ordered = x.ravel()[order]
     begins = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
@@ -34,7 +34,7 @@ def normal_scores(x: FloatArray) -> FloatArray:
 
 
 def potential_scale_reduction(x: FloatArray) -> float:
-    """Return R-hat of chains as they are (eq. 4): √((B/W + n − 1)/n) of n draws a chain."""
+    """Return R-hat of chains that are not split or ranked (eq. 4): √((B/W + n − 1)/n) with n draws per chain."""
     n = x.shape[1]
     between = n * np.var(np.mean(x, axis=1), ddof=1)
     within = np.mean(np.var(x, axis=1, ddof=1))
@@ -59,10 +59,11 @@ def quantile_ess(x: FloatArray, probability: float) -> float:
 
 
 def chain_ess(draws: FloatArray) -> float:
-    """Return the ESS of the mean of chains as they are (section 3.2): n over the autocorrelation time τ.
+    """Return the ESS of the mean of chains that are not split or ranked (section 3.2): n over the time τ.
 
-    τ = −1 + 2 Σ ρ_t over all chains, by Geyer's initial monotone sequence: of the sums ρ_2k + ρ_2k+1 those before
-    the first that is not positive, none larger than the one before it. At least 1/log₁₀ n. A constant has n.
+    Here n is the number of all draws, and the autocorrelation time τ = −1 + 2 Σ ρ_t is estimated over all chains
+    by Geyer's initial monotone sequence: the sums ρ_2k + ρ_2k+1 are used up to the first that is not positive, and
+    none may be larger than the one before it. τ is at least 1/log₁₀ n. The ESS of a constant is n.
     """
     from scipy.fft import next_fast_len
 

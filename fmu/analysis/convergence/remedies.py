@@ -1,4 +1,4 @@
-"""How many draws a run needs by the rule of convergence, and what to do about one that has not converged."""
+"""The number of draws that a run needs to converge, and remedies for a run that has not converged."""
 
 from __future__ import annotations
 
@@ -25,32 +25,32 @@ ESS_LIMIT = 400
 MIN_AUTOCORRELATION_TIMES = 50
 WALKER_RHAT_LIMIT = 1.05
 MCSE_LIMIT, MCSE_LIMIT_OF_ENDS = 0.1, 0.12
-"""Of the means and of the ends of the 90 % intervals, in posterior sd."""
+"""Largest standard errors of the means and of the ends of the 90 % intervals, in posterior sd."""
 MCSE_OF_ENDS = ("mcse_eti90_lb", "mcse_eti90_ub")
 """Columns of the Monte-Carlo standard errors of the ends of the 90 % intervals."""
 
 Places = Literal["unknown", "one", "missed"]
 RELIABLE_ESS = 50.0
-"""An effective sample size below this is too uncertain for a prediction: its error is a third or more."""
+"""A smaller effective sample size is too uncertain for a prediction: its error is a third or more."""
 RELIABLE_TIMES = 3.0
-"""A run of fewer autocorrelation times underestimates them: of one, by a half."""
+"""A run of fewer autocorrelation times underestimates the time: a run of one time by a half."""
 _MOST = 2.0
 _NEAR, _SLACK, _LEAST, _FIRST_PART = 1.1, 1.01, 1.02, 0.8
 _LEAST_FOR_RHAT, _MOST_FOR_RHAT = 1.05, 1.15
 _MARGIN, _MARGIN_OF_STEPS = 1.3, 1.1
-"""How many times the predicted draws are recommended, for chains and for ensembles, as predictions scatter."""
+"""Ratio of recommended to predicted draws for chains and for ensembles, because predictions scatter."""
 
 
 def required_ess(chains: int) -> int:
-    """Return the bulk and tail ESS that every parameter must have."""
+    """Return the bulk and tail ESS that are required of every parameter."""
     return max(ESS_LIMIT, ESS_PER_CHAIN * chains)
 
 
 def without_scores(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of a summary that a run is judged by: all but the scores of single tests.
+    """Return the rows of a summary that decide on convergence: all but the scores of single tests.
 
-    There are many of them, and the worst of many is worse. What they say is in the population's mean and standard
-    deviation, and in the structure's parameters in the test.
+    The scores are many, and the worst of many is worse. Their information is contained in the mean and the
+    standard deviation of the population, and in the parameters of the structure in each test.
     """
     return table[~_is_score(table)]
 
@@ -60,7 +60,7 @@ def _is_score(table: pd.DataFrame) -> BoolArray:
 
 
 def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | None = None) -> float:
-    """Return the factor by which the draws must grow until effective sample sizes and standard errors suffice.
+    """Return the factor by which the draws must grow until effective sample sizes and errors suffice.
 
     An effective sample size grows, and a squared standard error falls, in proportion to the number of draws.
 
@@ -69,14 +69,14 @@ def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | No
     table : pandas.DataFrame
         ``fmu.summary(trace)``.
     required : float
-        Bulk and tail ESS that every parameter must have.
+        Bulk and tail ESS that are required of every parameter.
     lengths : ndarray, shape (ndim,), optional
-        For ensembles: the length of the run in autocorrelation times.
+        For ensembles, the length of the run in autocorrelation times.
 
     Returns
     -------
     float
-        At most 1 if they suffice; NaN if one of them is undefined.
+        At most 1 if all of them suffice; NaN if any of them is undefined.
     """
     table = without_scores(table)
     limits = {"mcse_mean": MCSE_LIMIT, **dict.fromkeys(MCSE_OF_ENDS, MCSE_LIMIT_OF_ENDS)}
@@ -88,33 +88,34 @@ def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | No
 
 
 def fewest(table: pd.DataFrame) -> float:
-    """Return the smallest bulk or tail ESS of a summary, scores left out; NaN if one is NaN."""
+    """Return the smallest bulk or tail ESS of a summary, without scores; NaN if any of them is NaN."""
     return float(without_scores(table)[["ess_bulk", "ess_tail"]].to_numpy().min())
 
 
 def rhat_excess(table: pd.DataFrame) -> float:
-    """Return how many times as far above 1 the worst R-hat is as it may be; that falls as the draws grow."""
+    """Return the largest ratio of R-hat − 1 to its limit; this ratio falls as the draws grow."""
     allowed = np.where(_is_score(table), RHAT_LIMIT_OF_SCORES, RHAT_LIMIT) - 1.0
     return float(np.max((table["rhat"].to_numpy() - 1.0) / allowed))
 
 
 def draws_to_come(draws: int, growth: float, is_reliable: bool = True, excess: float = 0.0) -> int:
-    """Return how many steps to draw before an insufficient run is judged again.
+    """Return the number of steps to draw before an insufficient run is judged again.
 
-    That is four fifths of the steps that `growth` requires, and at the end all of them with 1 % more; but at most
-    as many as the run has, as the effective sample size is then better known. If only R-hat is too high, which
-    scatters too much for a prediction, the run grows by 5 to 15 %. In all other cases it is doubled.
+    This is four fifths of the steps that `growth` requires, and near the end all of them plus 1 %. It is at most
+    the number of steps of the run, because the effective sample size is then known better. If only R-hat is too
+    high, the run grows by 5 to 15 %, because R-hat scatters too much for a prediction. In all other cases the run
+    is doubled.
 
     Parameters
     ----------
     draws : int
         Steps drawn so far.
     growth : float
-        `growth_needed`.
+        Result of `growth_needed`.
     is_reliable : bool
         Whether the smallest ESS is at least `RELIABLE_ESS`.
     excess : float
-        `rhat_excess`.
+        Result of `rhat_excess`.
     """
     factor = _MOST
     if is_reliable and growth > 1.0:
@@ -126,14 +127,14 @@ def draws_to_come(draws: int, growth: float, is_reliable: bool = True, excess: f
 
 
 APART = 1.2
-"""With an R-hat above this the chains are in different places; more draws may never bring them together."""
+"""With an R-hat above this the chains are in different regions, and more draws may never make them agree."""
 SHORTEST_WARMUP = 1000
 RATIOS = "if one parameter sets the width of others, sample their ratios to that width instead of them"
-"""The remedy for a funnel, on which steps of one length are too long in the neck and too short outside it."""
+"""The remedy for a funnel, in which steps of one length are too long in the neck and too short outside."""
 
 
 def for_chains_apart(trace: xr.DataTree) -> str:
-    """Return the remedy for chains that do not move, or are in a region of negligible probability."""
+    """Return the remedy for chains that do not move, or that are in a region of negligible probability."""
     if "second_stage_proposals" in trace.attrs:
         return "; the surrogate is too far from the model there: learn it from more solves"
     if is_imported(trace):
@@ -147,11 +148,11 @@ def for_chains_apart(trace: xr.DataTree) -> str:
 
 
 def for_divergences(trace: xr.DataTree) -> str:
-    """Return the remedy for trajectories that diverge, of the sampler that ran."""
+    """Return the remedy for diverging trajectories of the sampler of a trace."""
     if trace.attrs["sampler"] == "mixture":
         return f"; {RATIOS}"
     settings = json.loads(trace.attrs["settings"]) | json.loads(trace.attrs.get("learnt", "{}"))
-    if np.max(settings.get("target_accept") or 0.0) >= SHORT_STEPS:  # of several groups
+    if np.max(settings.get("target_accept") or 0.0) >= SHORT_STEPS:  # one value per group
         return f"; take the default sampler, the mixture; {RATIOS}"
     return f"; use a shorter step: fmu.HamiltonianMonteCarlo(target_accept={typed(SHORT_STEPS)})"
 
@@ -175,9 +176,9 @@ def for_too_few_draws(
     are_apart: bool = False,
     places: Places = "unknown",
 ) -> str:
-    """Return about how many draws a run needs; for chains that are far apart, how to bring them together.
+    """Return the clause on the number of draws that a run needs, or on how to make chains agree.
 
-    Empty if R-hat or an effective sample size is undefined.
+    The result is empty if R-hat or an effective sample size is undefined.
 
     Parameters
     ----------
@@ -185,13 +186,13 @@ def for_too_few_draws(
     table : pandas.DataFrame
         ``fmu.summary(trace)``.
     required : float
-        Bulk and tail ESS that every parameter must have.
+        Bulk and tail ESS that are required of every parameter.
     lengths : ndarray, shape (ndim,), optional
-        For ensembles: the length of the run in autocorrelation times.
+        For ensembles, the length of the run in autocorrelation times.
     are_apart : bool
-        For ensembles: whether walkers stay in separate places.
+        For ensembles, whether walkers stay in separate regions.
     places : {"unknown", "one", "missed"}
-        As for `fmu.analysis.convergence.diagnostics.convergence_failures`.
+        As in `fmu.analysis.convergence.diagnostics.convergence_failures`.
     """
     if len(trace["posterior"]["chain"]) < 2 and not is_imported(trace):
         return ""  # another message already asks for more chains
@@ -215,6 +216,6 @@ def for_too_few_draws(
 
 
 def in_two_digits(draws: float) -> int:
-    """Return a number of draws rounded up to two significant digits: 3327 to 3400."""
+    """Return a number of draws rounded up to two significant digits: 3400 for 3327."""
     unit = 10 ** max(0, math.floor(math.log10(draws)) - 1)
     return math.ceil(draws / unit) * unit

@@ -1,4 +1,4 @@
-"""Whether the model fits the data: the checks, each with the misfit that it would have noticed, and the verdict.
+"""Checks of whether the model fits the data: each check, the misfit that it would have shown, and the verdict.
 
 Reading order: check, checks, model_fit.
 """

@@ -1,4 +1,4 @@
-"""A check of a model against data: what it found, beyond what it fails, and which errors it would have shown."""
+"""A check of a model against data: its result, the limit at which it fails, and the errors it would have shown."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from fmu.numbers import change, significant
 
 LEVEL = 0.01
-"""The probability that a right model fails any check, at most."""
+"""Largest probability that a correct model fails any of the checks."""
 PREDICTED, HELD_OUT, RESIDUALS, TEST, NOISE, SHAPE, QUANTITY, POPULATION = (
     "from the other modes", "not used in updating", "residuals", "one of the tests", "inferred noise", "shape",
     "mass or displacement", "population",
@@ -28,18 +28,18 @@ class Check:
     of : str
         What is checked.
     found, limit : str
-        The statistic, and beyond what it fails.
+        The value of the statistic, and the limit beyond which the check fails.
     p : float
-        Its probability under a right model; NaN for shapes.
+        Probability of such a value under a correct model; NaN for shapes.
     failed : bool
     shows : str
-        The errors that it would have shown; empty if it could show none.
+        The errors that the check would have shown; empty if it could show none.
     sentence : str
-        What it found against the model.
+        The evidence of this check against the model, in one sentence.
     why_not : str
-        Why it could have shown no error; else empty.
+        Why the check could not have shown any error; else empty.
     below, above : float
-        Relative errors of a frequency, measured over predicted, less one, beyond which it fails; else NaN.
+        Relative errors of a frequency, measured over predicted minus one, beyond which the check fails; else NaN.
     """
 
     kind: str
@@ -56,12 +56,12 @@ class Check:
 
     @property
     def could_fail(self) -> bool:
-        """Whether it would have shown an error: one that could not is no check."""
+        """Whether the check failed or could have failed; a check that could not have failed tests nothing."""
         return self.failed or not self.why_not
 
 
 def beyond(below: float, above: float) -> str:
-    """Return ``"below -8.2 % or above +9.6 %"``; no frequency is wrong by -100 %."""
+    """Return ``"below -8.2 % or above +9.6 %"``; without the lower limit if it is -100 % or less."""
     upper = f"above {change(above)}"
     return upper if below <= -1.0 else f"below {change(below)} or {upper}"
 
@@ -72,5 +72,5 @@ def probability(p: float) -> str:
 
 
 def failed_checks(checks: Sequence[Check]) -> list[Check]:
-    """Return the checks that failed, the least probable first."""
+    """Return the list of the checks that failed, in ascending order of probability; shapes come last."""
     return sorted((check for check in checks if check.failed), key=lambda check: np.nan_to_num(check.p, nan=1.0))

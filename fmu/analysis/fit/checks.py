@@ -1,28 +1,33 @@
 """Checks of a model against data, with a common false-alarm rate.
 
-A model is right if the data are a draw from what was stated: parameters from their priors, errors from the error
-model. The checks share the level `LEVEL`: each kind that a run has gets an equal part, and of that each check of
-the kind an equal part (Bonferroni), so that a right model fails any of them with a probability of at most `LEVEL`,
-however they depend on each other.
+Under a correct model, the parameters are draws from their priors and the errors are draws from the error model.
+Each kind of check that applies to a run gets an equal share of the level `LEVEL`, and the checks of one kind
+divide this share equally (Bonferroni). A correct model therefore fails at least one check with a probability of at
+most `LEVEL`, however the checks depend on each other. The kinds of check are:
 
-- A mode predicted from the other modes, or held out: the tail probability of the measured frequency in the
-  predictive distribution without it, noise included, is exactly uniform under a right model (Gelfand, Dey & Chang
-  1992, *Bayesian Statistics* 4, 147–167; Marshall & Spiegelhalter 2007, *Bayesian Analysis* 2, 409–444).
-- Residuals: at one posterior draw, Σ r² over the standardised residuals r is exactly chi-square with as many
-  degrees of freedom as there are data, because a truth and a posterior draw have the same joint distribution with
-  the data (Johnson 2004, *Ann. Statist.* 32, 2361–2384). P(χ² ≥ Σ r²) is then uniform at one draw. Its mean over
-  the draws, the posterior predictive p-value, is at most α/2 with a probability of at most α (Meng 1994, *Ann.
-  Statist.* 22, 1142–1160; Rüschendorf 1982, *Adv. Appl. Probab.* 14, 623–632), so it is compared with α/2. The
-  bound is wide: with k parameters fitted to n data, Σ r² is about χ²(n − k) plus k, and false alarms are rarer.
-  Where a few tests gave the size of an error, it has Student's distribution, and r is its normal score.
-- One of several tests: the same of its own residuals.
-- Inferred standard deviations: by the same argument the probability that the prior gives to larger values is
-  uniform at one posterior draw, and its mean is compared with α/2. Noise that had to grow to absorb what the model
-  does not explain fails, if the prior says what was expected of it; with a wide prior it cannot.
-- A weighed mass or a static displacement: P(χ²₁ ≥ r²) of its own residual, as above.
-- A population: `fmu.analysis.fit.populations`.
-- A shape that is not the measured one: MAC below `ALIKE` after updating. This has no level, as nothing is said of
-  the errors of the shapes; where their errors are in the likelihood, they are among the residuals instead.
+- A mode predicted from the other modes, and a mode that was held out. The statistic is the tail probability of the
+  measured frequency in the predictive distribution that was computed without this mode, noise included. Under a
+  correct model this probability is exactly uniform (Gelfand, Dey & Chang 1992, *Bayesian Statistics* 4, 147–167;
+  Marshall & Spiegelhalter 2007, *Bayesian Analysis* 2, 409–444).
+- Residuals. Let r be the standardised residuals at one posterior draw. Under a correct model, Σ r² has exactly the
+  chi-square distribution, with as many degrees of freedom as there are data, because the true parameters and a
+  posterior draw have the same joint distribution with the data (Johnson 2004, *Ann. Statist.* 32, 2361–2384). At
+  one draw, P(χ² ≥ Σ r²) is therefore uniform. Its mean over the draws is the posterior predictive p-value, which
+  is at most α/2 with a probability of at most α (Meng 1994, *Ann. Statist.* 22, 1142–1160; Rüschendorf 1982, *Adv.
+  Appl. Probab.* 14, 623–632). It is compared with α/2. This bound is conservative: with k parameters fitted to n
+  data, Σ r² is about k plus a χ²(n − k) variable, and false alarms are rarer than α. If the standard deviation of
+  an error was estimated from a few tests, the error has Student's distribution, and r is its normal score.
+- One of several tests. The statistic is Σ r² over the residuals of this test alone, and the p-value is the same.
+- Inferred standard deviations. At one posterior draw, the prior probability of a larger standard deviation is
+  uniform, by the same argument, and its mean over the draws is compared with α/2. If the noise had to grow to
+  absorb a misfit of the model, the check fails, provided that the prior is informative. With a wide prior it
+  cannot fail.
+- A weighed mass or a static displacement. The p-value is the mean of P(χ²₁ ≥ r²) over the draws, where r is the
+  residual of this datum. It is compared with α/2.
+- A population: see `fmu.analysis.fit.populations`.
+- A mode shape that differs from the measured one: its MAC is below `ALIKE` after updating. This check has no
+  level, because no error model is stated for the shapes. If the likelihood includes shape errors, they count among
+  the residuals instead.
 """
 
 from __future__ import annotations
@@ -67,16 +72,16 @@ if TYPE_CHECKING:
 
 
 _FEW = 500
-"""Draws that are enough to see how much larger residuals would have failed."""
+"""Number of draws that suffices to find how much larger the residuals must be to fail."""
 _MOST = 10.0
-"""Residuals that only fail if more times as large are no check of a model with a parameter for each datum."""
+"""If residuals fail only beyond this factor, they do not test a model without degrees of freedom left."""
 NOT_PREDICTED = "no prediction by the other modes was computed (Python: fmu.leave_one_out(trace, problem))"
 _TINY = 1e-300
 _GAUSSIAN = 1e8  # degrees of freedom from which Student's distribution is the Gaussian
 
 
 def checks_of(trace: xr.DataTree) -> list[Check]:
-    """Return the checks of a run; none for the modal residual, which is no measured quantity."""
+    """Return the list of the checks of a run; empty for the modal residual, which is not a measured quantity."""
     if not has(trace, GROUP):
         return []
     kinds: list[Callable[[float], list[Check]]] = []
@@ -99,7 +104,10 @@ def checks_of(trace: xr.DataTree) -> list[Check]:
 
 
 def _predictions(trace: xr.DataTree) -> pd.DataFrame | None:
-    """Return the prediction of each mode without it; NaN where it is not known, None without frequencies."""
+    """Return the table of the predictions of each mode without that mode, one row per mode.
+
+    Unknown predictions are NaN. Return None if the run has no frequencies.
+    """
     if not has(trace, "posterior_predictive", "frequency"):
         return None
     kept = kept_table(trace)
@@ -111,7 +119,7 @@ def _predictions(trace: xr.DataTree) -> pd.DataFrame | None:
 
 
 def _modes(trace: xr.DataTree, rows: pd.DataFrame, level: float) -> list[Check]:
-    """Return a check of each mode; by its residuals where no prediction without it was made."""
+    """Return a list with one check per mode; modes without such a prediction are checked by their residuals."""
     return [_mode(trace, str(mode), row, level / len(rows)) for mode, row in rows.iterrows()]
 
 
@@ -130,7 +138,7 @@ def _mode(trace: xr.DataTree, mode: str, row: pd.Series, level: float) -> Check:
         f"{by} {with_sd(mean, sd)} Hz, noise included ({probability(p)})"
     )
     before = np.nan_to_num(float(row["prior_sd"]), nan=np.inf)
-    # as a parameter counts as informed: the prediction is narrower than by the prior, or hardly more than noise
+    # as for informed parameters: the prediction is narrower than the prior's, or little wider than noise
     says = sd < max(np.sqrt(1.0 - CONTRACTED) * before, 2.0 * noise_sd(trace, mode))
     return Check(
         kind,
@@ -150,11 +158,12 @@ def _mode(trace: xr.DataTree, mode: str, row: pd.Series, level: float) -> Check:
 
 
 def _limits(row: pd.Series, level: float) -> tuple[float, float]:
-    """Return the limits, Hz, at which a measured frequency has the two-sided tail probability `level`.
+    """Return the lower and the upper frequency, Hz, whose two-sided tail probability is `level`.
 
-    On either side the tail is that of the errors, as wide as the 90 % interval is there: exact if it has their
-    shape. On the side of what was measured it goes through the known probability of that as well, so that a mode
-    is beyond the limit if its probability is below the level.
+    Each tail is given the shape of the error distribution, scaled to the end of the 90 % interval on its side.
+    This is exact if the predictive distribution has the shape of the error distribution. If the measured frequency
+    lies outside the interval, the tail on its side also passes through the known tail probability of the measured
+    frequency, so that a mode lies beyond its limit if its probability is below the level.
     """
     freedom = min(float(row["freedom"]), _GAUSSIAN)
     end, wanted, here = (-float(stdtrit(freedom, 0.5 * p)) for p in (0.1, level, max(float(row["p"]), _TINY)))
@@ -170,14 +179,14 @@ def _limits(row: pd.Series, level: float) -> tuple[float, float]:
 
 
 def _how(trace: xr.DataTree, mode: str) -> str:
-    """Return `` (the mean of 5 tests)`` of a mode that was measured by several; else nothing."""
+    """Return `` (the mean of 5 tests)`` for a mode measured in several tests; else an empty string."""
     tests = measured_tests(trace)
     at = [str(label) == mode for label in trace["observed_data"]["mode"].to_numpy()]
     return "" if tests is None else f" ({measurement_in_words(tests[:, at])})"
 
 
 def _check_residual(trace: xr.DataTree, mode: str, row: pd.Series, level: float) -> Check:
-    """Return the check of a mode by its residuals after updating with it."""
+    """Return the check of a mode by its residuals after an updating that used this mode."""
     group = trace[GROUP].to_dataset()
     measured = f"{given(float(row['measured']))} Hz"
     if not group.sizes["quantity"] or mode not in map(str, group["mode"].to_numpy()):
@@ -192,9 +201,9 @@ def _check_residual(trace: xr.DataTree, mode: str, row: pd.Series, level: float)
 def _judge_squares(
     kind: str, of: str, squares: FloatArray, freedom: int, limit: float, against: str, parts: str = ""
 ) -> tuple[Check, float]:
-    """Return a check of Σ r² at the draws, and the factor of all residuals with which it would fail.
+    """Return the check of Σ r² at the draws, and the factor on all residuals at which this check would fail.
 
-    `against` begins its sentence, and `parts` says more of the sum.
+    The text `against` begins the sentence of the check, and `parts` is added to the description of the sum.
     """
     p, larger = float(chdtrc(freedom, squares).mean()), _larger(squares, freedom, limit)
     found = f"Σ r² = {significant(float(squares.mean()))}{parts}, {freedom} expected"
@@ -204,7 +213,7 @@ def _judge_squares(
 
 
 def _residuals(trace: xr.DataTree, level: float) -> list[Check]:
-    """Return the check of all used data together."""
+    """Return a list with the single check of all used data together."""
     group = trace[GROUP].to_dataset()
     squares, n_modes = group["squares"], group.sizes["mode"]
     freedom = group["freedom"].to_numpy() * n_modes
@@ -220,7 +229,7 @@ def _residuals(trace: xr.DataTree, level: float) -> list[Check]:
 
 
 def _tests(trace: xr.DataTree, level: float) -> list[Check]:
-    """Return a check of each of several tests: whether the others contradict it."""
+    """Return a list with one check per test: whether the other tests contradict it."""
     group, every = trace[GROUP].to_dataset(), trace["observed_data"].to_dataset()["of_test"]
     squares = group["squares"].sum("quantity")
     of_test, each = every.sel(mode=group["mode"]).to_numpy(), int(group["freedom"].sum())
@@ -239,9 +248,10 @@ def _tests(trace: xr.DataTree, level: float) -> list[Check]:
 
 
 def _follows(trace: xr.DataTree, larger: float) -> str:
-    """Say why residuals that could be `larger` times as large are no check; empty if they are one.
+    """Return the reason why residuals that could be `larger` times as large test nothing; else an empty string.
 
-    With a degree of freedom left, parameters cannot fit every error, even where they fit these errors well.
+    With a degree of freedom left, the parameters cannot fit arbitrary errors, even if they fit the present errors
+    well.
     """
     if larger <= _MOST or int(trace[GROUP].attrs["n_data"]) > effective_parameters(trace):
         return ""
@@ -249,9 +259,9 @@ def _follows(trace: xr.DataTree, larger: float) -> str:
 
 
 def _larger(squares: FloatArray, freedom: int, limit: float) -> float:
-    """Return the factor of all residuals at which the mean tail probability of their squares is `limit`."""
+    """Return the factor on all residuals at which the mean tail probability of Σ r² is `limit`."""
     few = squares[:: -(-len(squares) // _FEW)]
-    low, high = -12.0, 12.0  # of its natural logarithm
+    low, high = -12.0, 12.0  # bounds of the natural logarithm of the factor
     for _ in range(40):
         middle = 0.5 * (low + high)
         enough = float(chdtrc(freedom, np.exp(2.0 * middle) * few).mean()) < limit
@@ -260,7 +270,7 @@ def _larger(squares: FloatArray, freedom: int, limit: float) -> float:
 
 
 def _noise(trace: xr.DataTree, table: pd.DataFrame | None, level: float) -> list[Check]:
-    """Return a check of each inferred standard deviation: whether it agrees with its prior."""
+    """Return a list with one check per inferred standard deviation: whether it agrees with its prior."""
     group, found = trace[GROUP].to_dataset(), []
     names = [str(name) for name in group["noise"].to_numpy()]
     units = dict(zip(map(str, trace["posterior"].data_vars), parameter_units(trace), strict=True))
@@ -296,7 +306,7 @@ def _noise(trace: xr.DataTree, table: pd.DataFrame | None, level: float) -> list
 
 
 def _in_hertz(trace: xr.DataTree, of: str, factor: float) -> str:
-    """Return `factor` times the noise of the draws, in Hz and in per cent of the lowest mode; "" of shapes."""
+    """Return `factor` times the frequency noise in Hz, and in per cent of the first mode; else an empty string."""
     if of != "frequencies" or not has(trace, "posterior_predictive", "frequency"):
         return ""
     mode = trace["posterior_predictive"]["mode"].to_numpy()[0]
@@ -306,7 +316,7 @@ def _in_hertz(trace: xr.DataTree, of: str, factor: float) -> str:
 
 
 def _free(trace: xr.DataTree, table: pd.DataFrame | None, of: str, beyond: float, factor: float) -> str:
-    """Return a sentence on noise that was free to grow and may hide a misfit; empty if it cannot."""
+    """Return the reason that noise was free to grow, if it may hide a misfit; else an empty string."""
     if of == "shapes":
         freedom = float(trace[GROUP].to_dataset()["freedom"].sel(quantity=of))
         hides = freedom * beyond**2 > 1.0 - ALIKE
@@ -319,7 +329,7 @@ def _free(trace: xr.DataTree, table: pd.DataFrame | None, of: str, beyond: float
 
 
 def noise_sd(trace: xr.DataTree, mode: str) -> float:
-    """Return the standard deviation of the errors of a measured frequency over the draws, Hz; 0 if not known."""
+    """Return the standard deviation of a measured frequency's errors over the draws, Hz; 0 if it is unknown."""
     if not has(trace, "posterior_predictive", "frequency"):
         return 0.0
     predicted = trace["posterior_predictive"].to_dataset().sel(mode=mode)
@@ -327,7 +337,7 @@ def noise_sd(trace: xr.DataTree, mode: str) -> float:
 
 
 def _quantities(trace: xr.DataTree, level: float) -> list[Check]:
-    """Return a check of each datum that is not of modes: whether the updated model reproduces it."""
+    """Return a list with one check per measured mass or displacement: whether the updated model reproduces it."""
     group = trace[QUANTITIES].to_dataset()
     found, limit = [], level / (2 * group.sizes["datum"])
     for label in map(str, group["datum"].to_numpy()):
@@ -354,7 +364,7 @@ def _quantities(trace: xr.DataTree, level: float) -> list[Check]:
 
 
 def _shapes(trace: xr.DataTree) -> list[Check]:
-    """Return a check of each measured shape, where their errors are not among the residuals."""
+    """Return a list with one check per measured shape; empty if the residuals include the shape errors."""
     alike = measured_mac(trace)
     if alike is None or "shapes" in trace[GROUP]["quantity"].to_numpy():
         return []

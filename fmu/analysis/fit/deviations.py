@@ -1,4 +1,4 @@
-"""Whether measured standard deviations are far below the misfit of a model that is nearly right."""
+"""Warnings about measured standard deviations that are far below the misfit of a nearly correct model."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ if TYPE_CHECKING:
     import xarray as xr
 
 FAR = 4.0
-"""Misfits of so many standard deviations have a probability of 6e-5 each if the deviations are right."""
+"""A misfit of this many standard deviations has a probability of 6e-5 if the standard deviations are correct."""
 NEAR = 0.01
-"""A misfit above this share of its frequency is the model's, whatever the deviations are."""
+"""A misfit above this share of the frequency is attributed to the model, whatever the standard deviations are."""
 
 
 def deviation_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a warning if modes have a measured standard deviation that may be too small.
+    """Return a list with a warning if the measured standard deviations of some modes may be too small.
 
-    The deviations that an identification gives are of the scatter within one record. What changes between records
-    (temperature, level of vibration) and the bias of the identification are not in them. So a mode is named whose
-    posterior mean is more than `FAR` of them away from what was measured, and yet within `NEAR` of its frequency.
-    Inferred deviations, and those of repeated tests, are never named.
+    Standard deviations from modal identification describe the scatter within one record. They include neither the
+    changes between records (temperature, level of vibration) nor the bias of the identification. The warning names
+    each mode whose posterior mean frequency differs from the measured one by more than `FAR` standard deviations,
+    but by less than the share `NEAR` of the frequency. Inferred standard deviations and repeated tests never cause
+    a warning.
     """
     if not has(trace, "observed_data", "frequency") or not has(trace, "posterior_predictive", "model_frequency"):
         return []

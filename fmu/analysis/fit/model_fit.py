@@ -43,11 +43,11 @@ class ModelFit:
     Attributes
     ----------
     checks : tuple of Check
-        All checks that were made; together they fail for a right model with a probability of at most `LEVEL`.
+        All checks that were made; a correct model fails any of them with a probability of at most `LEVEL`.
     n_data, n_parameters : int
-        Independent numbers that were measured and used in updating, and parameters, inferred noise included.
+        Number of independent measured values used in updating, and number of parameters, inferred noise included.
     left_out : str
-        Measured quantities that no check is of, because their residuals have no known distribution.
+        Measured quantities that no check covers, because their residuals have no known distribution; else empty.
     """
 
     checks: tuple[Check, ...]
@@ -57,11 +57,13 @@ class ModelFit:
 
     @property
     def verdict(self) -> str:
-        """`CONTRADICTED` if a check failed; `NOT_TESTABLE` if none could have, else `NOT_CONTRADICTED`.
+        """`UNKNOWN`, `CONTRADICTED`, `NOT_TESTABLE` or `NOT_CONTRADICTED`.
 
-        Where there are no more data than parameters, a model can follow any data that its priors allow, and data
-        that it follows say nothing; a mode that was held out does. A model that does not follow them is
-        contradicted, however many parameters it has. Checks that could not have failed test nothing.
+        The verdict is `CONTRADICTED` if a check failed, and `UNKNOWN` if there are no checks. If the data do not
+        outnumber the parameters, the model can fit any data that its priors allow, so that a good fit is no
+        evidence for the model; only a held-out mode or a population then tests it. The verdict is `NOT_TESTABLE`
+        if nothing tests the model, or if none of the checks could have failed; else it is `NOT_CONTRADICTED`. A
+        model that does not fit is contradicted, however many parameters it has.
         """
         if any(check.failed for check in self.checks):
             return CONTRADICTED
@@ -72,12 +74,12 @@ class ModelFit:
 
     @property
     def counts(self) -> str:
-        """``"10 data, 11 parameters"``."""
+        """The numbers of data and of parameters in words: ``"10 data, 11 parameters"``."""
         return f"{self.n_data} data, {self.n_parameters} parameter{'' if self.n_parameters == 1 else 's'}"
 
     @property
     def able(self) -> tuple[Check, ...]:
-        """The checks that failed or could have."""
+        """The checks that failed or could have failed."""
         return tuple(check for check in self.checks if check.could_fail)
 
     @property
@@ -93,12 +95,16 @@ class ModelFit:
 
     @property
     def against(self) -> tuple[str, ...]:
-        """The findings of the checks that failed, a sentence each, the least probable first."""
+        """The sentences of the failed checks, in ascending order of probability."""
         return tuple(check.sentence for check in failed_checks(self.checks))
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """The reasons of the verdict: checks that failed, or else checks that could have failed, and the rest."""
+        """The reasons for the verdict, one sentence each.
+
+        If checks failed, these are their sentences. Else the reasons say which checks could have failed, how many
+        degrees of freedom are left, and whether a mode was held out.
+        """
         if self.verdict == UNKNOWN:
             return ("Nothing that was measured can be compared with a prediction that has an error model.",)
         if self.verdict == CONTRADICTED:
@@ -119,7 +125,7 @@ class ModelFit:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """The false-alarm rate of the checks, and inferred noise beside its prior."""
+        """Sentences on the false-alarm rate of the checks, and on inferred noise compared with its prior."""
         level = () if self.verdict in (UNKNOWN, NOT_TESTABLE) else (self._level,)
         return (*level, *self._noise)
 
@@ -128,7 +134,7 @@ class ModelFit:
 
     @property
     def _could_fail(self) -> tuple[str, ...]:
-        """Sentences on the checks that passed: which could have failed, and which test nothing."""
+        """Sentences on the checks that passed: which of them could have failed, and which test nothing."""
         said = []
         for kind, by in ((PREDICTED, "by the other modes"), (HELD_OUT, "though not used in updating")):
             telling = [check for check in self._of(kind) if check.could_fail and np.isfinite(check.below)]
@@ -155,7 +161,7 @@ class ModelFit:
 
     @property
     def _noise(self) -> tuple[str, ...]:
-        """Sentences on inferred noise beside the expectation of its prior, for noise that did not fail."""
+        """Sentences that compare inferred noise with its prior, for each noise check that passed."""
         return tuple(
             f"{check.of}: {check.found}. "
             + (f"{check.why_not[0].upper()}{check.why_not[1:]}: only beyond {check.limit} would it have counted "
@@ -175,7 +181,7 @@ class ModelFit:
 
 
 def model_fit(trace: xr.DataTree) -> ModelFit:
-    """Judge whether the model fits the data, see `fmu.analysis.fit.checks`."""
+    """Judge whether the model fits the data, by the checks of `fmu.analysis.fit.checks`."""
     if not has(trace, GROUP):
         return ModelFit((), 0, len(parameter_names(trace)))
     told = trace[GROUP].attrs

@@ -1,13 +1,15 @@
 """Checks of populations: whether the tests are independent draws from one distribution.
 
-The score of a test, its value in standard deviations of the population from the mean, is a standard normal draw if
-the model is right, whatever the order of the tests, their groups and covariates. Its posterior mean m then has the
-variance 1 − s², where s is the posterior standard deviation of the score. The checks are of m/√(1 − s²):
+The score of a test is the distance of its value from the population mean, in population standard deviations. If
+the model is correct, the scores are independent standard normal draws, whatever the order of the tests, their
+groups and their covariates. The posterior mean m of a score then has the variance 1 − s², where s is the posterior
+standard deviation of the score. The checks use m/√(1 − s²):
 
-- correlation with the order of the tests, with each covariate on which the parameter does not depend yet, lag-1
-  autocorrelation, and the share of variance between groups, each beside its values in random orders, with a common
-  level (`fmu.analysis.permutation`); with five tests or fewer nothing can be significant;
-- the score farthest from the mean (Grubbs 1950, *Ann. Math. Statist.* 21, 27–58; Bonferroni's bound).
+- Permutation tests with a common level (`fmu.analysis.permutation`) of four statistics: the correlation with the
+  order of the tests, the correlation with each covariate on which the model does not let the parameter depend, the
+  lag-1 autocorrelation, and the share of the variance between groups. With five tests or fewer nothing can be
+  significant.
+- A test of the score farthest from the mean (Grubbs 1950, *Ann. Math. Statist.* 21, 27–58; Bonferroni's bound).
 """
 
 from __future__ import annotations
@@ -40,21 +42,22 @@ if TYPE_CHECKING:
 
 GROUP = "populations"
 _INFORMED = 0.05
-"""A test that tells less of its score than this share of the prior's variance is left out."""
+"""A score is skipped if the data remove less than this share of its prior variance."""
 _FEWEST = 6
 _FEW_TESTS = f"fewer than {_FEWEST} tests tell their values, so that no order of them is improbable"
 
 
 class Causes(NamedTuple):
-    """What values of tests may depend on, although the model says that they do not.
+    """Possible causes of differences between tests that the model does not include: order, covariates and groups.
 
     Attributes
     ----------
     statistics : ndarray, shape (1 + n_orders, n_populations, n_causes)
-        In the order of the tests, and in random orders.
+        The statistic of each cause, first in the actual order of the tests, then in random orders.
     two_sided : tuple of bool
+        Whether the permutation test of each cause is two-sided.
     words : tuple of callable
-        Each returns the effect in words, given its statistic.
+        One function per cause, which returns the effect in words for a value of the statistic.
     """
 
     statistics: FloatArray
@@ -62,27 +65,27 @@ class Causes(NamedTuple):
     words: tuple[Callable[[float], str], ...]
 
     def probabilities(self) -> FloatArray:
-        """Return the probability of each in a random order, adjusted for all, shape (n_populations, n_causes)."""
+        """Return the p-values of the causes, adjusted for their number, shape (n_populations, n_causes)."""
         n_orders, n, m = self.statistics.shape
         found = adjusted_probabilities(self.statistics.reshape(n_orders, n * m), np.tile(self.two_sided, n))
         return found.reshape(n, m)
 
     def effect(self, k: int, cause: int) -> str:
-        """Return the effect of a cause on population `k` in words."""
+        """Return the sentence part that describes the effect of the cause with index `cause` on population `k`."""
         return self.words[cause](float(self.statistics[0, k, cause]))
 
 
 def population_group(
     problem: UpdatingProblem, theta: FloatArray, shape: tuple[int, ...], coordinates: dict[str, Any]
 ) -> xr.Dataset:
-    """Return the group of a trace with the scores' means and standard deviations, and the correlations.
+    """Return the trace group with the posterior means and standard deviations of the scores, and the correlations.
 
     Parameters
     ----------
     problem : UpdatingProblem
-        With a population.
+        A problem with a population.
     theta : ndarray, shape (n, n_structural)
-        The draws; `shape` is (chains, draws), and `coordinates` names both.
+        Posterior draws; `shape` is (chains, draws), and `coordinates` has the coordinates of both.
     """
     import xarray as xr
 
@@ -103,7 +106,7 @@ def population_group(
 
 
 def population_checks(trace: xr.DataTree, level: float) -> list[Check]:
-    """Return a check of each population; none if the trace has no population."""
+    """Return a list with one check per population; empty if the trace has no population."""
     if not has(trace, GROUP, "score"):
         return []
     group, tests = trace[GROUP].to_dataset(), problem_of(trace)["tests"]
@@ -119,20 +122,20 @@ def checks_of_scores(
     explained: Collection[tuple[str, str]],
     level: float,
 ) -> list[Check]:
-    """Return a check of each population.
+    """Return a list with one check per population.
 
     Parameters
     ----------
     scores : ndarray, shape (n_tests, n_populations)
-        Standard normal if the model is right; NaN without a value.
+        Scores that are standard normal if the model is correct; NaN where a test has no value.
     names : sequence of str
-        Of the populations.
+        Names of the populations.
     tests : sequence of mapping
         Name, group and covariates of each test (`fmu.posterior.joint.modal_test.Test.as_dict`).
     explained : collection of (str, str)
-        Populations and covariates on which the model says that they depend.
+        Pairs of a population and a covariate on which it depends in the model.
     level : float
-        Probability of a false alarm, at most, of all populations together.
+        Largest probability of a false alarm, of all populations together.
     """
     causes = _causes(scores, names, tests, explained)
     of_order, checks = causes.probabilities(), []
@@ -163,7 +166,7 @@ def checks_of_scores(
 
 
 def standard_scores(group: xr.Dataset) -> FloatArray:
-    """Return scores that are standard normal if the model is right, (n_tests, n_populations); NaN for no value."""
+    """Return scores, standard normal if the model is correct, (n_tests, n_populations); NaN where unknown."""
     mean, sd = (group[name].transpose("test", "population").to_numpy() for name in ("score", "score_sd"))
     informed = 1.0 - sd**2
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -171,9 +174,9 @@ def standard_scores(group: xr.Dataset) -> FloatArray:
 
 
 def effective_parameters(trace: xr.DataTree) -> int:
-    """Return as how many free parameters those of a trace count.
+    """Return the effective number of parameters of a trace, rounded to an integer.
 
-    A score counts as the share of its variance that the data take away.
+    A score counts as the share of its prior variance that the data remove; every other parameter counts as one.
     """
     roles, names = roles_of(trace), parameter_names(trace)
     free = sum(1 for name in names if name not in roles or roles[name][0] != "score")
@@ -183,7 +186,7 @@ def effective_parameters(trace: xr.DataTree) -> int:
 
 
 class _Farthest(NamedTuple):
-    """The test farthest from the mean, how many standard deviations, and the probability of that or more."""
+    """Index of the test farthest from the mean, its distance in standard deviations, and its p-value."""
 
     test: int
     distance: float
@@ -208,7 +211,7 @@ def _causes(
     tests: Sequence[Mapping[str, Any]],
     explained: Collection[tuple[str, str]],
 ) -> Causes:
-    """Return what the scores may depend on: order, the test before, covariates and groups."""
+    """Return the possible causes of differences between scores: order, previous test, covariates and groups."""
     present = ~np.isnan(scores)
     n = np.maximum(present.sum(axis=0), 1)
     z = np.where(present, scores - np.nansum(scores, axis=0) / n, 0.0)
@@ -219,7 +222,7 @@ def _causes(
     ]
     for name in tests[0]["covariates"]:
         x = np.array([test["covariates"].get(name, np.nan) for test in tests])
-        if np.ptp(x) > 0.0:  # not of a test without it
+        if np.ptp(x) > 0.0:  # skipped for a covariate that does not vary
             free = np.array([(of, name) not in explained for of in names], dtype=float)
             found.append((True, partial(_in_words, name), partial(_correlation, x, free)))
     groups = [test["group"] for test in tests]
@@ -233,7 +236,7 @@ def _causes(
 
 
 def _correlation(x: FloatArray, free: FloatArray, z: FloatArray, present: BoolArray) -> FloatArray:
-    """Return the correlations with a covariate, zero of populations that depend on it by the model."""
+    """Return the correlations with a covariate; zero for populations that depend on it in the model."""
     return free * correlation_with(x, z, present)
 
 

@@ -1,4 +1,4 @@
-"""How the other modes predict each measured one: leave-one-out checks, and modes not used in updating.
+"""Predictions of each measured mode from the other modes: leave-one-out checks, and modes not used in updating.
 
 Reading order: refit, weights, modes.
 """

@@ -1,4 +1,4 @@
-"""Candidates for importance sampling of posteriors that differ in one mode: Gaussians, and the prior."""
+"""Proposals for importance sampling of posteriors that differ in one mode: Gaussians and the prior."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _GROUPS, _A_GROUP = 8, 20
 
 
 def quadratics_at_maxima(problem: UpdatingProblem, scaled: ScaledDensity, near: FloatArray) -> list[Quadratic]:
-    """Return the quadratics at the maxima that may hold some of the probability, by the curvature there."""
+    """Return the quadratic models at the maxima that may hold some of the probability."""
     maxima = local_maxima(problem, _STARTS, near=near)
     that_matter = [m for m in maxima if m.log_prob > maxima[0].log_prob - _HOPELESS][:_MOST_MAXIMA]
     return [quadratic_at(problem, scaled, m)[0] for m in that_matter]
@@ -39,14 +39,14 @@ def quadratics_at_maxima(problem: UpdatingProblem, scaled: ScaledDensity, near: 
 def gaussians(
     models: Sequence[Quadratic], scaled: ScaledDensity, temperatures: Sequence[float]
 ) -> list[SequentialNormal]:
-    """Return the Gaussians of all quadratics, truncated by the bounds, at each temperature."""
+    """Return the Gaussians of all quadratics at each temperature, truncated by the bounds."""
     return [model.proposal(scaled.lower, scaled.upper, t) for model in models for t in temperatures]
 
 
 def fitted_to_draws(models: Sequence[Quadratic], u: FloatArray, log_p: FloatArray) -> list[Quadratic]:
-    """Return each quadratic fitted to the draws around it; as it was where they are too few.
+    """Return each quadratic fitted to the draws around it; unchanged if there are too few draws.
 
-    The weights P^(1/4) count the flanks as well, from which most of the draws are.
+    The weights P^(1/4) also include the flanks, where most of the draws lie.
     """
     known = np.isfinite(log_p)
     u, log_p = u[known], log_p[known]
@@ -61,23 +61,23 @@ def fitted_to_draws(models: Sequence[Quadratic], u: FloatArray, log_p: FloatArra
 
 @dataclass(frozen=True, eq=False)
 class PriorCandidates:
-    """The prior as a proposal, which bounds the weights: P/q is at most a multiple of the likelihood."""
+    """The prior as a proposal. It bounds the weights: P/q is at most a multiple of the likelihood."""
 
     problem: UpdatingProblem
     scaled: ScaledDensity
 
     def draw(self, rng: np.random.Generator, n: int) -> FloatArray:
-        """Return `n` draws, shape (n, ndim)."""
+        """Return `n` draws from the prior, scaled, shape (n, ndim)."""
         return self.scaled.to_scaled(self.problem.sample_prior(rng, n))
 
     def log_density(self, u: FloatArray) -> FloatArray:
-        """Return log q at points u (n, ndim), shape (n,)."""
+        """Return the log-density of the prior at scaled points u (n, ndim), shape (n,)."""
         log_prior = np.asarray(self.problem.log_prior(self.scaled.to_theta(u)))
         return log_prior + np.sum(np.log(self.scaled.scale))
 
 
 def gaussians_of_groups(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> list[Quadratic]:
-    """Return the Gaussians of weighted draws (n, ndim), divided into groups of neighbours (k-means)."""
+    """Return Gaussians fitted to groups of neighbours (k-means) among weighted draws (n, ndim)."""
     from scipy.cluster.vq import kmeans2
 
     n = u.shape[1]

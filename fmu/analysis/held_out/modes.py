@@ -1,4 +1,4 @@
-"""Each measured mode predicted by the others: by importance weights, or by updating without it."""
+"""Predictions of each measured mode from the other modes: by importance weights, or by updating without it."""
 
 from __future__ import annotations
 
@@ -50,20 +50,20 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 GROUP = "leave_one_out"
-"""Group of a trace that keeps the table."""
+"""Group of a trace that stores the table."""
 REFIT, WEIGHTS, NOT_USED, NEITHER = "refit", "importance weights", "not used in updating", ""
 INTERVAL = 0.9
 _ENOUGH = 400
 _FREE_S = 5.0
 _SHARE = 0.5
 _A_REFIT, _REFITS = 0.5, 3.0
-"""Longest refit of a mode whose weights are not reliable, and of all of them, over `_FREE_S`."""
+"""Longest refit of one mode with unreliable weights, and of all such modes, as multiples of `_FREE_S`."""
 _TIMED = 64
 _SEED = 1
 
 
 class HeldOut(NamedTuple):
-    """One mode and its prediction by the others; see `leave_one_out`."""
+    """One mode and its prediction from the other modes; the fields are columns of `leave_one_out`."""
 
     measured: float = np.nan
     mean: float = np.nan
@@ -84,31 +84,39 @@ class HeldOut(NamedTuple):
 def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) -> pd.DataFrame:
     """Compare each measured mode with its prediction from the other modes.
 
-    A mode used in updating is predicted by the posterior without it; one that was not used, by the posterior
-    itself. The problem is updated without the mode (`fmu.analysis.held_out.refit`), with log p(y_k | y_-k) =
-    log Z - log Z_-k. `fmu.sample` does so, and keeps the table in the trace, unless it would take more than half
-    the solves of the draws and more than about five seconds. Then the draws are weighted by importance (PSIS,
-    Vehtari, Gelman & Gabry 2017), if the Pareto k of the weights is low.
+    A mode used in updating is predicted by the posterior without this mode. A mode that was not used is predicted
+    by the posterior itself. The posterior without a mode comes from updating without this mode
+    (`fmu.analysis.held_out.refit`), with log p(y_k | y_-k) = log Z - log Z_-k. `fmu.sample` does this and stores
+    the table in the trace, unless it would take more than half the solves of the draws and more than about five
+    seconds. In that case the draws are weighted by importance (PSIS, Vehtari, Gelman & Gabry 2017), if the Pareto
+    k of the weights is low.
 
     Parameters
     ----------
     trace : xarray.DataTree
     problem : UpdatingProblem, optional
-        The problem that was sampled: the table is computed anew, however long it takes. Without it, the table is
-        the one kept in the trace; a trace that has none gives ``elpd`` and ``pareto_k`` only.
+        The problem that was sampled. With a problem, the table is computed again, however long this takes. Without
+        a problem, the table stored in the trace is returned; for a trace without a table, only ``elpd`` and
+        ``pareto_k`` are known.
 
     Returns
     -------
     pandas.DataFrame
-        One row per measured mode: ``measured``, Hz; ``mean``, ``sd`` and the ends of the 90 % interval,
-        ``eti90_lb`` and ``eti90_ub``, of a measurement of it predicted by the other modes, noise included, Hz;
-        ``p``, the probability that such a measurement lies at least as far out on either side; ``freedom``, the
-        degrees of freedom of its error, infinite unless a few tests gave its size; ``prior_sd``, the
-        standard deviation of the same prediction by the prior, Hz; ``elpd``, the log-density of what was measured
-        of the mode (of frequency and shape, where both have errors) given the others, in nats, and ``mcse_elpd``,
-        its standard error; ``pareto_k``; ``method``, ``"refit"``, ``"importance weights"``, ``"not used in
-        updating"``, or empty where the draws do not cover the posterior without the mode and it was not
-        sampled anew: then there are no numbers; and ``used``, whether the mode was used in updating.
+        One row per measured mode:
+
+        - ``measured``: the measured frequency, Hz;
+        - ``mean``, ``sd``, ``eti90_lb``, ``eti90_ub``: mean, standard deviation and ends of the 90 % interval of
+          the measurement predicted from the other modes, noise included, Hz;
+        - ``p``: two-sided tail probability of the measured frequency in this prediction;
+        - ``freedom``: degrees of freedom of its error, infinite unless a few tests gave the size of the error;
+        - ``prior_sd``: standard deviation of the measurement predicted from the prior, Hz;
+        - ``elpd``, ``mcse_elpd``: log-density of the measurement of the mode (of frequency and shape, if both have
+          errors) given the other modes, in nats, and its standard error;
+        - ``pareto_k``: Pareto shape parameter of the weights;
+        - ``method``: ``"refit"``, ``"importance weights"``, ``"not used in updating"``, or empty if the draws do
+          not cover the posterior without the mode and the mode was not left out by updating; then the row has no
+          numbers;
+        - ``used``: whether the mode was used in updating.
 
     Raises
     ------
@@ -127,7 +135,7 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
 
 
 def kept_table(trace: xr.DataTree) -> pd.DataFrame | None:
-    """Return the table of `leave_one_out` that a trace keeps; None if it has none."""
+    """Return the table of `leave_one_out` stored in a trace; None if there is none."""
     if not has(trace, GROUP):
         return None
     kept = trace[GROUP]
@@ -143,10 +151,10 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
     problem : UpdatingProblem
         The problem that was sampled.
     most : float, optional
-        The most solves that updating without modes may take. By default half as many as the draws took, or what
-        should take five seconds; and only for a run of 400 draws or more, of a model with derivatives. Where that
-        is not enough for all modes, those whose weights are not reliable are left out nevertheless if one takes
-        2.5 seconds at most, and all 15.
+        Largest number of solves for updating without modes. The default is half the solves of the draws or the
+        number that should take five seconds, whichever is larger, and applies only to a run of 400 or more draws
+        of a model with derivatives. If this is not enough for all modes, modes with unreliable weights are still
+        left out if one mode takes at most 2.5 seconds, and all of them together at most 15.
     """
     import xarray as xr
 
@@ -169,10 +177,10 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
     use, measured = problem.data.use, np.asarray(problem.data.frequencies_hz)
     found = {k: _not_used(trace, problem, k, draws) for k, used in enumerate(use) if not used}
     doubtful = [k for k, row in found.items() if not row.mcse_elpd <= ACCEPTED]
-    if sum(use) > 1:  # without the only one there is nothing to update with
+    if sum(use) > 1:  # without the only used mode there are no data
         doubtful = sorted(doubtful + [k for k, used in enumerate(use) if used])
     found |= _left_out_all(problem, doubtful, most / (len(doubtful) + 1))
-    # weights with a Pareto k of 0.4 were off by 0.4 nats: only where no refit is affordable
+    # weights with a Pareto k of 0.4 were wrong by 0.4 nats: used only if a refit takes too long
     smoothed = smooth_weights(trace) if len(found) < len(use) else {}
     good = {label for label, one in smoothed.items() if one.is_good}
     poor = [k for k in doubtful if k not in found and problem.data.labels[k] not in good]
@@ -190,7 +198,7 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
 
 @dataclass
 class _Known:
-    """What is remembered of a problem: each mode left out with the most solves, and its own posterior."""
+    """Cached results of a problem: the prediction and the limit of solves of each mode, and an approximation."""
 
     rows: dict[int, tuple[int, HeldOut]] = field(default_factory=dict)
     approximation: Approximation | None = None
@@ -200,16 +208,17 @@ _KNOWN: WeakKeyDictionary[UpdatingProblem, _Known] = WeakKeyDictionary()
 
 
 def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -> dict[int, HeldOut]:
-    """Return each mode predicted after updating without it, by its number, as far as the solves suffice.
+    """Return a dict of the predictions after updating without each mode, by index, as far as the solves suffice.
 
-    First all by the same candidates; those that these do not cover well by candidates of their own. The results
-    are remembered: they depend on the problem alone, and not on the draws, so that one serves all samplers.
+    All modes are first left out with the same candidates. Modes that these do not cover well are left out with
+    their own candidates. The results are cached, because they depend only on the problem and not on the draws, so
+    that one computation serves all samplers.
     """
     found: dict[int, HeldOut] = {}
     if modes and most >= SOLVES:
         known = _KNOWN.setdefault(problem, _Known()).rows
         with phase("leaving modes out", len(modes)) as under_way:
-            with suppress(np.linalg.LinAlgError):  # a number less, instead of the run
+            with suppress(np.linalg.LinAlgError):  # a missing number must not stop the run
                 known |= _left_out_together(problem, [k for k in modes if problem.data.use[k] and k not in known])
             under_way.advance(sum(k in known for k in modes))
             for k in modes:
@@ -223,7 +232,7 @@ def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -
 
 
 def left_out_warnings(trace: xr.DataTree) -> list[str]:
-    """Warn of used modes without a prediction by the others, where neither weights nor a refit were reliable."""
+    """Return a warning about used modes without a prediction, because neither weights nor refits were reliable."""
     table = kept_table(trace)
     if table is None:
         return []
@@ -238,7 +247,7 @@ def left_out_warnings(trace: xr.DataTree) -> list[str]:
 
 
 class _Draws(NamedTuple):
-    """Draws from a posterior (n, ndim), the model's frequencies there (n, n_modes), Hz, and log-weights (n,)."""
+    """Posterior draws (n, ndim), computed frequencies at the draws (n, n_modes), Hz, and log-weights (n,)."""
 
     theta: FloatArray
     hz: FloatArray
@@ -246,7 +255,7 @@ class _Draws(NamedTuple):
 
 
 def _predict_weighted(problem: UpdatingProblem, k: int, draws: _Draws, smoothed: Smoothed | None) -> HeldOut:
-    """Predict a mode by the weighted draws; without numbers where the draws do not cover the other posterior."""
+    """Return the prediction of mode `k` by the weighted draws; without numbers if the weights are unreliable."""
     if smoothed is None:
         return HeldOut()
     if not smoothed.is_good:
@@ -256,7 +265,7 @@ def _predict_weighted(problem: UpdatingProblem, k: int, draws: _Draws, smoothed:
 
 
 def _not_used(trace: xr.DataTree, problem: UpdatingProblem, k: int, draws: _Draws) -> HeldOut:
-    """Return a mode that was not used, predicted by the posterior."""
+    """Return the prediction by the posterior of mode `k`, which was not used in updating."""
     log_p = _log_likelihood(_with(problem, k), draws) - _log_likelihood(problem, draws)
     row = _predict_mode(problem, k, draws)._replace(method=NOT_USED)
     shape = pareto_k(log_p)
@@ -269,7 +278,7 @@ def _not_used(trace: xr.DataTree, problem: UpdatingProblem, k: int, draws: _Draw
 
 
 def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[int, tuple[int, HeldOut]]:
-    """Return used modes, by their number, after updating without them: those that common candidates cover well."""
+    """Return the predictions after updating without each of `modes`, by index, if common candidates cover them."""
     if len(modes) < 2 or problem.model.is_soft:  # with a soft pairing every log-probability is a solve
         return {}
     found = left_out_together([_without(problem, k) for k in modes], problem, _generator(0))
@@ -278,7 +287,7 @@ def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[i
 
 
 def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
-    """Return mode number k after updating without it, and with it if it was not used, or what is known of it."""
+    """Return the prediction of mode `k` from updating with and without this mode, or the cached prediction."""
     known = _KNOWN.setdefault(problem, _Known())
     if k in known.rows and (known.rows[k][1].mcse_elpd <= ACCEPTED or known.rows[k][0] >= most):
         return known.rows[k][1]
@@ -297,7 +306,7 @@ def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
 
 
 def _row(problem: UpdatingProblem, k: int, found: LeftOut) -> HeldOut:
-    """Return the prediction of mode number k by the posterior without it, as far as that is known."""
+    """Return the prediction of mode `k` by the posterior without this mode, with the numbers that are reliable."""
     used = problem.data.use[k]
     row = HeldOut(pareto_k=float(found.pareto_k.max()), used=used)
     if found.predicts:
@@ -310,27 +319,27 @@ def _row(problem: UpdatingProblem, k: int, found: LeftOut) -> HeldOut:
 
 
 def _without(problem: UpdatingProblem, k: int) -> UpdatingProblem:
-    """Return the problem updated without mode number k."""
+    """Return the problem updated without mode `k`."""
     use = zip(problem.data.labels, problem.data.use, strict=True)
     return problem.using([label for i, (label, used) in enumerate(use) if used and i != k])
 
 
 def _with(problem: UpdatingProblem, k: int) -> UpdatingProblem:
-    """Return the problem updated with mode number k too."""
+    """Return the problem updated also with mode `k`."""
     use = zip(problem.data.labels, problem.data.use, strict=True)
     return problem.using([label for i, (label, used) in enumerate(use) if used or i == k])
 
 
 def _log_likelihood(problem: UpdatingProblem, draws: _Draws) -> FloatArray:
-    """Return the log-likelihood at the draws, without solving again where the frequencies are enough."""
+    """Return the log-likelihood at the draws (n,), without new solves if the frequencies suffice."""
     return np.asarray(problem.terms_of_frequencies(draws.theta, draws.hz).sum(axis=1))
 
 
 def _predict_mode(problem: UpdatingProblem, k: int, draws: _Draws) -> HeldOut:
-    """Return the distribution of a measurement of mode number k, given the measurements of the used ones.
+    """Return the predictive distribution of a measurement of mode `k`, given the measurements of the used modes.
 
-    It is the mixture of the distributions of the measurement at the draws: Gaussian, or Student's where it is the
-    mean of tests whose scatter gives its error.
+    It is the mixture over the draws of the distributions of the measurement. These are Gaussian, or Student's if
+    the measurement is the mean of tests whose scatter gives its error.
     """
     from scipy.optimize import brentq
 
@@ -365,9 +374,10 @@ def _generator(stream: int) -> np.random.Generator:
 
 
 def _seconds_of_a_solve(problem: UpdatingProblem, theta: FloatArray) -> float:
-    """Return about how long a solve takes, by the sizes of its matrices; of a function, as measured.
+    """Return the approximate time of a solve in seconds, from the matrix sizes; for a function, the measured time.
 
-    A run that is repeated or resumed thus has the same table, whatever else the machine does.
+    Because the time of a structure is not measured, a run that is repeated or resumed has the same table, whatever
+    the load of the machine.
     """
     structure = structure_of(problem.model)
     if structure is not None:
@@ -382,7 +392,7 @@ def _seconds_of_a_solve(problem: UpdatingProblem, theta: FloatArray) -> float:
 
 
 def _by_draws_alone(trace: xr.DataTree) -> pd.DataFrame:
-    """Predict the used modes from their log-likelihood at the draws, without a problem to refit."""
+    """Return the table of `leave_one_out` from the log-likelihood at the draws, without a problem to refit."""
     smoothed = smooth_weights(trace)
     measured = trace["observed_data"]["frequency"].to_numpy()
     rows = []

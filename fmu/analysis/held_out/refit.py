@@ -1,4 +1,4 @@
-"""The posterior without a mode by importance sampling, and how probable the mode's measurement is there."""
+"""The posterior without a mode by importance sampling, and the predictive density of this mode's measurement."""
 
 from __future__ import annotations
 
@@ -31,35 +31,35 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 ERROR, ACCEPTED = 0.02, 0.05
-"""Wanted standard error of a log-density, and the largest that is accepted."""
+"""Target of the standard error of a log-density, and its largest accepted value."""
 SOLVES, MOST_SOLVES = 12_000, 120_000
-"""What leaving a mode out takes at least, as a rule, and at most, in solves."""
+"""Usual smallest number and largest number of solves to leave a mode out."""
 _PILOT = 512
 _FITS = 2
 WIDER = (1.0, 2.0)
 _FIRST, _FIRST_IN_ALL = 128, 2560
-"""Draws of each proposal before the first look at the error, and at least of all proposals together."""
+"""Draws before the error is first estimated: of each proposal, and at least of all proposals together."""
 _FAIR, _TELLING = 10_000, 3000
-"""Draws after which an error that is accepted is not made smaller, and that tell whether more would be enough."""
+"""Draws after which an accepted error is not reduced further, and draws that show whether more would suffice."""
 _LEAST = 6000
-"""Solves left without which no other round begins."""
+"""Number of remaining solves that another round requires."""
 _ROUNDS = (12_000, 12_000, 20_000, 20_000, 60_000)
 _EVEN, _WALKERS, _STEPS = 0.5, 32, 40
 _EFFECTIVE = 400.0
 _SHARE, _COMPARED, _SLIGHT = 0.75, 128, 0.5
-"""Share of the basis for chains that make proposals; points at which log P is compared, and the change allowed."""
+"""Share of the basis for proposal chains; number of points at which log P is compared; largest change, nats."""
 
 
 @dataclass(frozen=True, eq=False)
 class Approximation:
-    """Gaussians that approximate a posterior, from which importance sampling draws, scaled.
+    """Gaussians that approximate a posterior as proposals for importance sampling, in scaled coordinates.
 
     Attributes
     ----------
     quadratics : list of Quadratic
-        Close to the log-probability around each maximum that may matter.
+        Quadratic models of the log-probability around each maximum that may matter.
     groups : list of Quadratic
-        Gaussians of groups of neighbouring draws.
+        Gaussians fitted to groups of neighbouring draws.
     """
 
     quadratics: list[Quadratic]
@@ -68,20 +68,21 @@ class Approximation:
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """The posterior without a mode, and how probable its measurement is there.
+    """The posterior without a mode, and the predictive density of this mode's measurement.
 
     Attributes
     ----------
     theta : ndarray, shape (n, ndim)
         Draws, SI units.
     hz : ndarray, shape (n, n_modes)
-        The model's frequencies there.
+        Computed frequencies at the draws, Hz.
     log_weights : ndarray, shape (2, n)
-        Logarithms of weights that sum to 1 and make the draws those of the posterior without the mode, or with it.
+        Logarithms of weights that sum to 1. The first row gives the posterior without the mode, the second row the
+        posterior with the mode.
     elpd, error : float
         log p(y_k | y_-k) in nats, and its standard error.
     pareto_k : ndarray, shape (2,)
-        Shape of the tail of the weights without and with the mode.
+        Pareto shape parameters of the weights without and with the mode.
     """
 
     theta: FloatArray
@@ -98,29 +99,29 @@ class LeftOut:
 
     @property
     def predicts(self) -> bool:
-        """Whether the weighted draws are enough of the posterior without the mode."""
+        """Whether the weighted draws represent the posterior without the mode well enough."""
         return bool(self.pareto_k[0] <= GOOD_K and self.effective >= _EFFECTIVE)
 
     @property
     def is_known(self) -> bool:
-        """Whether the elpd is known well enough."""
+        """Whether the elpd is accurate enough."""
         return bool(np.all(self.pareto_k <= GOOD_K) and self.error <= ACCEPTED)
 
 
 def approximation(problem: UpdatingProblem, near: FloatArray, rng: np.random.Generator) -> Approximation:
     """Return an approximation of the posterior of a problem.
 
-    Each quadratic has the curvature of its maximum first, and is then fitted by least squares to the
-    log-probability of draws, twice: where the posterior is skewed, that is far closer. If the weights of the draws
-    are still uneven, a bent ridge may lead to where no quadratic has any probability, and importance weights do
-    not show a place without draws. Short chains from some of the draws then follow the ridge, and their draws make
-    the groups.
+    Each quadratic first has the curvature at its maximum. It is then fitted twice by least squares to the
+    log-probability of draws, which is much closer if the posterior is skewed. If the weights of the draws are
+    still uneven, a bent ridge may lead to regions where no quadratic has any probability, and importance weights
+    do not reveal regions without draws. Short chains from some of the draws then follow the ridge, and their draws
+    form the groups.
 
     Parameters
     ----------
     problem : UpdatingProblem
     near : ndarray, shape (n, ndim)
-        Points to climb from besides others, such as draws from a posterior with other modes, SI units.
+        Additional starts of the search for maxima, such as draws from a posterior with other modes, SI units.
     rng : Generator
     """
     scaled = ScaledDensity(problem)
@@ -142,9 +143,9 @@ def approximation(problem: UpdatingProblem, near: FloatArray, rng: np.random.Gen
 
 
 def cheaper(problem: UpdatingProblem, u: FloatArray, log_p: FloatArray) -> UpdatingProblem:
-    """Return the problem by `_SHARE` of the reduced basis, if log P at the highest of its points hardly changes.
+    """Return the problem with `_SHARE` of the reduced basis, if log P at its highest points hardly changes.
 
-    Its chains only make proposals, which need not be exact.
+    The chains of this problem only provide proposals, which need not be exact.
     """
     if problem.model.coarser(_SHARE) is problem.model:
         return problem
@@ -156,7 +157,7 @@ def cheaper(problem: UpdatingProblem, u: FloatArray, log_p: FloatArray) -> Updat
 def _walk_chains(
     problem: UpdatingProblem, u: FloatArray, log_w: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Draw short chains (n, ndim), scaled, from starts among the weighted draws (n, ndim)."""
+    """Return draws of short chains (n, ndim), scaled, that start from some of the weighted draws (n, ndim)."""
     scaled = ScaledDensity(problem)
     start = resample(rng, u, log_w, _WALKERS)
     seed = int(rng.integers(2**31))
@@ -172,25 +173,26 @@ def left_out(
     rng: np.random.Generator,
     most: int = MOST_SOLVES,
 ) -> LeftOut:
-    """Compare the posterior without a mode with the one that has it, by importance sampling.
+    """Compare the posteriors without and with a mode by importance sampling.
 
-    log p(y_k | y_-k) = log Z - log Z_-k. Both evidences come from the same draws, from the mixture of the
-    Gaussians around the maxima of both posteriors, of wider ones and of the prior. Where the two hardly overlap,
-    the measurement lies far out in the tail of its prediction, which draws of the posterior without the mode alone
-    do not reach. The number of draws is doubled until the standard error is `ERROR`, or `ACCEPTED` where they
-    would become many. If the weights are not reliable, the quadratics are fitted anew to all of these draws, which
-    are also divided into groups of neighbours; draws of a new mixture, of the Gaussians of all groups too, replace
-    them. That is for posteriors far from Gaussian, as along a bent ridge.
+    log p(y_k | y_-k) = log Z - log Z_-k. Both evidences come from the same draws. These are drawn from a mixture
+    of the Gaussians around the maxima of both posteriors, of wider Gaussians and of the prior. If the two
+    posteriors hardly overlap, the measurement lies far out in the tail of its prediction, which draws of the
+    posterior without the mode alone do not reach. The number of draws is doubled until the standard error is
+    `ERROR`, or `ACCEPTED` if many draws would be needed. If the weights are unreliable, as for posteriors far from
+    Gaussian along a bent ridge, the quadratics are fitted again to all of these draws, and the draws are divided
+    into groups of neighbours. They are then replaced by draws from a new mixture that includes the Gaussians of
+    all groups.
 
     Parameters
     ----------
     without, whole : UpdatingProblem
-        One problem, updated without the mode and with it (`UpdatingProblem.using`).
+        The same problem, updated without and with the mode (`UpdatingProblem.using`).
     known : pair of Approximation
-        Of each.
+        Approximations of the two posteriors.
     rng : Generator
     most : int
-        The most solves.
+        Largest number of solves.
     """
     scaled = ScaledDensity(whole)
     models = [one.quadratics for one in known]
@@ -213,9 +215,9 @@ def _draw_until_enough(
     rng: np.random.Generator,
     most: int,
 ) -> tuple[LeftOut, FloatArray]:
-    """Compare both posteriors by as many draws as needed, up to `most`; return that and log P of both (2, n).
+    """Return the comparison of both posteriors by as many draws as needed, up to `most`, and log P of both (2, n).
 
-    Where even `most` would be too few, it ends early: a mixture that fits better is needed.
+    The function stops early if even `most` draws would be too few, because a better mixture is then needed.
     """
     scaled = ScaledDensity(whole)
     proposals: list[Proposal] = [*gaussians(models, scaled, WIDER), PriorCandidates(whole, scaled)]
@@ -240,9 +242,10 @@ def _draw_until_enough(
 
 
 def log_prob_of_all(problems: Sequence[UpdatingProblem], theta: FloatArray) -> FloatArray:
-    """Return the log-probabilities of problems on one model and the frequencies there, (n, n_problems + n_modes).
+    """Return the log-probabilities and frequencies of problems with one model, (n, n_problems + n_modes).
 
-    Unless a pairing is soft, every theta is solved once. The last problem is updated with all modes of the others.
+    Unless a pairing is soft, every theta is solved once. The last problem must use all modes of the other
+    problems.
     """
     whole, likelihoods = problems[-1], list[Any](problem.likelihood for problem in problems)
     if whole.model.is_soft:
@@ -258,7 +261,7 @@ def log_prob_of_all(problems: Sequence[UpdatingProblem], theta: FloatArray) -> F
 
 
 def compare_posteriors(theta: FloatArray, log_p: FloatArray, hz: FloatArray, log_q: FloatArray) -> LeftOut:
-    """Return the comparison of two posteriors, log P (2, n), by draws of a density q; the second has the mode."""
+    """Return the comparison of the posteriors without and with a mode, log P (2, n), by draws from a density q."""
     log_w = log_p - log_q
     total = logsumexp(log_w, axis=1)
     w = np.exp(log_w - total[:, None])

@@ -1,8 +1,8 @@
-"""The posteriors without each of several modes, from one set of candidates.
+"""The posteriors without each of several modes, from one set of draws.
 
-A solve gives all frequencies, and with them the log-probability of the posterior with all modes and of those
-without one of them. All are weighted from the same draws of one mixture, so that leaving out ten modes takes
-about as many solves as leaving out one.
+A solve gives all frequencies, and thus the log-probabilities of the posterior with all modes and of the posteriors
+without any one of them. The same draws of one mixture are weighted for all posteriors, so that leaving out ten
+modes takes about as many solves as leaving out one.
 """
 
 from __future__ import annotations
@@ -40,39 +40,41 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 _PILOT, _FITS = 2048, 2
-"""Draws that the Gaussians are fitted to, and how often."""
+"""Number of draws to which the Gaussians are fitted, and number of fits."""
 _FIRST, _FAIR, _MOST = 3072, 8192, 24_000
-"""Draws before the first look at the errors, those from which on accepted errors suffice, and the most."""
+"""Draws before the errors are first estimated, draws from which accepted errors suffice, and most draws."""
 _ROUNDS = 3
 _EVEN = 0.25
-"""Effective draws of a posterior over its part of the draws, below which chains look for what is missing."""
+"""Ratio of a posterior's effective draws to its part of the draws below which chains explore the rest."""
 _WALKERS, _STEPS, _FLAT, _JITTER = 48, 100, 0.25, 1e-4
 _OF_PRIOR = 0.25
-"""Draws of the prior over those of a posterior's part."""
+"""Ratio of the draws from the prior to the draws for each posterior."""
 
 
 def left_out_together(
     without: Sequence[UpdatingProblem], whole: UpdatingProblem, rng: np.random.Generator
 ) -> list[LeftOut]:
-    """Compare posteriors that each lack a mode with the one that has all, by the same draws.
+    """Compare posteriors that each lack one mode with the posterior of all modes, by the same draws.
 
-    Each posterior has a Gaussian around each of its maxima, which is fitted to the log-probability of draws of all
-    (`fmu.analysis.held_out.candidates`). In posteriors that these do not cover well, as along a bent ridge, short
-    chains look for the rest, and the Gaussians of groups of their draws join the others. Draws of the mixture of
-    all, of wider ones and of the prior then give the comparisons. Where the weights of one are not reliable, its
-    chains go on. If that does not help either, it says so (`LeftOut.predicts`, `LeftOut.is_known`).
+    Each posterior has a Gaussian around each of its maxima, fitted to the log-probability of draws from all
+    posteriors (`fmu.analysis.held_out.candidates`). If these Gaussians do not cover a posterior well, as along a
+    bent ridge, short chains explore the rest, and Gaussians fitted to groups of their draws are added. The
+    comparisons then use draws from the mixture of all Gaussians, of wider Gaussians and of the prior. If the
+    weights of a posterior are unreliable, its chains are continued. If they are still unreliable, the result
+    states this (`LeftOut.predicts`, `LeftOut.is_known`).
 
     Parameters
     ----------
     without : sequence of UpdatingProblem
         The problem updated without each of the modes (`UpdatingProblem.using`).
     whole : UpdatingProblem
+        The problem updated with all modes.
     rng : Generator
 
     Returns
     -------
     list of LeftOut
-        One for each of `without`.
+        One result for each of `without`.
     """
     problems, scaled = [*without, whole], ScaledDensity(whole)
     prior, last = PriorCandidates(whole, scaled), len(without)
@@ -99,10 +101,10 @@ def left_out_together(
 def _first_models(
     problems: Sequence[UpdatingProblem], scaled: ScaledDensity, prior: Proposal, rng: np.random.Generator
 ) -> tuple[list[list[Quadratic]], dict[int, FloatArray], UpdatingProblem]:
-    """Return quadratics fitted to each posterior; for those that they do not cover well, where chains start.
+    """Return quadratics fitted to each posterior, and the starts of chains for poorly covered posteriors.
 
-    All are climbed from the maxima of the last posterior too. The third result is the last problem, by a part of
-    the reduced basis if that is enough for chains.
+    The maxima of the last posterior are further starts for the maxima of every posterior. The third result is the
+    last problem, with a part of the reduced basis if this suffices for chains.
     """
     n, whole = len(problems), problems[-1]
     models = [quadratics_at_maxima(whole, scaled, whole.start[None])]
@@ -122,7 +124,7 @@ def _first_models(
 
 
 def _spread(u: FloatArray, log_w: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Return draws with flattened weights, (_WALKERS, ndim): the best draws alone may be a few."""
+    """Return draws with flattened weights, (_WALKERS, ndim), because the best draws alone may be too few."""
     return resample(rng, u, _FLAT * log_w, _WALKERS)
 
 
@@ -132,11 +134,11 @@ def _walk(
     scaled: ScaledDensity,
     rng: np.random.Generator,
 ) -> dict[int, FloatArray]:
-    """Return draws of short chains in some of the posteriors, by their numbers, each (n, ndim), scaled.
+    """Return a dict of draws of short chains in some of the posteriors, by index, each (n, ndim), scaled.
 
-    Differential evolution (ter Braak 2006, *Stat. Comput.* 16, 239-249): a walker moves along the difference of
-    two others, so that the walkers spread along a ridge. The walkers of all posteriors move in lockstep, and one
-    batch of solves serves them all. The last draws are where they end.
+    The chains use differential evolution (ter Braak 2006, *Stat. Comput.* 16, 239-249): a walker moves along the
+    difference of two other walkers, so that the walkers spread along a ridge. The walkers of all posteriors move
+    in lockstep, and one batch of solves serves all of them. The last draws are the final positions of the walkers.
     """
     if not walkers:
         return {}
@@ -163,13 +165,13 @@ def _walk(
 
 @dataclass(frozen=True, eq=False)
 class _Mixture:
-    """A density of which every posterior has an equal part, its Gaussians equal shares of that; and the prior."""
+    """A mixture with equal weights for all posteriors, shared equally by their Gaussians, and the prior."""
 
     parts: Sequence[Sequence[Proposal]]
     prior: Proposal
 
     def draws(self, rng: np.random.Generator, n: int) -> tuple[FloatArray, FloatArray]:
-        """Return about `n` draws, shape (n, ndim), and the log-density there, by the numbers drawn of each."""
+        """Return about `n` draws, shape (n, ndim), and the log-density of the mixture at the draws."""
         share = n / (len(self.parts) + _OF_PRIOR)
         counted = [(proposal, -int(-share // len(part))) for part in self.parts for proposal in part]
         counted.append((self.prior, -int(-share * _OF_PRIOR // 1)))
@@ -197,7 +199,7 @@ def _weigh_candidates(
     scaled: ScaledDensity,
     rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray, dict[int, LeftOut]]:
-    """Return draws of a mixture, log P of all problems there, and comparisons of the wanted ones with the last."""
+    """Return draws of a mixture, log P of all problems, and comparisons of the wanted problems with the last."""
     n = len(problems)
     u, log_q, values = _draws(mixture, problems, scaled, rng, _FIRST)
     while True:

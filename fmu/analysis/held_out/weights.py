@@ -1,4 +1,4 @@
-"""The draws weighted to the posterior without a mode (PSIS)."""
+"""Importance weights of the draws for the posterior without a mode (PSIS)."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
 
 FEWEST = 100
-"""Draws to estimate the tail of importance weights from."""
+"""Smallest number of draws from which the tail of importance weights is estimated."""
 SMOOTHED_K = 0.5
-"""Smoothed weights with a larger Pareto k are not used: with 0.63 the elpd of a mode was off by 0.4 nats."""
+"""Smoothed weights with a larger Pareto k are not used: at 0.63 the elpd of a mode was wrong by 0.4 nats."""
 
 
 class Smoothed(NamedTuple):
-    """Draws weighted to the posterior without a mode: log-weights (n,), Pareto k, whether it is low, and elpd."""
+    """Log-weights (n,) for the posterior without a mode, Pareto k, whether k is low, elpd and its error."""
 
     log_weight: FloatArray
     pareto_k: float
@@ -35,9 +35,9 @@ class Smoothed(NamedTuple):
 
 
 def smooth_weights(trace: xr.DataTree) -> dict[str, Smoothed]:
-    """Return the importance weights of each used mode; none if there are too few draws, or they do not move."""
+    """Return a dict of the importance weights of each used mode; empty for too few draws or constant draws."""
     kept = list(map(str, trace["log_likelihood"].data_vars))
-    # of correlated errors, the terms whose sum is the joint density are not those of each mode given the others
+    # with correlated errors, the terms that sum to the joint density are not those of each mode given the others
     terms = array_of(trace, "log_likelihood", GIVEN_OTHERS if GIVEN_OTHERS in kept else kept[0])
     n, walkers = terms.shape[0] * terms.shape[1], walkers_of(trace)
     efficiency = min(1.0, np.min([ess_bulk(x, walkers) for x in np.moveaxis(terms, -1, 0)]) / n)

@@ -1,4 +1,4 @@
-"""The maxima of the posterior with their probabilities, and the runs that missed one.
+"""The maxima of the posterior, their probabilities, and the runs that missed a maximum.
 
 Reading order: results, search, mode_weights, missed, starts.
 """

@@ -1,8 +1,8 @@
-"""The end of an ascent: a vanishing gradient, a wall, a kink or jump of the log-probability, or a slope.
+"""Classification of the end of an ascent: vanishing gradient or active bound, kink, jump, edge or slope.
 
 Where computed modes swap or coincide, the log-probability of paired modes has a kink or, with shapes, a jump. An
-ascent that meets a jump ends there with a gradient that points across it: the place is no maximum, and the
-quadratic model around it, which rises with this gradient, is wrong beyond it.
+ascent that meets a jump ends there with a gradient that points across it. Such a point is no maximum, and the
+quadratic model around it, which rises with this gradient, is wrong beyond the jump.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 MAXIMUM, KINK, JUMP, EDGE, SLOPE = "maximum", "kink", "jump", "edge", "slope"
-"""Vanishing gradient or a wall; a gradient that turns; a fall; no solution beyond; a rise that goes on."""
+"""Vanishing gradient or active bound; a gradient that turns; a fall; no solution beyond; a further rise."""
 VANISHING = 0.1
-"""Gradient of a maximum, in nats per posterior standard deviation, at most."""
+"""Largest gradient at a maximum, in nats per posterior standard deviation."""
 _FALL, _WITHIN = 0.05, 1e-5
-"""Smallest fall of a jump, nats, and within how many posterior standard deviations."""
+"""Smallest fall of a jump, nats, and its largest width, in posterior standard deviations."""
 _AHEAD = np.logspace(-8.0, -1.0, 15)
 _HALVINGS = 40
 _LOW, _WIDER = 40.0, 28.0
-"""Nats, and as many for each coordinate as a factor of 1e12 in width makes up for."""
+"""Nats below the best point, and nats per coordinate for which a factor of 1e12 in width compensates."""
 
 
 def slope(scaled: ScaledDensity, model: Quadratic) -> float:
-    """Return how steeply log P rises, in nats per posterior standard deviation, with pressed coordinates held.
+    """Return the slope of log P in nats per posterior standard deviation, with active bounds held fixed.
 
-    That is √(gᵀH⁻¹g) over the free coordinates: the length of the gradient in the metric of the posterior.
+    The slope is √(gᵀH⁻¹g) over the free coordinates: the length of the gradient in the metric of the posterior.
     """
     from fmu.posterior.maxima import decrement
 
@@ -43,17 +43,18 @@ def slope(scaled: ScaledDensity, model: Quadratic) -> float:
 
 
 def kind_of(problem: UpdatingProblem, scaled: ScaledDensity, model: Quadratic) -> str:
-    """Classify the end of an ascent: `MAXIMUM`, `KINK`, `JUMP`, `EDGE` or `SLOPE`.
+    """Return the kind of the end of an ascent: `MAXIMUM`, `KINK`, `JUMP`, `EDGE` or `SLOPE`.
 
     If the gradient does not vanish, log P is followed along the step that its quadratic model proposes, from 1e-8
-    of the step to a tenth. The first place where it does not rise as its gradient says is then found by bisection.
+    to a tenth of the step. The first point where log P does not rise as its gradient predicts is then found by
+    bisection.
 
     Parameters
     ----------
     problem : UpdatingProblem
     scaled : ScaledDensity
     model : Quadratic
-        Around the end of the ascent, scaled.
+        Quadratic model around the end of the ascent, scaled.
     """
     rise = slope(scaled, model)
     if rise <= VANISHING:
@@ -85,19 +86,19 @@ def kind_of(problem: UpdatingProblem, scaled: ScaledDensity, model: Quadratic) -
 
 
 def active_bounds(scaled: ScaledDensity, model: Quadratic) -> FloatArray:
-    """Return −1 where the lower bound is active, 1 where the upper one is, 0 between them, shape (ndim,)."""
+    """Return −1 where the lower bound is active, 1 where the upper bound is active, else 0, shape (ndim,)."""
     above = (model.gradient > 0) & (model.position >= scaled.upper)
     below = (model.gradient < 0) & (model.position <= scaled.lower)
     return above.astype(float) - below.astype(float)
 
 
 def basin(model: Quadratic, kind: str, at_bound: FloatArray | IntArray) -> Quadratic:
-    """Return the model by which draws are divided: no slope across a jump, beyond which it is wrong."""
+    """Return the model that divides the draws: without a slope across a jump, beyond which the model is wrong."""
     if kind in (MAXIMUM, KINK):
         return model
     return replace(model, gradient=np.where(at_bound != 0, model.gradient, 0.0))
 
 
 def are_negligible(log_prob: FloatArray, ndim: int) -> BoolArray:
-    """Return whether each place, with log-probability (n,), is too low to have mass, however wide it is."""
+    """Return whether each point, with log-probability (n,), is too low to have mass, however wide it is."""
     return np.asarray(log_prob < np.max(log_prob) - _LOW - _WIDER * ndim)

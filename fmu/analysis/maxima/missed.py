@@ -1,4 +1,4 @@
-"""Places of the posterior that a run left out, which no diagnostic of its own draws can show."""
+"""Regions of the posterior that a run missed, which no diagnostic of its own draws can show."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
 
 OUT_OF_PROPORTION = 10.0
 NEARBY = 0.9999
-"""A draw is near a maximum if it lies within the ellipsoid that holds this much of a Gaussian."""
+"""A draw is near a maximum if it lies within the ellipsoid that holds this share of a Gaussian."""
 _ABOVE = 0.1
 
 
 class Comparison(NamedTuple):
-    """Shares of a run's draws around the maxima, beside the shares of the maxima.
+    """Comparison of the shares of a run's draws around the maxima with the shares of the maxima.
 
     Attributes
     ----------
     reasons : list of str
-        Why the run has not converged: maxima left out, or visited out of proportion.
+        Reasons why the run has not converged: maxima that were missed, or visited out of proportion.
     outweighed : list of str
-        Shares on which importance sampling disagrees, but with fewer effective draws than the run has.
+        Shares on which importance sampling disagrees, but with a smaller effective sample size than the run.
     """
 
     reasons: list[str]
@@ -43,10 +43,11 @@ class Comparison(NamedTuple):
 
 
 def nearest_maxima(theta: FloatArray, maxima: Maxima) -> IntArray:
-    """Return the maximum (from 0) that each draw (n, ndim) is near to, −1 where there is none.
+    """Return the index of the maximum that each draw (n, ndim) is near, shape (n,); −1 if it is near none.
 
-    A draw is near a maximum where the quadratic model of log P has fallen by no more than in the ellipsoid that
-    holds `NEARBY` of a Gaussian; near several, it belongs to the one whose model is highest there.
+    A draw is near a maximum if the quadratic model of log P falls from the maximum to the draw by no more than to
+    the surface of the ellipsoid that holds `NEARBY` of a Gaussian. A draw near several maxima belongs to the
+    maximum whose model is highest at the draw.
     """
     drop = maxima.drop(theta)
     height = np.where(drop <= _reach(theta), _peaks(maxima) - drop, -np.inf)
@@ -54,12 +55,12 @@ def nearest_maxima(theta: FloatArray, maxima: Maxima) -> IntArray:
 
 
 def draws_of_maxima(theta: FloatArray, log_prob: FloatArray, maxima: Maxima) -> IntArray:
-    """Return the maximum (from 0) that each draw belongs to, −1 where there is none.
+    """Return the index of the maximum that each draw belongs to, shape (n,); −1 if it belongs to none.
 
-    A draw near a maximum belongs to it. A curved ridge leaves the ellipsoid: a draw near no maximum belongs to
-    the one whose quadratic model falls least, if its log-probability is at least that on the surface of the
-    ellipsoid. This divides the draws; it does not tell whether a maximum was visited, since an unknown mode may
-    be as high.
+    A draw near a maximum belongs to this maximum. A curved ridge leaves the ellipsoid. Therefore a draw near no
+    maximum belongs to the maximum whose quadratic model falls least, if its log-probability is at least that on
+    the surface of the ellipsoid. This divides the draws; it does not show whether a maximum was visited, since an
+    unknown mode may be as high.
 
     Parameters
     ----------
@@ -83,7 +84,7 @@ def _reach(theta: FloatArray) -> float:
 
 
 def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
-    """Name the maxima of more than negligible mass that a run never came near, or visited out of proportion.
+    """Return sentences on maxima with mass that a run never came near, or visited out of proportion.
 
     Parameters
     ----------
@@ -93,7 +94,7 @@ def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
     Returns
     -------
     list of str
-        One sentence a maximum with what to do about it, and one that says where the chains are.
+        One sentence per maximum with a remedy, and one sentence on where the chains are.
     """
     return compare_shares(trace, maxima).reasons
 
@@ -101,16 +102,16 @@ def missed_maxima(trace: xr.DataTree, maxima: Maxima) -> list[str]:
 def compare_shares(trace: xr.DataTree, maxima: Maxima) -> Comparison:
     """Compare the shares of a run's draws with the shares of the maxima.
 
-    If they differ by more than a factor `OUT_OF_PROPORTION`, one of them is wrong. The one with the larger
-    effective sample size decides. For the run it is that of the indicator of the maximum: one for each chain if
-    no chain ever changes maxima. For importance sampling it is that of the weights.
+    If they differ by more than a factor `OUT_OF_PROPORTION`, one of them is wrong. The share with the larger
+    effective sample size decides. For the run, this is the effective sample size of the indicator of the maximum,
+    and the number of chains if no chain ever changes maxima. For importance sampling, it is that of the weights.
 
     Parameters
     ----------
     trace : xarray.DataTree
     maxima : Maxima
     """
-    if maxima.search and not maxima.are_weighed:  # a plain log-density's, which may hold no mass, as a funnel's
+    if maxima.search and not maxima.are_weighed:  # the maxima of a plain log-density may hold no mass
         return Comparison([], [])
     walkers = walkers_of(trace)
     draws = parameter_draws(trace)
@@ -150,14 +151,15 @@ def compare_shares(trace: xr.DataTree, maxima: Maxima) -> Comparison:
 
 
 class Visits(NamedTuple):
-    """How chains were divided among the maxima, and how often they changed.
+    """Division of the draws among the maxima, and changes of the chains between maxima.
 
     Attributes
     ----------
     share, error : ndarray, shape (maxima,)
-        Share of the draws of each maximum, and its Monte Carlo standard error; NaN if no chain ever changed.
+        Share of the draws that belong to each maximum, and its Monte Carlo standard error; NaN if no chain ever
+        changed.
     crossings : ndarray of int, shape (chains,)
-        Changes from one maximum to another along each chain, or of all walkers of an ensemble.
+        Number of changes from one maximum to another along each chain, or of all walkers of an ensemble.
     """
 
     share: FloatArray
@@ -166,7 +168,7 @@ class Visits(NamedTuple):
 
 
 def visits(trace: xr.DataTree, maxima: Maxima) -> Visits:
-    """Return how the draws of a run are divided among the maxima, and how often its chains crossed."""
+    """Return the shares of a run's draws at the maxima, and the numbers of crossings between maxima."""
     walkers, draws = walkers_of(trace), parameter_draws(trace)
     lp = array_of(trace, "sample_stats", "lp")
     owner = draws_of_maxima(draws.reshape(-1, draws.shape[2]), lp.ravel(), maxima).reshape(len(draws), -1, walkers)
@@ -179,7 +181,7 @@ def visits(trace: xr.DataTree, maxima: Maxima) -> Visits:
 def _effective_visits(at_maximum: BoolArray, walkers: int) -> float:
     """Return the effective sample size of a share of the draws, given which draws are at the maximum.
 
-    One for each chain if no chain changes maxima: then the starts alone determine the share.
+    It is the number of chains if no chain changes maxima, because then the starts alone determine the share.
     """
     if walkers == 1 and not np.any(at_maximum[:, 1:] != at_maximum[:, :-1]):
         return float(len(at_maximum))
@@ -190,8 +192,9 @@ def _effective_visits(at_maximum: BoolArray, walkers: int) -> float:
 def _effective_weights(maxima: Maxima, k: int) -> float:
     """Return the effective sample size of the mass of a maximum.
 
-    A maximum with the Laplace approximation alone has less than e⁻⁴⁰ of the largest mass: that it holds almost
-    nothing is known as well as the mass of the others.
+    A maximum with only a Laplace approximation has less than e⁻⁴⁰ of the largest mass. That this mass is almost
+    zero is known as well as the masses of the other maxima, so the largest of their effective sample sizes is
+    returned.
     """
     return maxima[k].effective_draws or max(m.effective_draws for m in maxima)
 
@@ -209,14 +212,17 @@ def _never_visited(maxima: Maxima, k: int, reached: float) -> str:
 
 
 def _is_out_of_proportion(visits: float, mass: float) -> bool:
-    """Say whether a share of the draws and a share of the mass differ too much, and one of them matters."""
+    """Return True if a share of the draws and a share of the mass differ too much, and one is not small."""
     if max(visits, mass) < 5 * NEGLIGIBLE:
         return False
     return visits > OUT_OF_PROPORTION * mass or mass > OUT_OF_PROPORTION * visits
 
 
 def _whereabouts(nearest: IntArray, maxima: Maxima) -> str:
-    """List the chains or walkers around each maximum; `nearest` has one per draw (chains, steps, walkers)."""
+    """Return in words how many chains or walkers are around each maximum.
+
+    The array `nearest` has the index of a maximum for each draw, shape (chains, steps, walkers).
+    """
     kind = "chain" if nearest.shape[2] == 1 else "walker"
     homes = np.array(
         [np.bincount(path + 1, minlength=len(maxima) + 1).argmax() - 1 for path in _each_path(nearest)]
@@ -235,7 +241,7 @@ def _whereabouts(nearest: IntArray, maxima: Maxima) -> str:
 
 
 def _each_path(nearest: IntArray) -> IntArray:
-    """Return one row per chain, or a walker of an ensemble."""
+    """Return an array with one row per chain, or per walker of an ensemble."""
     return nearest.swapaxes(1, 2).reshape(-1, nearest.shape[1])
 
 
@@ -245,7 +251,7 @@ _FAR = 3.0
 
 
 def check_parameters(trace: xr.DataTree, others: Mapping[str, xr.DataTree]) -> None:
-    """Raise ValueError if another run has other parameters than `trace`."""
+    """Raise ValueError if another run has different parameters from `trace`."""
     names = parameter_names(trace)
     for name, other in others.items():
         if parameter_names(other) != names:
@@ -255,13 +261,13 @@ def check_parameters(trace: xr.DataTree, others: Mapping[str, xr.DataTree]) -> N
 def missed_places(
     trace: xr.DataTree, others: Mapping[str, xr.DataTree], maxima: Maxima | None = None
 ) -> list[str]:
-    """Return the regions that other runs on the same posterior visited, and this one not, if their mass matters.
+    """Return sentences on the regions with mass that other runs on the same posterior visited, but not this run.
 
     A draw of another run is far away if its distance to every draw of this run is three times the distance
     between the chains of this run, in the metric of the covariance within its chains. The mass of the far draws
     is estimated by E[log P] + the entropy of a Gaussian, which for a Gaussian is the logarithm of its mass. It
-    is compared with the same estimate for this run, or with the known maxima if they hold more. Regions near a
-    known maximum are left to `missed_maxima`.
+    is compared with the same estimate for this run, or with the total mass of the known maxima if this is larger.
+    Regions near a known maximum are left to `missed_maxima`.
 
     Parameters
     ----------
@@ -278,7 +284,7 @@ def missed_places(
     Raises
     ------
     ValueError
-        If another run has other parameters.
+        If another run has different parameters.
     """
     check_parameters(trace, others)
     found = []
@@ -311,7 +317,7 @@ class _Paths:
         self.position: FloatArray = position[:, :, ::every].reshape(*self.log_prob.shape, -1).astype(float)
 
     def metric(self) -> FloatArray:
-        """Return W with Wᵀ Cov W = 1 for the covariance within the paths, shape (ndim, ndim)."""
+        """Return W with Wᵀ C W = I, where C is the covariance within the paths, shape (ndim, ndim)."""
         ndim = self.position.shape[2]
         within = (self.position - self.position.mean(axis=1, keepdims=True)).reshape(-1, ndim)
         covariance = within.T @ within / len(within)
@@ -322,11 +328,11 @@ class _Paths:
 
 
 def _missed_place(here: _Paths, there: _Paths, log_evidence: float) -> tuple[FloatArray, float, float] | None:
-    """Return the best far draw of the other run: theta, log-probability, share of the mass; None if negligible."""
+    """Return theta, log-probability and mass share of the best far draw of the other run; None if negligible."""
     W = here.metric()
     ndim = here.position.shape[2]
     own = (here.position @ W).reshape(here.chains, -1, ndim)
-    if here.chains == 1:  # its halves take the place of chains
+    if here.chains == 1:  # the halves of the chain replace the chains
         half = own.shape[1] // 2
         own = own[0, : 2 * half].reshape(2, half, ndim)
     gaps = [cKDTree(np.delete(own, i, axis=0).reshape(-1, ndim)).query(own[i])[0] for i in range(len(own))]
@@ -343,7 +349,7 @@ def _missed_place(here: _Paths, there: _Paths, log_evidence: float) -> tuple[Flo
 
 
 def _log_mass(theta: FloatArray, log_prob: FloatArray) -> float:
-    """Return E[log P] plus the entropy of a Gaussian with the draws' covariance; −inf for too few of them."""
+    """Return E[log P] plus the entropy of a Gaussian with the draws' covariance; −inf for too few draws."""
     if len(theta) < _FEWEST_DRAWS:
         return -np.inf
     sd = theta.std(axis=0)

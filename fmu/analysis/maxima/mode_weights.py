@@ -1,4 +1,4 @@
-"""How much of a posterior's mass belongs to each of its local maxima."""
+"""The mass of the posterior that belongs to each of its local maxima."""
 
 from __future__ import annotations
 
@@ -21,18 +21,19 @@ _HOPELESS = 40.0
 
 @dataclass(frozen=True)
 class ModeWeight:
-    """The share of a maximum in the posterior.
+    """The mass of a maximum of the posterior.
 
     Attributes
     ----------
     log_mass : float
-        Logarithm of ∫ P du over what belongs to the maximum.
+        Logarithm of ∫ P du over the part of the posterior that belongs to the maximum.
     mean, covariance : ndarray, shape (ndim,) and (ndim, ndim)
-        Moments of the posterior there.
+        Moments of this part.
     effective : float
-        Effective sample size of the estimate; 0 for the Laplace approximation, which evaluates nothing.
+        Effective sample size of the estimate; 0 for the Laplace approximation, which evaluates no densities.
     log_reach : float
-        Logarithm of the mass that the maximum's own model reaches: `log_mass`, unless another divides the draws.
+        Logarithm of the mass that the quadratic model of the maximum covers; it equals `log_mass` unless other
+        models divide the draws.
     """
 
     log_mass: float
@@ -53,10 +54,11 @@ def mode_weights(
 ) -> tuple[ModeWeight, ...]:
     """Estimate the mass of every maximum.
 
-    First the Laplace approximation within the box, ∫ exp(m) du. It is final for maxima with less than e⁻⁴⁰ of
-    the largest mass; those so low that no width makes up for it have none. The others are found by importance
-    sampling of P itself: `draws` from the Gaussian of each maximum and as many from one of twice its width, all
-    weighted by their mixture, and divided among the maxima in proportion to exp(m).
+    The first estimate is the Laplace approximation within the box, ∫ exp(m) du. It is final for maxima with less
+    than e⁻⁴⁰ of the largest mass; maxima so low that no width can compensate have no mass. The other masses are
+    found by importance sampling of P itself: `draws` draws from the Gaussian of each maximum and as many from a
+    Gaussian of twice its width, all weighted by the density of their mixture, and divided among the maxima in
+    proportion to exp(m).
 
     Parameters
     ----------
@@ -67,7 +69,7 @@ def mode_weights(
     rng : Generator
     draws : int
     basins : sequence of Quadratic, optional
-        Divide the draws among the maxima instead of these, which then only propose them
+        Models that divide the draws among the maxima; `maxima` then only propose the draws
         (`fmu.analysis.maxima.kinds.basin`).
 
     Returns
@@ -75,7 +77,7 @@ def mode_weights(
     tuple of ModeWeight
     """
     found = [_laplace(m, lower, upper, rng, draws) for m in maxima]
-    # far out, where an ascent ended on a slope, the model may be infinite
+    # where an ascent ended on a slope far from all mass, the quadratic model may be infinite
     is_low = are_negligible(np.array([m.log_prob for m in maxima]), len(lower))
     found = [
         replace(mass, log_mass=-np.inf, log_reach=-np.inf) if low else mass
@@ -95,7 +97,7 @@ def mode_weights(
 def _laplace(
     maximum: Quadratic, lower: FloatArray, upper: FloatArray, rng: np.random.Generator, draws: int
 ) -> ModeWeight:
-    """Return mass and moments of exp(m) in the box."""
+    """Return the mass and the moments of exp(m) in the box, where m is the quadratic model."""
     proposal = maximum.proposal(lower, upper, 1.0)
     u = proposal.draw(rng, draws)
     return _weigh_draws(u, maximum(u) - proposal.log_density(u), 0.0)
@@ -122,7 +124,7 @@ def _importance(
 
 
 def _divide_draws(u: FloatArray, log_w: FloatArray, maxima: Sequence[Quadratic]) -> list[ModeWeight | None]:
-    """Return mass and moments of P around each maximum; None if no draw has a finite log-probability."""
+    """Return the mass and moments of P around each maximum; None if no draw has a finite log-probability."""
     belongs = log_shares(maxima, u)
     return [_weigh_draws(u, log_w + part, None) if np.any(np.isfinite(log_w + part)) else None for part in belongs]
 

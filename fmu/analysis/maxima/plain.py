@@ -1,4 +1,4 @@
-"""Adapt a plain log-density to the search for maxima: starts, gradients, and doubts about the result."""
+"""Adapter of a plain log-density for the search for maxima: starts, gradients, and doubts about the result."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def _numbers(method: str, got: object, shape: tuple[int, ...]) -> FloatArray:
-    """Return the answer of a density as an array of floats; ValueError unless it is real and of this shape."""
+    """Return the result of a density as floats; ValueError unless it has real numbers and this shape."""
     array = np.asarray(got)
     if array.shape != shape or array.dtype.kind not in "fiu":
         raise ValueError(
@@ -34,7 +34,7 @@ def _numbers(method: str, got: object, shape: tuple[int, ...]) -> FloatArray:
 
 @contextmanager
 def _tell_where(theta: FloatArray) -> Iterator[None]:
-    """Tell where a density raised; the error stays as it is."""
+    """Add the point of the evaluation to an error that a density raises; the error itself is unchanged."""
     try:
         yield
     except NotImplementedError:
@@ -46,28 +46,28 @@ def _tell_where(theta: FloatArray) -> Iterator[None]:
 
 
 _STEP = 1e-5
-"""Of the differences that replace a missing gradient, in scaled coordinates."""
+"""Step of the differences that replace a missing gradient, in scaled coordinates."""
 _DECADES = (-1.0, 2.0)
-"""Distances of the starts from the given one, in scaled units, where there are neither bounds nor a prior."""
+"""Decimal logarithms of the starts' distances from the given start, scaled, without bounds or a prior."""
 
 
 class PlainDensity:
     """A log-density with the attributes of an updating problem that the search needs; it has no modes.
 
-    The search goes around places where it is not finite. Evaluations are counted as solves.
+    The search avoids points at which the log-density is not finite. Evaluations are counted as solves.
 
     Parameters
     ----------
     density : LogDensity
-        ``log_prob_and_grad``, ``start`` and ``sample_prior`` are used if it has them. Central differences replace
-        a missing gradient.
+        ``log_prob_and_grad``, ``start`` and ``sample_prior`` are used if the density has them. Central differences
+        replace a missing gradient.
 
     Attributes
     ----------
     region : str
-        Where the starts of the search are, in words.
+        The region of the starts of the search, in words.
     is_bounded : bool
-        Whether bounds or a prior say where maxima can be.
+        Whether bounds or a prior limit the region of the maxima.
     """
 
     is_hierarchical = False
@@ -95,7 +95,7 @@ class PlainDensity:
         )
 
     def starting_points(self, starts: int, seed: int) -> FloatArray:
-        """Return points to climb from, shape (starts, ndim): the start, then some from the region."""
+        """Return the starts of the ascents, shape (starts, ndim): the given start, then points of the region."""
         from scipy.stats import qmc
 
         rng, more = np.random.default_rng(seed), starts - 1
@@ -110,7 +110,7 @@ class PlainDensity:
         return np.clip(np.concatenate([self.start[None], theta]), self.lower, self.upper)
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return no frequencies, shape (..., 0)."""
+        """Return an empty array in place of frequencies, shape (..., 0)."""
         return np.empty((*np.shape(theta)[:-1], 0))
 
     def log_prob(self, theta: ArrayLike) -> Any:
@@ -122,7 +122,7 @@ class PlainDensity:
         return np.where(np.isfinite(value), value, -np.inf)[() if np.ndim(theta) > 1 else 0]
 
     def log_prob_and_grad(self, theta: ArrayLike) -> tuple[Any, Any]:
-        """Return the log-density and its gradient, its own or by differences; low and flat where not finite."""
+        """Return the log-density and its gradient, exact or by differences; low and flat where not finite."""
         points = np.atleast_2d(theta)
         if self._has_gradient:
             count_solves(len(points), with_gradients=True)
@@ -138,12 +138,12 @@ class PlainDensity:
         one = () if np.ndim(theta) > 1 else 0
         known = np.isfinite(value) & np.isfinite(gradient).all(axis=1)
         self._depth = max(self._depth, float(np.max(np.abs(value[known]), initial=0.0)))
-        # hardly below all that was seen: a step to −inf would shorten the next to nothing
+        # only moderately below all values seen so far: after a step to −inf the next step would be tiny
         value, gradient = np.where(known, value, -2.0 * self._depth - 1.0), np.where(known[:, None], gradient, 0.0)
         return value[one], gradient[one]
 
     def _gives_gradients(self) -> bool:
-        """Say whether the density has a gradient that is implemented."""
+        """Return True if the density implements a gradient."""
         if not hasattr(self.density, "log_prob_and_grad"):
             return False
         try:
@@ -154,25 +154,26 @@ class PlainDensity:
         return True
 
     def search_in_words(self, found: Sequence[Maximum]) -> str:
-        """Return a sentence with the number of starts, their region, and the number of maxima."""
+        """Return a clause with the number of starts, their region, and the number of maxima."""
         n = len(found)
         climbed = sum(m.starts for m in found)
         return f"{climbed} starts {self.region} led to {n} {'maximum' if n == 1 else 'maxima'}"
 
     def doubts(self, best: Maxima, found: Sequence[Maximum], is_spent: bool) -> tuple[str, ...]:
-        """Say why the search does not exclude other maxima, a sentence each; nothing if it does.
+        """Return reasons why the search does not exclude other maxima, one sentence each; empty without doubts.
 
-        Where starts fell into the basins of all maxima twice or more, hardly any start would fall into another
-        (Good 1953, Biometrika 40, 237-264). Where one start alone reached a maximum, others may well be missed.
+        If two or more starts fell into the basin of every maximum, hardly any further start would fall into
+        another basin (Good 1953, Biometrika 40, 237-264). If a maximum was reached from one start alone, others
+        may well be missed.
 
         Parameters
         ----------
         best : Maxima
-            Those whose mass was computed.
+            The maxima whose mass was computed.
         found : sequence of Maximum
-            All of them.
+            All maxima that were found.
         is_spent : bool
-            Whether the search ended because its evaluations were spent.
+            Whether the search ended because it reached its limit of evaluations.
         """
         said = self.search_in_words(found)
         once = sum(m.starts == 1 for m in best if m.share > NEGLIGIBLE)

@@ -1,4 +1,4 @@
-"""The maxima of a posterior as a result: their places and weights, and their form in a trace."""
+"""The maxima of a posterior as a result: positions, weights, tables, and storage in a trace."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
 
 TYPICAL_POINT = {"maxima": "typical point"}
-"""Where the chains on a hierarchical posterior start, as its configuration says."""
+"""Description of the starts of chains on a hierarchical posterior, for the configuration of a run."""
 MOST_SHOWN = 6
-"""Maxima shown side by side."""
+"""Largest number of maxima shown side by side."""
 _PROBABLE = ("log-probability", "share of probability", "starts")
 _ENDS = {
     JUMP: "a jump down, where computed modes swap or coincide.",
@@ -33,18 +33,18 @@ _ENDS = {
     SLOPE: "where the search ended, and beyond: use more starts.",
 }
 NEGLIGIBLE = 0.01
-"""Share of the probability that a run may leave out."""
+"""Largest share of the probability that a run may miss."""
 RELIABLE = 20.0
-"""Effective draws required for the mass of a maximum."""
+"""Effective number of draws required for the mass of a maximum."""
 
 
 def share_of_mass(part: float) -> str:
-    """Format the share of a maximum: never zero, even if it underflows."""
+    """Return the share of a maximum as text; it is never shown as zero, even if it underflows."""
     return share(max(part, np.finfo(float).tiny))
 
 
 def mass_in_words(part: float) -> str:
-    """Format a part of the probability in words: ``"about 3 %"``, ``"less than 0.01 %"``."""
+    """Return a share of the probability in words: ``"about 3 %"``, ``"less than 0.01 %"``."""
     text = share_of_mass(part)
     return text.replace("< ", "less than ").replace("> ", "more than ") if text[0] in "<>" else f"about {text}"
 
@@ -52,7 +52,7 @@ def mass_in_words(part: float) -> str:
 def theta_in_words(
     names: Iterable[str], theta: FloatArray, units: Iterable[str], sd: FloatArray | None = None
 ) -> str:
-    """Format a parameter vector: ``"Ix1 = 3904 mm⁴, Ax1 = 900.0 mm²"``, to the digits that `sd` supports."""
+    """Return a parameter vector as text: ``"Ix1 = 3904 mm⁴, Ax1 = 900.0 mm²"``; `sd` determines the digits."""
     spread = np.zeros(len(theta)) if sd is None else np.nan_to_num(sd)
     parts = zip(names, theta, spread, units, strict=True)
     return ", ".join(f"{name} = {with_unit(float(x), unit, float(s))}" for name, x, s, unit in parts)
@@ -66,13 +66,13 @@ class PosteriorMaximum:
     ----------
     theta : ndarray, shape (ndim,)
     log_prob : float
-        As ``problem.log_prob``.
+        Log-probability, as ``problem.log_prob``.
     frequencies : ndarray, shape (n_modes,)
-        Hz, paired with the measured modes.
+        Computed frequencies in Hz, paired with the measured modes.
     starts : int
-        Number of optimiser starts that ended there.
+        Number of optimiser starts that ended at this maximum.
     at_bound : ndarray of int, shape (ndim,)
-        −1 where the lower bound is active, 1 where the upper one is, 0 elsewhere.
+        −1 where the lower bound is active, 1 where the upper bound is active, 0 elsewhere.
     gradient : ndarray, shape (ndim,)
         Gradient of the log-probability; not zero if a bound is active.
     hessian : ndarray, shape (ndim, ndim)
@@ -82,19 +82,20 @@ class PosteriorMaximum:
     mean, sd : ndarray, shape (ndim,)
         Mean and standard deviation of the part of the posterior that belongs to this maximum.
     log_mass : float
-        Logarithm of that part's integral ∫ P(D|θ) P(θ) dθ.
+        Logarithm of the integral ∫ P(D|θ) P(θ) dθ over this part.
     effective_draws : float
         Effective sample size of `mean`, `sd` and `log_mass`; 0 if they come from the Laplace approximation alone.
     share : float
-        The mass over that of all maxima found.
+        Ratio of this mass to the total mass of all maxima found.
     kind : str
         ``"maximum"``: the gradient vanishes, or bounds are active; ``"kink"``, where the gradient turns;
-        ``"jump"``, where log P falls; ``"edge"``, beyond which nothing can be solved; ``"slope"``, where the
+        ``"jump"``, where log P falls; ``"edge"``, beyond which the model has no solution; ``"slope"``, where the
         search ended without a maximum.
     slope : float
         Length of the gradient over the free coordinates, in nats per posterior standard deviation.
     weight : float
-        Share by which chains are started: what the quadratic model reaches, also across a jump. NaN: `share`.
+        Share of the chains that start here: the mass that the quadratic model covers, also across a jump. If it is
+        NaN, `share` is used.
     """
 
     theta: FloatArray
@@ -116,12 +117,12 @@ class PosteriorMaximum:
 
     @property
     def is_maximum(self) -> bool:
-        """Whether log P rises from there in no direction."""
+        """Whether log P rises in no direction from this point."""
         return self.kind in (MAXIMUM, KINK)
 
     @property
     def starting_share(self) -> float:
-        """Share of the chains that start there."""
+        """Share of the chains that start at this maximum."""
         return self.share if np.isnan(self.weight) else self.weight
 
 
@@ -137,19 +138,20 @@ class Maxima:
     labels : tuple of str
         Labels of the measured modes.
     lower, upper, start : ndarray, shape (ndim,)
-        The bounds, and the model before updating.
+        The bounds, and the parameters of the model before updating.
     measured, before : ndarray, shape (n_modes,)
-        Frequencies in Hz: measured, and of the model before updating.
+        Measured frequencies, and frequencies of the model before updating, Hz.
     n_solves, n_gradients : int
-        Model solves that the search and the masses took, and how many of them gave an exact gradient too; 0 if not
-        known.
+        Number of model solves for the search and the masses, and number of them with an exact gradient; 0 if
+        unknown.
     search : str
         Where the search of a plain density began and what it found, in words; empty for an updating problem.
     doubts : tuple of str
-        Why the search does not exclude other maxima, a sentence each; empty if it does as far as a search can.
+        Reasons why the search does not exclude other maxima, one sentence each; empty if it excludes them as far
+        as a search can.
     level : float
-        The third-highest log-density at points scattered over the region where a plain density was searched. Where
-        draws lie above it, the points are too sparse to meet another mode as narrow as theirs.
+        The third-highest log-density at points scattered over the region in which a plain density was searched. If
+        draws lie above this level, the points are too sparse to find another such narrow mode.
     """
 
     maxima: tuple[PosteriorMaximum, ...]
@@ -183,17 +185,17 @@ class Maxima:
 
     @property
     def effective_draws(self) -> float:
-        """The fewest effective draws that the mass of a maximum with more than negligible mass rests on."""
+        """Smallest effective sample size of the masses that are not negligible."""
         return min(m.effective_draws for m in self.maxima if m.share > NEGLIGIBLE)
 
     @property
     def are_weighed(self) -> bool:
-        """Whether all places with mass are maxima, each weighed by enough effective draws."""
+        """Whether all points with mass are maxima, and each mass has enough effective draws."""
         return self.effective_draws >= RELIABLE and all(m.is_maximum for m in self.maxima if m.share > NEGLIGIBLE)
 
     @property
     def log_evidence_error(self) -> float:
-        """Standard error of `log_evidence` from the importance weights; NaN if there are none."""
+        """Standard error of `log_evidence` from the importance weights; NaN without importance weights."""
         weighed = [m for m in self.maxima if m.effective_draws > 0]
         if not weighed:
             return np.nan
@@ -201,18 +203,19 @@ class Maxima:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of positions, gradients, Hessians and shares of the starts at the maxima."""
+        """SHA-256 of the positions, log-probabilities, gradients, Hessians and starting shares of the maxima."""
         what = {
             name: [vars(m)[name] for m in self.maxima] for name in ("theta", "log_prob", "gradient", "hessian")
         }
         return configuration_hash(what | {"share": [m.starting_share for m in self.maxima]})
 
     def table(self) -> pd.DataFrame:
-        """Return one row per maximum, SI units.
+        """Return a table with one row per maximum, SI units.
 
-        Columns ``log_prob``, ``share``, ``starts``, ``at_bounds`` (words); each parameter; its posterior mean and
-        standard deviation around this maximum, ``NAME_mean`` and ``NAME_sd``; and the frequencies, ``LABEL_hz``.
-        A name already taken gets an underscore: a parameter called ``share`` is in column ``share_``.
+        The columns are ``log_prob``, ``share``, ``starts``, ``at_bounds`` (in words); each parameter; its
+        posterior mean and standard deviation around this maximum, ``NAME_mean`` and ``NAME_sd``; and the
+        frequencies ``LABEL_hz`` in Hz. If a name is already taken, an underscore is added: a parameter called
+        ``share`` is in column ``share_``.
         """
         best = self.maxima
         columns: list[tuple[str, Sequence[object]]] = [
@@ -232,16 +235,16 @@ class Maxima:
         return table
 
     def words_at_bounds(self, maximum: PosteriorMaximum) -> str:
-        """Name the active bounds: ``"Ix2 upper, Ax1 upper"``; empty if there is none."""
+        """Return the active bounds in words: ``"Ix2 upper, Ax1 upper"``; empty if none is active."""
         side = {-1: "lower", 1: "upper"}
         return ", ".join(
             f"{name} {side[int(at)]}" for name, at in zip(self.names, maximum.at_bound, strict=True) if at
         )
 
     def drop(self, theta: FloatArray) -> FloatArray:
-        """Return by how much the quadratic model of each maximum falls to theta (n, ndim), shape (maxima, n).
+        """Return the fall of each maximum's quadratic model from its peak to theta (n, ndim), (maxima, n).
 
-        Infinite for those so low that they have no mass: an ascent may have ended on a slope there.
+        The fall is infinite for maxima so low that they have no mass: an ascent may have ended on a slope there.
         """
         models = [
             basin(Quadratic(m.theta, m.log_prob, m.gradient, m.hessian), m.kind, m.at_bound) for m in self.maxima
@@ -251,9 +254,10 @@ class Maxima:
         return falls
 
     def side_by_side(self, most: int = MOST_SHOWN) -> pd.DataFrame:
-        """Return a table of text: a column for each maximum, beside the model before updating and the measurement.
+        """Return a table of text with a column for each maximum, for the model before updating and for the data.
 
-        Digits follow from the posterior standard deviations; different frequencies are shown as different.
+        The number of digits follows from the posterior standard deviations; different frequencies are shown as
+        different.
 
         Parameters
         ----------
@@ -281,17 +285,17 @@ class Maxima:
         return pd.DataFrame(rows, index=index, columns=header)
 
     def at_bounds(self) -> list[str]:
-        """Return a sentence for each of the highest maxima that lies at bounds."""
+        """Return a sentence for each of the highest maxima that has active bounds."""
         words = [self.words_at_bounds(m) for m in self.maxima[:MOST_SHOWN]]
         titles = [self.title(k).capitalize() for k in range(len(words))]
         return [f"{title} lies at bounds: {said}." for title, said in zip(titles, words, strict=True) if said]
 
     def title(self, k: int) -> str:
-        """Return ``"maximum 1"``, or ``"jump 2"`` of a place that is no maximum; `k` counts from 0."""
+        """Return the title of the maximum with index `k`: ``"maximum 1"``, or ``"jump 2"`` if it is no maximum."""
         return f"{self.maxima[k].kind if not self.maxima[k].is_maximum else MAXIMUM} {k + 1}"
 
     def no_maxima(self) -> list[str]:
-        """Return a sentence for each of the highest places at which the search ended though it is no maximum."""
+        """Return a sentence for each of the highest points at which the search ended without a maximum."""
         return [
             f"{self.title(k).capitalize()} is no maximum: the log-probability rises by "
             f"{significant(m.slope, 2)} per posterior standard deviation up to {_ENDS[m.kind]}"
@@ -300,7 +304,7 @@ class Maxima:
         ]
 
     def as_text(self, most_rows: int | None = None) -> str:
-        """Return the table as text; if it has more rows, only the probabilities of the maxima."""
+        """Return the table as text; if it has more than `most_rows` rows, only the probabilities of the maxima."""
         table = self.side_by_side()
         if most_rows is not None and len(table) > most_rows:
             table = table.iloc[: len(_PROBABLE), 2:-1]
@@ -318,7 +322,7 @@ class Maxima:
         return str(self.side_by_side().to_html()) + said
 
     def to_dataset(self) -> xr.Dataset:
-        """Return the maxima as a dataset, as stored in a trace."""
+        """Return the maxima as a dataset that can be stored in a trace."""
         import xarray as xr
 
         return xr.Dataset(
@@ -342,7 +346,7 @@ class Maxima:
 
     @classmethod
     def from_dataset(cls, dataset: xr.Dataset) -> Maxima:
-        """Return the maxima from what `to_dataset` returned."""
+        """Return the maxima from a dataset that `to_dataset` returned."""
         columns = {name: dataset[name].to_numpy() for name in _DIMENSIONS if name in dataset}
         rows = [{name: column[i] for name, column in columns.items()} for i in range(dataset.sizes["maximum"])]
         names, units, labels = (

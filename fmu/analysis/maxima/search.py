@@ -1,4 +1,4 @@
-"""Deterministic updating from many starts: every maximum of the posterior, with its curvature."""
+"""Search for all maxima of the posterior from many starts, with the curvature and the mass of each."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ STARTS = 256
 STARTS_WITHOUT_DERIVATIVES = 16
 """A start costs some hundred calls of the user's function, which may be a finite-element program."""
 STARTS_IF_SLOW = 64
-"""A start costs about a hundred solves, of a large model that is not reduced or to `_MANY` unknowns at least."""
+"""A start costs about a hundred solves of a large model, not reduced or reduced to at least `_MANY` unknowns."""
 _MANY = 128
 STARTS_OF_PLAIN, MOST_EVALUATIONS = 64, 20_000
-"""For a plain log-density with gradients; and evaluations after which no further start climbs by default."""
+"""Starts for a plain log-density with gradients, and evaluations after which no further start is used."""
 SCATTERED = 16
-"""Points for each start at which a plain log-density is evaluated, to see how densely they lie."""
+"""Number of points per start at which a plain log-density is evaluated, to see how densely they lie."""
 _MOST_PLACES = 8
-"""Places of a plain log-density whose curvature and mass are computed."""
+"""Largest number of maxima of a plain log-density whose curvature and mass are computed."""
 _WEIGHING, _OF_SEARCH, _FEWEST_DRAWS = 1, 0.5, 8
 _KNOWN: WeakKeyDictionary[LogDensity, dict[tuple[int, int, float], Maxima]] = WeakKeyDictionary()
 
@@ -50,8 +50,8 @@ _KNOWN: WeakKeyDictionary[LogDensity, dict[tuple[int, int, float], Maxima]] = We
 def default_starts(problem: UpdatingProblem) -> int:
     """Return the default number of optimiser starts.
 
-    Fewer if gradients are finite differences, or if a large model is not reduced, or to many unknowns, so that a
-    solve takes milliseconds.
+    There are fewer starts if gradients are finite differences, or if a solve takes milliseconds because a large
+    model is not reduced, or is reduced to many unknowns.
     """
     if problem.solves_per_gradient > 1:
         return STARTS_WITHOUT_DERIVATIVES
@@ -59,13 +59,13 @@ def default_starts(problem: UpdatingProblem) -> int:
 
 
 def _is_slow(problem: UpdatingProblem) -> bool:
-    """Say whether a large model is not reduced, or to many unknowns."""
+    """Return True if a large model is not reduced, or is reduced to many unknowns."""
     structure = structure_of(problem.model)
     return structure is not None and (bool(structure.why_full) or max(problem.model.sizes, default=0) >= _MANY)
 
 
 def is_searchable(problem: LogDensity) -> bool:
-    """Say whether `find_map` may search the density: it has no population, whose maximum is far from its mass."""
+    """Return True if `find_map` can search the density: not a population's, whose maximum is far from its mass."""
     return not getattr(problem, "is_hierarchical", False)
 
 
@@ -75,33 +75,34 @@ def find_map(
 ) -> Maxima:
     """Find the maxima of the posterior within the bounds, with the curvature and the mass of each.
 
-    This is updating to a single parameter vector. It is also a check that no sampler can do by itself: whether the
-    posterior has other maxima, and how much probability they hold. The result is cached with the problem: a second
-    search with the same number of starts and the same seed costs nothing.
+    This is updating to a single parameter vector. It also checks what no sampler can check by itself: whether the
+    posterior has other maxima, and how much probability they hold. The result is cached with the problem, so that
+    a second search with the same number of starts and the same seed costs nothing.
 
-    Of a function without derivatives that takes 0.05 s or longer the search takes about as many solves as a
-    surrogate, unless `starts` is given; `Maxima.doubts` say after how many starts it ended.
+    For a function without derivatives that takes 0.05 s or longer, the search takes about as many solves as
+    building a surrogate, unless `starts` is given; `Maxima.doubts` then states after how many starts the search
+    ended.
 
-    Of any other log-density the starts are drawn from its prior (``sample_prior``), or within its bounds. One with
-    neither is searched around its start, which excludes nothing: `Maxima.doubts` say so, and so does the verdict
-    on a run. A maximum that attracts fewer than one start in `starts` may be missed.
+    For any other log-density, the starts are drawn from its prior (``sample_prior``), or within its bounds. A
+    density with neither is searched around its start, which excludes no other maxima; `Maxima.doubts` and the
+    verdict on a run state this. A maximum that attracts fewer than one start in `starts` may be missed.
 
     Parameters
     ----------
     problem : LogDensity
     starts : int, optional
-        Optimiser starts, see `fmu.posterior.maxima.local_maxima`. Fewer starts are faster but may miss a
-        maximum. 256 by default, 16 if there are no derivatives, 64 if a large model is not reduced, or to 128
-        unknowns and more, and of a plain log-density.
+        Number of optimiser starts, see `fmu.posterior.maxima.local_maxima`. Fewer starts are faster but may miss a
+        maximum. The default is 256. It is 16 without derivatives, and 64 for a plain log-density and for a large
+        model that is not reduced, or is reduced to 128 or more unknowns.
     seed : int
         Seed of the starts and of the importance sampling.
 
     Returns
     -------
     Maxima
-        The highest first. The Hessians are differences of the exact gradient if that is smooth (`hessian_at`).
-        The masses are integrals over the box by importance sampling around each maximum (`mode_weights`), so
-        that active bounds and non-Gaussian shapes count.
+        The maxima, the highest first. The Hessians are differences of the exact gradient if the gradient is smooth
+        (`hessian_at`). The masses are integrals over the box by importance sampling around each maximum
+        (`mode_weights`), so that active bounds and non-Gaussian shapes are included.
 
     Raises
     ------
@@ -122,7 +123,7 @@ def find_map(
 
 
 def _search(problem: UpdatingProblem, starts: int, seed: int, most: float) -> Maxima:
-    """Search an updating problem, with `most` solves or hardly more."""
+    """Return the maxima of an updating problem, found with about `most` solves at most."""
     from fmu.posterior.maxima import local_maxima
 
     solved, differentiated = solves(), gradients()
@@ -140,7 +141,7 @@ def _search(problem: UpdatingProblem, starts: int, seed: int, most: float) -> Ma
 
 
 def _most_solves(problem: UpdatingProblem) -> float:
-    """Return the default limit of solves: for a slow function, as many as a surrogate takes; otherwise none."""
+    """Return the default limit of solves: for a slow function the cost of a surrogate, otherwise infinity."""
     if problem.solves_per_gradient == 1:
         return np.inf
     seconds = problem.model.seconds_at(problem.model_parameters(problem.start[None])[0])
@@ -149,7 +150,7 @@ def _most_solves(problem: UpdatingProblem) -> float:
 
 
 def _search_plain(density: PlainDensity, starts: int | None, seed: int) -> Maxima:
-    """Search a plain log-density, and note the doubts that the search leaves."""
+    """Return the maxima of a plain log-density, with the doubts that the search leaves."""
     from fmu.posterior.maxima import maxima_from
 
     most = MOST_EVALUATIONS if starts is None else np.inf
@@ -183,9 +184,10 @@ def _weigh(
     most: float = np.inf,
     draws: int = DRAWS,
 ) -> Maxima:
-    """Return the maxima with curvature and mass; `solved` and `differentiated` were counted before the search.
+    """Return the maxima with curvature and mass.
 
-    With a limit, the curvature is by Gauss and Newton, and the mass by as many draws as are left.
+    The counts `solved` and `differentiated` are the solves and gradients before the search. With a limit `most` of
+    solves, the Gauss–Newton matrix is used as the curvature, and the remaining solves are used for the mass.
     """
     theta = np.array([maximum.theta for maximum in found])
     scaled = ScaledDensity(problem)
@@ -277,18 +279,18 @@ _SMOOTH = 0.3
 def hessian_at(problem: UpdatingProblem, theta: FloatArray, *, is_rough: bool = False) -> tuple[FloatArray, str]:
     """Return −∇² log P at a maximum, in the coordinates (θ − offset)/scale, and its source.
 
-    Differences of the exact gradient, with a step of a twentieth of the width that a first attempt finds,
-    one-sided at the bounds; negative eigenvalues are set to zero. Where modes swap the gradient jumps, and
-    differences with another step disagree. For errors in the modes the Gauss–Newton matrix is then used: JᵀJ of
-    the residuals plus the curvature of the prior. It may be ten times too small if residuals are several
-    standard deviations.
+    The Hessian is computed from differences of the exact gradient, one-sided at the bounds, with a step of a
+    twentieth of the width that a first attempt finds; negative eigenvalues are set to zero. Where modes swap, the
+    gradient jumps, and differences with another step disagree. For errors in the modes the Gauss–Newton matrix is
+    then used: JᵀJ of the residuals plus the curvature of the prior. It may be ten times too small if residuals are
+    several standard deviations.
 
     Parameters
     ----------
     problem : UpdatingProblem
     theta : ndarray, shape (ndim,)
     is_rough : bool
-        Whether the Gauss–Newton matrix is enough, where there is one: it takes one gradient.
+        Whether the Gauss–Newton matrix suffices if there is one: it takes one gradient.
 
     Returns
     -------
@@ -317,7 +319,7 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray, *, is_rough: bool = 
 
 
 def _differences(problem: UpdatingProblem, theta: FloatArray, step: FloatArray) -> FloatArray:
-    """Return the symmetric part of the gradient's differences over ± `step` (ndim,), in scaled coordinates."""
+    """Return the symmetric part of differences of the gradient over ± `step` (ndim,), in scaled coordinates."""
     lower, upper = problem.lower, problem.upper
     if problem.parameters:  # at a bound where the prior vanishes there is no gradient: go only halfway
         vanishing = [(p.lowest > p.lower, p.highest < p.upper) for p in problem.parameters]
@@ -326,7 +328,7 @@ def _differences(problem: UpdatingProblem, theta: FloatArray, step: FloatArray) 
         upper = np.where(vanish_above, 0.5 * (upper + theta), upper)
     ends, distance = both_sides(theta[None], step * problem.scale, lower, upper)
     slopes = [problem.log_prob_and_grad(points[0])[1] * problem.scale for points in ends]
-    with np.errstate(invalid="ignore"):  # no gradient beyond an edge: taken as no curvature
+    with np.errstate(invalid="ignore"):  # there is no gradient beyond an edge: no curvature is assumed
         hessian = (slopes[1] - slopes[0]) / (distance[0] / problem.scale)[:, None]
     hessian = np.where(np.isfinite(hessian), hessian, 0.0)
     return 0.5 * (hessian + hessian.T)

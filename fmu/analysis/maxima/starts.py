@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 
 DISPERSION = 2.0
-"""Standard deviation of the starts around a maximum, over that of the posterior there.
+"""Ratio of the standard deviation of the starts around a maximum to that of the posterior there.
 
-Overdispersed chains must contract to the posterior before they agree, so that R-hat shows a chain that has not
+Overdispersed chains must contract to the posterior before they agree, so that R-hat shows chains that have not
 (Gelman & Rubin 1992, Statistical Science 7, 457-472, section 2.1). Twice the width is also used by the importance
 sampling, and is far less than the distance to another maximum. It cannot show a maximum that the search did not
 find; nor can starts from the prior, unless one of them falls into its basin.
@@ -39,15 +39,15 @@ _MAY_MATTER, _MOST_COMPONENTS = 1e-6, 8
 
 
 class Starts(NamedTuple):
-    """Where chains start.
+    """The starts of chains.
 
     Attributes
     ----------
     position : str or ndarray, shape (chains, ndim) or (chains, walkers, ndim)
-        For `fmu.samplers.Run`: a word, or positions in SI units.
+        Argument of `fmu.samplers.Run`: a word, or positions in SI units.
     word : {"maxima", "prior", "start", "array"}
     origin : str, ndarray or dict
-        Their description for the configuration of a run.
+        Description of the starts for the configuration of a run.
     """
 
     position: str | FloatArray
@@ -58,14 +58,15 @@ class Starts(NamedTuple):
 def choose_starts(
     density: LogDensity, init: str | ArrayLike, maxima: Maxima | None, chains: int, walkers: int, seed: int
 ) -> Starts:
-    """Return where the chains start.
+    """Return the starts of the chains.
 
     Parameters
     ----------
     density : LogDensity
     init : "maxima", "prior", "start" or array_like
-        "maxima" means the middle of a hierarchical posterior; and otherwise, without maxima, the prior, or
-        points within the bounds if there is none.
+        For a hierarchical posterior, "maxima" means its typical point. For another density without `maxima`, it
+        means the prior, or scattered points if there is no prior, or if the density is not finite at some of its
+        draws.
     maxima : Maxima or None
     chains, walkers, seed : int
         See `starts_at_maxima`.
@@ -90,14 +91,14 @@ def choose_starts(
 
 
 def _is_finite_in_prior(density: PlainDensity, seed: int) -> bool:
-    """Say whether a log-density is finite at all of some draws from its prior."""
+    """Return True if a log-density is finite at its start and at all of some draws from its prior."""
     return bool(np.all(np.isfinite(density.log_prob(density.starting_points(_SCATTERED, seed)))))
 
 
 def _scatter_starts(density: PlainDensity, n: int, seed: int) -> FloatArray:
     """Return `n` points (n, ndim) at which a log-density is finite: from its prior, its bounds, or wide.
 
-    They are chosen of many. Where too few are finite they are repeated.
+    The points are chosen from a larger number. If too few of these are finite, points are repeated.
     """
     theta = density.starting_points(_SCATTERED * n, seed)
     theta = theta[np.isfinite(density.log_prob(theta))]
@@ -107,16 +108,16 @@ def _scatter_starts(density: PlainDensity, n: int, seed: int) -> FloatArray:
 
 
 def worth_starting_from(density: LogDensity, maxima: Maxima) -> Maxima | None:
-    """Return the maxima of a plain log-density if chains had better start there than from its prior, else None.
+    """Return the maxima of a plain log-density if they are better starts than its prior, else None.
 
-    That is so with several maxima, or without a prior, if the mass is around the maxima, unlike in a funnel.
+    They are better with several maxima, or without a prior, if the mass is around the maxima, unlike in a funnel.
     """
     several = sum(m.share > NEGLIGIBLE for m in maxima) > 1
     return maxima if maxima.are_weighed and (several or not has_prior(density)) else None
 
 
 def middle(problem: Any) -> Quadratic:
-    """Return the middle of a hierarchical posterior as a quadratic, in scaled units."""
+    """Return the quadratic model at the typical point of a hierarchical posterior, in scaled units."""
     from fmu.posterior.joint.typical import typical_point
 
     position, hessian = typical_point(problem)
@@ -126,11 +127,11 @@ def middle(problem: Any) -> Quadratic:
 
 
 def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: int, seed: int) -> FloatArray:
-    """Draw the starts of all chains around the maxima, in proportion to the maxima's shares of the probability.
+    """Draw the starts of all chains around the maxima, in proportion to the probability shares of the maxima.
 
-    Around each maximum they are drawn from its quadratic model of the log-probability, `DISPERSION` times as
+    Around each maximum the starts are drawn from its quadratic model of the log-probability, `DISPERSION` times as
     wide as the posterior and truncated at the bounds. The model may be wrong so far out: a start with a
-    log-probability lower than on the surface of the ellipsoid, or not finite, is moved halfway towards the
+    log-probability that is lower than on the surface of the ellipsoid, or not finite, is moved halfway towards the
     maximum until it is high enough.
 
     Parameters
@@ -139,17 +140,17 @@ def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: 
     maxima : Maxima
         The result of `fmu.find_map`.
     chains : int
-        Chains, or ensembles.
+        Number of chains, or of ensembles.
     walkers : int
-        Walkers of an ensemble, 1 for samplers whose chain is a single point. The walkers of every ensemble are in
-        proportion to the shares.
+        Number of walkers of an ensemble, 1 for samplers whose chain is a single point. The walkers of every
+        ensemble are allotted in proportion to the shares.
     seed : int
         Seed of the run.
 
     Returns
     -------
     ndarray, shape (chains, ndim) or (chains, walkers, ndim)
-        SI units.
+        Starts in SI units.
     """
     scaled, rng = ScaledDensity(density), generator(seed, START_STREAM)
     share = np.array([m.starting_share for m in maxima])
@@ -162,7 +163,7 @@ def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: 
 
 
 def walkers(problem: UpdatingProblem, n: int, seed: int = 1) -> FloatArray:
-    """Return starts for the walkers of one ensemble: `fmu.UpdatingProblem.walkers`."""
+    """Return starts for the walkers of one ensemble, shape (n, ndim); see `fmu.UpdatingProblem.walkers`."""
     least = 2 * problem.ndim
     if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < least:
         raise ValueError(f"n: must be a whole number of at least {least}, twice the parameters (got {n!r})")
@@ -172,11 +173,11 @@ def walkers(problem: UpdatingProblem, n: int, seed: int = 1) -> FloatArray:
 
 
 def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadratic], FloatArray]:
-    """Return the maxima that may matter as quadratics in scaled units, and weights: half shares, half equal.
+    """Return quadratics at the important maxima, scaled, and weights: half by shares, half equal.
 
-    That is where a sampler may begin to learn the posterior. The first candidates are then enough around each
-    maximum to learn its shape, and a share that was estimated far too low is seen. Without `maxima`: the middle of
-    a hierarchical posterior.
+    With these components a sampler can begin to adapt to the posterior. The first candidates around each maximum
+    then suffice to find its shape, and a share that was estimated far too low is noticed. Without `maxima`, the
+    single component is at the typical point of a hierarchical posterior.
     """
     if maxima is None:
         return [middle(density)], np.ones(1)
@@ -198,12 +199,12 @@ def _scale_maximum(maximum: PosteriorMaximum, scaled: ScaledDensity) -> Quadrati
 
 
 def allot_chains(share: FloatArray, n: int) -> IntArray:
-    """Return the maximum (from 0) at which each of `n` chains starts, shape (n,), in ascending order.
+    """Return the index of the maximum at which each of `n` chains starts, shape (n,), in ascending order.
 
-    By the method of Webster and Sainte-Laguë, whose whole numbers are closest to the shares; but every maximum
-    first gets one chain, the largest shares first if there are too few chains. Maxima with a share below 1 %, or
-    below a tenth of 1/n, get none: a chain that never leaves such a maximum would be out of proportion
-    (`fmu.analysis.maxima.compute_errors`).
+    The chains are allotted by the method of Webster and Sainte-Laguë, whose whole numbers are closest to the
+    shares. Before that, every maximum gets one chain, the largest shares first if there are too few chains. Maxima
+    with a share below 1 %, or below a tenth of 1/n, get none: a chain that never leaves such a maximum would be
+    out of proportion (`fmu.analysis.maxima.missed.compare_shares`).
 
     Parameters
     ----------
@@ -231,7 +232,7 @@ def _around(model: Quadratic, scaled: ScaledDensity, rng: np.random.Generator, n
         if not too_low.any():
             break
         u[too_low] = 0.5 * (u[too_low] + model.position)
-    else:  # a maximum at the edge of what can be solved, with nothing beyond it: to the other side
+    else:  # at an edge beyond which the model has no solution: reflect to the other side
         too_low = ~np.isfinite(np.asarray(scaled.log_prob(u)))
         u[too_low] = 2.0 * model.position - u[too_low]
     return u

@@ -1,4 +1,4 @@
-"""A problem before sampling: its model, its modes, its gradient, and the identifiability of its parameters."""
+"""The check of a problem before sampling: model, modes, gradient, identifiability and prior prediction."""
 
 from __future__ import annotations
 
@@ -53,16 +53,17 @@ class Check:
     name : str
         Name of the problem.
     model : tuple of str
-        The model in words, a sentence each.
+        Description of the model, one sentence each.
     parameters : pandas.DataFrame
-        One row per parameter: ``unit``; ``start``, ``lower``, ``upper`` in it; ``prior`` and ``changes`` in words.
+        One row per parameter: ``unit``; ``start``, ``lower`` and ``upper`` in this unit; ``prior`` and ``changes``
+        in words.
     modes : InitialModes
-        Computed modes at the start beside the measured ones.
+        Computed modes at the start, paired with the measured ones.
     gradient : GradientCheck
     identifiability : Identifiability or None
-        None if the errors are not errors of modes, or the gradient is not finite.
+        None if the error model is not of modes (the modal residual), or the gradient is not finite.
     prior : PriorPrediction
-        Prior prediction for the measurement.
+        Prior prediction of the measured frequencies.
     rounding : str
         A warning if the matrices have too few digits; else empty.
     drawing : str
@@ -72,15 +73,15 @@ class Check:
     measurement : str
         What a measured frequency is: ``"a measurement"``, or ``"the mean of 5 tests"``.
     tests : tuple of str
-        Warnings about repeated tests, a sentence each.
+        Warnings about repeated tests, one sentence each.
     shapes : xarray.Dataset or None
-        The mode shapes at the start (`fmu.analysis.trace.modal_states.modal_states`), if there is a drawing.
+        The mode shapes at the start (`fmu.analysis.trace.modal_states.modal_states`); None without a drawing.
     assumptions : Assumptions or None
-        What the posterior rests on (`fmu.posterior.assumptions`).
+        The assumptions of the posterior (`fmu.posterior.assumptions`).
     priors : tuple of str
-        Warnings about priors that hardly fit their bounds, a sentence each.
+        Warnings about priors that hardly fit within their bounds, one sentence each.
     points : Matching or None
-        The points of the test on the nodes of the model, if their coordinates were given.
+        The test points matched to nodes of the model; None if no coordinates were given.
     """
 
     name: str
@@ -102,7 +103,7 @@ class Check:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What to look into before sampling, a sentence each."""
+        """Warnings about what to examine before sampling, one sentence each."""
         found = [
             *self.priors,
             *self.modes.doubts,
@@ -120,12 +121,12 @@ class Check:
 
     @property
     def sensor_doubts(self) -> tuple[str, ...]:
-        """Points that hardly fit the mesh, and sensors at which test and model disagree most, a sentence each."""
+        """Warnings about test points far from the mesh and about sensors that disagree, one sentence each."""
         found, placed = self.modes.correlation, () if self.points is None else self.points.doubts
         return placed if found is None else (*placed, *found.doubts_of_sensors())
 
     def sentences(self) -> list[str]:
-        """Return all findings in words: model, pairing, gradient, identifiability, prior prediction."""
+        """Return the list of all findings: model, pairing, gradient, identifiability and prior prediction."""
         assumed = () if self.assumptions is None else self.assumptions.sentences
         said = [*self.model, *assumed, *self.priors, *self.modes.notes, *self.modes.doubts]
         said += [*self.sensor_doubts, *self.tests]
@@ -136,16 +137,16 @@ class Check:
         return said + self.prior.sentences()
 
     def mode_table(self) -> pd.DataFrame:
-        """Return the computed modes as text; three or more in a row that move no sensor share a row."""
+        """Return the computed modes as text; three or more successive modes that move no sensor share a row."""
         return modes_as_text(self.modes)
 
     def sensor_table(self) -> pd.DataFrame:
-        """Return CoMAC and ECoMAC of each sensor as text, the largest ECoMAC first."""
+        """Return a table of text with the CoMAC and ECoMAC of each sensor, sorted by descending ECoMAC."""
         assert self.modes.correlation is not None  # there are measured shapes
         return self.modes.correlation.table().map(fixed, places=2).reset_index()
 
     def prior_table(self) -> pd.DataFrame:
-        """Return the prior predictions beside the measured frequencies, as text."""
+        """Return a table of text with the measured frequencies and their prior predictions, Hz."""
         table = self.prior.table()
         shown = table[["measured"]].map(given)
         shown["prior prediction"] = [with_sd(m, s) for m, s in zip(table["mean"], table["sd"], strict=True)]
@@ -153,12 +154,12 @@ class Check:
         return shown
 
     def parameter_table(self) -> pd.DataFrame:
-        """Return the parameters as text."""
+        """Return the table of the parameters as text."""
         numbers = self.parameters.select_dtypes("number").columns
         return self.parameters.assign(**{name: self.parameters[name].map(given) for name in numbers})
 
     def _blocks(self) -> list[Block]:
-        """Return the sections below the model: titles, sentences, and tables as text."""
+        """Return the list of sections below the model, each with a title, sentences and a table of text."""
         blocks: list[Block] = [
             ("Parameters", (), self.parameter_table().reset_index(names="")),
             *self._assumption_block(),
@@ -173,7 +174,7 @@ class Check:
         return [*blocks, (title, self.prior.sentences(), self.prior_table().reset_index(names=""))]
 
     def point_table(self) -> pd.DataFrame:
-        """Return node and distance of each point of the test as text, the farthest first."""
+        """Return the node and the distance of each test point as text, sorted by descending distance."""
         assert self.points is not None  # there are coordinates
         table = self.points.table().sort_values("distance", ascending=False, kind="stable").reset_index()
         lengths = {f"{key}, m": table[key].map(significant) for key in ("distance", "spacing")}
@@ -217,7 +218,7 @@ class Check:
         return "\n\n".join([*parts, self.verdict()])
 
     def verdict(self) -> str:
-        """Return the warnings as a list, or that there are none."""
+        """Return the list of warnings as text, or ``"No warnings."``."""
         if not self.doubts:
             return "No warnings."
         return "Warnings\n" + "\n".join(wrap_text(doubt, "  - ", "    ") for doubt in self.doubts)
@@ -235,11 +236,11 @@ class Check:
 
 
 _WORDS = ("", "point", "sensor", "unit", "prior", "changes", "measured mode", "moves", "mode")
-"""Columns that hold words."""
+"""Columns of text, which are aligned left."""
 
 
 def _shortened(block: Block) -> Block:
-    """Return a section whose table has at most `_MOST_ROWS` rows: of several tests, the first that fit."""
+    """Return a section with its table cut to the first `_MOST_ROWS` rows."""
     title, sentences, table = block
     if table is None or len(table) <= _MOST_ROWS:
         return block
@@ -266,14 +267,14 @@ def check(
     ----------
     problem : UpdatingProblem
     draws : int
-        Draws from the prior at which the model is solved, at least 2.
+        Number of draws from the prior at which the model is solved, at least 2.
     seed : int
         Seed of these draws, and of the points at which the gradient is checked.
 
     Returns
     -------
     Check
-        Can be printed, and is shown as HTML in a notebook.
+        The findings, which can be printed and are shown as HTML in a notebook.
 
     Raises
     ------
@@ -312,7 +313,7 @@ def check(
 
 
 def _tolerance(problem: UpdatingProblem) -> float | None:
-    """Return the error that the reduced model may have; None if there is none."""
+    """Return the largest relative frequency error allowed to the reduced model; None without a reduced model."""
     return None if problem.tolerance is None else problem.tolerance.frequency
 
 

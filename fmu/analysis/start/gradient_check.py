@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 AGREE = 1e-4
-"""Largest relative difference at which the gradient counts as right."""
+"""Largest relative difference at which the gradient counts as correct."""
 _STEPS = (1e-3, 1e-4, 1e-5)
 _RANDOM = 2
 _SMALL = 1e-3
@@ -48,10 +48,10 @@ class GradientCheck:
 
     @property
     def relative_error(self) -> FloatArray:
-        """Difference of each component over the size of the gradient at its point, shape (n, ndim).
+        """Difference of each gradient component over the size of the gradient at the point, shape (n, ndim).
 
-        The size is the largest component; near a maximum, where the gradient vanishes, a thousandth of the largest
-        at any point instead, and 1 at least.
+        The size is the largest absolute component at the point. It is at least a thousandth of the largest at any
+        point, because the gradient vanishes near a maximum, and at least 1.
         """
         largest = np.max(np.abs(self.exact), axis=1)
         size = np.maximum(np.maximum(largest, _SMALL * np.max(largest)), 1.0)
@@ -59,7 +59,7 @@ class GradientCheck:
 
     @property
     def largest(self) -> float:
-        """The largest relative error, NaN if one could not be computed."""
+        """The largest relative error; NaN if a component could not be computed."""
         return float(np.max(self.relative_error))
 
     @property
@@ -68,7 +68,7 @@ class GradientCheck:
         return self.largest <= AGREE
 
     def sentence(self) -> str:
-        """Return in words how well they agree, and where they differ most."""
+        """Return the sentence that says how well gradient and differences agree, and where they differ most."""
         errors = self.relative_error
         if not np.all(np.isfinite(errors)):
             i, j = np.argwhere(~np.isfinite(errors))[0]
@@ -102,12 +102,12 @@ def check_gradient(problem: UpdatingProblem, seed: int = 1) -> GradientCheck:
     ----------
     problem : UpdatingProblem
     seed : int
-        Chooses the random points.
+        Seed of the random points.
 
     Returns
     -------
     GradientCheck
-        Three steps are tried, and the differences that agree best are taken at each point: long steps suffer from
+        Of three step lengths, the differences that agree best are used at each point: long steps suffer from
         truncation, short ones from rounding.
     """
     density = ScaledDensity(problem)
@@ -120,7 +120,7 @@ def check_gradient(problem: UpdatingProblem, seed: int = 1) -> GradientCheck:
     for h in _STEPS:
         ends, distance = both_sides(u, np.full(ndim, h), density.lower, density.upper)
         above, below = np.asarray(density.log_prob(ends.reshape(-1, ndim))).reshape(2, n, ndim)
-        with np.errstate(invalid="ignore"):  # −inf on both sides, where the model has failed
+        with np.errstate(invalid="ignore"):  # −inf on both sides where the model fails
             tried.append((above - below) / distance)
     error = np.max(np.abs(np.array(tried) - exact), axis=2)
     nearest = np.argmin(np.where(np.isfinite(error), error, np.inf), axis=0)

@@ -1,4 +1,4 @@
-"""The modes of a model beside the measured ones, and how certain their pairing is."""
+"""Computed modes of a model at the start, their pairing with the measured modes, and warnings on this pairing."""
 
 from __future__ import annotations
 
@@ -43,17 +43,17 @@ class InitialModes:
         Labels of the measured modes.
     measured_hz : ndarray, shape (n_modes,)
     modes : tuple of ComputedMode
-        Ascending, up to two beyond the last paired one.
+        Computed modes in ascending order, up to two beyond the last paired one.
     mac : ndarray, shape (n_modes, n_computed), or None
         MAC between measured and computed shapes at the sensors; None if no shapes were measured.
     doubts : tuple of str
-        Warnings on the pairing, a sentence each.
+        Warnings on the pairing, one sentence each.
     notes : tuple of str
         Further remarks on the pairing.
     correlation : Correlation or None
-        Measured and computed shapes at the sensors, compared; None if no shapes were measured.
+        Comparison of the measured and computed shapes at the sensors; None if no shapes were measured.
     mpc : ndarray, shape (n_modes,), or None
-        Modal phase collinearity of measured shapes that were complex.
+        Modal phase collinearity of the measured shapes, if they were complex.
     """
 
     labels: tuple[str, ...]
@@ -71,22 +71,24 @@ class InitialModes:
         object.__setattr__(self, "_column", columns)
 
     def of(self, k: int) -> ComputedMode:
-        """Return the computed mode paired with measured mode `k` (from 0)."""
+        """Return the computed mode that is paired with the measured mode with index `k`."""
         return self.modes[self._column[k]]
 
     def error_percent(self, k: int) -> float:
-        """Return the error of the computed frequency of measured mode `k`, in % of the measured one."""
+        """Return the relative error of the frequency computed for the measured mode with index `k`, in %."""
         return 100.0 * (self.of(k).frequency_hz / float(self.measured_hz[k]) - 1.0)
 
     def subspace_mac(self, k: int) -> float:
-        """Return the subspace MAC of the group of close modes that measured mode `k` is in; NaN if in none."""
+        """Return the subspace MAC of the group of close modes with measured mode `k`; NaN without a group."""
         return np.nan if self.correlation is None else self.correlation.subspace.get(k, np.nan)
 
     def table(self) -> pd.DataFrame:
-        """Return one row per computed mode: number, Hz, measured mode, error in %, MAC, energy, seen or not.
+        """Return a table with one row per computed mode.
 
-        ``subspace_mac`` belongs to a group of close modes (`fmu.fem.pairing.correlation`), ``mpc`` to a
-        measured shape that was complex.
+        The columns are ``number``, ``computed_hz``, the label ``mode`` of the paired measured mode,
+        ``measured_hz``, ``error_percent``, ``mac``, ``subspace_mac`` of its group of close modes
+        (`fmu.fem.pairing.correlation`), ``mpc`` of a measured shape that was complex, ``moves`` (the directions
+        with most kinetic energy) and ``seen`` (whether the mode moves a sensor).
         """
         import pandas as pd
 
@@ -111,7 +113,7 @@ class InitialModes:
 
 
 def initial_modes(problem: UpdatingProblem) -> InitialModes:
-    """Solve the full model of a problem at its start and return which modes are paired with the measured ones.
+    """Solve the full model of a problem at its start and return its modes, paired with the measured ones.
 
     Parameters
     ----------
@@ -120,12 +122,12 @@ def initial_modes(problem: UpdatingProblem) -> InitialModes:
     Returns
     -------
     InitialModes
-        The paired modes alone if the model gives no others.
+        Only the paired modes if the model computes no others.
     """
     point = problem.start
     labels = tuple(map(str, problem.data.labels))
     measured = np.asarray(problem.data.frequencies_hz, dtype=float)
-    structural = point[: problem.model.n_parameters]  # behind them, what is uncertain of the errors
+    structural = point[: problem.model.n_parameters]  # the parameters of the error model follow
     structure, functions = structure_of(problem.model), problem.model.functions
     if structure is not None:
         return _of_structure(problem, structure, structural, labels, measured)
@@ -203,7 +205,7 @@ def _of_function(
     labels: tuple[str, ...],
     measured: FloatArray,
 ) -> InitialModes:
-    """Return all modes that a function gives, in its order, and which are paired with the measured ones."""
+    """Return all modes that a function computes, in the order of the function, and their pairing."""
     answer = function.at(point)
     alike = correlation = None
     if problem.model.by_shape and answer.shapes is not None:
@@ -228,14 +230,14 @@ def _of_function(
 
 
 def correlate_shapes(data: ModalData, computed: FloatArray, frequencies_hz: FloatArray) -> Correlation:
-    """Return measured shapes beside those computed at the sensors (n_sensors, n_modes), paired with them."""
+    """Return the correlation of the measured shapes with the paired computed shapes, (n_sensors, n_modes)."""
     sensors = tuple(f"{place} {direction}" for place, direction in data.sensors)
     groups = close_groups(data.frequencies_hz, frequencies_hz)
     return Correlation(sensors, tuple(map(str, data.labels)), np.asarray(data.shapes), computed, groups)
 
 
 def _compare_shapes(found: InitialModes, problem: UpdatingProblem) -> InitialModes:
-    """Add the doubts and notes that the shapes at the sensors raise, and their MPC."""
+    """Return `found` with the MPC, and with the warnings and notes from the comparison of the shapes."""
     mpc = None if problem.data.mpc is None else np.asarray(problem.data.mpc)
     if found.correlation is None:
         return replace(found, mpc=mpc)
@@ -244,7 +246,7 @@ def _compare_shapes(found: InitialModes, problem: UpdatingProblem) -> InitialMod
 
 
 def _spectrum(model: PairedStructure, point: FloatArray) -> tuple[ModalSolution, list[int]]:
-    """Return the lowest modes, up to two beyond the last paired one, and the columns of the paired ones."""
+    """Return the lowest modes, up to two beyond the last paired one, and the columns of the paired modes."""
     pairs = model.modes(point[None])
     wanted = list(zip(pairs.block[0].tolist(), pairs.rank[0].tolist(), strict=True))
     total = model.blocks.n_modes
@@ -265,7 +267,7 @@ def _spectrum(model: PairedStructure, point: FloatArray) -> tuple[ModalSolution,
 def _find_seen(
     model: PairedStructure, shapes: FloatArray, observation: csr_array | None, eigenvalues: FloatArray
 ) -> BoolArray:
-    """Find the modes that move a sensor, by the rule of `fmu.fem.pairing.rules.reference_modes`."""
+    """Return whether each mode moves a sensor, by the rule of `fmu.fem.pairing.rules.reference_modes`."""
     rows = selection(model.structure.translations, model.structure.n_dof)
     seen = np.abs((rows if observation is None else observation) @ shapes)
     elastic = ~is_rigid(eigenvalues)
@@ -274,11 +276,11 @@ def _find_seen(
 
 
 def _moves(model: PairedStructure, point: FloatArray, shapes: FloatArray) -> list[str]:
-    """Return for each mode the directions that hold its kinetic energy, the two largest shares.
+    """Return for each mode the two directions with the largest shares of its kinetic energy, in words.
 
-    The energy of a direction d is φ_dᵀ M_dd φ_d, which is not negative. What couples directions, as displacement
-    and rotation in a consistent mass matrix, belongs to none of them: φ_dᵀ (Mφ)_d, which includes it, can exceed
-    the whole.
+    The energy of a direction d is φ_dᵀ M_dd φ_d, which is not negative. The terms of M that couple directions,
+    such as displacement and rotation in a consistent mass matrix, are assigned to neither: φ_dᵀ (Mφ)_d, which
+    includes them, can exceed the total energy.
     """
     directions = np.array([direction for _, direction in model.structure.dofs])
     names = [str(name) for name in dict.fromkeys(directions)]
@@ -300,9 +302,9 @@ _OF_PAIRS = ("measured, Hz", "error", "MAC", "subspace MAC", "MPC")
 
 
 def modes_as_text(found: InitialModes) -> pd.DataFrame:
-    """Return a table of text, one row per computed mode, with dashes where nothing applies.
+    """Return a table of text with one row per computed mode, and dashes in cells that do not apply.
 
-    Three or more rigid-body modes share a row, and so do three or more in a row that move no sensor.
+    Three or more successive rigid-body modes share a row, and so do three or more that move no sensor.
     """
     import pandas as pd
 

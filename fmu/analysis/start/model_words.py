@@ -1,4 +1,4 @@
-"""The model of a problem in words: what it consists of, and what each parameter changes."""
+"""Descriptions of the model of a problem and of what each parameter changes, in words."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SAME_MASS = 1.1
 
 
 def model_in_words(problem: UpdatingProblem) -> list[str]:
-    """Describe the model of a problem: its size, decoupled blocks, mass and reduced model."""
+    """Return a list of sentences on the model of a problem: its size, decoupled blocks, mass and reduced model."""
     model = structure_of(problem.model)
     if len(problem.tests) > 1:
         n, unknowns = len(problem.model.parts), " + ".join(map(str, problem.model.sizes))
@@ -52,7 +52,7 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
 def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
     """Return one row per parameter: unit, start, bounds, prior in words, and the matrices that it changes.
 
-    The scores of tests in a population are left out: all are standard normal.
+    The scores of tests in a population are omitted, because all of them are standard normal.
     """
     rows, listed = [], _listed(problem)
     for k in listed:
@@ -76,7 +76,10 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
 
 
 def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
-    """Return the structure as SVG, and a colour for each row of `parameter_table`; "" and None without one."""
+    """Return the structure as SVG, and a list with the colour of each row of `parameter_table`.
+
+    Without a drawing, the SVG is empty and each colour is None.
+    """
     listed, structure = _listed(problem), problem.model.parts[0].structure
     if structure is None or not is_drawable(structure, _MOST_ELEMENTS):
         return "", [None] * len(listed)
@@ -87,16 +90,16 @@ def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
 
 
 def _listed(problem: UpdatingProblem) -> list[int]:
-    """Return the numbers of all parameters but the scores of tests."""
+    """Return the indices of all parameters except the scores of tests."""
     return [k for k, role in enumerate(problem.roles) if role.kind != "score"]
 
 
 def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
-    """Return the mass moved if all free degrees of freedom translate together: a check on units and densities.
+    """Return a list with a sentence on the mass that moves if all free degrees of freedom translate together.
 
-    Next to a support this motion bends the elements, whose rotary inertia adds to the mass across them. Masses
-    within 10 % of each other are therefore given as one, the smallest. Degrees of freedom without named
-    directions are not summed.
+    This mass is a check on units and densities. Next to a support the translation bends the elements, whose rotary
+    inertia adds to the transverse mass. If the masses in all directions agree within 10 %, only the smallest is
+    stated. Degrees of freedom without named directions are not summed.
     """
     M = structure.M(problem.start[: structure.n_parameters])
     if all(isinstance(node, int) and direction == "x" for node, direction in structure.dofs):
@@ -118,7 +121,7 @@ def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
 
 
 def _changes(structure: SeparableModel, j: int) -> str:
-    """Describe what a parameter changes: ``"stiffness of 10 of 50 elements"``."""
+    """Return the description of what parameter `j` changes: ``"stiffness of 10 of 50 elements"``."""
     kinds = []
     touched = np.zeros(structure.n_dof, dtype=bool)
     for kind, terms in (("stiffness", structure.K_terms), ("mass", structure.M_terms)):

@@ -1,4 +1,4 @@
-"""Warnings and notes on the pairing of computed with measured modes, in words."""
+"""Warnings and notes on the pairing of computed with measured modes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fmu.numbers import apart, fixed, share
 from fmu.types import BoolArray, FloatArray
 
 RIVAL = 0.1
-"""The MAC of the paired mode must exceed that of any other by this much."""
+"""The MAC of the paired mode must exceed the MAC of any other mode by this much."""
 
 
 @dataclass(frozen=True)
@@ -22,16 +22,16 @@ class ComputedMode:
     Attributes
     ----------
     number : int or None
-        Number in the sorted spectrum, from 1; None if the model gives paired frequencies only.
+        Number in the sorted spectrum, from 1; None if the model computes paired frequencies only.
     frequency_hz : float
     measured : int or None
-        The measured mode (from 0) that it is paired with.
+        Index of the paired measured mode; None if the mode is not paired.
     seen : bool
-        Whether it moves a sensor.
+        Whether the mode moves a sensor.
     moves : str
-        The directions with most of its kinetic energy: ``"z 98 %"``; empty if unknown.
+        The directions with most of the kinetic energy: ``"z 98 %"``; empty if unknown.
     is_rigid : bool
-        Whether it is a motion without strain, at 0 Hz.
+        Whether the mode is a rigid-body motion at 0 Hz.
     """
 
     number: int | None
@@ -45,9 +45,9 @@ class ComputedMode:
 def unlike(
     labels: tuple[str, ...], paired: list[int], alike: FloatArray | None, found: Correlation | None = None
 ) -> list[str]:
-    """Return warnings on measured shapes that match no computed mode, or two: by MAC (n_modes, n_computed).
+    """Return warnings on measured shapes that match no computed mode, or two, by MAC (n_modes, n_computed).
 
-    Close modes that match as a space are left out.
+    Close modes whose subspace matches the measured one are skipped.
     """
     doubts = []
     for k, column in enumerate(paired if alike is not None else []):
@@ -72,7 +72,7 @@ def unlike(
 def close(
     labels: tuple[str, ...], paired: list[int], frequencies: FloatArray, seen: BoolArray, by_number: bool
 ) -> list[str]:
-    """Return warnings on close computed modes: any two if paired by number, else those that move a sensor."""
+    """Return warnings on close computed modes; unless paired by number, only on those that move a sensor."""
     doubts, told = [], set()
     for k, column in enumerate(paired):
         for other in (column - 1, column + 1):
@@ -103,7 +103,7 @@ def warn_of_order(labels: tuple[str, ...], paired: list[int], measured: FloatArr
 
 
 def note_unmeasured(found: Sequence[ComputedMode]) -> list[str]:
-    """Return notes on rigid-body modes, and on unmeasured ones between the measured ones, seen or not."""
+    """Return notes on rigid-body modes, and on unmeasured modes below the last measured one."""
     last = max(i for i, mode in enumerate(found) if mode.measured is not None)
     rigid = [mode.number for mode in found if mode.is_rigid]
     notes = []
@@ -128,7 +128,7 @@ def note_unmeasured(found: Sequence[ComputedMode]) -> list[str]:
 
 
 def ranges(numbers: Sequence[int]) -> str:
-    """Return ascending numbers, runs of three and more as ranges: ``"1, 2, 5–9"``."""
+    """Return ascending numbers in words, with runs of three or more as ranges: ``"1, 2, 5–9"``."""
     runs: list[list[int]] = []
     for number in numbers:
         if runs and runs[-1][-1] == number - 1:

@@ -18,25 +18,25 @@ if TYPE_CHECKING:
 
 
 FAR = 2.0
-"""A measurement is far from the prior prediction beyond this many standard deviations."""
+"""A measurement more than this many standard deviations from the prior prediction is far from it."""
 INTERVAL = 0.9
 DRAWS = 200
 
 
 @dataclass(frozen=True, eq=False)
 class PriorPrediction:
-    """Frequencies at draws from the prior beside the measured ones, Hz.
+    """Frequencies at draws from the prior, compared with the measured frequencies, Hz.
 
     Attributes
     ----------
     labels : tuple of str
     measured : ndarray, shape (n_modes,)
     frequencies : ndarray, shape (n, n_modes)
-        Frequencies of the model at the draws where it did not fail.
+        Computed frequencies at the draws at which the model did not fail.
     noise_sd : ndarray, shape (n_modes,)
         Standard deviation of the measurement error; NaN if the error model has none.
     failed : int
-        Draws at which the model gave no finite frequencies.
+        Number of draws at which the model computed no finite frequencies.
     """
 
     labels: tuple[str, ...]
@@ -47,37 +47,37 @@ class PriorPrediction:
 
     @property
     def _drawn(self) -> FloatArray:
-        """The frequencies; NaN if fewer than two are left, which have no standard deviation."""
+        """The frequencies; NaN if there are fewer than two draws, which have no standard deviation."""
         too_few = len(self.frequencies) < 2
         return np.full((2, len(self.measured)), np.nan) if too_few else self.frequencies
 
     @property
     def mean(self) -> FloatArray:
-        """Mean prediction, shape (n_modes,)."""
+        """Mean of the computed frequencies over the prior, Hz, shape (n_modes,)."""
         return np.asarray(self._drawn.mean(axis=0))
 
     @property
     def sd(self) -> FloatArray:
-        """Standard deviation of a predicted measurement, noise included, shape (n_modes,)."""
+        """Standard deviation of the predicted measurement, noise included, Hz, shape (n_modes,)."""
         return np.asarray(np.hypot(self._drawn.std(axis=0, ddof=1), np.nan_to_num(self.noise_sd)))
 
     @property
     def interval(self) -> FloatArray:
-        """Ends of the 90 % interval of the model's frequencies, shape (2, n_modes)."""
+        """Ends of the 90 % interval of the computed frequencies, Hz, shape (2, n_modes)."""
         return np.asarray(np.quantile(self._drawn, [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2], axis=0))
 
     @property
     def distance(self) -> FloatArray:
-        """How many standard deviations the measured frequency lies above the mean prediction, shape (n_modes,)."""
+        """Distance of the measured frequency above the mean prediction, in standard deviations, (n_modes,)."""
         return np.asarray((self.measured - self.mean) / self.sd)
 
     @property
     def is_far(self) -> BoolArray:
-        """Which measured frequencies are far from the prior prediction, shape (n_modes,)."""
+        """Whether each measured frequency is far from its prior prediction, shape (n_modes,)."""
         return np.asarray(~(np.abs(self.distance) <= FAR) & (len(self.frequencies) > 1))
 
     def sentences(self) -> list[str]:
-        """Return in words which measured frequencies are far from the prior prediction."""
+        """Return sentences on failed draws and on measured frequencies far from the prior prediction."""
         said = []
         if self.failed:
             said.append(f"The model failed at {self.failed} of {self.failed + len(self.frequencies)} prior draws.")
@@ -101,7 +101,11 @@ class PriorPrediction:
         return said
 
     def table(self) -> pd.DataFrame:
-        """Return one row per mode: ``measured``, ``mean``, ``sd``, the interval's ends, Hz, and ``distance``."""
+        """Return a table with one row per mode.
+
+        The columns are ``measured``, ``mean``, ``sd`` and the ends of the interval, all in Hz, and ``distance`` in
+        standard deviations.
+        """
         lower, upper = self.interval
         columns = {
             "measured": self.measured,
@@ -120,7 +124,7 @@ def prior_prediction(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1
     ----------
     problem : UpdatingProblem
     draws : int
-        At least 2.
+        Number of draws from the prior, at least 2.
     seed : int
 
     Returns
@@ -147,7 +151,7 @@ def prior_prediction(problem: UpdatingProblem, draws: int = DRAWS, seed: int = 1
 def _noise_sd(
     problem: UpdatingProblem, frequencies: FloatArray, theta: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Return the standard deviation of the errors in frequency, over the prior where they are inferred too."""
+    """Return the standard deviations of the frequency errors, (n_modes,), over the prior if they are inferred."""
     if problem.likelihood.error is not None:
         return np.asarray(problem.likelihood.error.sd)
     if len(frequencies) and problem.likelihood.simulates:

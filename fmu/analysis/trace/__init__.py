@@ -1,4 +1,4 @@
-"""Traces in the format of ArviZ: how they are made from a run, read, saved and identified.
+"""Traces in the format of ArviZ: conversion from a run, reading, storage and provenance.
 
 Reading order: conversion, misfit, reading, provenance, modal_states, failure_ledger.
 """

@@ -1,8 +1,8 @@
-"""From a sampler's run to an ArviZ trace, and from there to a netCDF file and back.
+"""Conversion of a sampler's run to an ArviZ trace, and storage of traces in netCDF files.
 
-Every sampler goes through the one conversion here, so that all traces have the same groups, names and
-dimensions ``(chain, draw, *)``. The draw dimension of an ensemble holds steps x walkers, step-major; the number
-of walkers is in the trace's attributes.
+All samplers use the same conversion, so that all traces have the same groups, names and dimensions
+``(chain, draw, *)``. The draw dimension of an ensemble holds steps x walkers, step-major; the number of walkers is
+an attribute of the trace.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ GIVEN_OTHERS = "frequency_given_others"
 ONE_MORE_TEST = "one_more_test"
 PRIOR_DRAWS = 2000
 PRIOR_STREAM, NOISE_STREAM, START_STREAM, NEXT_TEST_STREAM = 0, 1, 2, 3
-_OUTSIDE_THE_CHAINS = 2**32 - 1  # a task number that no run reaches: see generator
+_OUTSIDE_THE_CHAINS = 2**32 - 1  # a task number that no run reaches, see `generator`
 
 
 def to_trace(
@@ -59,34 +59,43 @@ def to_trace(
     Parameters
     ----------
     result : RunResult
-        What `fmu.samplers.loop.run.run` returned.
+        Result of `fmu.samplers.loop.run.run`.
     density : LogDensity
-        The density that was sampled. An `UpdatingProblem` gives all the groups below; of a plain log-density only
-        those that need no frequencies, with coordinates named ``x0``, ``x1``, ...
+        The density that was sampled. An `UpdatingProblem` gives all groups below. A plain log-density gives only
+        the groups without frequencies; its parameters are called ``x0``, ``x1``, ... if it has no names.
     start : ndarray or mapping, optional
-        Where the chains started, if ``result.init`` does not say it: the positions given by the user, or the
-        maxima. It is part of the configuration and its hash.
+        The starts of the chains, if ``result.init`` does not define them: the positions given by the user, or the
+        maxima. They are part of the configuration and its hash.
     predictions : bool
         Whether to solve the model at the draws for the groups that need frequencies.
     frequency : ndarray, shape (chains, draws, n_modes), Hz, optional
-        The model's frequencies at the draws, if they are known.
+        The computed frequencies at the draws, if they are known.
 
     Returns
     -------
     xarray.DataTree
-        Groups ``posterior`` and ``warmup_posterior`` (one variable a parameter, SI units), ``sample_stats`` and
-        ``warmup_sample_stats``, ``log_likelihood`` (``frequency``, or ``residual`` under the modal residual; one
-        term a mode, and where errors are correlated also ``frequency_given_others``), ``misfit``
-        (`fmu.analysis.trace.misfit`), ``posterior_predictive`` (eq. (10) of the paper: ``frequency`` with
-        measurement noise, which the modal residual has none of, ``model_frequency`` without it, Hz; of repeated
-        tests ``frequency`` is the mean of as many new tests, and ``one_more_test`` a single one), ``prior`` (draws
-        from the prior inside the bounds), ``observed_data`` (``frequency``; ``tests``, a row per test, where it is
-        their mean; ``used``, where not all modes are used in updating) and ``constant_data`` (``lower``,
-        ``upper``, ``start``, ``beta``, and ``covariance_hz2`` where errors are correlated); of parallel tempering
-        ``tempering`` (`fmu.analysis.evidence_estimators.tempering_group`). Of several tests (`fmu.JointProblem`):
-        ``tests``, the structure's parameters in every test (chain, draw, test); and of a hierarchical posterior
-        ``next_test``, the frequencies of one more test like the first, ``frequency`` with measurement noise and
-        ``model_frequency`` without. The attributes say how the draws came about.
+        The groups are:
+
+        - ``posterior`` and ``warmup_posterior``: one variable per parameter, SI units;
+        - ``sample_stats`` and ``warmup_sample_stats``: statistics of the sampler;
+        - ``log_likelihood``: ``frequency``, or ``residual`` under the modal residual, one term per mode; with
+          correlated errors also ``frequency_given_others``;
+        - ``misfit``: see `fmu.analysis.trace.misfit`;
+        - ``posterior_predictive`` (eq. (10) of the paper), Hz: ``model_frequency`` without measurement noise, and
+          ``frequency`` with measurement noise, except under the modal residual, which has no noise. For repeated
+          tests ``frequency`` is the mean of as many new tests, and ``one_more_test`` is a single test;
+        - ``prior``: draws from the prior inside the bounds;
+        - ``observed_data``: ``frequency``; ``tests``, one row per test, if the frequencies are their means;
+          ``used``, if not all modes are used in updating;
+        - ``constant_data``: ``lower``, ``upper``, ``start``, ``beta``, and ``covariance_hz2`` with correlated
+          errors;
+        - ``tempering``, for parallel tempering: see `fmu.analysis.evidence_estimators.tempering_group`;
+        - ``tests``, for several tests (`fmu.JointProblem`): the parameters of the structure in every test (chain,
+          draw, test);
+        - ``next_test``, for a hierarchical posterior: the frequencies of one more test like the first,
+          ``frequency`` with measurement noise and ``model_frequency`` without.
+
+        The attributes describe how the draws were made.
     """
     import xarray as xr
 
@@ -115,15 +124,15 @@ def to_trace(
 
 @check_arguments
 def save_trace(trace: xr.DataTree, path: str | os.PathLike[str]) -> Path:
-    """Write a trace to a netCDF file, which appears complete or not at all.
+    """Write a trace to a netCDF file; if the writing fails, no incomplete file is left.
 
-    It is made in memory first, because the HDF5 library cannot close a file if the disk is full.
+    The content is made in memory first, because the HDF5 library cannot close a file if the disk is full.
 
     Parameters
     ----------
     trace : xarray.DataTree
     path : path-like
-        Replaced if it exists.
+        Path of the file, which is replaced if it exists.
 
     Returns
     -------
@@ -132,7 +141,8 @@ def save_trace(trace: xr.DataTree, path: str | os.PathLike[str]) -> Path:
     Raises
     ------
     OSError
-        If it cannot be written: if the disk is full, for example. An earlier file is then left as it was.
+        If the file cannot be written, for example because the disk is full. An earlier file is then left
+        unchanged.
     """
     path = Path(path)
     with shielded():
@@ -175,7 +185,7 @@ def load_trace(path: str | os.PathLike[str]) -> xr.DataTree:
 
 
 def load_traces(directory: str | os.PathLike[str]) -> dict[str, xr.DataTree]:
-    """Read all traces of a run, in the order of `fmu.samplers.registry.SAMPLERS` and then by their names.
+    """Return a dict of all traces of a run, in the order of `fmu.samplers.registry.SAMPLERS`, then by name.
 
     Raises
     ------
@@ -188,7 +198,7 @@ def load_traces(directory: str | os.PathLike[str]) -> dict[str, xr.DataTree]:
 
 
 def generator(seed: int, stream: int) -> np.random.Generator:
-    """Return a generator from the run's seed tree, independent of the chains' own (tasks 0, 1, ...)."""
+    """Return a random generator from the run's seed, independent of the chains' generators (tasks 0, 1, ...)."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_OUTSIDE_THE_CHAINS, stream)))
 
 
@@ -198,7 +208,7 @@ def _sample_coordinates(values: FloatArray) -> dict[str, NDArray[np.int64]]:
 
 
 def _variables(position: FloatArray, names: tuple[str, ...], units: tuple[str, ...]) -> xr.Dataset:
-    """Return one variable a parameter from positions of shape (chains, draws, ndim)."""
+    """Return a dataset with one variable per parameter, from positions of shape (chains, draws, ndim)."""
     import xarray as xr
 
     variables = {
@@ -209,9 +219,9 @@ def _variables(position: FloatArray, names: tuple[str, ...], units: tuple[str, .
 
 
 def _stats(draws: Draws, density: LogDensity) -> xr.Dataset:
-    """Return the sampler's statistics, one variable each, without the statistics of rungs.
+    """Return a dataset of the sampler's statistics, without the log-likelihoods of rungs.
 
-    Weights P/q of a mixture are of a density in SI units.
+    The weights P/q of a mixture are converted to a density in SI units.
     """
     import xarray as xr
 
@@ -225,7 +235,7 @@ def _stats(draws: Draws, density: LogDensity) -> xr.Dataset:
 
 
 def _constants(density: LogDensity, names: tuple[str, ...]) -> xr.Dataset:
-    """Return the bounds, the start vector and the weights of the measured frequencies."""
+    """Return a dataset of the bounds, the start vector and the weights of the measured frequencies."""
     import xarray as xr
 
     known = {"lower": density.lower, "upper": density.upper, "start": start_of(density)}
@@ -253,7 +263,7 @@ def _constants(density: LogDensity, names: tuple[str, ...]) -> xr.Dataset:
 def _frequency_groups(
     result: RunResult, problem: Any, frequency: FloatArray | None = None
 ) -> dict[str, xr.Dataset]:
-    """Return the groups that need the model's frequencies at the draws; each distinct draw is solved once."""
+    """Return the groups that need the computed frequencies at the draws; each distinct draw is solved once."""
     import xarray as xr
 
     coordinates = _sample_coordinates(result.posterior.position) | {"mode": list(problem.data.labels)}
@@ -276,7 +286,7 @@ def _frequency_groups(
     if correlated is not None:
         others = correlated.log_prob_given_others(frequency) - correlated.log_prob_terms(frequency)
         terms[GIVEN_OTHERS] = (dims, together + likelihood.of_used(others))
-    # a pseudo-likelihood, or errors of shapes alone, give no measurement noise of frequencies
+    # a pseudo-likelihood, or an error model of shapes alone, has no measurement noise of frequencies
     if likelihood.simulates:
         noise = generator(result.seed, NOISE_STREAM)
         replicate = problem.simulate_data(noise, hz, theta)
@@ -307,7 +317,7 @@ def _frequency_groups(
 
 
 def _groups_of_tests(result: RunResult, problem: UpdatingProblem, predictions: bool) -> dict[str, xr.Dataset]:
-    """Return the groups of a trace on each test and on the next test."""
+    """Return the groups of a trace that describe each test and the next test."""
     import xarray as xr
 
     from fmu.analysis.fit.populations import GROUP, population_group

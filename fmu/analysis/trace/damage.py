@@ -1,4 +1,4 @@
-"""Damage by a run: the loss of each parameter in each state, and the probability that it is large."""
+"""Damage estimated by a run: the loss of each parameter in each state, and the probability of large losses."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 GROUP = "loss"
 """Group of a trace with the losses."""
 ANY = "any"
-"""The row of the largest loss in a state."""
+"""Name of the row with the largest loss in a state."""
 
 
 def probably(p: float) -> str:
-    """Return a probability estimated from draws in per cent: ``"32 %"``, and ``"< 1 %"`` or ``"> 99 %"``."""
+    """Return a probability estimated from draws, in per cent: ``"32 %"``, ``"< 1 %"`` or ``"> 99 %"``."""
     return "< 1 %" if p < 0.01 else "> 99 %" if p > 0.99 else f"{whole(round(100.0 * p))} %"
 
 
@@ -34,15 +34,16 @@ def damage(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.Data
     Parameters
     ----------
     trace : xarray.DataTree
-        Of a `fmu.JointProblem` with parameters that vary by ``"group"`` or `fmu.Damage`.
+        A trace of a `fmu.JointProblem` with parameters that vary by ``"group"`` or `fmu.Damage`.
     beyond : sequence of float
-        Losses whose probability of being exceeded is wanted, between 0 and 1.
+        Losses between 0 and 1; the probability of exceeding each of them is computed.
 
     Returns
     -------
     pandas.DataFrame
-        A row for each state and parameter, and one for each state named ``"any"``: the largest loss of all.
-        Columns ``mean``, ``sd``, ``eti90_lb`` and ``eti90_ub`` (the central 90 %), ``P(loss > 5 %)`` and so on.
+        One row for each state and parameter, and one row per state named ``"any"`` for the largest loss of all
+        parameters. The columns are ``mean``, ``sd``, ``eti90_lb`` and ``eti90_ub`` (the central 90 %), and
+        ``P(loss > 5 %)`` and so on for each value of `beyond`.
 
     Raises
     ------
@@ -73,18 +74,18 @@ def damage(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.Data
 
 
 def is_loss(trace: xr.DataTree, name: str) -> bool:
-    """Return whether a parameter belongs to a later state: its loss, or its value there."""
+    """Return True if a parameter belongs to a later state: its loss, or its value in this state."""
     kind, _, where = roles_of(trace).get(name, ("", "", ""))
     return kind in ("loss", "group") and has(trace, GROUP) and where in _later(trace)
 
 
 def before_and_after(trace: xr.DataTree) -> pd.DataFrame:
-    """Return the means of each parameter with losses in the reference state and in each later one, SI units.
+    """Return the means of each parameter with losses in the reference state and in each later state, SI units.
 
     Returns
     -------
     pandas.DataFrame
-        A row for each state and parameter, as in `damage`. Columns ``before`` and ``after``.
+        One row for each state and parameter, as in `damage`. The columns are ``before`` and ``after``.
     """
     import pandas
 

@@ -1,4 +1,4 @@
-"""What a log-density says of itself, and what is assumed where it does not."""
+"""Properties of a log-density, and the defaults for properties that it does not define."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ if TYPE_CHECKING:
 
 
 def is_updating(problem: object) -> TypeGuard[UpdatingProblem]:
-    """Say whether this is an updating problem, or an object with its attributes."""
+    """Return True if `problem` is an updating problem, or an object with its attributes."""
     return hasattr(problem, "parameters") and hasattr(problem, "likelihood")
 
 
 def has_several_tests(problem: object) -> TypeGuard[UpdatingProblem]:
-    """Say whether this is an updating problem of several tests."""
+    """Return True if `problem` is an updating problem of several tests."""
     return len(getattr(problem, "tests", ())) > 1
 
 
 class WithPrior(LogDensity, Protocol):
-    """A log-density with a prior that can be drawn from."""
+    """A log-density with a prior from which draws can be made."""
 
     def sample_prior(self, rng: np.random.Generator, n: int) -> FloatArray:
         """Draw `n` parameter vectors, shape (n, ndim)."""
@@ -31,21 +31,21 @@ class WithPrior(LogDensity, Protocol):
 
 
 def has_prior(density: LogDensity) -> TypeGuard[WithPrior]:
-    """Say whether a log-density has a prior that can be drawn from."""
+    """Return True if a log-density has a prior from which draws can be made."""
     return hasattr(density, "sample_prior")
 
 
 def names_of(density: LogDensity) -> tuple[str, ...]:
-    """Return the parameters' names; ``x0``, ``x1``, ... if the density has none."""
+    """Return the names of the parameters; ``x0``, ``x1``, ... if the density has no names."""
     return tuple(getattr(density, "names", (f"x{i}" for i in range(density.ndim))))
 
 
 def units_of(density: LogDensity) -> tuple[str, ...]:
-    """Return the parameters' units; empty where the density has none."""
+    """Return the units of the parameters; empty strings if the density has no units."""
     return tuple(getattr(density, "units", ("",) * density.ndim))
 
 
 def start_of(density: LogDensity) -> FloatArray | None:
-    """Return the start vector, shape (ndim,); None if the density has none."""
+    """Return the start vector, shape (ndim,); None if the density has no start."""
     start = getattr(density, "start", None)
     return None if start is None else np.asarray(start, dtype=float)

@@ -1,4 +1,4 @@
-"""The draws of a run without repetitions, so that the model is solved once for each."""
+"""The distinct draws of a run, so that the model is solved only once for repeated draws."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fmu.progress.phases import by_parts
 from fmu.types import FloatArray, IntArray
 
 BATCH = 4096
-"""Draws passed to the model at a time, which bounds the memory of one batched solve."""
+"""Number of draws passed to the model at a time, which bounds the memory of one batched solve."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class DistinctDraws:
     theta : ndarray, shape (n, ndim)
         Draws that differ from their predecessor in the same chain (in the same walker of an ensemble).
     inverse : ndarray of int, shape (chains, draws)
-        Row of `theta` that each draw equals.
+        Row index into `theta` for each draw.
     """
 
     theta: FloatArray
@@ -31,12 +31,12 @@ class DistinctDraws:
 
     @classmethod
     def of(cls, position: FloatArray, walkers: int = 1) -> DistinctDraws:
-        """Drop consecutive repetitions.
+        """Return the draws without consecutive repetitions.
 
         Parameters
         ----------
         position : ndarray, shape (chains, steps * walkers, ndim)
-            Step-major: a walker's next draw lies `walkers` rows further on.
+            Positions in step-major order: the next draw of a walker lies `walkers` rows further on.
         walkers : int
         """
         chains, draws, ndim = position.shape
@@ -47,7 +47,7 @@ class DistinctDraws:
         return cls(paths[moved], inverse.swapaxes(1, 2).reshape(chains, draws))
 
     def evaluate(self, function: Callable[[FloatArray], FloatArray], batch: int = BATCH) -> FloatArray:
-        """Return ``function(theta)`` for every draw, shape (chains, draws, ...): the phase "predictions" of a run.
+        """Return ``function(theta)`` for every draw, shape (chains, draws, ...), in the phase "predictions".
 
         Parameters
         ----------

@@ -15,7 +15,7 @@ from fmu.numbers import share
 from fmu.types import BoolArray, FloatArray
 
 _THINNED = 1.02
-"""More moves than accepted proposals by this factor, and one a walker, come from steps that were not stored."""
+"""More moves than this factor times the accepted proposals, plus one per walker: steps were not stored."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,12 +27,12 @@ class StoredEnsemble:
     chain : ndarray, shape (steps, walkers, ndim)
     log_prob : ndarray, shape (steps, walkers)
     accepted : ndarray, shape (walkers,)
-        Accepted proposals of the stored steps.
+        Number of accepted proposals of each walker in the stored steps.
     blobs : ndarray, shape (steps, walkers, ...), or None
     names : tuple of str
         ``parameter_names`` of the sampler; empty if it has none.
     moves : tuple of (str, float)
-        Names of the sampler's moves, with their weights; empty where they are not known.
+        Names and weights of the sampler's moves; empty if they are unknown.
     """
 
     chain: FloatArray
@@ -44,7 +44,7 @@ class StoredEnsemble:
 
     @classmethod
     def read(cls, source: Any, hdf_name: str) -> StoredEnsemble:
-        """Read the steps stored so far; it raises what `fmu.from_emcee` raises."""
+        """Read the steps stored so far; raises the errors of `fmu.from_emcee`."""
         backend, where = _backend(source, hdf_name)
         steps = int(backend.iteration) if backend.initialized else 0
         if steps < 1:
@@ -65,13 +65,13 @@ class StoredEnsemble:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Walkers and parameters."""
+        """The numbers of walkers and parameters."""
         return self.chain.shape[1], self.chain.shape[2]
 
     def find_moves(self, thin_by: int) -> BoolArray | None:
-        """Say for each step and walker whether it moved, (steps, walkers); None where steps were not stored.
+        """Return whether each step moved each walker, (steps, walkers); None if some steps were not stored.
 
-        Whether the first step moved them follows from the number of accepted proposals.
+        Whether the first step moved a walker follows from the number of accepted proposals.
         """
         changed = np.any(self.chain[1:] != self.chain[:-1], axis=2)
         if thin_by > 1:
@@ -89,7 +89,7 @@ class StoredEnsemble:
 
 
 def check_alike(ensembles: list[StoredEnsemble]) -> None:
-    """Raise ValueError unless all ensembles have equally many walkers and parameters, of the same names."""
+    """Raise ValueError unless all ensembles agree in walkers, parameters, names and kinds of blobs."""
     first = ensembles[0]
     for k, ensemble in enumerate(ensembles):
         for what, one, other in (
@@ -108,7 +108,7 @@ def _kind(blobs: NDArray[Any] | None) -> str:
 
 
 def _backend(source: Any, hdf_name: str) -> tuple[Any, str]:
-    """Return the backend of a source, and where it is, in words."""
+    """Return the backend of a source, and its location in words."""
     from emcee.backends import Backend, HDFBackend
 
     if isinstance(source, str | os.PathLike):
@@ -128,7 +128,7 @@ def _backend(source: Any, hdf_name: str) -> tuple[Any, str]:
 
 
 def _require_steps(backend: Any) -> Any:
-    """Return an HDF backend whose file has the run; ValueError if not."""
+    """Return an HDF backend whose file contains the run; ValueError if it does not."""
     try:
         with backend.open() as file:
             inside = sorted(file)
@@ -143,7 +143,7 @@ def _require_steps(backend: Any) -> Any:
 
 
 def _parameter_names(given: Any) -> tuple[str, ...]:
-    """Return the names of a sampler's ``parameter_names``, in order; a name for several parameters is numbered."""
+    """Return a sampler's ``parameter_names``, in order; a name for several parameters is numbered."""
     if not given:
         return ()
     if not isinstance(given, dict):
@@ -156,6 +156,6 @@ def _parameter_names(given: Any) -> tuple[str, ...]:
 
 
 def _moves(source: Any) -> tuple[tuple[str, float], ...]:
-    """Return the names of a sampler's moves, with their weights."""
+    """Return the names and weights of a sampler's moves."""
     pairs = zip(getattr(source, "_moves", ()), getattr(source, "_weights", ()), strict=False)
     return tuple((type(move).__name__, float(weight)) for move, weight in pairs)

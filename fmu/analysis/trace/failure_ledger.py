@@ -1,4 +1,4 @@
-"""The table of failed solves of a run, and the limit at which the run stops."""
+"""The table of failed solves of a run, and the failure rate at which the run stops."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fmu.numbers import share
 from fmu.posterior.failures import Failure
 
 ENOUGH_SOLVES = 200
-"""With fewer solves a failure rate says little: chains may start where the model fails."""
+"""With fewer solves a failure rate is unreliable, because chains may start where the model fails."""
 
 
 class FailedSolves(NamedTuple):
@@ -21,15 +21,16 @@ class FailedSolves(NamedTuple):
     Attributes
     ----------
     task : int
-        The group of chains, from 0.
+        Index of the group of chains.
     phase : str
         Phase of the run: "start", "warmup" or "draws".
     step : int
-        Steps of the phase at the end of the part.
+        Number of steps of the phase at the end of the part.
     failures : sequence of Failure
-        What was recorded (`fmu.UpdatingProblem.take_failures`).
+        Recorded failures (`fmu.UpdatingProblem.take_failures`).
     n_failed : int
-        Evaluations that failed: more than were recorded if some failed at the same theta, or very many failed.
+        Number of failed evaluations. It is larger than the number of recorded failures if some failed at the same
+        theta, or if very many failed.
     """
 
     task: int
@@ -42,14 +43,14 @@ class FailedSolves(NamedTuple):
 def failures_csv(
     names: Sequence[str], units: Sequence[str], parts: Iterable[FailedSolves], header: bool = True
 ) -> str:
-    """Return the table of failed solves as CSV, numbers with all their digits.
+    """Return the table of failed solves as CSV, with all digits of the numbers.
 
     Parameters
     ----------
     names, units : sequence of str, one per parameter
     parts : iterable of FailedSolves
     header : bool
-        False to append to a file.
+        Whether to write the header; False to append to a file.
 
     Returns
     -------
@@ -78,11 +79,11 @@ def failure_rate_exceeded(
     Parameters
     ----------
     n_failed, n_solves : int
-        The failed ones are among the solves.
+        Number of failed solves, and number of all solves.
     limit : float
         The largest share allowed; with 1 no run is ever stopped.
     at_least : int
-        With fewer solves the rate is not judged.
+        Smallest number of solves for which the rate is judged.
     failures : sequence of Failure
         If given, the most frequent reason is part of the message.
 

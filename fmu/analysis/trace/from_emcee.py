@@ -1,4 +1,4 @@
-"""Runs of plain emcee as traces like any other."""
+"""Conversion of runs of plain emcee to traces."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from fmu.analysis.maxima.results import Maxima
 
 GROUP, BLOBS = "emcee", "blobs"
-"""Groups of a trace: what emcee counted, and its blobs."""
+"""Groups of a trace for the statistics of emcee and for its blobs."""
 _CHECKED = 5
-"""Draws at which what is stored is compared with the problem."""
+"""Number of draws at which the stored log-probability is compared with the problem."""
 _SLACK = 1e-6
-"""By how much it may differ, relative to its size, or to 1: rounding, on another processor."""
+"""Largest difference, relative to its size or to 1, that rounding on another processor may cause."""
 
 
 @check_arguments
@@ -51,63 +51,64 @@ def from_emcee(
     blob_names: Sequence[str] | None = None,
     maxima: Maxima | None = None,
 ) -> xr.DataTree:
-    """Convert runs of plain emcee to a trace, which `fmu.summary`, `fmu.diagnose` and others take like any other.
+    """Convert runs of plain emcee to a trace for `fmu.summary`, `fmu.diagnose` and all other analyses.
 
-    Every ensemble is a chain of the trace. Of fewer than four, the verdict rests on autocorrelation times and on
-    the mixing of the walkers, and says that separate modes cannot be excluded.
+    Every ensemble is a chain of the trace. With fewer than four ensembles, the verdict depends on autocorrelation
+    times and on the mixing of the walkers, and states that separate modes cannot be excluded.
 
     Parameters
     ----------
     source : emcee.EnsembleSampler, emcee.backends.Backend, path-like, or a list of these
-        A path is that of an HDF file. The steps stored so far are read, also of a run that was interrupted, is
-        still running, or was resumed.
+        The ensembles; a path is the path of an HDF file. The steps stored so far are read, also from a run that
+        was interrupted, is still running, or was resumed.
     problem : UpdatingProblem or LogDensity, optional
-        The density that was sampled. It gives the parameters' names, units and bounds, and the groups for model,
-        data and predictions. Leave it out where the log-probability was another, with a prior of your own.
+        The density that was sampled. It gives the names, units and bounds of the parameters, and the groups for
+        model, data and predictions. Leave it out if another log-probability was sampled, such as one with your own
+        prior.
     names : sequence of str, optional
-        The parameters' names; by default those of the problem, else ``parameter_names`` of the sampler, else
+        Names of the parameters; by default those of the problem, else ``parameter_names`` of the sampler, else
         ``x0``, ``x1``, ...
     discard : int or sequence of int
-        Stored steps at the beginning that are warm-up, as for ``sampler.get_chain``; one number, or one for each
-        ensemble. Ensembles of which unequal numbers are left are aligned at their ends: the longer ones have more
-        warm-up.
+        Number of stored steps at the beginning that are warm-up, as for ``sampler.get_chain``; one number, or one
+        for each ensemble. If different numbers of steps are left, the ensembles are aligned at their ends, and the
+        longer ensembles have more warm-up.
     thin : int
-        Only every so many stored steps are kept, as for ``sampler.get_chain``.
+        Keep only every `thin`-th stored step, as for ``sampler.get_chain``.
     thin_by : int
-        The number with which ``run_mcmc`` was called. Backends do not store it; evaluations are counted with it.
+        The ``thin_by`` of ``run_mcmc``. Backends do not store it; it is needed to count evaluations.
     hdf_name : str
         Name of the run within an HDF file.
     blob_names : sequence of str, optional
-        Names of blobs that have none: one for all, or one for each column. By default ``blobs``.
+        Names of blobs that have none: one name for all, or one for each column. By default ``blobs``.
     maxima : Maxima, optional
         The result of `fmu.find_map`. It is stored in the trace, and every verdict on the trace uses it.
 
     Returns
     -------
     xarray.DataTree
-        The groups of `fmu.analysis.trace.conversion.to_trace`; of an updating problem also ``modes``, ``pairing``
-        and ``identifiability``, as of `fmu.sample`. A blob with the problem's frequencies becomes
-        ``model_frequency`` of ``posterior_predictive``, so that none is solved again; others are in ``blobs``. The
-        group ``emcee`` has ``acceptance_fraction`` (chain, walker) of all stored steps; ``autocorrelation_time``
-        (chain, parameter) by emcee's own function, in draws kept; ``stored`` and ``discard`` (chain).
-        ``n_solves`` counts one evaluation a walker and step, and the start. ``accepted`` says whether a stored
-        step moved a walker; where steps between were not stored, it is the walker's acceptance fraction. Times are
-        not known: NaN.
+        The groups of `fmu.analysis.trace.conversion.to_trace`; for an updating problem also ``modes``, ``pairing``
+        and ``identifiability``, as from `fmu.sample`. A blob with the problem's frequencies becomes
+        ``model_frequency`` of ``posterior_predictive``, so that no draw is solved again; other blobs are in the
+        group ``blobs``. The group ``emcee`` has ``acceptance_fraction`` (chain, walker) of all stored steps;
+        ``autocorrelation_time`` (chain, parameter) by emcee's own function, in retained draws; ``stored`` and
+        ``discard`` (chain). ``n_solves`` counts one evaluation per walker and step, and one at the start.
+        ``accepted`` is whether a stored step moved a walker, or the walker's acceptance fraction if not all steps
+        were stored. Times are unknown, and therefore NaN.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     ValueError
-        If nothing is stored, a file cannot be read, ensembles differ in size, too few steps are left, names or
-        blobs cannot be stored, or the stored log-probabilities are not those of `problem`, at five draws.
+        If no steps are stored, a file cannot be read, ensembles differ in size, too few steps are left, names or
+        blobs cannot be stored, or the stored log-probabilities differ from those of `problem` at five draws.
     TypeError
         If `source` is something else.
 
     Warns
     -----
     UserWarning
-        If walkers moved more often than emcee accepted proposals: then steps between were not stored.
+        If walkers moved more often than emcee accepted proposals, so that not all steps were stored.
     """
     sources = list(source) if isinstance(source, list | tuple) else [source]
     if not sources:
@@ -134,7 +135,7 @@ def from_emcee(
 
 
 class _Unknown:
-    """A density of which only the parameters' names are known."""
+    """A density of which only the names of the parameters are known."""
 
     name = "emcee"
 
@@ -149,14 +150,14 @@ class _Unknown:
 
 @dataclass(frozen=True)
 class Kept:
-    """The stored steps of every ensemble as warm-up and draws, equally many in all.
+    """The stored steps of every ensemble that are used as warm-up and draws, the same number for all ensembles.
 
     Attributes
     ----------
     draws, warmup : tuple of ndarray of int, shape (n,)
-        Numbers of stored steps, from 0.
+        Indices of the stored steps of each ensemble.
     discard : tuple of int
-        Stored steps before the draws.
+        Number of stored steps before the draws of each ensemble.
     thin : int
     """
 
@@ -182,9 +183,9 @@ class Kept:
         return cls(draws, tuple(np.arange(stop - min(first), stop) for stop in first), first, thin)
 
     def evaluations(self, k: int, stored: int, thin_by: int) -> tuple[IntArray, IntArray]:
-        """Return the evaluations of each walker of ensemble `k` up to every step of warm-up, and draw.
+        """Return the evaluations of each walker of ensemble `k` for every step of the warm-up and every draw.
 
-        They add up to all that were made: one a step, and one at the start.
+        They add up to the number of all evaluations: one per step, and one at the start.
         """
         at = np.concatenate([self.warmup[k], self.draws[k]])
         until = thin_by * (at + 1) + 1
@@ -194,7 +195,7 @@ class Kept:
 
 
 def _names(names: Sequence[str] | None, problem: Any, ensembles: list[StoredEnsemble]) -> tuple[str, ...]:
-    """Return the parameters' names; ValueError if they do not suit what is stored, or contradict each other."""
+    """Return the names of the parameters; ValueError if they do not fit the stored chain, or disagree."""
     ndim, of_sampler = ensembles[0].shape[1], ensembles[0].names
     of_problem = () if problem is None else names_of(problem)
     found = (() if names is None else tuple(names)) or of_problem or of_sampler
@@ -213,7 +214,7 @@ def _names(names: Sequence[str] | None, problem: Any, ensembles: list[StoredEnse
 
 
 def _numbers(discard: int | Sequence[int], n: int) -> list[int]:
-    """Return the discarded steps of each ensemble."""
+    """Return the list of discarded steps of each ensemble."""
     each = list(discard) if isinstance(discard, Sequence | np.ndarray) else [discard] * n
     if len(each) != n:
         raise ValueError(f"discard: must be one number, or one for each of {n} ensembles (got {len(each)})")
@@ -221,7 +222,7 @@ def _numbers(discard: int | Sequence[int], n: int) -> list[int]:
 
 
 def _result(ensembles: list[StoredEnsemble], kept: Kept, thin_by: int) -> RunResult:
-    """Return the ensembles as a run of fmu: draws step-major, costs that add up to all evaluations."""
+    """Return the ensembles as a run of fmu: draws step-major, with costs that add up to all evaluations."""
     walkers = ensembles[0].shape[0]
     accepted: list[NDArray[Any]] = []
     for ensemble in ensembles:
@@ -251,7 +252,7 @@ def _result(ensembles: list[StoredEnsemble], kept: Kept, thin_by: int) -> RunRes
         posterior=draws(kept.draws, 1),
         sampler="emcee",
         settings=settings,
-        seed=0,  # of the noise of predictions; that of emcee is not known
+        seed=0,  # seed of the noise of predictions; emcee's seed is unknown
         walkers=walkers,
         draws=len(kept.draws[0]),
         warmup_draws=len(kept.warmup[0]),
@@ -269,7 +270,7 @@ def _flat(each: Sequence[NDArray[Any]]) -> NDArray[Any]:
 
 
 def _blobs(ensembles: list[StoredEnsemble], kept: Kept, names: Sequence[str] | None) -> dict[str, NDArray[Any]]:
-    """Return the blobs of the draws by name, each (ensembles, draws, ...)."""
+    """Return a dict of the blobs at the draws by name, each of shape (ensembles, draws, ...)."""
     if ensembles[0].blobs is None:
         if names is not None:
             raise ValueError(f"blob_names: need blobs (got {list(names)}, and none are stored)")
@@ -285,7 +286,7 @@ def _blobs(ensembles: list[StoredEnsemble], kept: Kept, names: Sequence[str] | N
             raise ValueError(f"blob_names: must be one, or one for each of {columns} columns (got {len(names)})")
         found = {name: stored[:, :, k] for k, name in enumerate(names)}
     for name, values in found.items():
-        if values.dtype == object:  # as emcee stores what it does not know the type of
+        if values.dtype == object:  # emcee stores blobs of unknown type in this way
             try:
                 found[name] = np.array(values.tolist(), dtype=float)
             except (TypeError, ValueError):
@@ -300,9 +301,9 @@ def _blobs(ensembles: list[StoredEnsemble], kept: Kept, names: Sequence[str] | N
 def _check_log_prob(
     draws: Draws, blobs: dict[str, NDArray[Any]], problem: Any, precision: float
 ) -> FloatArray | None:
-    """Compare five draws with the problem; return its frequencies at all draws, if they are among the blobs.
+    """Compare five draws with the problem; return its frequencies at all draws if they are among the blobs.
 
-    They are taken from `blobs`. ValueError if a log-probability is not that of the problem.
+    The frequencies are removed from `blobs`. ValueError if a stored log-probability is not the computed one.
     """
     theta = draws.position.reshape(-1, draws.position.shape[2])
     stored = draws.stats["lp"].ravel()
@@ -314,7 +315,7 @@ def _check_log_prob(
     off = np.abs(stored[at] - computed)
     allowed = precision * np.maximum(1.0, np.abs(computed))
     tolerance = getattr(problem, "tolerance", None)
-    if tolerance is not None:  # the run may have been of the full model
+    if tolerance is not None:  # the run may have used the full model
         allowed = allowed + tolerance.log_prob
     if not np.all(off <= allowed):
         worst = int(np.argmax(np.where(np.isnan(off), np.inf, off)))
@@ -334,7 +335,7 @@ def _check_log_prob(
 
 
 def _count_evaluations(ensembles: list[StoredEnsemble], kept: Kept, trace: xr.DataTree) -> xr.Dataset:
-    """Return emcee's acceptance, autocorrelation times and counts of its ensembles."""
+    """Return a dataset of emcee's acceptance fractions, autocorrelation times and counts of steps."""
     import xarray as xr
     from emcee.autocorr import integrated_time
 
@@ -352,7 +353,7 @@ def _count_evaluations(ensembles: list[StoredEnsemble], kept: Kept, trace: xr.Da
 
 
 def _dataset(blobs: Mapping[str, NDArray[Any]], trace: xr.DataTree) -> xr.Dataset:
-    """Return the blobs as variables."""
+    """Return the blobs as variables of a dataset."""
     import xarray as xr
 
     variables = {
@@ -363,7 +364,7 @@ def _dataset(blobs: Mapping[str, NDArray[Any]], trace: xr.DataTree) -> xr.Datase
 
 
 def _with_structure(trace: xr.DataTree, problem: Any, maxima: Maxima | None) -> xr.DataTree:
-    """Add certificate, modes, pairing and identifiability of the model to a trace."""
+    """Return the trace with certificate, modes, pairing and identifiability of the model."""
     certificate = certify(trace, problem, full_solves=problem.model.full_solves)
     trace.attrs |= {} if certificate is None else certificate.attributes()
     trace = with_pairing(with_modes(trace, problem, maxima), problem)

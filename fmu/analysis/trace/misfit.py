@@ -1,4 +1,4 @@
-"""The squared residuals at the draws, by which `fmu.analysis.fit` judges whether the model fits the data."""
+"""Squared residuals at the draws, from which `fmu.analysis.fit` judges whether the model fits the data."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 GROUP = "misfit"
-"""Group of a trace that stores them."""
+"""Group of a trace that stores the squared residuals."""
 QUANTITIES = "quantities"
 """Group of a trace with the data that are not of modes, such as a weighed mass."""
 TAILS = np.logspace(-6.0, 0.0, 121)
-"""Probabilities beyond which quantiles of the prior of an inferred standard deviation are stored."""
+"""Upper tail probabilities at which quantiles of the prior of an inferred standard deviation are stored."""
 
 
 def misfit_group(
     problem: UpdatingProblem, squares: FloatArray, coordinates: Mapping[str, object]
 ) -> dict[str, xr.Dataset]:
-    """Return the group ``misfit`` of a trace; empty for the modal residual.
+    """Return a dict with the group ``misfit`` of a trace; empty for the modal residual.
 
     Parameters
     ----------
     problem : UpdatingProblem
     squares : ndarray, shape (chains, draws, n_kinds, n_modes)
-        From `UpdatingProblem.terms_and_misfit`.
+        Squares from `UpdatingProblem.terms_and_misfit`.
     coordinates : mapping
-        Those of chain, draw and mode.
+        Coordinates of chain, draw and mode.
 
     Returns
     -------
     mapping of str to xarray.Dataset
-        ``squares`` (chain, draw, quantity, mode), Σ r² over the standardised residuals of a mode: a chi-square
-        variable with ``freedom`` (quantity) degrees of freedom where the model is right. Of inferred standard
-        deviations ``noise_isf`` (noise, tail), what the prior exceeds with the probability ``tail``, and
-        ``noise_of`` (noise), the quantities whose errors they are of. Attributes:
-        ``n_data``, how many independent numbers were measured; ``other``, the quantities that are not in
-        ``squares``, because their residuals have another distribution.
+        The group has ``squares`` (chain, draw, quantity, mode), Σ r² over the standardised residuals of a mode, a
+        chi-square variable with ``freedom`` (quantity) degrees of freedom if the model is correct. For inferred
+        standard deviations it has ``noise_isf`` (noise, tail), the value that the prior exceeds with the
+        probability ``tail``, and ``noise_of`` (noise), the quantities with these errors. Attributes: ``n_data``,
+        the number of independent measured values; ``other``, the quantities that are not in ``squares``, because
+        their residuals have another distribution.
     """
     import xarray as xr
 
@@ -73,19 +73,19 @@ def misfit_group(
 def quantities_group(
     problem: UpdatingProblem, position: FloatArray, coordinates: Mapping[str, object]
 ) -> dict[str, xr.Dataset]:
-    """Return the group ``quantities`` of a trace; none where all data are of modes.
+    """Return a dict with the group ``quantities`` of a trace; empty if all data are of modes.
 
     Parameters
     ----------
     problem : UpdatingProblem
     position : ndarray, shape (chains, draws, ndim)
     coordinates : mapping
-        Those of chain and draw.
+        Coordinates of chain and draw.
 
     Returns
     -------
     mapping of str to xarray.Dataset
-        ``computed`` (chain, draw, datum), ``measured``, ``sd`` and ``unit`` (datum).
+        The group has ``computed`` (chain, draw, datum), ``measured``, ``sd`` and ``unit`` (datum).
     """
     import xarray as xr
 

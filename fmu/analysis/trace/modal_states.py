@@ -29,13 +29,13 @@ if TYPE_CHECKING:
 
 GROUP = "modes"
 _STRUCTURE = "structure"
-"""Group of a trace that stores them."""
+"""Group of a trace of several tests that stores the drawing of the structure."""
 START, MEAN, MAXIMUM = "start", "posterior mean", "maximum"
 MEASURED = "measured shapes, at the sensors"
 """Reference of the MAC if shapes were measured."""
 _AXES = ("x", "y", "z")
 _MOST_COMPONENTS = 40
-"""At most so many translations of a structure without geometry are kept; of a larger one, those at the sensors."""
+"""Most translations stored for a structure without geometry; if it has more, only those at sensors are stored."""
 
 
 def with_modes(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | None = None) -> xr.DataTree:
@@ -46,7 +46,7 @@ def with_modes(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | No
 
 
 def states_of(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | None = None) -> dict[str, FloatArray]:
-    """Return the parameter vectors compared, by name: start, posterior mean, highest maximum if known."""
+    """Return a dict of the parameter vectors to compare: start, posterior mean, highest maximum if known."""
     states = {START: problem.start, MEAN: parameter_draws(trace).mean(axis=(0, 1))}
     if maxima is not None:
         states[MAXIMUM] = maxima[0].theta
@@ -54,31 +54,34 @@ def states_of(trace: xr.DataTree, problem: UpdatingProblem, maxima: Maxima | Non
 
 
 def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> xr.Dataset:
-    """Solve the full model at given parameter vectors.
+    """Return the modes of the full model at given parameter vectors.
 
     Parameters
     ----------
     problem : UpdatingProblem
     states : mapping of str to array_like, shape (ndim,)
-        Parameter vectors in SI units, by name; shapes are compared with those of the first.
+        Parameter vectors in SI units, by name; shapes are compared with the shapes of the first state.
 
     Returns
     -------
     xarray.Dataset
-        ``theta`` (state, parameter); ``frequency`` (state, mode), Hz, paired with the measured modes. Of a
-        structure given by its matrices also ``mac`` (state, reference_mode, mode): with the measured shapes at the
-        sensors if there are any, else with the shapes of the first state at all translations, as
-        ``mac.attrs["reference"]`` says; and ``component`` (state, mode, place), the shapes at the sensors, beside
-        ``measured`` (mode, place), if shapes were measured.
-        Where its geometry is known too, ``displacement`` (state, mode, node, direction), the largest of each mode
-        being 1 and ``component`` in proportion, and what `sketch_of` draws; ``expanded`` (mode, node, direction),
-        the measured shapes in their own scale, expanded by the modes at the posterior mean. Of a structure without
-        geometry ``component`` is at all translations if they are few, the largest of each mode being 1.
+        - ``theta`` (state, parameter), and ``frequency`` (state, mode), Hz, paired with the measured modes.
+        - For a structure defined by its matrices also ``mac`` (state, reference_mode, mode): the MAC with the
+          measured shapes at the sensors, or without measured shapes with the shapes of the first state at all
+          translations, as ``mac.attrs["reference"]`` states.
+        - If shapes were measured, also ``component`` (state, mode, place), the computed shapes at the sensors, and
+          ``measured`` (mode, place).
+        - If the geometry is known, also ``displacement`` (state, mode, node, direction), where the largest of each
+          mode is 1 and ``component`` is scaled in proportion; the variables that `sketch_of` draws; and
+          ``expanded`` (mode, node, direction), the measured shapes in their own scale, expanded by the modes at
+          the posterior mean.
+        - For a structure without geometry, ``component`` is at all translations if they are few, and the largest
+          component of each mode is 1.
 
     Raises
     ------
     ValueError
-        If there is no state, or one does not have ndim parameters.
+        If there is no state, or a state does not have ndim parameters.
     """
     import xarray as xr
 
@@ -101,14 +104,14 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
 
 
 def _shapes(model: PairedStructure, theta: FloatArray) -> FloatArray:
-    """Return the shapes of the modes, (n_dof, n_modes), at one theta."""
+    """Return the mode shapes at one theta, shape (n_dof, n_modes)."""
     shapes = model.shapes(theta)
     advance_phase()
     return shapes
 
 
 def _align_signs(shapes: FloatArray) -> FloatArray:
-    """Return shapes (states, n_dof, n_modes) with the signs of the first state's."""
+    """Return shapes (states, n_dof, n_modes) with the signs of the shapes of the first state."""
     sign = np.where(np.einsum("sdm,dm->sm", shapes, shapes[0]) < 0, -1.0, 1.0)
     return np.asarray(shapes * sign[:, None, :])
 
@@ -158,14 +161,14 @@ def _displace_nodes(structure: SeparableModel, shapes: FloatArray) -> FloatArray
 
 
 def _without_sign(sensor: Dof) -> Dof:
-    """Return the name of a degree of freedom that a sensor reads, whatever its polarity."""
+    """Return the degree of freedom that a sensor measures, without the polarity of the sensor."""
     return sensor[0], sensor[1].removeprefix("-")
 
 
 def _components(
     structure: SeparableModel, data: ModalData, shapes: FloatArray, size: FloatArray | None = None
 ) -> dict[str, Any]:
-    """Return the shapes at single places beside the measured ones; the largest is 1 where no `size` is given."""
+    """Return computed and measured shapes at single points; without `size` the largest component is 1."""
     sign = [-1.0 if direction.startswith("-") else 1.0 for _, direction in data.sensors]
     measured: dict[Dof, FloatArray] = {}
     if data.shapes is not None:
@@ -207,9 +210,9 @@ def _sketch_variables(found: Sketch) -> dict[str, Any]:
 
 
 def drawn_structure(problem: UpdatingProblem) -> dict[str, xr.Dataset]:
-    """Return the group of a trace of several tests with what `sketch_of` draws; none without geometry.
+    """Return a dict with the group of a trace of several tests that `sketch_of` draws; empty without geometry.
 
-    It is the structure of the first test.
+    It shows the structure of the first test.
     """
     import xarray as xr
 
@@ -227,7 +230,7 @@ def drawn_structure(problem: UpdatingProblem) -> dict[str, xr.Dataset]:
 
 
 def sketch_of(trace: xr.DataTree) -> Sketch | None:
-    """Return the sketch of the structure; None if it has no geometry, or an older version of fmu sampled it."""
+    """Return the sketch of the structure; None without a geometry, or in a trace of an older version of fmu."""
     group = next((name for name in (GROUP, _STRUCTURE) if has(trace, name, "changed")), None)
     if group is None:
         return None

@@ -1,7 +1,7 @@
-"""A tree of data sets as a netCDF-4 file and back, by h5py.
+"""Reading and writing of a tree of data sets as a netCDF-4 file, by h5py.
 
-NetCDF-4 is HDF5 with dimension scales, so that xarray, ArviZ and others read the files. xarray's own writer opens
-every scale anew for each of a hundred variables: it takes a second for what takes 0.1 s here.
+NetCDF-4 is HDF5 with dimension scales, so that xarray, ArviZ and other programs can read the files. The writer of
+xarray opens every scale again for each of a hundred variables, which takes a second instead of 0.1 s here.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _OF_NETCDF = ("_Netcdf4", "_NC")
 
 
 def to_netcdf(tree: xr.DataTree) -> bytes:
-    """Return the content of a netCDF-4 file with the data sets of a tree.
+    """Return the content of a netCDF-4 file with the data sets of a tree, as bytes.
 
     Raises
     ------
@@ -42,14 +42,14 @@ def to_netcdf(tree: xr.DataTree) -> bytes:
 
 
 def from_netcdf(path: str | os.PathLike[str]) -> xr.DataTree:
-    """Return the tree in a netCDF-4 file, in memory.
+    """Return the tree of data sets in a netCDF-4 file, read into memory.
 
     Raises
     ------
     OSError
-        If it cannot be read.
+        If the file cannot be read.
     ValueError
-        If it is not a netCDF-4 file.
+        If the file is not a netCDF-4 file.
     """
     import h5py
     import xarray as xr
@@ -126,7 +126,7 @@ def _read(group: h5py.Group) -> xr.Dataset:
 
 
 def _attributes(found: Mapping[str, str | AnyArray]) -> dict[str, object]:
-    """Return the attributes that a user sees, without the format's own; arrays of one number become numbers."""
+    """Return the attributes without the attributes of the file format; arrays of one number become numbers."""
     return {
         name: value[0] if np.ndim(value) and np.size(value) == 1 else value
         for name, value in found.items()

@@ -35,7 +35,7 @@ def canonical_json(value: object) -> str:
 
 
 def _plain(value: object) -> object:
-    """Turn a NumPy array or scalar into lists and numbers."""
+    """Return a NumPy array or scalar as nested lists or a number."""
     if hasattr(value, "tolist"):
         return value.tolist()
     raise TypeError(f"a configuration must hold JSON values and NumPy arrays only (got {type(value).__name__})")
@@ -44,7 +44,7 @@ def _plain(value: object) -> object:
 def describe_inputs(
     density: LogDensity, sampler: str, settings: Mapping[str, object], run: Mapping[str, object]
 ) -> dict[str, object]:
-    """Return the inputs that determine the draws: problem, sampler with settings, and arguments of the run."""
+    """Return a dict of the inputs that determine the draws: problem, sampler with settings, and run arguments."""
     describe = getattr(density, "configuration", None)
     problem = (
         describe()
@@ -55,9 +55,9 @@ def describe_inputs(
 
 
 def configuration(result: RunResult, density: LogDensity, start: object = None) -> dict[str, object]:
-    """Return everything that determines the draws of a run.
+    """Return a dict of everything that determines the draws of a run.
 
-    `start` says where the chains started, if ``result.init`` does not.
+    `start` describes the starts of the chains, if ``result.init`` does not.
     """
     run = {
         "draws": result.draws,
@@ -77,12 +77,12 @@ def configuration_hash(settings: object) -> str:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that the numbers depend on."""
+    """Return a dict of the versions of Python and of the packages that affect the numbers."""
     return {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in PACKAGES}
 
 
 def _solver(density: LogDensity) -> str:
-    """Name the library that factorises the matrices of the full model; empty for a density without matrices."""
+    """Return the name of the library that factorises the full model's matrices; empty without matrices."""
     from fmu.fem.pairing.paired_structure import structure_of
 
     structure = structure_of(density.model.parts[0]) if is_updating(density) else None
@@ -92,9 +92,10 @@ def _solver(density: LogDensity) -> str:
 def attributes(result: RunResult, density: LogDensity, start: object = None) -> dict[str, str | int | float]:
     """Return the attributes of the root of a trace, all numbers or text, as netCDF requires.
 
-    ``n_solves`` and ``n_gradients`` count the retained draws, ``warmup_n_solves`` and ``warmup_n_gradients`` the
-    warm-up. ``wall_s`` is the time of sampling, warm-up included, and ``created_at`` the UTC time after it.
-    ``solver`` factorises the matrices of the full model.
+    ``n_solves`` and ``n_gradients`` count the solves and gradients of the retained draws, ``warmup_n_solves`` and
+    ``warmup_n_gradients`` those of the warm-up. ``wall_s`` is the time of sampling in seconds, warm-up included,
+    and ``created_at`` is the UTC time at its end. ``solver`` is the library that factorises the matrices of the
+    full model.
     """
     settings = configuration(result, density, start)
     costs = {

@@ -1,6 +1,6 @@
-"""Reading a trace: parameters, draws, walkers, and the groups that not every trace has.
+"""Functions that read a trace: parameters, draws, walkers, and groups that not every trace has.
 
-A trace of an older version, of another sampler or of a plain log-density lacks some groups and variables.
+Some groups and variables are missing in traces of older versions, of other samplers and of plain log-densities.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 
 MANY = 30
-"""Parameters of which a table or a figure can show no more."""
+"""Largest number of parameters that a table or a figure shows in full."""
 IMPORTED = "imported"
-"""Attribute of a trace that another library drew: which."""
+"""Attribute of a trace with the name of the other library that made the draws."""
 
 
 def check_trace(trace: object, origin: str = "trace") -> None:
@@ -33,22 +33,22 @@ def check_trace(trace: object, origin: str = "trace") -> None:
 
 
 def has(trace: xr.DataTree, group: str, variable: str | None = None) -> bool:
-    """Say whether a trace has a group, and in it a variable."""
+    """Return True if a trace has a group and, if given, a variable in this group."""
     return group in trace.children and (variable is None or variable in trace[group])
 
 
 def is_pseudo(trace: xr.DataTree) -> bool:
-    """Say whether a trace is of the modal residual, whose pseudo-likelihood is not a density of the data."""
+    """Return True for a trace of the modal residual, whose pseudo-likelihood is not a density of the data."""
     return has(trace, "log_likelihood", "residual")
 
 
 def array_of(trace: xr.DataTree, group: str, variable: str) -> AnyArray:
-    """Return a variable of a group with one value, or one array, for each draw, shape (chains, draws, ...)."""
+    """Return a variable of a group, with one value or array per draw, shape (chains, draws, ...)."""
     return trace[group][variable].transpose("chain", "draw", ...).to_numpy()
 
 
 def problem_of(trace: xr.DataTree) -> dict[str, Any]:
-    """Return `UpdatingProblem.configuration` of the problem; of another density what is known of it."""
+    """Return `UpdatingProblem.configuration` of the problem; for another density, its stored description."""
     found = json.loads(str(trace.attrs.get("configuration", "{}"))).get("problem")
     return found if isinstance(found, dict) else {}
 
@@ -68,7 +68,7 @@ def parameter_names(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def told_names(trace: xr.DataTree) -> tuple[str, ...]:
-    """Return the parameters in tables and figures: all, or if they are many those that are no scores of tests."""
+    """Return the parameters shown in tables and figures: all, or all but the scores of tests if there are many."""
     names = parameter_names(trace)
     roles = roles_of(trace)
     chosen = tuple(name for name in names if name not in roles or roles[name][0] != "score")
@@ -76,9 +76,10 @@ def told_names(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def roles_of(trace: xr.DataTree) -> dict[str, tuple[str, str, str]]:
-    """Return by name what each parameter of several tests is for; empty for a single test.
+    """Return a dict from parameter names to their roles in a problem of several tests; empty for a single test.
 
-    Kind, parameter of the structure, and test, group or covariate, see `fmu.posterior.joint.varies.base.Role`.
+    A role is the kind, the parameter of the structure, and the test, group or covariate, see
+    `fmu.posterior.joint.varies.base.Role`.
     """
     if not has(trace, "constant_data", "role"):
         return {}
@@ -88,7 +89,7 @@ def roles_of(trace: xr.DataTree) -> dict[str, tuple[str, str, str]]:
 
 
 def without_scores(trace: xr.DataTree) -> xr.DataTree:
-    """Return a trace with the parameters of `told_names` alone; the rest is in its group ``tests``."""
+    """Return the trace with the parameters of `told_names` only; the rest is in its group ``tests``."""
     chosen = list(told_names(trace))
     if len(chosen) == len(parameter_names(trace)):
         return trace
@@ -103,7 +104,7 @@ def without_scores(trace: xr.DataTree) -> xr.DataTree:
 
 
 def parameter_units(trace: xr.DataTree) -> tuple[str, ...]:
-    """Return the units of the sampled parameters, in the order of theta; empty where a parameter has none."""
+    """Return the units of the sampled parameters, in the order of theta; an empty string without a unit."""
     return tuple(str(trace["posterior"][name].attrs.get("units", "")) for name in parameter_names(trace))
 
 
@@ -113,9 +114,9 @@ def parameter_draws(trace: xr.DataTree) -> FloatArray:
 
 
 def constant(trace: xr.DataTree, which: str, name: str) -> float:
-    """Return the ``"lower"`` bound, the ``"upper"`` one or the ``"start"`` of a parameter, SI units.
+    """Return the ``"lower"`` bound, the ``"upper"`` bound or the ``"start"`` of a parameter, SI units.
 
-    NaN if the trace does not know it.
+    Return NaN if the trace does not store this value.
     """
     return (
         float(trace["constant_data"][which].sel(parameter=name)) if has(trace, "constant_data", which) else np.nan
@@ -123,10 +124,10 @@ def constant(trace: xr.DataTree, which: str, name: str) -> float:
 
 
 def in_solves[Count: (float, FloatArray)](trace: xr.DataTree, n_solves: Count, n_gradients: Count) -> Count:
-    """Return a cost in solves, the log-probabilities that would have taken the time.
+    """Return a cost as a number of solves: the log-probabilities that would have taken the same time.
 
-    An exact gradient, counted among the solves as one, is worth ``trace.attrs["gradient_cost"]`` of them. That was
-    measured at the end of the run; a trace without it counts a gradient as one.
+    An exact gradient, which is also counted as one solve, costs as much as ``trace.attrs["gradient_cost"]``
+    solves. This ratio was measured at the end of the run; in a trace without it, a gradient costs one solve.
     """
     return n_solves + (float(trace.attrs.get("gradient_cost", 1.0)) - 1.0) * n_gradients
 
@@ -138,7 +139,7 @@ def used_modes(trace: xr.DataTree) -> BoolArray:
 
 
 def mode_names(trace: xr.DataTree) -> list[str]:
-    """Return the names of the measured modes, with a remark where one was not used in updating."""
+    """Return a list of the names of the measured modes, marked if a mode was not used in updating."""
     labels = trace["observed_data"]["mode"].to_numpy()
     return [
         str(label) if used else f"{label} (not used)"
@@ -152,5 +153,5 @@ def walkers_of(trace: xr.DataTree) -> int:
 
 
 def is_imported(trace: xr.DataTree) -> bool:
-    """Say whether another library drew a trace, so that fmu's commands and options do not apply to it."""
+    """Return True if another library made the draws, so that fmu's commands and options do not apply."""
     return IMPORTED in trace.attrs
