@@ -24,6 +24,6 @@ def find_inside(points: FloatArray, lower: FloatArray, upper: FloatArray) -> tup
         Whether all points are inside; False if there are no points.
     """
     within = (points >= lower) & (points <= upper)
-    if np.count_nonzero(within) == within.size > 0:  # the usual case, in a tenth of the time of `all` on a small array
+    if np.count_nonzero(within) == within.size > 0:  # the usual case, ten times faster than `all` on small arrays
         return np.ones(points.shape[:-1], dtype=bool), True
     return within.all(axis=-1), False
