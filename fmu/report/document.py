@@ -269,7 +269,7 @@ NOTES = "Notes on the model and the data"
 
 @dataclass(frozen=True)
 class Verdict:
-    """The answer to one question about a run: one line of the first screen, and the reasons below it.
+    """The verdict on one question about a run: one line of the first screen, and the reasons below it.
 
     Attributes
     ----------

@@ -137,7 +137,7 @@ def _of_scheme(style: re.Match[str]) -> str:
 
 
 def _without_repetition(body: str) -> str:
-    """Return the SVG without groups that have no attributes, and without styles that repeat those of a symbol."""
+    """Return the SVG without groups that have no attributes, and without styles that repeat a symbol's style."""
     says_something: list[bool] = []
     styles: dict[str, str] = {}
 
