@@ -36,7 +36,7 @@ MOST_DRAWN = 5000
 
 
 def structure_drawing(trace: xr.DataTree) -> Markup:
-    """Return a drawing of the structure with its legend; empty if the trace has no geometry or it is too large."""
+    """Return a drawing of the structure with its legend; empty without geometry or for a very large structure."""
     found = sketch_of(trace)
     if found is None or len(found.elements) > MOST_DRAWN:
         return Markup("")
@@ -46,9 +46,9 @@ def structure_drawing(trace: xr.DataTree) -> Markup:
 
 
 def legend_of_parameters(names: Iterable[str], colours: Iterable[str | None], svg: str) -> Markup:
-    """Return the legend of a drawing with the colour of each parameter; None if a parameter changes no element."""
+    """Return the legend of a drawing with the colour of each parameter, None if a parameter changes no element."""
     entries: dict[str, list[str]] = {}
-    for name, colour in zip(names, colours, strict=False):  # inferred errors follow the parameters and have no colour
+    for name, colour in zip(names, colours, strict=False):  # inferred errors, at the end, have no colour
         if colour is not None:
             entries.setdefault(colour, []).append(str(name))
     if f'stroke="{UNCHANGED}" stroke-width="4"' in svg:
@@ -108,8 +108,8 @@ def _drawn_directions(found: Information) -> PageTable:
 def directions(found: Identifiability, lead: str, drawn: FloatArray | None = None) -> PageTable:
     """Return the table of the directions of a linearised model, with a caption that begins with `lead`.
 
-    If `drawn` is given (`fmu.analysis.information.left_along`), one column shows the spread of the draws along each
-    direction.
+    If `drawn` is given (`fmu.analysis.information.left_along`), one column shows the spread of the draws along
+    each direction.
     """
     rows = tuple(
         (

@@ -275,7 +275,7 @@ def _where(run: ReportedRun, table: pd.DataFrame) -> tuple[tuple[Pictures, ...],
             f"{state}: probability that more than {share(_BEYOND[0])} of an element's stiffness is lost, the "
             "largest of the parameters that change it."
         )
-        svg = Markup(svg.replace("The structure:", "The damaged structure:", 1))  # the head of the page contains the same drawing
+        svg = Markup(svg.replace("The structure:", "The damaged structure:", 1))  # also in the page's head
         pictures.append(Picture(svg + legend(entries), caption, round(WIDTH)))
     names = run.trace["structure"]["structural"].to_numpy().tolist()
     view = damage_view(sketch, names, table.iloc[:, :5].drop(index=ANY, level=1), share(_BEYOND[0]))

@@ -39,7 +39,7 @@ def verdicts(run: ReportedRun) -> tuple[Verdict, ...]:
 
 
 def of_the_model(run: ReportedRun) -> tuple[Verdict, ...]:
-    """Return the verdicts on losses, on other parameter changes, on their certainty, and on the fit of the model."""
+    """Return the verdicts on losses, other parameter changes, their certainty, and the fit of the model."""
     names, losses = _most_changed(run), lost(run)
     what = judge_change(run, names)
     if losses:
