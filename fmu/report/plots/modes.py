@@ -184,7 +184,7 @@ def _draw_along(axis: Axes, one: xr.Dataset, base: str) -> str:
 
 
 def _draw_projected(axis: Axes, one: xr.Dataset, base: str) -> str:
-    """Draw a structure undeformed (thin lines) and deformed, and return the label of the abscissa, which is empty."""
+    """Draw a structure undeformed (thin lines) and deformed, and return the empty label of the abscissa."""
     coordinates, ends = one["coordinates"].to_numpy(), one["ends"].to_numpy()
     swing = _SWING * float(np.max(np.ptp(coordinates, axis=0)))
     project = _projection(coordinates, one["displacement"].to_numpy())

@@ -137,7 +137,7 @@ def grid_axes(n: int, figure: Figure, shared: bool = False) -> AxesArray:
 
 
 def broken(label: str, room: float) -> str:
-    """Return a label broken into at most three lines that fit a length of `room` inches, the unit on its own line."""
+    """Return a label broken into at most three lines that fit in `room` inches, with the unit on its own line."""
     most = max(6, int(room / _LABEL_LETTER))
     quantity, slash, unit = label.rpartition(" / ")
     if not slash or len(label) <= most:
