@@ -36,11 +36,11 @@ def recompute(problems: Mapping[str, UpdatingProblem]) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row per frequency. The columns are ``table``, ``column`` and ``mode``; ``printed_hz``, the printed text;
-        ``meant_hz``, which differs from it if another cell exposes a misprint; ``model_hz``; ``difference_hz``,
-        model minus meant frequency, and its tolerance ``tolerance_hz``; ``within``, whether the difference is
-        within the tolerance; ``as_printed``, whether the model at the printed parameters also agrees with the
-        printed frequency; and ``remark``.
+        One row per frequency. The columns are ``table``, ``column`` and ``mode``; the printed text ``printed_hz``;
+        ``meant_hz``, which differs from the printed frequency if another cell exposes a misprint; ``model_hz``;
+        ``difference_hz``, model minus meant frequency, and its tolerance ``tolerance_hz``; ``within``, whether the
+        difference is within the tolerance; ``as_printed``, whether the model at the printed parameters agrees with
+        the printed frequency; and ``remark``.
     """
     import pandas as pd
 
@@ -226,7 +226,7 @@ def _over_the_box(case: str, problem: UpdatingProblem, points: int) -> Iterator[
 
 
 def _parameters(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
-    """Yield an erratum for parameters that do not reproduce their frequencies, or lie outside the paper's bounds."""
+    """Yield an erratum for parameters that do not reproduce their frequencies or are outside the paper's bounds."""
     experiment = EXPERIMENTS[case]
     names = experiment.parameter_names
     for column in experiment.columns.values():

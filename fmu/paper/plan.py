@@ -56,8 +56,8 @@ class Plan:
     long : mapping of str to Length
         The lengths of the long runs, by sampler (`long_start`).
     one_start : Length
-        The length of a run of HMC without jumps, with all chains from the start vector. This run shows the R-hat of
-        chains with one start.
+        The length of a run of HMC without jumps, with all chains from the start vector. This run shows the R-hat
+        of chains with one start.
     weighted : tuple of (case, pairing)
         The experiments that are repeated by HMC with a separate β for every mode.
     starts : int
@@ -99,7 +99,7 @@ class Plan:
 
     @property
     def steps(self) -> int:
-        """The number of steps of all runs of one experiment."""
+        """The number of steps per chain, summed over all runs of one experiment."""
         runs = (*(self.paper for _ in PAPER_SAMPLERS), *self.pace.values(), *self.long.values(), self.one_start)
         return sum(length.steps for length in runs)
 
@@ -176,7 +176,7 @@ class Runs:
         *,
         jumps: bool | None = None,
     ) -> xr.DataTree:
-        """Perform a run, named `words` in the progress line, and return its trace; `jumps` is as in `fmu.sample`."""
+        """Perform a run named `words` in the progress line, and return its trace; `jumps` is as in `fmu.sample`."""
         from fmu.sampling import sample
 
         with warnings.catch_warnings():
