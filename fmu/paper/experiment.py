@@ -280,9 +280,9 @@ def comparison_table(result: Result) -> pd.DataFrame:
 
     ``sampling_solves`` and ``ess_per_sampling_solve``: solves and efficiency of the long run without the warm-up.
 
-    ``needed_draws``, ``needed_samples``, ``needed_solves``, ``needed_s``: retained steps of each chain, and steps of
-    all chains, solves and time in s including the warm-up, from which the long run passes the convergence checks
-    at every length examined; missing if the long run did not converge.
+    ``needed_draws``, ``needed_samples``, ``needed_solves`` and ``needed_s``: retained steps of each chain, and
+    steps of all chains, solves and time in s including the warm-up, from which the long run passes the convergence
+    checks at every length examined; missing if the long run did not converge.
 
     ``paper_solves``: solves of the paper's protocol.
 

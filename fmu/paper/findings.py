@@ -46,8 +46,8 @@ class Findings:
     parameters, frequencies, comparison : DataFrame
         The tables of `fmu.paper.experiment`: `parameter_table`, `frequency_table` and `comparison_table`.
     maxima : DataFrame
-        Local maxima of the posterior, the highest first (`fmu.analysis.maxima.results.Maxima.table`), with a column
-        ``modes`` of the physical modes paired at each maximum.
+        Local maxima of the posterior, the highest first (`fmu.analysis.maxima.results.Maxima.table`), with a
+        column ``modes`` of the physical modes paired at each maximum.
     reasons, warnings : mapping of str to tuple of str
         The reasons why the long run has not converged, and the warnings about the model, by sampler.
     places : mapping of str to mapping of str to float
@@ -162,7 +162,7 @@ class Findings:
 
     @property
     def never_visited(self) -> list[str]:
-        """The samplers whose long run never visited one of the maxima that hold probability."""
+        """The samplers whose long run never visited one of the maxima."""
         return [s for s, reasons in self.reasons.items() if any("never visited" in reason for reason in reasons)]
 
     @property

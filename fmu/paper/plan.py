@@ -176,7 +176,7 @@ class Runs:
         *,
         jumps: bool | None = None,
     ) -> xr.DataTree:
-        """Perform a run named `words` in the progress line, and return its trace; `jumps` is as in `fmu.sample`."""
+        """Perform a run, called `words` in the progress line, and return its trace; `jumps` as in `fmu.sample`."""
         from fmu.sampling import sample
 
         with warnings.catch_warnings():
