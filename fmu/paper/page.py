@@ -316,7 +316,7 @@ def settings(findings: Findings) -> str:
 
 
 def _count(value: Any) -> Any:
-    """Return a setting, or for a list of mixture components their number, because they hold hundreds of numbers."""
+    """Return a setting; for a list of mixture components, which is too long to show, a text with their number."""
     is_long = isinstance(value, list) and any(isinstance(one, dict) for one in value)
     return f"{len(value)}, at the maxima" if is_long else value
 

@@ -56,15 +56,16 @@ def lowest_modes(problem: UpdatingProblem, theta: FloatArray, count: int) -> lis
 
 
 def shares(names: StrArray) -> dict[str, float]:
-    """Return a dict of the share of rows with each combination of names, with the most common combination first."""
+    """Return a dict of the share of rows with each combination of names, the most common combination first."""
     counts = Counter(" ".join(row) for row in names.tolist())
     return {combination: count / len(names) for combination, count in counts.most_common()}
 
 
 def shares_over_the_box(problem: UpdatingProblem, points: int) -> list[dict[str, float]]:
-    """Return, for each measured mode, a dict of the share of the parameter box paired with each physical mode.
+    """Return, for each measured mode, a dict of the physical modes paired with it and their shares of the box.
 
-    The shares are estimated with a scrambled Sobol sequence within the bounds.
+    A share is the part of the parameter box in which the physical mode is paired with the measured mode, estimated
+    with a scrambled Sobol sequence within the bounds.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ SCALAR, VECTOR = "scalar", "vector"
 
 
 def relative_weights(frequencies_hz: FloatArray) -> FloatArray:
-    """Return the weights β_i = 1/(2σ_i²) of the modes, in 1/Hz², with σ_i = `RELATIVE` · f_i for frequencies f_i."""
+    """Return the weights β_i = 1/(2σ_i²) of the modes in 1/Hz², where σ_i is `RELATIVE` times the frequency."""
     return 1.0 / (2.0 * (RELATIVE * frequencies_hz) ** 2)
 
 
@@ -78,7 +78,7 @@ class VectorBeta:
     def outcome(self) -> str:
         """Whether the vector β reduces the error of mode 1, in words.
 
-        The outcome is ``"confirmed"`` or ``"not confirmed"``, or ``"cannot be judged"`` unless both runs converged.
+        The outcome is ``"confirmed"`` or ``"not confirmed"``; it ``"cannot be judged"`` unless both runs converged.
         """
         if not self.runs["converged"].all():
             return "cannot be judged"
