@@ -1,4 +1,4 @@
-"""Test whether points are inside a box, such as the bounds of the parameters."""
+"""The test whether points are inside a box, such as the bounds of the parameters."""
 
 from __future__ import annotations
 

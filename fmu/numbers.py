@@ -137,7 +137,7 @@ def apart(*values: float, sd: float = math.nan, digits: int = 4, most: int = _MO
 
 
 def hertz(*values: float, measured: float = math.nan) -> tuple[str, ...]:
-    """Format computed frequencies in Hz to 0.1 Hz at least, and to up to six digits where they differ only there.
+    """Format computed frequencies in Hz to at least 0.1 Hz, with up to six digits if needed to tell them apart.
 
     With a `measured` frequency, the texts have at least as many decimals as the measured one.
     """

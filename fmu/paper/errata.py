@@ -226,7 +226,7 @@ def _over_the_box(case: str, problem: UpdatingProblem, points: int) -> Iterator[
 
 
 def _parameters(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
-    """Yield an erratum for parameters that do not reproduce their frequencies, or outside the paper's bounds."""
+    """Yield errata for parameters that do not reproduce their frequencies, or are outside the paper's bounds."""
     experiment = EXPERIMENTS[case]
     names = experiment.parameter_names
     for column in experiment.columns.values():

@@ -78,7 +78,7 @@ class VectorBeta:
     def outcome(self) -> str:
         """Whether the vector β reduces the error of mode 1, in words.
 
-        The outcome is ``"confirmed"`` or ``"not confirmed"``; it ``"cannot be judged"`` unless both runs converged.
+        The outcome is ``"confirmed"``, ``"not confirmed"`` or, unless both runs converged, ``"cannot be judged"``.
         """
         if not self.runs["converged"].all():
             return "cannot be judged"

@@ -193,7 +193,7 @@ def _sensors(found: Check) -> list[PageSection]:
 
 
 def _shapes(found: Check, shapes: xr.Dataset) -> tuple[Picture, ...]:
-    """Return drawings of the structure deformed in the computed mode paired with each of the first 12 modes."""
+    """Return pictures of the computed modes paired with the measured modes, for at most 12 measured modes."""
     coordinates, ends = shapes["coordinates"].to_numpy(), shapes["ends"].to_numpy()
     pictures = []
     for k, label in enumerate(found.modes.labels[:_MOST_SHAPES]):

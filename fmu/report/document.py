@@ -38,7 +38,7 @@ class _Part:
 
 @dataclass(frozen=True)
 class Text(_Part):
-    """A paragraph."""
+    """A paragraph of text."""
 
     kind: ClassVar[str] = "text"
     is_words: ClassVar[bool] = True
@@ -77,7 +77,7 @@ _HIGH = 1200
 
 @dataclass(frozen=True)
 class PageTable(_Part):
-    """A table.
+    """A table on a page.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ class PageTable(_Part):
 
 @dataclass(frozen=True)
 class Picture(_Part):
-    """A drawing.
+    """A figure or drawing on a page.
 
     Attributes
     ----------
@@ -159,7 +159,7 @@ class Picture(_Part):
 
     @property
     def packed(self) -> str:
-        """The content as the script reads it."""
+        """The content in the compressed format that the script reads."""
         return pack(self.content)
 
 
@@ -197,13 +197,13 @@ class View(_Part):
 
     @property
     def packed(self) -> str:
-        """The content as the script reads it."""
+        """The content in the compressed format that the script reads."""
         return pack(self.content)
 
 
 @dataclass(frozen=True)
 class Details(_Part):
-    """Parts that are hidden until they are opened."""
+    """Parts of a page that are hidden until the reader opens them."""
 
     kind: ClassVar[str] = "details"
     summary: str
@@ -215,7 +215,7 @@ Part = Text | Items | PageTable | Picture | Pictures | View | Details
 
 @dataclass(frozen=True)
 class PageSection:
-    """A heading and the parts below it."""
+    """A section of a page: a heading and the parts below the heading."""
 
     id: str
     title: str

@@ -66,7 +66,7 @@ def figure_data(figure: Figure, most: int = MOST_ORDINATES) -> dict[str, object]
     every = max(1, -(-n // most))
     found = (
         (axes, _series(axes, names, every)) for axes in figure.axes if axes.axison
-    )  # drawings have no numbers
+    )  # axes that are switched off show drawings without numbers
     return {"every": every, "panels": [_panel(axes) | {"series": series} for axes, series in found if series]}
 
 

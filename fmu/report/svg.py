@@ -72,7 +72,7 @@ def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
     body = re.sub(r"<style.*?</style>|<metadata>.*?</metadata>|<!--.*?-->", "", body, flags=re.DOTALL)
     body = re.sub(r"\s*\n\s*", " ", body).replace("> <", "><")
     used = set(re.findall(r"(?:url\(#|href=\"#)([^\")]+)", "".join(_TAG.findall(body))))
-    body = _TAG.sub(lambda tag: _clean(tag[0], key, used), body)  # change tags only, not text
+    body = _TAG.sub(lambda tag: _clean(tag[0], key, used), body)  # change only tags, not text
     body = _without_repetition(body)
     width, height = (72.0 * size for size in figure.get_size_inches())
     return Markup(f'<svg role="img" aria-label="{escape(alt)}" viewBox="0 0 {width:g} {height:g}">{body}</svg>')

@@ -1,4 +1,4 @@
-"""Figures on the information in the data: prior and posterior of each parameter, and sensitivities."""
+"""The section on prior and posterior densities, and the picture of the parameter sensitivities."""
 
 from __future__ import annotations
 
