@@ -29,7 +29,7 @@ _FILES = {
     "UpdatingProblem": "fmu.load",
     "DataTree": "fmu.load_trace",
 }
-"""The function that loads an object, by the name of its class; named in the message if a path is given instead."""
+"""The function that loads an object, by the class of the object; the message names it if a path was given."""
 
 
 Bound = Annotated[float, Unbounded()]

@@ -25,7 +25,7 @@ class _Stop:
     asked : bool
         Whether a signal has been received.
     due : bool
-        Whether a KeyboardInterrupt is to be raised when the last `shielded` block ends.
+        Whether a KeyboardInterrupt is to be raised, if necessary after the end of the last `shielded` block.
     polling, shields : int
         Number of nested `interruptible` blocks, and of nested `shielded` blocks.
     """

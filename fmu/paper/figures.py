@@ -1,4 +1,4 @@
-"""The figures of one experiment."""
+"""The figures of one experiment of the paper."""
 
 from __future__ import annotations
 

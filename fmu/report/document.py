@@ -223,7 +223,7 @@ class PageSection:
 
     @property
     def shown(self) -> tuple[PageSection, ...]:
-        """A tuple of the section itself."""
+        """A tuple that contains only this section."""
         return (self,)
 
     @property
@@ -260,7 +260,7 @@ class Omitted:
 
     @property
     def omissions(self) -> tuple[str, ...]:
-        """A tuple of the sentence that says what is omitted and why."""
+        """A tuple with one sentence that says what is omitted and why."""
         return (f"{self.title}: {self.reason}.",)
 
 

@@ -57,12 +57,12 @@ class ReportedRun:
 
     @property
     def sampler(self) -> str:
-        """The sampler's full name."""
+        """The full name of the sampler."""
         return TITLES.get(str(self.trace.attrs["sampler"]), str(self.trace.attrs["sampler"]))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The parameters' names."""
+        """The names of the parameters."""
         return parameter_names(self.trace)
 
     def unit(self, name: str) -> Unit:
@@ -98,7 +98,7 @@ class ReportedRun:
 
 
 def runs_of(traces: Mapping[str, xr.DataTree]) -> dict[str, ReportedRun]:
-    """Return a dict of the reported run of each trace, with the traces of all samplers compared.
+    """Return a dict with the `ReportedRun` of each trace, after comparing the traces with each other.
 
     Raises
     ------
