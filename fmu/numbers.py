@@ -46,7 +46,7 @@ def customary_unit(unit: str) -> Unit:
 
 
 def with_unit(value: float, unit: str, sd: float = math.nan) -> str:
-    """Format a value in an SI unit in its customary unit, rounded by its standard deviation: ``"170 GPa"``."""
+    """Format a value in an SI unit in its customary unit, to the digits that `sd` supports: ``"170 GPa"``."""
     factor, name = customary_unit(unit)
     value, sd = value / factor, sd / factor
     return f"{given(value) if math.isnan(sd) else round_by_sd(value, sd)} {name}".rstrip()

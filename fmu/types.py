@@ -45,7 +45,10 @@ class LogDensity(Protocol):
     upper: FloatArray
 
     def log_prob(self, theta: FloatArray) -> FloatArray:
-        """Return the log-density: a float for ``(ndim,)``, ``(n,)`` for ``(n, ndim)``; -inf outside the box."""
+        """Return the log-density, a float for shape ``(ndim,)`` and shape ``(n,)`` for ``(n, ndim)``.
+
+        The log-density is ``-inf`` outside the box.
+        """
         ...
 
     def log_prob_and_grad(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:

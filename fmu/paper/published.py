@@ -54,7 +54,7 @@ class Printed:
 
     @property
     def half_unit(self) -> float:
-        """Half a unit of the last digit, the largest rounding error of the printed number."""
+        """Half a unit of the last digit, the largest rounding error of `value`."""
         return float(f"0.5e{self.exponent - self.decimals}")
 
     def allows(self, value: float, slack: float = 0.0) -> bool:
