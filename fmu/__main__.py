@@ -1,4 +1,4 @@
-"""``python -m fmu``: the command ``fmu``."""
+"""Entry point of ``python -m fmu``, which runs the command ``fmu``."""
 
 from fmu.cli import main
 

@@ -1,10 +1,10 @@
-"""Checks of arguments at the public doors: every argument is what its annotation says, before anything is done.
+"""Checks that the arguments of public functions and classes match their annotations.
 
-`check_arguments` wraps a public function, or the constructor of a public class. Its annotations are the rules:
-``float`` is a finite number, ``Positive`` a positive one, ``Literal`` one of its words, and
-``Sequence[Parameter]`` a sequence of parameters. A string among the marks of ``Annotated`` is advice for whoever
-breaks the rule. What annotations cannot say, such as that an upper bound exceeds a lower one, is left to the
-function.
+`check_arguments` wraps a public function, or the constructor of a public class. The annotations are the rules:
+``float`` requires a finite number, ``Positive`` a positive number, ``Literal`` one of the listed words, and
+``Sequence[Parameter]`` a sequence of parameters. A string in the metadata of ``Annotated`` is advice that is
+appended to the error message. Rules that annotations cannot express, for example that an upper bound exceeds a
+lower bound, are checked by the function itself.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _FILES = {
     "UpdatingProblem": "fmu.load",
     "DataTree": "fmu.load_trace",
 }
-"""How to load an object whose file is given in its place."""
+"""The function that loads an object, by the class of the object; the message names it if a path was given."""
 
 
 Bound = Annotated[float, Unbounded()]
@@ -49,24 +49,24 @@ else:
 
 
 class ArgumentError(ValueError):
-    """A value that breaks a rule, of an argument or of a key in a file: ``key: rule (got value)`` and advice.
+    """Error for an invalid argument, or an invalid key in a file: ``key: rule (got value)`` and advice.
 
     Attributes
     ----------
     key : str
-        The argument or key, with dots before its parts, as in ``frequencies_hz.2``; empty if the error is in no
-        single one.
+        The argument or key, with its parts separated by dots, as in ``frequencies_hz.2``; empty if the error
+        does not concern a single key.
     rule : str
-        What the value must be.
+        The rule that the value must satisfy.
     value : str
-        The value received, as the message shows it; empty if the message shows none.
+        The value received, as the message shows it; empty if the message shows no value.
     advice : str
-        The rest of the message, such as what to do.
+        The rest of the message, for example how to correct the error.
     """
 
     def __init__(self, key: str, rule: str, value: object = "", advice: str = "") -> None:
         self.key, self.rule, self.value, self.advice = key, rule, str(value), advice
-        super().__init__(key, rule, self.value, advice)  # with these a copy is made in another process
+        super().__init__(key, rule, self.value, advice)  # these arguments allow pickling
 
     def __str__(self) -> str:
         got = f" (got {self.value})" if self.value else ""
@@ -74,31 +74,31 @@ class ArgumentError(ValueError):
 
     @classmethod
     def of(cls, error: Exception) -> ArgumentError:
-        """Return an error as a record; the text of an error of another kind becomes the rule of no key."""
+        """Return `error` as an ArgumentError; the text of another exception becomes a rule with an empty key."""
         return error if isinstance(error, ArgumentError) else ArgumentError("", str(error))
 
     def at(self, key: str) -> Self:
-        """Return the error of another key."""
+        """Return a copy of the error with another key."""
         return type(self)(key, self.rule, self.value, self.advice)
 
     def under(self, place: str) -> Self:
-        """Return the error with its key below a place: ``lower`` under ``parameters.1``."""
+        """Return a copy of the error whose key is prefixed: ``lower`` under ``parameters.1``."""
         return self.at(".".join(filter(None, (place, self.key))))
 
     def replace_key(self, old: str, new: str) -> Self:
-        """Return the error with another key in place of an old one, also where the old one is the first part."""
+        """Return the error with `old` replaced by `new` if `old` is its key or the first part of its key."""
         rest = f"{self.key}.".removeprefix(f"{old}.")
         return self if rest == f"{self.key}." else self.at(rest[:-1]).under(new)
 
 
 class MissingFileError(ArgumentError, FileNotFoundError):
-    """A file that does not exist or cannot be read, named by an argument or a key in a file."""
+    """Error for a file that does not exist or cannot be read, named by an argument or a key in a file."""
 
-    __new__ = FileNotFoundError.__new__  # type: ignore[assignment]  # its objects are larger than a ValueError's
+    __new__ = FileNotFoundError.__new__  # type: ignore[assignment]  # its instances are larger than those of ValueError
 
 
 class _ByName(type):
-    """A class that is not imported, as only type checkers need it: its instances are known by its name."""
+    """A stand-in for a class that is imported for type checking only; it recognises instances by class name."""
 
     def __instancecheck__(cls, instance: object) -> bool:
         return any(one.__name__ == cls.__name__ for one in type(instance).__mro__)
@@ -113,21 +113,21 @@ class _ByName(type):
 
 
 class _Names(dict[str, object]):
-    """The names in an annotation: its module's, Python's, fmu's types, and stand-ins for the rest."""
+    """The namespace for evaluating annotations: module globals, builtins, `fmu.types` and stand-ins."""
 
     def __missing__(self, name: str) -> object:
         if name in vars(builtins):
             return vars(builtins)[name]
-        from fmu import types  # it takes NumPy, which rules of words and whole numbers do without
+        from fmu import types  # imported here because it imports NumPy, which most rules do not need
 
         return vars(types)[name] if name in vars(types) else _ByName(name, (), {})
 
 
 def check_arguments[Door: Callable[..., object]](door: Door) -> Door:
-    """Return a function or class whose arguments are compared with their annotations at every call.
+    """Return a function or class that checks its arguments against their annotations at every call.
 
-    What it then raises is a ValueError ``name: must be … (got …)``. Arguments that are missing, or that there are
-    none of, stay Python's TypeErrors.
+    An invalid argument raises a ValueError ``name: must be … (got …)``. A missing or unexpected argument raises a
+    TypeError, as usual in Python.
     """
     if inspect.isclass(door):
         door.__init__ = check_arguments(door.__init__)  # type: ignore[method-assign]
@@ -139,7 +139,7 @@ def check_arguments[Door: Callable[..., object]](door: Door) -> Door:
         try:
             given = signature.bind(*args, **kwargs).arguments
         except TypeError:
-            return door(*args, **kwargs)  # which says what is missing
+            return door(*args, **kwargs)  # raises the TypeError
         for name, value in given.items():
             if name in rules:
                 _require(name, value, rules[name])
@@ -149,7 +149,7 @@ def check_arguments[Door: Callable[..., object]](door: Door) -> Door:
 
 
 def require(name: str, value: object, rule: object) -> None:
-    """Raise ValueError unless a value is what an annotation says."""
+    """Raise ValueError unless a value matches an annotation."""
     _require(name, value, Rule.of(rule))
 
 
@@ -160,7 +160,7 @@ def _require(name: str, value: object, rule: Rule) -> None:
 
 
 def shown(value: object) -> str:
-    """Return a value for a message: one line of at most 80 characters."""
+    """Return the text of a value for a message, as one line of at most 80 characters."""
     try:
         text = " ".join(repr(value).split())
     except Exception:  # whatever the user's own __repr__ raises
@@ -170,7 +170,7 @@ def shown(value: object) -> str:
 
 @cache
 def _rules(door: FunctionType) -> tuple[inspect.Signature, dict[str, Rule]]:
-    """Return the signature of a function, and the rule of each argument that has one."""
+    """Return the signature of a function, and a dict of the rule of each annotated argument."""
     signature = inspect.signature(door)
     arrays = dict.fromkeys(("ArrayLike", "FloatArray", "IntArray"), Numbers)
     names = _Names({"os": os} | door.__globals__ | arrays)
@@ -184,20 +184,20 @@ def _rules(door: FunctionType) -> tuple[inspect.Signature, dict[str, Rule]]:
 
 
 def _mistake(name: str, value: object, rule: Rule) -> ArgumentError | None:
-    """Return how a value breaks a rule; None if it does not."""
+    """Return the error if a value breaks a rule; otherwise None."""
     if rule.pick(OwnRule):
         return None
     options = rule.options
     if options:
         kinds = get_args(rule.form)
-        if str in kinds and any(one.origin in PATHS for one in options):  # text is then a path, too
+        if str in kinds and any(one.origin in PATHS for one in options):  # text is checked as a path
             return _mistake(name, value, Rule(Union[tuple(one for one in kinds if one is not str)]))  # noqa: UP007
         found = [_mistake(name, value, one) for one in options]
         if None in found:
             return None
         within = [
             one for one in found if one is not None and one.key != name
-        ]  # of an entry, where the kind is right
+        ]  # errors in entries of a value of the right kind
         if within:
             return within[0]
     elif is_kind(value, rule):
@@ -206,7 +206,7 @@ def _mistake(name: str, value: object, rule: Rule) -> ArgumentError | None:
 
 
 def _within(name: str, value: Any, rule: Rule) -> Iterator[ArgumentError | None]:
-    """Yield how entries of a sequence or a mapping break their rules, None for one that does not."""
+    """Yield the error of each entry of a sequence or a mapping, or None for a valid entry."""
     origin, of = get_origin(rule.form), rule.parts
     if origin is tuple and of and of[-1].form is not Ellipsis:
         if len(value) != len(of):
@@ -226,7 +226,7 @@ def _within(name: str, value: Any, rule: Rule) -> Iterator[ArgumentError | None]
 
 
 def _advice(value: object, rule: Rule) -> str:
-    """Return the advice, after a semicolon; nothing if there is none."""
+    """Return the advice on a value after a semicolon; an empty string if there is no advice."""
     said = rule.pick(str)
     if isinstance(value, str | os.PathLike):
         names = [name_of(one.form) for one in rule.options or [rule]]

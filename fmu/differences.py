@@ -1,4 +1,4 @@
-"""Points on both sides of others, between which differences are taken: central ones, and one-sided at a wall."""
+"""Points for finite differences: central differences inside a box, one-sided differences at its bounds."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from fmu.types import FloatArray
 def both_sides(
     centre: FloatArray, step: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return points on both sides of others along every coordinate, and the distances between them.
+    """Return the points on both sides of each centre along every coordinate, and the distances between them.
 
-    A point that would leave the box is put on its wall. A centre outside the box stays a side of itself.
+    A point that would leave the box is moved to its boundary. If the centre itself is outside the box, the centre
+    takes the place of the point farther outside.
 
     Parameters
     ----------
@@ -23,8 +24,9 @@ def both_sides(
     Returns
     -------
     points : ndarray, shape (2, n, ndim, ndim)
-        ``points[0, :, k]`` lie above along coordinate k, ``points[1, :, k]`` below.
+        ``points[0, :, k]`` are above the centres along coordinate k, ``points[1, :, k]`` are below.
     distance : ndarray, shape (n, ndim)
+        The distance between the two points along each coordinate.
     """
     shift, at = np.diag(step), centre[:, None, :]
     lower, upper = (np.broadcast_to(wall, centre.shape)[:, None, :] for wall in (lower, upper))

@@ -1,4 +1,4 @@
-"""Files that appear complete or not at all, whatever happens, and with a checksum that shows later damage."""
+"""Atomic writing of files, and checksums that reveal later damage."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-_DIGEST = 64  # hexadecimal figures of SHA-256
+_DIGEST = 64  # hexadecimal digits of SHA-256
 
 
 class DamagedError(ValueError):
-    """A file is not as it was written."""
+    """Error for a file whose content has changed since it was written."""
 
 
 def write_durably(path: Path, content: bytes | memoryview) -> None:
-    """Write a file so that it has its old content or all of its new content, even if the machine stops.
+    """Write a file so that it has either its old or its complete new content, even after a power failure.
 
     Raises
     ------
     OSError
-        If it cannot be written, because the disk is full for example. The old content stays.
+        If the file cannot be written, for example because the disk is full. The old content is then kept.
     """
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
@@ -37,7 +37,7 @@ def write_durably(path: Path, content: bytes | memoryview) -> None:
 
 
 def append_durably(path: Path, content: bytes) -> None:
-    """Append to a file, which is made if there is none; a kill can truncate only what is being appended."""
+    """Append to a file, creating it if necessary; if the process is killed, only `content` can be truncated."""
     with open(path, "ab") as file:
         file.write(content)
         file.flush()
@@ -45,14 +45,14 @@ def append_durably(path: Path, content: bytes) -> None:
 
 
 def make_directory(path: Path) -> None:
-    """Make a directory if there is none, so that it exists even if the machine stops."""
+    """Create a directory if it does not exist, so that it still exists after a power failure."""
     if not path.is_dir():
         path.mkdir()
         sync_directory(path.parent)
 
 
 def digest(content: bytes) -> str:
-    """Return the SHA-256 of bytes, in hexadecimal."""
+    """Return the SHA-256 hash of `content` as a hexadecimal string."""
     return hashlib.sha256(content).hexdigest()
 
 
@@ -62,12 +62,12 @@ def add_checksum(title: str, payload: bytes) -> bytes:
 
 
 def payload_of(title: str, content: bytes) -> bytes:
-    """Return the payload of such a content.
+    """Return the payload of a file's content that `add_checksum` returned.
 
     Raises
     ------
     DamagedError
-        If the content is not one that `add_checksum` returned with this title.
+        If the content does not begin with `title`, or its checksum is wrong.
     """
     head = len(title) + 1
     if content[:head] != f"{title}\n".encode():
@@ -79,7 +79,7 @@ def payload_of(title: str, content: bytes) -> bytes:
 
 
 def sync_directory(directory: Path) -> None:
-    """Write the names in a directory to disk, if the system can do that."""
+    """Write the entries of a directory to disk, on systems that support it."""
     if os.name == "posix":
         handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
         try:

@@ -1,4 +1,4 @@
-"""Ctrl-C (SIGINT), and SIGTERM, which batch systems send before they kill: both stop the work within seconds."""
+"""Interruption by Ctrl-C (SIGINT) or by a batch system (SIGTERM), which stops the work within seconds."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from contextlib import contextmanager
 from types import FrameType
 
 GRACE_S = 1.0
-"""How long the current step may take after a stop was requested."""
+"""Time in s that the current step may still take after a stop was requested."""
 _Handler = Callable[[int, FrameType | None], None]
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _HAS_TIMER = os.name == "posix"
 
 
 class _Stop:
-    """The handlers of the signals, and the signals that have come.
+    """The installed signal handlers, and the state of the interruption.
 
     Attributes
     ----------
     asked : bool
-        Whether a signal has come.
+        Whether a signal has been received.
     due : bool
-        Whether to raise a KeyboardInterrupt as soon as no block is shielded from it.
+        Whether a KeyboardInterrupt is to be raised, if necessary after the end of the last `shielded` block.
     polling, shields : int
         Number of nested `interruptible` blocks, and of nested `shielded` blocks.
     """
@@ -36,7 +36,7 @@ class _Stop:
         self.before: dict[int, _Handler | int | None] = {}
 
     def listen(self, number: int) -> None:
-        """Install the handler of a signal, and remember the previous one."""
+        """Install the handler for a signal, and store the previous handler."""
         self.before.setdefault(number, signal.signal(number, self.hear))
 
     def wait_no_longer(self) -> None:
@@ -48,15 +48,15 @@ class _Stop:
         """Restore all previous handlers."""
         self.wait_no_longer()
         for number, handler in self.before.items():
-            # None: it was not installed from Python, and cannot be restored
+            # None: the handler was not installed from Python, and cannot be restored
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
     def hear(self, number: int, frame: FrameType | None) -> None:
-        """Handle a signal."""
+        """Handle a signal: request a stop after the current step, or interrupt at once."""
         first, self.asked = not self.asked, True
         if first and self.polling:
             print("Stopping after the current step; interrupt again to stop at once.", file=sys.stderr, flush=True)
-            if _HAS_TIMER:  # its signal is handled like a second one
+            if _HAS_TIMER:  # the timer's signal is handled like a second interruption
                 self.listen(signal.SIGALRM)
                 signal.setitimer(signal.ITIMER_REAL, GRACE_S)
             return
@@ -85,11 +85,11 @@ def stoppable() -> Iterator[None]:
 
 @contextmanager
 def interruptible() -> Iterator[Callable[[], bool]]:
-    """Give a function that returns whether SIGINT or SIGTERM has come, so that work can stop between two steps.
+    """Yield a function that returns True after SIGINT or SIGTERM, so that work can stop between two steps.
 
-    A step that takes longer than `GRACE_S` after the signal is interrupted by a KeyboardInterrupt; a second signal
-    interrupts at once. Such blocks can be nested: one signal stops both. In another thread than the main one the
-    function always returns False.
+    A step that takes longer than `GRACE_S` after the signal is interrupted by a KeyboardInterrupt, where the
+    system has a timer; a second signal interrupts at once. Blocks can be nested: one signal stops all of them.
+    Outside the main thread the function always returns False.
     """
     with _listening() as stop:
         if stop is None:
@@ -105,13 +105,13 @@ def interruptible() -> Iterator[Callable[[], bool]]:
 
 
 def is_asked() -> bool:
-    """Return whether a signal has come in the present block, of whichever kind."""
+    """Return True if a signal has been received in the current `stoppable` or `interruptible` block."""
     return _current is not None and _current.asked
 
 
 @contextmanager
 def shielded() -> Iterator[None]:
-    """Delay a KeyboardInterrupt to the end of a block, in which files and memory must stay consistent."""
+    """Delay a KeyboardInterrupt to the end of a block that must leave files and memory consistent."""
     stop = _current if threading.current_thread() is threading.main_thread() else None
     if stop is None:
         yield
@@ -126,7 +126,7 @@ def shielded() -> Iterator[None]:
 
 @contextmanager
 def _listening() -> Iterator[_Stop | None]:
-    """Install the handlers if they are not yet; give them, or None in another thread than the main one."""
+    """Install the handlers unless already installed, and yield them; yield None outside the main thread."""
     global _current
     if threading.current_thread() is not threading.main_thread():
         yield None

@@ -1,6 +1,7 @@
-"""Numbers for people: their digits follow from their uncertainty, and different values look different.
+"""Formatting of numbers for readers, with as many digits as the uncertainty justifies.
 
-Every number in a message, table, page or label is formatted here. Files for programs have all digits.
+Values that differ are shown with enough digits to look different. Every number in a message, table, page or label
+is formatted by this module; data files keep all digits.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ from typing import NamedTuple, SupportsInt
 MISSING = "–"
 _MOST_DECIMALS, _MOST_DIGITS = 12, 15
 _SMALLEST, _LARGEST = 1e-4, 1e7
-"""Numbers in this range are written out, others with a power of ten."""
+"""Range of numbers written in decimal notation; numbers outside it have a power of ten."""
 _AS_WRITTEN = 10
-"""A value with more digits than this was computed, not measured."""
+"""Largest number of digits of a value that was typed in; values with more digits were computed."""
 _FREQUENCY_DIGITS = 6
 _FEW = 1e-4
 
@@ -29,60 +30,60 @@ _SHOWN = {
 
 
 class Unit(NamedTuple):
-    """A unit for display: a number in SI units, divided by `factor`, is in the unit `name`."""
+    """A unit for display: dividing a number in SI units by `factor` gives the number in the unit `name`."""
 
     factor: float
     name: str
 
     def label(self, quantity: str) -> str:
-        """Return an axis label, ``"E1 / GPa"``; the quantity alone if it has no unit."""
+        """Return an axis label, such as ``"E1 / GPa"``; the quantity alone if it has no unit."""
         return f"{quantity} / {self.name}" if self.name else quantity
 
 
 def customary_unit(unit: str) -> Unit:
-    """Return the customary unit for numbers in `unit`: the unit itself if there is no other."""
+    """Return the customary unit for numbers in the SI unit `unit`: `unit` itself if no other is customary."""
     return Unit(*_SHOWN.get(unit, (1.0, unit)))
 
 
 def with_unit(value: float, unit: str, sd: float = math.nan) -> str:
-    """Format a value in an SI unit with the customary one, to the digits that `sd` supports: ``"170 GPa"``."""
+    """Format a value in an SI unit in its customary unit, to the digits that `sd` supports: ``"170 GPa"``."""
     factor, name = customary_unit(unit)
     value, sd = value / factor, sd / factor
     return f"{given(value) if math.isnan(sd) else round_by_sd(value, sd)} {name}".rstrip()
 
 
 def decimals(spread: float) -> int:
-    """Return how many decimals show two significant digits of a standard deviation."""
+    """Return the number of decimals that shows two significant digits of a standard deviation."""
     if not (math.isfinite(spread) and spread > 0):
         return 3
     return min(_MOST_DECIMALS, max(0, -_last_place(spread, 2)))
 
 
 def fixed(value: float | None, places: int) -> str:
-    """Format with a number of decimals; a dash for None, NaN and infinity."""
+    """Format a number with `places` decimals; None, NaN and infinity give a dash."""
     return MISSING if value is None or not math.isfinite(value) else _drop_sign_of_zero(f"{value:.{places}f}")
 
 
 def significant(value: float | None, digits: int = 3) -> str:
-    """Format a number of unknown uncertainty with so many significant digits at most; a dash for NaN."""
+    """Format a number of unknown uncertainty with at most `digits` significant digits; a dash for None and NaN."""
     if value is None or not math.isfinite(value):
         return MISSING if value is None else _infinite(value)
     text = f"{value:.{digits}g}"
     if (
         "e" in text and _SMALLEST <= abs(value) < _LARGEST
-    ):  # "1e+03", with few digits: no figure before the point is dropped
+    ):  # such as "1e+03": all digits before the decimal point are shown
         text = f"{value:.0f}"
     return _power(text)
 
 
 def round_by_sd(value: float, sd: float, digits: int = 4) -> str:
-    """Format to two significant digits of the standard deviation.
+    """Format a value to the decimal place of the second significant digit of its standard deviation.
 
     Parameters
     ----------
     value, sd : float
     digits : int
-        Significant digits if the standard deviation is unknown.
+        Number of significant digits if the standard deviation is unknown.
     """
     is_known = math.isfinite(sd) and sd > 0
     return apart(value, sd=sd)[0] if is_known else significant(value, digits)
@@ -102,22 +103,22 @@ def with_sd(value: float, sd: float) -> str:
 
 
 def apart(*values: float, sd: float = math.nan, digits: int = 4, most: int = _MOST_DIGITS) -> tuple[str, ...]:
-    """Format values for comparison: to the same decimal place, so that different values look different.
+    """Format values to the same decimal place, with enough digits that different values look different.
 
     Parameters
     ----------
     *values : float
     sd : float
-        Uncertainty of each value, which is shown to two significant digits.
+        Standard deviation of each value; the values are shown to its second significant digit.
     digits : int
-        Significant digits of the largest value if `sd` is unknown.
+        Number of significant digits of the largest value if `sd` is unknown.
     most : int
-        Most digits of the largest value: values that differ beyond it may look the same.
+        Largest number of digits of the largest value; values that agree to this digit may look the same.
 
     Returns
     -------
     tuple of str
-        Dashes for NaN.
+        One text per value; a dash for NaN.
     """
     finite = sorted({value for value in values if math.isfinite(value)})
     largest = max(map(abs, finite), default=0.0)
@@ -136,9 +137,9 @@ def apart(*values: float, sd: float = math.nan, digits: int = 4, most: int = _MO
 
 
 def hertz(*values: float, measured: float = math.nan) -> tuple[str, ...]:
-    """Format computed frequencies, Hz: at least to 0.1 Hz, and to six digits if they differ only there.
+    """Format computed frequencies in Hz to at least 0.1 Hz, with up to six digits if needed to tell them apart.
 
-    Beside a `measured` frequency they have at least as many decimals as it.
+    With a `measured` frequency, the texts have at least as many decimals as the measured one.
     """
     largest = max((abs(value) for value in values if math.isfinite(value)), default=0.0)
     digits = min(max(4, _exponent(largest) + 2), _FREQUENCY_DIGITS)
@@ -149,7 +150,7 @@ def hertz(*values: float, measured: float = math.nan) -> tuple[str, ...]:
 
 
 def given_decimals(value: float) -> int:
-    """Return how many decimals `given` shows."""
+    """Return the number of decimals with which `given` formats a value."""
     return len(given(value).partition(".")[2])
 
 
@@ -159,12 +160,12 @@ def with_interval(value: float, low: float, high: float, places: int) -> str:
 
 
 def interval(lower: float, upper: float, places: int) -> str:
-    """Format an interval with a number of decimals: ``"170.1 to 177.3"``, ``"-∞ to 3.0"``."""
+    """Format an interval with `places` decimals: ``"170.1 to 177.3"``, ``"-∞ to 3.0"``."""
     return " to ".join(_infinite(end) if math.isinf(end) else fixed(end, places) for end in (lower, upper))
 
 
 def given(value: float) -> str:
-    """Format a value with the digits that it was given with: ``"0.912"``; a mean of several to six digits."""
+    """Format a value with the digits it was entered with: ``"0.912"``; a computed value to six digits."""
     if not math.isfinite(value):
         return _infinite(value)
     digits = _digits(value)
@@ -172,21 +173,21 @@ def given(value: float) -> str:
 
 
 def typed(value: float) -> str:
-    """Format a number as it is typed into a file or a command, with all its digits: ``"1.5e+11"``, ``"-0.1"``."""
+    """Format a number with all its digits, for a file or a command line: ``"1.5e+11"``, ``"-0.1"``."""
     short = f"{value:.6g}"
     return short if float(short) == value or math.isnan(value) else repr(float(value))
 
 
 def _digits(value: float) -> int:
-    """Return the significant digits that distinguish a number from all others."""
+    """Return the number of significant digits that identifies a float uniquely."""
     return max(len(repr(float(value)).partition("e")[0].strip("-").replace(".", "").strip("0")), 1)
 
 
 def share(part: float, digits: int = 2) -> str:
     """Format a share of a whole in per cent: ``"19 %"``, ``"99.7 %"``, ``"< 0.01 %"``, ``"> 99.99 %"``.
 
-    With `digits` significant digits, or as many decimals as show `digits` - 1 digits of its complement; never with
-    a power of ten.
+    The share has `digits` significant digits, or more decimals if needed to show `digits` - 1 significant digits
+    of its complement, and never a power of ten.
     """
     if not math.isfinite(part):
         return MISSING
@@ -200,9 +201,9 @@ def share(part: float, digits: int = 2) -> str:
 
 
 def change(ratio: float) -> str:
-    """Format a relative change in per cent, its sign always shown: ``"+2.54 %"``, ``"-0.07 %"``, ``"> -0.01 %"``.
+    """Format a relative change in per cent with its sign: ``"+2.54 %"``, ``"-0.07 %"``, ``"> -0.01 %"``.
 
-    Three significant digits, but none beyond the second decimal.
+    The change has three significant digits, but at most two decimals.
     """
     if not math.isfinite(ratio):
         return MISSING
@@ -215,35 +216,35 @@ def change(ratio: float) -> str:
 
 
 def whole(value: SupportsInt | None) -> str:
-    """Format a whole number, its thousands apart; a dash where there is none (None, NaN or pandas' NA)."""
+    """Format a whole number with its thousands separated; None, NaN and pandas' NA give a dash."""
     if value is None or str(value) in ("nan", "<NA>"):
         return MISSING
     return f"{int(value):,}".replace(",", " ")
 
 
 def about(value: float) -> str:
-    """Format an estimate to two significant digits, ``"≈ 12 000 000"``; a dash where there is none."""
+    """Format an estimate to two significant digits, ``"≈ 12 000 000"``; NaN and pandas' NA give a dash."""
     text = whole(value)
     return text if text == MISSING else f"≈ {whole(float(f'{float(value):.2g}'))}"
 
 
 def listed(values: Iterable[float], digits: int = 3) -> str:
-    """Format several numbers of unknown uncertainty: ``"0.5, 1.25, 3e10"``."""
+    """Format a list of numbers of unknown uncertainty: ``"0.5, 1.25, 3e10"``."""
     return ", ".join(significant(value, digits) for value in values)
 
 
 def names_in_words(names: Sequence[str]) -> str:
-    """Return ``"a, b and c"``."""
+    """Return the names as a list in words: ``"a, b and c"``."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _exponent(value: float) -> int:
-    """Return the power of ten of the first digit, 0 for zero."""
+    """Return the power of ten of the first significant digit; 0 for zero."""
     return int(f"{value:e}".partition("e")[2]) if value else 0
 
 
 def _last_place(value: float, digits: int) -> int:
-    """Return the power of ten of the last of so many significant digits, as they are after rounding."""
+    """Return the power of ten of the last of `digits` significant digits of a value after rounding."""
     return int(f"{value:.{digits - 1}e}".partition("e")[2]) - digits + 1 if value else 0
 
 
@@ -252,7 +253,7 @@ def _is_plain(scale: float) -> bool:
 
 
 def _at(value: float, place: int, is_plain: bool) -> str:
-    """Format a number to the place of 10^place, written out or with a power of ten."""
+    """Format a number to the decimal place 10^`place`, in decimal notation or with a power of ten."""
     if is_plain:
         return _drop_sign_of_zero(f"{value:.{max(0, -place)}f}")
     digits = _exponent(value) - place
@@ -267,13 +268,13 @@ def _infinite(value: float) -> str:
 
 
 def _power(text: str) -> str:
-    """Write a power of ten without a plus sign and leading zeros."""
+    """Return a number with its power of ten written without a plus sign and leading zeros."""
     mantissa, e, exponent = text.partition("e")
     return _drop_sign_of_zero(f"{mantissa}e{int(exponent)}" if e else mantissa)
 
 
 def _drop_sign_of_zero(text: str) -> str:
-    """Write a zero without a minus."""
+    """Return a formatted number, without its minus sign if it is zero."""
     if text.startswith("-") and not any(digit in "123456789" for digit in text.partition("e")[0]):
         text = text[1:]
     return text

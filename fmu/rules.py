@@ -1,4 +1,4 @@
-"""Rules of annotations: whether a value is of the kind that an annotation says, and the annotation in words."""
+"""Rules derived from type annotations: tests of values against a rule, and rules in words for messages."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ _NAMES = {"DataTree": "a trace, as fmu.sample and fmu.load_trace return it"}
 
 @dataclass(frozen=True)
 class Unbounded:
-    """Mark of a number that may be infinite, such as a bound."""
+    """Annotation metadata for a number that may be infinite, such as a bound."""
 
 
 @dataclass(frozen=True)
 class OwnRule:
-    """Mark of an argument that the function itself compares with its rule, in words of its own."""
+    """Annotation metadata for an argument that the function itself checks, with its own message."""
 
 
 class Numbers:
-    """The rule for ArrayLike and arrays: any value that NumPy turns into an array of numbers."""
+    """The type of the rule for ArrayLike and arrays: any value that NumPy converts to an array of numbers."""
 
 
 @dataclass(frozen=True)
 class Rule:
-    """A rule: the type of an annotation, and the marks of ``Annotated`` beside it."""
+    """A rule for a value: the type in an annotation, and the metadata of ``Annotated``."""
 
     form: object
     marks: tuple[object, ...] = ()
 
     @classmethod
     def of(cls, annotation: object, marks: tuple[object, ...] = ()) -> Rule:
-        """Return the rule of an annotation; `marks` follow its own."""
+        """Return the rule of an annotation, with `marks` appended to its metadata."""
         if get_origin(annotation) is Annotated:
             annotation, *own = get_args(annotation)
             marks = (*own, *marks)
@@ -56,28 +56,28 @@ class Rule:
 
     @cached_property
     def options(self) -> list[Rule]:
-        """The rules of a union, of which one must hold; empty for any other type."""
+        """The rules of the members of a union, at least one of which must hold; empty for any other type."""
         is_union = self.origin in (Union, UnionType)
         return [Rule.of(one, self.marks) for one in get_args(self.form)] if is_union else []
 
     @cached_property
     def parts(self) -> list[Rule]:
-        """The rules of the parameters of the type."""
+        """The rules of the type parameters, such as that of the entries of a sequence."""
         return [Rule.of(one) for one in get_args(self.form)]
 
     def pick[Mark](self, *kinds: type[Mark]) -> list[Mark]:
-        """Return the marks of some classes."""
+        """Return the list of the metadata that are instances of the given classes."""
         return [mark for mark in self.marks if isinstance(mark, kinds)]
 
     @cached_property
     def limits(self) -> list[tuple[str, float]]:
-        """The limits of a number: ``("gt", 0.0)``."""
+        """The limits of a number as pairs of comparison and value, such as ``("gt", 0.0)``."""
         marks: list[Gt | Ge | Lt | Le | Interval] = self.pick(Gt, Ge, Lt, Le, Interval)
         return [(key, end) for mark in marks for key, end in asdict(mark).items() if end is not None]
 
 
 def is_kind(value: Any, rule: Rule) -> bool:
-    """Return whether a value is of the kind of a rule that is no union, whatever its entries are."""
+    """Return True if a value is of the type of a rule that is not a union; the entries are not checked."""
     origin = rule.origin
     if origin is Any:
         return True
@@ -88,15 +88,15 @@ def is_kind(value: Any, rule: Rule) -> bool:
     if not isinstance(origin, type):
         return True
     members = vars(origin).get("__protocol_attrs__")
-    if origin.__name__ == "LogDensity":  # a gradient is not needed by all samplers
+    if origin.__name__ == "LogDensity":  # not all samplers need a gradient
         members = ("log_prob", "ndim")
-    elif isinstance(value, type):  # a class in place of its object
+    elif isinstance(value, type):  # a class instead of an instance
         return origin is type
     return all(hasattr(value, member) for member in members) if members else isinstance(value, origin)
 
 
 def _is_in_range(value: float, rule: Rule) -> bool:
-    """Return whether a number is none that is too large, not NaN, and in the range of the marks."""
+    """Return True if a number is representable as a float, not NaN, and within the limits of the rule."""
     try:
         number = float(value)
     except OverflowError:
@@ -108,7 +108,10 @@ def _is_in_range(value: float, rule: Rule) -> bool:
 
 
 def _is_numeric(value: object, rule: Rule) -> bool:
-    """Return whether NumPy makes an array of numbers of a value, without words or truth values for numbers."""
+    """Return True if NumPy converts a value to an array of numbers within the limits of the rule.
+
+    Text, None and booleans are not accepted as numbers.
+    """
     import numpy as np
 
     try:
@@ -126,7 +129,7 @@ def _is_numeric(value: object, rule: Rule) -> bool:
 
 @runtime_checkable
 class _Indexed(Protocol):
-    """A sequence, or what is like one, as an array."""
+    """A sequence, or an object that can be indexed like a sequence, such as an array."""
 
     def __len__(self) -> int: ...
 
@@ -134,7 +137,10 @@ class _Indexed(Protocol):
 
 
 class _Kind(NamedTuple):
-    """A type in words, and its values: those of some classes but not of others, if they are as they must be."""
+    """A type in words, and the test of its values.
+
+    A value must be an instance of one of `classes` but of none of `others`, and `holds` must return True.
+    """
 
     words: str
     classes: tuple[type, ...] = (object,)
@@ -170,7 +176,7 @@ _KINDS |= dict.fromkeys(_SEQUENCES, _Kind("a sequence", (_Indexed,), (str, bytes
 
 
 def in_words(rule: Rule) -> str:
-    """Return a rule in words: ``"a positive finite number or None"``."""
+    """Return a rule in words, such as ``"a positive finite number or None"``."""
     origin, of = rule.origin, rule.parts
     if rule.options:
         parts = list(dict.fromkeys(map(in_words, rule.options)))
@@ -190,7 +196,7 @@ def in_words(rule: Rule) -> str:
 
 
 def name_of(kind: object) -> str:
-    """Return the name of a class, or a type in words where it has none."""
+    """Return the name of a class, or the text of a type that has no name."""
     return getattr(kind, "__name__", str(kind))
 
 

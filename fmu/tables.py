@@ -1,4 +1,4 @@
-"""Tables: as pandas data frames, as text never wider than a terminal, and in Markdown."""
+"""Tables as pandas data frames, as text that fits a terminal, and in Markdown."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 WIDTH = 100
 _GAP = "  "
 _NARROWEST = 12
-"""Fewest characters that a column of words is wrapped to."""
+"""Smallest width in characters to which a column of words is wrapped."""
 
 
 def data_frame(
@@ -30,7 +30,7 @@ def data_frame(
     name : str
         Name of the index.
     index : sequence or ndarray
-        An entry for each row.
+        The index entry of each row.
     """
     import pandas as pd
 
@@ -40,19 +40,20 @@ def data_frame(
 def text_table(
     header: Sequence[str], rows: Sequence[Sequence[str]], words: Collection[int] = (0,), width: int = WIDTH
 ) -> str:
-    """Return a table as text, its columns as wide as their cells.
+    """Return a table as text, with columns as wide as their cells.
 
-    If the table would be wider than `width`, columns of words are wrapped; if that is not enough, the columns that
+    If the table would be wider than `width`, columns of words are wrapped. If that is not enough, the columns that
     do not fit follow below, with the first column repeated.
 
     Parameters
     ----------
     header : sequence of str
     rows : sequence of sequence of str
-        Each as long as the header. The first cell names the row.
+        Each row is as long as the header; its first cell names the row.
     words : collection of int
-        Columns that hold words, aligned to the left; the others hold numbers, aligned to the right.
+        Indices of the columns of words, aligned to the left; numbers in other columns are aligned to the right.
     width : int
+        Largest width of the table in characters.
     """
     columns = [[str(cell) for cell in column] for column in zip(header, *rows, strict=True)]
     widths = _fold_columns([max(map(len, column)) for column in columns], words, width)
@@ -61,14 +62,14 @@ def text_table(
 
 
 def wrap_text(text: str, first: str = "", others: str = "", width: int = WIDTH) -> str:
-    """Return a text in indented lines that fit on a terminal; words are not broken."""
+    """Return a text wrapped to lines of `width` characters, with the given indents; words are not broken."""
     return textwrap.fill(
         text, width, initial_indent=first, subsequent_indent=others, break_long_words=False, break_on_hyphens=False
     )
 
 
 def distinct(names: Iterable[str]) -> list[str]:
-    """Return names of columns, with underscores appended to those that occurred before."""
+    """Return a list of unique names, made by appending underscores to repeated names."""
     found: list[str] = []
     for name in names:
         while name in found:
@@ -78,9 +79,9 @@ def distinct(names: Iterable[str]) -> list[str]:
 
 
 def _fold_columns(widths: list[int], words: Collection[int], width: int) -> list[int]:
-    """Return the widths of the columns; columns of words are narrowed until the table fits, if it can."""
+    """Return the widths of the columns, after narrowing columns of words until the table fits, if possible."""
     widths = list(widths)
-    narrowest = [width // 3] + [_NARROWEST] * (len(widths) - 1)  # names of rows are better read in one line
+    narrowest = [width // 3] + [_NARROWEST] * (len(widths) - 1)  # names of rows are easier to read on one line
     while sum(widths) + len(_GAP) * (len(widths) - 1) > width:
         widest = max((i for i in words if widths[i] > narrowest[i]), key=lambda i: widths[i], default=None)
         if widest is None:
@@ -90,7 +91,7 @@ def _fold_columns(widths: list[int], words: Collection[int], width: int) -> list
 
 
 def _blocks(widths: list[int], width: int) -> list[list[int]]:
-    """Return the columns in groups that fit, each with the first column."""
+    """Return lists of indices of columns that fit side by side; each list begins with the first column."""
     blocks = [[0]]
     for column in range(1, len(widths)):
         taken = sum(widths[i] + len(_GAP) for i in blocks[-1])
@@ -101,7 +102,7 @@ def _blocks(widths: list[int], width: int) -> list[list[int]]:
 
 
 def _lines(columns: list[list[str]], widths: list[int], words: Collection[int], block: list[int]) -> Iterator[str]:
-    """Yield the lines of the table of some of the columns."""
+    """Yield the lines of the part of the table with the columns in `block`."""
     for row in zip(*(columns[i] for i in block), strict=True):
         cells = [textwrap.wrap(cell, widths[i]) or [""] for i, cell in zip(block, row, strict=True)]
         for line in range(max(map(len, cells))):
@@ -114,19 +115,20 @@ def _lines(columns: list[list[str]], widths: list[int], words: Collection[int], 
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]], words: Collection[int] = (0,)) -> str:
-    """Return a Markdown markdown_table.
+    """Return a table in Markdown.
 
     Parameters
     ----------
     header : sequence of str
     rows : iterable of sequence of str
     words : collection of int
-        Columns that hold words, aligned to the left; the others hold numbers. Negative ones count from the end.
+        Indices of the columns of words, aligned to the left; other columns are aligned to the right. Negative
+        indices count from the end.
 
     Raises
     ------
     ValueError
-        If a row has another length than the header.
+        If the length of a row differs from that of the header.
     """
     n = len(header)
     lines = [list(map(_literal, header)), [":--" if i in words or i - n in words else "--:" for i in range(n)]]
@@ -138,5 +140,5 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]], words: 
 
 
 def _literal(cell: object) -> str:
-    """Return a cell whose bars end no cell."""
+    """Return the text of a cell with its vertical bars escaped."""
     return str(cell).replace("|", r"\|")

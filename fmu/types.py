@@ -1,4 +1,4 @@
-"""Types that annotations share: arrays by the kind of their entries, numbers in a range, and a log-density."""
+"""Types for annotations: arrays by the type of their entries, numbers in a range, and a log-density."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ AnyArray = NDArray[Any]
 Positive = Annotated[float, Gt(0.0)]
 NotNegative = Annotated[float, Ge(0.0)]
 Vector = tuple[float, float, float]
-"""x, y, z in global axes."""
+"""The components x, y, z in global axes."""
 Direction = Literal["x", "y", "z", "rx", "ry", "rz"]
-"""Of a degree of freedom: displacements and rotations."""
+"""The direction of a degree of freedom: a displacement along or a rotation about an axis."""
 DIRECTIONS: tuple[str, ...] = get_args(Direction)
 Dof = tuple[Hashable, str]
-"""A degree of freedom or a sensor: place (a node, or a name beside the nodes) and direction."""
+"""A degree of freedom or a sensor: its place (a node, or a name that is not a node) and its direction."""
 type Plain = bool | int | float | str | Sequence[Plain] | Mapping[str, Plain] | None
 """Data of plain Python types, as in a JSON file."""
 
@@ -37,7 +37,7 @@ class LogDensity(Protocol):
     ndim : int
         Number of coordinates.
     lower, upper : ndarray, shape (ndim,)
-        The box; ``-inf`` and ``inf`` where a coordinate is unbounded.
+        The bounds of the box; ``-inf`` and ``inf`` where a coordinate is unbounded.
     """
 
     ndim: int
@@ -45,9 +45,12 @@ class LogDensity(Protocol):
     upper: FloatArray
 
     def log_prob(self, theta: FloatArray) -> FloatArray:
-        """Map ``(ndim,)`` to a float and ``(n, ndim)`` to ``(n,)``; ``-inf`` outside the box."""
+        """Return the log-density, a float for shape ``(ndim,)`` and shape ``(n,)`` for ``(n, ndim)``.
+
+        The log-density is ``-inf`` outside the box.
+        """
         ...
 
     def log_prob_and_grad(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the log-density and its gradient, with the same leading shape as `theta`."""
+        """Return the log-density and its gradient, both with the leading shape of `theta`."""
         ...

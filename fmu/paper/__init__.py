@@ -1,6 +1,7 @@
-"""The paper repeated: both experiments, every sampler, tables and figures beside the published ones.
+"""Replication of the paper: both experiments with every sampler, and a comparison with the published results.
 
-Reading order: published, plan, experiment, convergence, findings, page, summary, errata, vector_beta, run.
+Reading order of the modules: published, plan, experiment, convergence, findings, page, summary, errata,
+vector_beta, run.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The reference posterior, running errors against it, and the length at which a run passed for converged.
+"""The reference posterior, errors of running means, and the length from which a run passes the convergence checks.
 
-A solve is a log-probability here, and an exact gradient counts as many as it takes the time of
-(`fmu.analysis.trace.reading.in_solves`).
+A solve is one evaluation of the log-probability. An exact gradient counts as the number of solves that take the
+same time (`fmu.analysis.trace.reading.in_solves`).
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ class Reference:
     Attributes
     ----------
     mean, sd, mcse : ndarray, shape (ndim,)
-        SI units; `mcse` is the standard error of `mean`.
+        Posterior mean and standard deviation of the parameters, and the Monte Carlo standard error of the mean,
+        SI units.
     origin : str
-        Its source, in words.
+        The source of the estimate, in words.
     """
 
     mean: FloatArray
@@ -41,12 +42,12 @@ class Reference:
 
     @property
     def resolution(self) -> float:
-        """Root mean square over the parameters of mcse/sd: smaller errors cannot be resolved."""
+        """The root mean square of mcse/sd over the parameters; smaller errors of a run cannot be resolved."""
         return float(np.sqrt(np.mean((self.mcse / self.sd) ** 2)))
 
 
 def pool_traces(traces: Mapping[str, xr.DataTree], origin: str) -> Reference:
-    """Return the mean of several traces, each weighted by its effective sample size, and their sd."""
+    """Return the pooled posterior estimate of several traces, weighted by their effective sample sizes."""
     tables = [summary(trace) for trace in traces.values()]
     mean, sd, mcse, ess = (
         np.array([table[column].to_numpy() for table in tables])
@@ -59,9 +60,9 @@ def pool_traces(traces: Mapping[str, xr.DataTree], origin: str) -> Reference:
 
 
 def around_the_maxima(maxima: Maxima) -> Reference:
-    """Return the estimate of importance sampling around the maxima found, each weighted by its mass.
+    """Return the posterior estimate of importance sampling around the maxima, each weighted by its mass.
 
-    It uses no chains, so that it also holds if chains stay in separate modes.
+    The estimate uses no chains, so it is also valid if chains stay in separate modes.
     """
     share = np.array([m.share for m in maxima])[:, np.newaxis]
     mean, sd = np.array([m.mean for m in maxima]), np.array([m.sd for m in maxima])
@@ -86,9 +87,9 @@ class Curve:
     Attributes
     ----------
     solves : ndarray, shape (points,)
-        Model solves of one chain (one ensemble), warm-up included, averaged over the chains.
+        Model solves of one chain (or ensemble), warm-up included, averaged over the chains.
     error : ndarray, shape (chains, points)
-        Root mean square over the parameters of (running mean − reference mean)/reference sd.
+        Root mean square over the parameters of (running mean − reference mean)/(reference sd).
     """
 
     solves: FloatArray
@@ -97,17 +98,18 @@ class Curve:
 
 @dataclass(frozen=True)
 class Needed:
-    """The length from which on a run passed for converged, at every longer length examined too.
+    """The shortest length at which a run passed the convergence checks, as it did at every longer length examined.
 
-    None where the run never passed.
+    All attributes are None if the run did not pass.
 
     Attributes
     ----------
     draws : int or None
-        Retained steps.
+        Retained steps of each chain.
     samples : int or None
+        Steps of all chains and walkers up to this length, warm-up included.
     solves, seconds : float or None
-        Steps of all chains or walkers up to there, their solves and the time they took; warm-up included.
+        Model solves of all chains, and time in s, up to this length, warm-up included.
     """
 
     draws: int | None = None
@@ -117,7 +119,7 @@ class Needed:
 
 
 def running_error(trace: xr.DataTree, reference: Reference) -> Curve:
-    """Return the error of the running mean of each chain, at geometrically growing lengths."""
+    """Return the error of the running mean of each chain at geometrically increasing lengths."""
     walkers = walkers_of(trace)
     draws = parameter_draws(trace)
     chains, total, ndim = draws.shape
@@ -131,19 +133,20 @@ def running_error(trace: xr.DataTree, reference: Reference) -> Curve:
 
 
 def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str]]) -> Needed:
-    """Return the shortest length from which on the run passes for converged.
+    """Return the shortest length from which the run passes the convergence checks at every length examined.
 
     Parameters
     ----------
     trace : xarray.DataTree
     failures : callable
-        Returns why a trace has not converged: `fmu.analysis.convergence.diagnostics.convergence_failures`, for
-        example.
+        A function that returns the list of reasons why a trace has not converged, such as
+        `fmu.analysis.convergence.diagnostics.convergence_failures`.
 
     Notes
     -----
-    The warm-up is unchanged; the draws are truncated at lengths that grow by `GROWTH`. Going backwards from the
-    whole run, and stopping at the first failure, guards against lengths that pass by chance.
+    The warm-up is kept, and the draws are truncated at lengths that increase by the factor `GROWTH`. The lengths
+    are examined from the whole run downwards until the first failure, which guards against lengths that pass by
+    chance.
     """
     walkers = walkers_of(trace)
     steps = trace["posterior"].sizes["draw"] // walkers
@@ -160,9 +163,10 @@ def solves_needed(trace: xr.DataTree, failures: Callable[[xr.DataTree], list[str
 
 
 def solves_at_this_pace(trace: xr.DataTree) -> int | None:
-    """Return how many model solves a run would take to the effective sample size required by the verdict.
+    """Return the number of model solves a run would need to reach an effective sample size of `ESS_LIMIT`.
 
-    Extrapolated from the smallest bulk or tail ESS of the draws, without warm-up; None if that is NaN.
+    The number is extrapolated from the smallest bulk or tail ESS of the draws, without the warm-up. It is None if
+    that ESS is NaN.
     """
     ess = float(summary(trace)[["ess_bulk", "ess_tail"]].to_numpy().min())
     solves = int(trace["sample_stats"]["n_solves"].sum())
@@ -170,7 +174,10 @@ def solves_at_this_pace(trace: xr.DataTree) -> int | None:
 
 
 def solves_by_step(trace: xr.DataTree) -> FloatArray:
-    """Return each chain's model solves up to every step kept, warm-up included, shape (chains, steps)."""
+    """Return the cumulative model solves of each chain at every retained step, shape (chains, steps).
+
+    The solves of the warm-up are included.
+    """
     kept, before = (
         in_solves(trace, *(array_of(trace, group, name) for name in ("n_solves", "n_gradients")))
         for group in ("sample_stats", "warmup_sample_stats")
@@ -180,7 +187,7 @@ def solves_by_step(trace: xr.DataTree) -> FloatArray:
 
 
 def shorten_trace(trace: xr.DataTree, draws: int) -> xr.DataTree:
-    """Return the first `draws` draws of a trace, with the groups that a verdict needs."""
+    """Return the first `draws` draws of a trace, with only the groups that the convergence checks need."""
     import xarray as xr
 
     groups = {name: trace[name].to_dataset().isel(draw=slice(0, draws)) for name in ("posterior", "sample_stats")}
@@ -190,7 +197,7 @@ def shorten_trace(trace: xr.DataTree, draws: int) -> xr.DataTree:
 
 
 def lengths_up_to(total: int, growth: float, first: int) -> IntArray:
-    """Return whole numbers from `first` to `total`, each about `growth` times the one before."""
+    """Return whole numbers from `first` to `total` that increase by a factor of about `growth`."""
     if total <= first:
         return np.array([total])
     count = int(np.ceil(np.log(total / first) / np.log(growth))) + 1

@@ -1,4 +1,4 @@
-"""The published frequencies, computed again from the published parameters, and what is wrong in the paper."""
+"""Errata of the paper, and the published frequencies recomputed from the published parameters."""
 
 from __future__ import annotations
 
@@ -20,24 +20,27 @@ if TYPE_CHECKING:
 
 
 TOLERANCE = 1e-3
-"""Relative, beyond the rounding of the printed frequency: the parameters were rounded too."""
+"""Relative tolerance beyond the rounding of the printed frequency, because the parameters were rounded too."""
 
 
 def recompute(problems: Mapping[str, UpdatingProblem]) -> pd.DataFrame:
-    """Compare the frequencies of Tables 2 and 4 with the model at the parameters of Tables 1 and 3.
+    """Return a table that compares the frequencies of Tables 2 and 4 with the model at the published parameters.
+
+    The parameters are those of Tables 1 and 3.
 
     Parameters
     ----------
     problems : mapping of str to UpdatingProblem
-        Every experiment's problem, paired by number, by case.
+        The problem of each experiment, with modes paired by number, by case.
 
     Returns
     -------
     DataFrame
-        One row per frequency: ``table``, ``column``, ``mode``; ``printed_hz``, and ``meant_hz``, different if
-        another cell exposes a misprint; ``model_hz``; ``difference_hz`` of the model from what was meant, and
-        its ``tolerance_hz``; ``within``; ``as_printed``, whether what is printed, inputs and frequency, agrees
-        too; ``remark``.
+        One row per frequency. The columns are ``table``, ``column`` and ``mode``; the printed text ``printed_hz``;
+        ``meant_hz``, which differs from the printed frequency if another cell exposes a misprint; ``model_hz``;
+        ``difference_hz``, model minus meant frequency, and its tolerance ``tolerance_hz``; ``within``, whether the
+        difference is within the tolerance; ``as_printed``, whether the model at the printed parameters agrees with
+        the printed frequency; and ``remark``.
     """
     import pandas as pd
 
@@ -74,7 +77,7 @@ def recompute(problems: Mapping[str, UpdatingProblem]) -> pd.DataFrame:
 
 
 def recomputed_page(table: pd.DataFrame) -> str:
-    """Return recomputed.md."""
+    """Return the content of recomputed.md."""
     rows = [
         (
             f"Table {row['table']}", row["column"], row["mode"], row["printed_hz"], fixed(row["model_hz"], 3),
@@ -107,7 +110,7 @@ def recomputed_page(table: pd.DataFrame) -> str:
 
 
 def count_reproduced(table: pd.DataFrame) -> str:
-    """Say how many published frequencies the model reproduces as printed, and which need a correction.
+    """Return the words that say how many published frequencies the model reproduces, and which need a correction.
 
     Parameters
     ----------
@@ -144,7 +147,11 @@ RARE = 5e-4
 
 
 class Erratum(NamedTuple):
-    """An erratum: its place, what is printed, what the model or the table itself gives, and the evidence."""
+    """An erratum of the paper.
+
+    Its texts are the place in the paper, the printed content, the content found from the model or the table, and
+    the evidence.
+    """
 
     place: str
     printed: str
@@ -155,14 +162,14 @@ class Erratum(NamedTuple):
 def computed_errata(
     by_number: Mapping[str, UpdatingProblem], by_shape: Mapping[str, UpdatingProblem], box_points: int
 ) -> list[Erratum]:
-    """Return every erratum that follows from the tables and the model.
+    """Return the list of errata that follow from the tables and the model.
 
     Parameters
     ----------
     by_number, by_shape : mapping of str to UpdatingProblem
-        The experiments' problems under both pairings, by case.
+        The problem of each experiment, with modes paired by number and by shape, by case.
     box_points : int
-        Points of the parameter box at which the spectrum is examined; a power of two.
+        Number of points in the parameter box at which the spectrum is examined; a power of two.
     """
     return [
         *_mode_pairing(by_number[YOUNG], by_shape[YOUNG]),
@@ -174,7 +181,7 @@ def computed_errata(
 
 
 def _mode_pairing(by_number: UpdatingProblem, by_shape: UpdatingProblem) -> Iterator[Erratum]:
-    """Yield the modes of section 5.1 whose number at the start belongs to another mode."""
+    """Yield an erratum for each mode of section 5.1 whose mode number belongs to another mode at the start."""
     experiment = EXPERIMENTS[YOUNG]
     start = experiment.columns["initial"]
     numbers = by_number.data.numbers
@@ -198,7 +205,7 @@ def _mode_pairing(by_number: UpdatingProblem, by_shape: UpdatingProblem) -> Iter
 
 
 def _over_the_box(case: str, problem: UpdatingProblem, points: int) -> Iterator[Erratum]:
-    """Yield the mode numbers that belong to different physical modes within the parameter box."""
+    """Yield an erratum for each mode number that belongs to different physical modes within the parameter box."""
     experiment = EXPERIMENTS[case]
     everywhere = spectrum.shares_over_the_box(problem, points)
     for i, (number, parts) in enumerate(zip(problem.data.numbers, everywhere, strict=True)):
@@ -219,7 +226,7 @@ def _over_the_box(case: str, problem: UpdatingProblem, points: int) -> Iterator[
 
 
 def _parameters(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
-    """Yield parameters that do not reproduce their frequencies, or lie outside the paper's own bounds."""
+    """Yield errata for parameters that do not reproduce their frequencies, or are outside the paper's bounds."""
     experiment = EXPERIMENTS[case]
     names = experiment.parameter_names
     for column in experiment.columns.values():
@@ -248,7 +255,7 @@ def _parameters(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
 
 
 def _frequencies(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
-    """Yield frequencies that contradict their own error column."""
+    """Yield an erratum for each printed frequency that contradicts the printed error beside it."""
     experiment = EXPERIMENTS[case]
     for column in experiment.columns.values():
         for i, meant in column.corrected_frequencies.items():
@@ -265,7 +272,7 @@ def _frequencies(case: str, problem: UpdatingProblem) -> Iterator[Erratum]:
 
 
 def _errors(case: str) -> Iterator[Erratum]:
-    """Yield errors that do not follow from their frequency, rounding considered."""
+    """Yield an erratum for each printed error that does not follow from its frequency, even with rounding."""
     experiment = EXPERIMENTS[case]
     for name, column in experiment.columns.items():
         for i in experiment.inconsistent_errors(name):
@@ -301,7 +308,10 @@ the corrected version.
 
 
 def errata_page(errata: list[Erratum], recomputed: str) -> str:
-    """Return errata.md; `recomputed` says how many frequencies the model reproduces (`count_reproduced`)."""
+    """Return the content of errata.md.
+
+    The text `recomputed` says how many frequencies the model reproduces (`count_reproduced`).
+    """
     planes = ", ".join(f"{letter}: {words}" for letter, words in spectrum.PLANES.items())
     rows = [(str(k), *erratum) for k, erratum in enumerate(errata, start=1)]
     return (

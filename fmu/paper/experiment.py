@@ -1,4 +1,4 @@
-"""One experiment of the paper with one pairing: every run that is made of it, and its tables."""
+"""One experiment of the paper with one mode pairing: its runs and its tables."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 PAIRED_BY = {"index": "by number", "shape": "by shape"}
 TRUSTED = ("hmc", "emcee")
-"""Samplers whose converged long runs form the reference."""
+"""Samplers whose converged long runs form the reference posterior."""
 _LOOKED_AT = 2000
 
 
@@ -55,7 +55,7 @@ def directory_of(case: str, pairing: str) -> str:
 
 @dataclass(frozen=True)
 class Result:
-    """The runs of one experiment.
+    """The runs of one experiment and their comparison.
 
     Attributes
     ----------
@@ -67,24 +67,26 @@ class Result:
     maxima : Maxima
         Local maxima of the posterior, the highest first.
     maxima_modes : tuple of str
-        The physical modes paired with the measured ones at each maximum, ``"W1 W2 W3 W4 W5"`` for example.
+        The physical modes paired with the measured modes at each maximum, for example ``"W1 W2 W3 W4 W5"``.
     paper, long : mapping of str to DataTree
-        Traces under the paper's protocol and of the long runs, by sampler.
+        Traces of the paper's protocol and of the long runs, by sampler.
     pace : mapping of str to DataTree
-        Traces with the paper's settings from draws of the posterior; none if no trusted long run converged.
+        Traces of runs with the paper's settings from draws of the posterior, by sampler; empty if no long run of a
+        trusted sampler converged.
     one_start : DataTree
-        Trace of HMC without jumps, all of whose chains start at the start vector.
+        Trace of HMC without jumps, with all chains from the start vector.
     reference : Reference
+        The best available estimate of the posterior.
     diagnoses : mapping of str to Diagnosis
-        The verdicts on the long runs, compared with the maxima and each other.
+        The diagnosis of each long run, from a comparison with the maxima and the other long runs.
     comparison : DataFrame
-        `fmu.compare` of the long runs, with those verdicts.
+        The result of `fmu.compare` for the long runs, with these diagnoses.
     needed : mapping of str to Needed
-        Length needed by each long run to converge.
+        The length needed by each long run to converge.
     curves : mapping of str to tuple of Curve
-        Running errors by sampler: of the long run and, if there is one, of the paper's protocol.
+        The running errors of the long run of each sampler and, if performed, of the paper's protocol.
     places : mapping of str to mapping of str to float
-        For each long run, the share of its draws at which each combination of physical modes is paired.
+        The share of the draws of each long run at which each combination of physical modes is paired.
     """
 
     published: Published
@@ -105,25 +107,26 @@ class Result:
 
     @property
     def name(self) -> str:
-        """Name of the experiment's directory."""
+        """The name of the experiment's directory."""
         return directory_of(self.published.case, self.pairing)
 
     def is_converged(self, sampler: str) -> bool:
-        """Return whether the verdict on the long run of a sampler was good."""
+        """Return True if the long run of a sampler has converged."""
         return self.diagnoses[sampler].converged
 
 
 def compute(case: str, pairing: str, plan: Plan, progress: Report | None = None) -> Result:
-    """Make all runs of one experiment.
+    """Perform all runs of one experiment and return them with their comparison.
 
     Parameters
     ----------
     case : str
-        A built-in case with published tables.
+        The name of a built-in case with published tables.
     pairing : {"index", "shape"}
     plan : Plan
     progress : callable, optional
-        Called after every step as ``progress(phase, done, total, info)``, the phase being the experiment's name.
+        Called after every step as ``progress(phase, done, total, info)``, where the phase is the name of the
+        experiment's directory.
     """
     from fmu import cases
 
@@ -169,7 +172,7 @@ def compute(case: str, pairing: str, plan: Plan, progress: Report | None = None)
 
 
 def _length_needed(trace: xr.DataTree, diagnosis: Diagnosis, maxima: Maxima) -> Needed:
-    """Return the length at which a run first passed for converged."""
+    """Return the length that a run needed to converge; without values if the run did not converge."""
     if not diagnosis.converged:
         return Needed()
     return solves_needed(trace, lambda short: missed_maxima(short, maxima) + convergence_failures(short))
@@ -178,7 +181,10 @@ def _length_needed(trace: xr.DataTree, diagnosis: Diagnosis, maxima: Maxima) -> 
 def starts_in_the_posterior(
     long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosis], chains: int
 ) -> FloatArray | None:
-    """Return draws (chains, ndim) spread over a converged run of a trusted sampler; None where none has."""
+    """Return draws, shape (chains, ndim), evenly spaced over the converged long run of a trusted sampler.
+
+    Return None if no long run of a trusted sampler converged.
+    """
     for name in TRUSTED:
         if diagnoses[name].converged:
             draws = parameter_draws(long[name])
@@ -188,7 +194,7 @@ def starts_in_the_posterior(
 
 
 def _reference(long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosis], maxima: Maxima) -> Reference:
-    """Pool the converged runs of the trusted samplers; without one, take the maxima."""
+    """Return the reference from the converged runs of trusted samplers, or without such a run from the maxima."""
     good = {s: long[s] for s in TRUSTED if diagnoses[s].converged}
     if not good:
         return around_the_maxima(maxima)
@@ -196,7 +202,7 @@ def _reference(long: Mapping[str, xr.DataTree], diagnoses: Mapping[str, Diagnosi
 
 
 def _places(problem: UpdatingProblem, trace: xr.DataTree) -> dict[str, float]:
-    """Return the share of each set of paired physical modes, from about 2000 draws spread over a trace."""
+    """Return the share of each combination of paired physical modes, from about 2000 draws spaced over a trace."""
     draws = parameter_draws(trace)
     every = max(1, draws.shape[0] * draws.shape[1] // _LOOKED_AT)
     return shares(paired_names(problem, draws.reshape(-1, draws.shape[-1])[::every]))
@@ -206,16 +212,16 @@ CI_PROB = 0.9
 
 
 def posterior_mean(trace: xr.DataTree) -> FloatArray:
-    """Return the mean of all draws kept, shape (ndim,), SI units."""
+    """Return the mean of all retained draws, shape (ndim,), SI units."""
     return parameter_draws(trace).mean(axis=(0, 1))
 
 
 def parameter_table(result: Result) -> pd.DataFrame:
-    """Return the paper's parameter table (1 or 3) beside ours, one row per parameter, SI units.
+    """Return a table of the published (Table 1 or 3) and our parameters, one row per parameter, SI units.
 
-    Columns: ``unit``; ``published_*``; ``maximum`` (of the posterior); ``paper_*``, the means under the paper's
-    protocol; ``long_*_mean``, ``_sd``, ``_mcse`` and the ends of the interval, of the long runs; the same of the
-    ``reference`` without an interval.
+    The columns are ``unit``; ``published_*``; ``maximum``, the highest maximum of the posterior; ``paper_*``, the
+    posterior means of the paper's protocol; ``long_*_mean``, ``long_*_sd``, ``long_*_mcse`` and the ends of the
+    interval, for the long runs; and ``reference_mean``, ``reference_sd`` and ``reference_mcse``.
     """
     columns: dict[str, object] = {"unit": result.problem.units}
     for name, column in result.published.columns.items():
@@ -234,12 +240,13 @@ def parameter_table(result: Result) -> pd.DataFrame:
 
 
 def frequency_table(result: Result) -> pd.DataFrame:
-    """Return the paper's frequency table (2 or 4) beside ours, one row per measured mode.
+    """Return a table of the published (Table 2 or 4) and our frequencies, one row per measured mode.
 
-    Frequencies in Hz (``*_hz``) and errors |f − f_m|/f_m in % (``*_error``): ``published_*`` as printed;
-    ``recomputed_*`` from the published parameters, with this experiment's pairing; ``maximum_*`` at the highest
-    maximum of the posterior; ``paper_*`` and ``long_*`` of the model at our posterior mean. ``long_*_predictive``
-    and its interval are the posterior predictive distribution of a new measurement, eq. (10).
+    Columns ``*_hz`` are frequencies in Hz, and columns ``*_error`` errors |f − f_m|/f_m in %. The columns are
+    ``measured_hz``; ``published_*``, as printed; ``recomputed_*``, the model at the published parameters with this
+    experiment's pairing; ``maximum_*``, the model at the highest maximum of the posterior; and ``paper_*`` and
+    ``long_*``, the model at our posterior mean. ``long_*_predictive`` and its interval are the mean and the
+    interval of the posterior predictive distribution of a new measurement, eq. (10), in Hz.
     """
     error, frequencies = result.published.error_percent, result.problem.frequencies
     columns: dict[str, object] = {"measured_hz": result.published.measured_hz}
@@ -266,17 +273,26 @@ def frequency_table(result: Result) -> pd.DataFrame:
 
 
 def comparison_table(result: Result) -> pd.DataFrame:
-    """Return `fmu.compare` of the long runs beside the cost of the paper's protocol, one row per sampler.
+    """Return `fmu.compare` of the long runs with the cost of the paper's protocol, one row per sampler.
 
-    Solves are log-probabilities, and an exact gradient counts as ``gradient_cost`` of them.
-    ``sampling_solves`` and ``ess_per_sampling_solve`` leave the warm-up out.
-    ``needed_samples``, ``needed_solves``, ``needed_s``: steps of all chains, model solves and seconds, warm-up
-    counted, after which the long run passed for converged at every length examined, missing if it never did;
-    ``paper_solves``: what the paper's protocol took; ``paper_needed_solves``:
-    what the paper's settings would take, at the pace they have in the posterior, for the effective sample size
-    that the verdict asks for, missing where no run tells where the posterior is; ``paper_error``: how far
-    its means lie from the reference (the largest over the parameters, in posterior sd); ``published_error``:
-    the same of the published vector.
+    A solve is one evaluation of the log-probability, and an exact gradient counts as ``gradient_cost`` solves. The
+    columns added to `fmu.compare` are:
+
+    ``sampling_solves`` and ``ess_per_sampling_solve``: solves and efficiency of the long run without the warm-up.
+
+    ``needed_draws``, ``needed_samples``, ``needed_solves`` and ``needed_s``: retained steps of each chain, and
+    steps of all chains, solves and time in s including the warm-up, from which the long run passes the convergence
+    checks at every length examined; missing if the long run did not converge.
+
+    ``paper_solves``: solves of the paper's protocol.
+
+    ``paper_needed_solves``: estimated solves with the paper's settings, from chains that start in the posterior,
+    for the effective sample size that convergence requires; missing if no converged run provides such starts.
+
+    ``paper_error``: largest distance of a posterior mean of the paper's protocol from the reference, in posterior
+    sd.
+
+    ``published_error``: largest distance of a published parameter from the reference mean, in posterior sd.
     """
     table = result.comparison.copy()
     off = {s: _distance(result, posterior_mean(trace)) for s, trace in result.paper.items()}
@@ -302,15 +318,16 @@ def comparison_table(result: Result) -> pd.DataFrame:
 
 
 class OneStart(NamedTuple):
-    """Length, convergence and error of chains from one start vector.
+    """The length, convergence and error of a run whose chains have the same start vector.
 
     Attributes
     ----------
     chains, draws : int
+        Number of chains, and of draws of each chain.
     rhat, ess : float
-        The largest R-hat, and the smallest bulk ESS.
+        The largest R-hat and the smallest bulk ESS over the parameters.
     off : float
-        Distance of the worst mean from the reference, in posterior standard deviations.
+        The largest distance of a posterior mean from the reference, in posterior standard deviations.
     reasons : tuple of str
         Why the run has not converged.
     """
@@ -324,7 +341,7 @@ class OneStart(NamedTuple):
 
 
 def one_start(result: Result) -> OneStart:
-    """Return length, convergence and error of the chains that began at the start vector."""
+    """Return the length, convergence and error of the run with all chains from the start vector."""
     trace = result.one_start
     of_run = compare_runs({"hmc": trace})
     table = of_run.summaries["hmc"]
@@ -339,14 +356,15 @@ def one_start(result: Result) -> OneStart:
 
 
 def agreement(result: Result) -> tuple[float, float, tuple[str, ...]]:
-    """Return how well the converged long runs agree, and which they are.
+    """Return the largest differences between the posterior means of the converged long runs, and their samplers.
 
     Returns
     -------
     in_sd, in_mcse : float
         Largest difference of two posterior means over all parameters: in posterior sd, and in standard errors of
-        that difference. NaN with fewer than two converged runs.
+        the difference. NaN with fewer than two converged runs.
     samplers : tuple of str
+        The samplers whose long runs converged.
     """
     names = tuple(s for s in result.long if result.is_converged(s))
     tables = [summary(result.long[s]) for s in names]
@@ -365,6 +383,6 @@ def _distance(result: Result, theta: FloatArray) -> float:
 
 
 def rows_of(frame: pd.DataFrame) -> list[tuple[str, dict[str, Any]]]:
-    """Return name and cells of each row of a table."""
+    """Return the list of the name and a dict of the cells of each row of a table."""
     rows = frame.itertuples(name=None)
     return [(str(name), dict(zip(frame.columns, cells, strict=True))) for name, *cells in rows]

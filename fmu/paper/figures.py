@@ -1,4 +1,4 @@
-"""The figures of one experiment."""
+"""The figures of one experiment of the paper."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ENOUGH = 0.05
-"""1/√400: the error of as many independent draws as the verdict requires."""
+"""1/√400, the error of 400 independent draws; the convergence verdict requires this effective sample size."""
 
 
 def write_figures(result: Result, frequencies: pd.DataFrame, directory: Path) -> None:
-    """Write all figures of an experiment."""
+    """Write all figures of an experiment to `directory` as PNG files."""
     heading = f"Section {result.published.section}, paired {PAIRED_BY[result.pairing]}"
     for name, trace in result.long.items():
         columns, published = {"long run": trace}, None
@@ -55,7 +55,7 @@ def write_figures(result: Result, frequencies: pd.DataFrame, directory: Path) ->
 
 
 def frequency_series(result: Result, table: pd.DataFrame, name: str) -> list[Frequencies]:
-    """Return the frequencies compared in the figure of a sampler: before, published, ours."""
+    """Return the list of the frequencies in the figure of a sampler: before updating, published and ours."""
     start = result.problem.frequencies(result.problem.start)
     series = [Frequencies("before updating", start, GREY, filled=False)]
     if name in result.paper:
@@ -70,10 +70,10 @@ def frequency_series(result: Result, table: pd.DataFrame, name: str) -> list[Fre
 
 
 def plot_convergence(result: Result, figure: Figure | None = None) -> Axes:
-    """Draw the error of the running mean against model solves, for every sampler.
+    """Draw the error of the running mean over model solves for every sampler.
 
-    Solid: the median over the chains (ensembles) of the long run, with all of them as a band. Dotted: the paper's
-    protocol. The dot marks where the long run began to pass for converged.
+    A solid line is the median over the chains (or ensembles) of the long run, and the band their range. A dotted
+    line is the paper's protocol. A dot marks the length from which the long run passes the convergence checks.
     """
     figure = figure or new_figure(8.0, 5.4)
     axes = figure.subplots()
@@ -110,7 +110,7 @@ def _band(axes: Axes, curve: Curve, colour: str, label: str) -> None:
 
 
 def _legend(figure: Figure, result: Result) -> None:
-    """Add a legend of colours and line styles below the axes."""
+    """Add a legend of colours and line styles below the figure."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

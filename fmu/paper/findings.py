@@ -1,4 +1,4 @@
-"""The findings of one experiment as tables, and the paper's statements judged by them."""
+"""The findings of one experiment as tables, and a judgement of the paper's statements from these tables."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 _CERTIFICATE = "certificate_"
 DEEP = 1e3
-"""A maximum further below the highest than this, in log-probability, may trap a chain but misleads nobody."""
+"""Log-probability below the highest maximum beyond which a lower maximum cannot be mistaken for the posterior."""
 
 
 @dataclass(frozen=True)
@@ -44,30 +44,30 @@ class Findings:
     ----------
     case, pairing : str
     parameters, frequencies, comparison : DataFrame
-        See `fmu.paper.experiment`.
+        The tables of `fmu.paper.experiment`: `parameter_table`, `frequency_table` and `comparison_table`.
     maxima : DataFrame
-        Local maxima of the posterior, the highest first (`fmu.analysis.maxima.results.Maxima.table`), and beside
-        them the physical ``modes`` paired there.
+        Local maxima of the posterior, the highest first (`fmu.analysis.maxima.results.Maxima.table`), with a
+        column ``modes`` of the physical modes paired at each maximum.
     reasons, warnings : mapping of str to tuple of str
-        By sampler, why the long run has not converged, and the warnings about the model.
+        The reasons why the long run has not converged, and the warnings about the model, by sampler.
     places : mapping of str to mapping of str to float
-        Share of each long run's draws at which each combination of physical modes is paired.
+        The share of the draws of each long run at which each combination of physical modes is paired.
     one_start : OneStart
-        What chains from the start vector came to.
+        The results of the run with all chains from the start vector.
     agreement : tuple
-        See `fmu.paper.experiment.agreement`.
+        The agreement of the converged long runs (`fmu.paper.experiment.agreement`).
     origin : str
-        Origin of the reference.
+        The source of the reference posterior, in words.
     settings : mapping of str to str
         Settings of every run, as JSON, by sampler and kind (``"mh, paper"``, ``"mh, long"``).
     learnt : mapping of str to str
-        What each warm-up tuned of the settings that were not given, as JSON, by the same keys.
+        Settings tuned in the warm-up of every run, as JSON, by the same keys.
     lengths : mapping of str to tuple of int
-        Chains, warm-up and draws of every run, by the same keys.
+        Numbers of chains, warm-up steps and draws of every run, by the same keys.
     certificates : mapping of str to mapping of str to float
         Errors of the reduced model at some draws of every run (`fmu.analysis.certificate`), by the same keys.
     weighted : VectorBeta, optional
-        Results with a β for every mode, if that was run.
+        Results with a β for every mode, if that run was performed.
     """
 
     case: str
@@ -133,58 +133,58 @@ class Findings:
 
     @property
     def name(self) -> str:
-        """Name of the experiment's directory."""
+        """The name of the experiment's directory."""
         return directory_of(self.case, self.pairing)
 
     @property
     def ndim(self) -> int:
-        """Number of parameters."""
+        """The number of parameters."""
         return len(self.parameters)
 
     def is_converged(self, sampler: str) -> bool:
-        """Return whether the verdict on the long run of a sampler was good."""
+        """Return True if the long run of a sampler has converged."""
         return bool(self.comparison.loc[sampler, "verdict"] == CONVERGED)
 
     def value(self, sampler: str, column: str) -> float:
-        """Return a number of the comparison; NaN where there is none."""
+        """Return an entry of the comparison table; NaN if the entry is missing."""
         cell = self.comparison[column][sampler]
         return float("nan") if str(cell) == "<NA>" else float(cell)
 
     def in_paper_units(self, parameter: str, *columns: str) -> list[float]:
-        """Return entries of the parameter table in the power of ten that the paper prints."""
+        """Return entries of the parameter table in units of the power of ten that the paper prints."""
         factor, _ = self.unit_of_paper(parameter)
         return [float(self.parameters[column][parameter]) / factor for column in columns]
 
     @property
     def central_difference_rate(self) -> float:
-        """HMC's effective draws per solve if every gradient cost 2·ndim solves, as eq. (15) does."""
+        """The effective draws of HMC per solve if every gradient cost 2·ndim solves, as with eq. (15)."""
         return self.value("hmc", "ess_bulk_min") / (2 * self.ndim * self.value("hmc", "n_gradients"))
 
     @property
     def never_visited(self) -> list[str]:
-        """Samplers whose long run never came near a maximum that matters."""
+        """The samplers whose long run never visited one of the maxima."""
         return [s for s, reasons in self.reasons.items() if any("never visited" in reason for reason in reasons)]
 
     @property
     def separate_maxima(self) -> pd.DataFrame:
-        """The maxima that a run might mistake for the whole posterior: those not far below the highest."""
+        """The rows of the maxima that are at most `DEEP` in log-probability below the highest maximum."""
         return self.maxima[self.maxima["log_prob"] > self.maxima["log_prob"].iloc[0] - DEEP]
 
     def unit_of_paper(self, parameter: str) -> tuple[float, str]:
-        """Return the power of ten in which the paper prints a parameter, and its name, ``"1e-9 m⁴"``."""
+        """Return the power of ten in which the paper prints a parameter, and its text: ``"1e-9 m⁴"``."""
         position = self.published.parameter_names.index(parameter)
         exponent = self.published.columns["initial"].parameters[position].exponent
         return float(f"1e{exponent}"), f"1e{exponent} {self.parameters['unit'][parameter]}"
 
 
 SHORT = {"hmc": "HMC", "mh": "MH", "slice": "slice sampling"}
-"""Names of the samplers in the paper."""
+"""Short names of the paper's samplers."""
 FASTER, BETTER = "converges faster than", "gives better results than"
 CLAIMS = {
     "cantilever-young": (("hmc", FASTER, "mh"), ("hmc", FASTER, "slice"), ("mh", FASTER, "slice")),
     "cantilever-section": (("hmc", FASTER, "mh"), ("hmc", FASTER, "slice"), ("mh", BETTER, "slice")),
 }
-"""Sections 5.1, 5.2 and 6: which sampler is said to beat which."""
+"""The paper's comparisons of two samplers, from sections 5.1, 5.2 and 6."""
 CRITERIA = {
     FASTER: {
         "samples to converge": "needed_samples",
@@ -193,13 +193,13 @@ CRITERIA = {
     },
     BETTER: {"worst mean of the paper's protocol, sd off": "paper_error"},
 }
-"""By what a statement is judged: a column of the comparison; the smaller number wins."""
+"""The criteria for each kind of statement, with their columns in the comparison; smaller values are better."""
 
 
 CLOSE = 1.25
 """Efficiencies with a smaller ratio are not distinguished: an estimated ESS scatters by about a tenth."""
 CLOSE_LENGTHS = 2.0
-"""Lengths and errors with a smaller ratio are not distinguished: each is that of one run."""
+"""Lengths and errors with a smaller ratio are not distinguished, because each comes from a single run."""
 SEPARATED = (
     "The posterior has separated modes, and a run that has not converged reports the ones it fell into: that its "
     "results differ says nothing about the sampler. "
@@ -207,9 +207,9 @@ SEPARATED = (
 
 
 class Judgement(NamedTuple):
-    """A statement of the paper, a criterion and the judgement by it.
+    """A statement of the paper, a criterion, and the outcome of judging the statement by this criterion.
 
-    `outcome` is ``"agrees"``, ``"disagrees"``, ``"too close to call"`` or ``"cannot be judged"``.
+    The `outcome` is ``"agrees"``, ``"disagrees"``, ``"too close to call"`` or ``"cannot be judged"``.
     """
 
     statement: str
@@ -219,10 +219,10 @@ class Judgement(NamedTuple):
 
 
 def judge(findings: Findings) -> list[Judgement]:
-    """Judge the paper's statements on one experiment, by each criterion that could be meant.
+    """Return judgements of the paper's statements on one experiment, by each criterion that the paper may mean.
 
-    If the long run of only one of two samplers converged, that one is the better; if both did, the numbers of the
-    table of costs are compared.
+    If the long run of only one of two samplers converged, this sampler is the better one. If both converged, the
+    numbers in the table of costs are compared.
     """
     return [
         Judgement(f"{SHORT[a]} {verb} {SHORT[b]}", criterion, *_decide(findings, a, b, column))
@@ -250,7 +250,7 @@ def _decide(findings: Findings, better: str, worse: str, column: str) -> tuple[s
 
 
 def statement(findings: Findings) -> str:
-    """Return a paragraph: which sampler has most effective draws per solve, and whether converged ones agree."""
+    """Return a paragraph on the most efficient samplers and on the agreement of the converged samplers."""
     heading = f"**Section {findings.published.section}, paired {PAIRED_BY[findings.pairing]}.** "
     samplers = list(findings.comparison.index)
     ranked = sorted(filter(findings.is_converged, samplers), key=lambda s: -findings.value(s, "ess_per_solve"))
@@ -279,7 +279,7 @@ def statement(findings: Findings) -> str:
 
 
 def _at_the_papers_price(findings: Findings, rivals: list[str]) -> str:
-    """Return the efficiency of HMC in words, if every gradient cost as much as a central difference."""
+    """Return a sentence on the efficiency that HMC would have if every gradient were a central difference."""
     rate = findings.central_difference_rate
     words = (
         f"With the paper's central differences, {2 * findings.ndim} solves a gradient, HMC would have "

@@ -1,4 +1,4 @@
-"""The page of one experiment: the paper's tables beside ours."""
+"""The page of one experiment, which compares the paper's tables with ours."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ENDS = tuple(f"eti{100 * CI_PROB:g}_{end}" for end in ("lb", "ub"))
 
 
 def experiment_page(findings: Findings) -> str:
-    """Return tables.md."""
+    """Return the content of tables.md."""
     published = findings.published
     parts = [
         f"# Section {published.section} of the paper, modes paired {PAIRED_BY[findings.pairing]}\n",
@@ -157,7 +157,7 @@ _COST = (
 
 
 def reached_and_cost(findings: Findings) -> str:
-    """Return convergence and cost of the long runs, beside cost and error of the paper's protocol."""
+    """Return tables of the convergence and cost of the long runs, and of the cost of the paper's protocol."""
     rows = list(rows_of(findings.comparison))
     reached = [
         (
@@ -194,7 +194,10 @@ def reached_and_cost(findings: Findings) -> str:
 
 
 def _efficiency(findings: Findings, sampler: str) -> list[str]:
-    """Return effective draws per solve, per solve after the warm-up, and per second, of a converged run."""
+    """Return texts of the effective draws per solve, per solve after the warm-up, and per second.
+
+    The texts are dashes if the run has not converged.
+    """
     columns = {"ess_per_solve": 2, "ess_per_sampling_solve": 2, "ess_per_s": 3}
     is_known = findings.is_converged(sampler)
     return [significant(findings.value(sampler, name) if is_known else None, n) for name, n in columns.items()]
@@ -208,13 +211,13 @@ JUDGED_BY = (
 
 
 def claims(findings: Findings) -> str:
-    """Return the paper's statements on its samplers and the judgements on them."""
+    """Return a table of the paper's statements on its samplers and our judgements of them."""
     rows = [(j.statement, j.criterion, j.outcome, j.evidence) for j in judge(findings)]
     return f"{JUDGED_BY}\n" + markdown_table(("the paper", "by", "this run", "figures"), rows, words=range(4))
 
 
 def maxima(findings: Findings) -> str:
-    """Return the maxima of the posterior and their masses."""
+    """Return a table of the maxima of the posterior and their shares of the probability."""
     names = list(findings.parameters.index)
     units = [findings.unit_of_paper(name) for name in names]
     header = ["", *(f"{name}, {unit}" for name, (_, unit) in zip(names, units, strict=True))]
@@ -242,7 +245,7 @@ def maxima(findings: Findings) -> str:
 
 
 def one_start(findings: Findings) -> str:
-    """Return the paragraph on chains that all start at one vector: their R-hat, and their error."""
+    """Return the paragraph on the R-hat and the error of the run with all chains from the start vector."""
     run = findings.one_start
     text = (
         f"HMC without jumps, {run.chains} chains of {whole(run.draws)} draws, all from the paper's start vector: "
@@ -260,7 +263,7 @@ def one_start(findings: Findings) -> str:
 
 
 def fit(findings: Findings) -> str:
-    """Return the warnings about the model from the first converged run."""
+    """Return the list of warnings about the model from the first converged run."""
     for name in ("hmc", "emcee", "mixture", "mh", "slice"):
         if findings.is_converged(name):
             listed = "".join(f"- {warning}.\n" for warning in findings.warnings[name])
@@ -269,7 +272,7 @@ def fit(findings: Findings) -> str:
 
 
 def places(findings: Findings) -> str:
-    """Return the table of the physical modes paired in each long run; empty if they never changed."""
+    """Return a table of the physical modes paired in each long run; empty if the pairing never changed."""
     if len({combination for parts in findings.places.values() for combination in parts}) < 2:
         return ""
     rows = [
@@ -284,7 +287,7 @@ def places(findings: Findings) -> str:
 
 
 def settings(findings: Findings) -> str:
-    """Return length, settings and certificate of every run."""
+    """Return a table of the length, settings and certificate of every run."""
     rows = []
     for key, settings in findings.settings.items():
         chains, warmup, draws = findings.lengths[key]
@@ -313,13 +316,13 @@ def settings(findings: Findings) -> str:
 
 
 def _count(value: Any) -> Any:
-    """Return a setting; of a list of components, which are hundreds of numbers, how many they are."""
+    """Return a setting; for a list of mixture components, which is too long to show, a text with their number."""
     is_long = isinstance(value, list) and any(isinstance(one, dict) for one in value)
     return f"{len(value)}, at the maxima" if is_long else value
 
 
 def _brief(name: str, value: Any) -> list[str]:
-    """Return settings in words: numbers, and the shapes of arrays."""
+    """Return the list of settings in words, with the values of numbers and the shapes of arrays."""
     if isinstance(value, dict):
         return [words for key, item in value.items() for words in _brief(key, item)]
     if isinstance(value, list):

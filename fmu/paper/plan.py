@@ -1,4 +1,4 @@
-"""The plan of the runs: the paper's protocol and the long runs, with all their lengths and settings."""
+"""The plan of the runs: lengths and settings of the paper's protocol and of the long runs."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PAIRINGS = ("index", "shape")
 
 @dataclass(frozen=True)
 class Length:
-    """Steps kept, steps before them, and chains (ensembles for emcee)."""
+    """The length of a run: retained steps, warm-up steps, and number of chains (for emcee, of ensembles)."""
 
     draws: int
     warmup: int
@@ -36,32 +36,34 @@ class Length:
 
     @property
     def steps(self) -> int:
-        """Steps in all."""
+        """The number of warm-up and retained steps of each chain."""
         return self.warmup + self.draws
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The runs and their lengths.
+    """The runs of the replication and their lengths.
 
     Attributes
     ----------
     experiments : tuple of (case, pairing)
-        In the order of the pages.
+        The experiments, in the order of the pages.
     paper : Length
-        The paper's protocol: N_s samples of one chain from the start vector, all of them kept.
+        The length of the paper's protocol: N_s samples of one chain from the start vector, all of them kept.
     pace : mapping of str to Length
-        Runs with the paper's settings from draws of the posterior: for the cost of an effective draw.
+        The lengths of runs with the paper's settings from draws of the posterior, by sampler. These runs estimate
+        the cost of an effective draw.
     long : mapping of str to Length
-        The long runs, one per sampler (`long_start`).
+        The lengths of the long runs, by sampler (`long_start`).
     one_start : Length
-        HMC without jumps, all chains from the start vector: what R-hat says of chains from one start.
+        The length of a run of HMC without jumps, with all chains from the start vector. This run shows the R-hat
+        of chains with one start.
     weighted : tuple of (case, pairing)
         The experiments that are repeated by HMC with a separate β for every mode.
     starts : int
-        Optimiser starts of the search for maxima.
+        Number of optimiser starts of the search for maxima.
     box_points : int
-        Points of the parameter box at which the spectrum is examined.
+        Number of points in the parameter box at which the spectrum is examined.
     seed : int
     """
 
@@ -97,7 +99,7 @@ class Plan:
 
     @property
     def steps(self) -> int:
-        """Steps of one experiment in all."""
+        """The number of steps per chain, summed over all runs of one experiment."""
         runs = (*(self.paper for _ in PAPER_SAMPLERS), *self.pace.values(), *self.long.values(), self.one_start)
         return sum(length.steps for length in runs)
 
@@ -105,8 +107,8 @@ class Plan:
 def paper_settings(name: str) -> Sampler:
     """Return a sampler of the paper with manually chosen settings, in scaled coordinates.
 
-    The paper gives no step size and no width; with these its samplers move. HMC uses the numerical gradient of
-    eq. (15) and trajectories of fixed length.
+    The paper states neither step sizes nor widths, so they are chosen such that the samplers move. HMC uses the
+    numerical gradient of eq. (15) and trajectories of fixed length.
     """
     settings: dict[str, Sampler] = {
         "mh": MetropolisHastings(RandomWalk(0.01)),
@@ -117,34 +119,37 @@ def paper_settings(name: str) -> Sampler:
 
 
 def long_settings(name: str) -> Sampler:
-    """Return the settings of a long run: the defaults; for emcee its moves of differential evolution.
+    """Return the sampler of a long run, with default settings except for emcee.
 
-    They mix about four times as fast here as emcee's default, the stretch move.
+    The emcee sampler uses differential-evolution moves, which mix about four times as fast here as the default of
+    emcee, the stretch move.
     """
     return Ensemble(moves={"de": 0.8, "snooker": 0.2}) if name == "emcee" else make_sampler(name)
 
 
 def long_start(name: str) -> str:
-    """Return where a long run starts: at draws from the prior; emcee around the maxima of the posterior.
+    """Return the starting points of a long run: ``"maxima"`` for emcee, ``"prior"`` for any other sampler.
 
-    Walkers cannot cross between separated maxima: those that start near a negligible one stay there.
+    Walkers of emcee cannot cross between separated maxima. Walkers that start near a negligible maximum would stay
+    there.
     """
     return "maxima" if name == "emcee" else "prior"
 
 
 class Runs:
-    """Runs on one problem, one after the other, which share a line of progress.
+    """Successive runs on one problem that share a progress line.
 
     Parameters
     ----------
     problem : UpdatingProblem
     maxima : Maxima
-        Maxima of the problem; stored in every trace.
+        The maxima of the posterior, stored in every trace.
     seed : int
-        The same for every run.
+        The seed of every run.
     phase : str
+        The name of the progress line.
     total : int
-        Name of the line of progress, and number of steps of all runs.
+        The number of steps of all runs.
     progress : callable, optional
         Called after every step as ``progress(phase, done, total, info)``.
     """
@@ -171,11 +176,11 @@ class Runs:
         *,
         jumps: bool | None = None,
     ) -> xr.DataTree:
-        """Make a run, named `words` in the line of progress, and return its trace; `jumps` as in `fmu.sample`."""
+        """Perform a run, called `words` in the progress line, and return its trace; `jumps` as in `fmu.sample`."""
         from fmu.sampling import sample
 
         with warnings.catch_warnings():
-            # the page shows every certificate; on the way from a distant start its warning means nothing
+            # the page shows every certificate; a warning about draws far from the maximum is irrelevant
             warnings.simplefilter("ignore", CertificateWarning)
             trace = sample(
                 self.problem,
@@ -193,12 +198,12 @@ class Runs:
         return trace
 
     def finish(self) -> None:
-        """Report the end, even if not every planned run was made."""
+        """Report completion, even if not every planned run was performed."""
         if self.progress is not None:
             self.progress(self.phase, self.total, self.total, {"run": "all"})
 
     def _watch(self, words: str) -> Report | None:
-        """Return the callback of one run, whose warm-up precedes its draws."""
+        """Return the progress callback of one run, which counts warm-up steps and draws; None without progress."""
         report = self.progress
         if report is None:
             return None
@@ -206,7 +211,7 @@ class Runs:
         groups: dict[str, int] = {}
 
         def step(phase: str, done: int, total: int, info: Mapping[str, str | int | float]) -> None:
-            if phase not in ("warmup", "draws"):  # what is computed from the draws counts no steps
+            if phase not in ("warmup", "draws"):  # computations after sampling count no steps
                 return
             if phase == "warmup":
                 before["draws"] = total

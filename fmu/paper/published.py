@@ -1,12 +1,12 @@
-"""Tables 1 to 4 of the paper as data: the printed digits, and the values meant by misprints.
+"""Tables 1 to 4 of the paper as data: the printed digits, and corrections of misprints.
 
 Boulkaibet, Marwala, Mthembu, Friswell & Adhikari, *Sampling Techniques in Bayesian Finite Element Model
-Updating*, section 5: Tables 1 and 3 hold the updated parameters, Tables 2 and 4 the frequencies that the model has
-there and their errors |f − f_m|/f_m against the measured ones.
+Updating*, section 5: Tables 1 and 3 contain the updated parameters. Tables 2 and 4 contain the model frequencies f
+at these parameters, and their errors |f − f_m|/f_m relative to the measured frequencies f_m.
 
-A number is kept as the digits on the page (`Printed`), because the digits say how far it was rounded. Where
-a cell is a misprint that other cells expose, what it must have meant is kept beside what it says: `Column.theta`
-and `Column.meant_hz` are corrected, `Column.printed_theta` and `Column.printed_hz` are not.
+A number is stored as its printed digits (`Printed`), because the digits show how it was rounded. If other cells
+expose a cell as a misprint, the corrected value is stored beside the printed one: `Column.theta` and
+`Column.meant_hz` are corrected, `Column.printed_theta` and `Column.printed_hz` are not.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class Printed:
     Attributes
     ----------
     digits : str
-        The mantissa with the decimals that were printed, trailing zeros included.
+        The mantissa as printed, trailing zeros included.
     exponent : int
-        Exponent of the power of ten printed after the mantissa.
+        The exponent of the power of ten that multiplies the mantissa.
     """
 
     digits: str
@@ -44,47 +44,47 @@ class Printed:
 
     @property
     def value(self) -> float:
-        """The number."""
+        """The numerical value."""
         return float(f"{self.digits}e{self.exponent}")
 
     @property
     def decimals(self) -> int:
-        """How many decimals the mantissa has."""
+        """The number of decimals of the mantissa."""
         return len(self.digits.partition(".")[2])
 
     @property
     def half_unit(self) -> float:
-        """Half a unit of the last digit: how far the number before rounding may lie from `value`."""
+        """Half a unit of the last digit, the largest rounding error of `value`."""
         return float(f"0.5e{self.exponent - self.decimals}")
 
     def allows(self, value: float, slack: float = 0.0) -> bool:
-        """Return whether `value`, give or take `slack`, may have been rounded to this number.
+        """Return True if a number within `slack` of `value` may have been rounded to the printed number.
 
-        A tie, rounded up or down, is allowed: hence a hair beyond half a unit.
+        A tie may have been rounded up or down, so the limit is slightly more than half a unit.
         """
         return bool(abs(value - self.value) <= self.half_unit * (1.0 + 1e-9) + slack)
 
 
 @dataclass(frozen=True)
 class Column:
-    """One column of a pair of tables: a parameter vector and the modes of the model there.
+    """One column of a pair of tables: a parameter vector, and the frequencies of the model at this vector.
 
     Attributes
     ----------
     name : str
         One of `COLUMNS`.
     title : str
-        The column's heading.
+        The heading of the column in the paper.
     parameters : tuple of Printed
-        As in Table 1 or 3, SI units.
+        The parameters as printed in Table 1 or 3, SI units.
     frequencies : tuple of Printed
-        As in Table 2 or 4, Hz.
+        The frequencies as printed in Table 2 or 4, Hz.
     errors : tuple of Printed
-        The error column beside them, %.
+        The errors printed beside the frequencies, %.
     corrected_parameters : mapping of int to float
-        What a misprinted parameter (by position) must have been for the frequencies to come out.
+        The value, by index, of each misprinted parameter that reproduces the printed frequencies, SI units.
     corrected_frequencies : mapping of int to float
-        What a misprinted frequency (by position) must have been for its own error column to come out, Hz.
+        The value, by index, of each misprinted frequency that reproduces the printed error, Hz.
     """
 
     name: str
@@ -128,22 +128,22 @@ class Column:
 
 @dataclass(frozen=True)
 class Experiment:
-    """One of the paper's two updating exercises.
+    """One of the paper's two updating experiments.
 
     Attributes
     ----------
     case : str
-        Name of the built-in case that recomputes it.
+        The name of the built-in case that repeats the experiment.
     section : str
-        Where the paper describes it.
+        The section of the paper that describes the experiment.
     parameter_table, frequency_table : int
-        Numbers of its two tables.
+        The numbers of the two tables in the paper.
     parameter_names : tuple of str
-        In the order of theta, as in the built-in case.
+        The names of the parameters in the order of theta, as in the built-in case.
     measured : tuple of Printed
         The measured frequencies, Hz.
     columns : mapping of str to Column
-        Keyed and ordered by `COLUMNS`.
+        The columns of the tables, by name and in the order of `COLUMNS`.
     """
 
     case: str
@@ -160,14 +160,13 @@ class Experiment:
         return _values(self.measured)
 
     def error_percent(self, frequencies: ArrayLike) -> FloatArray:
-        """Return the paper's error |f − f_m|/f_m of frequencies in Hz, in %, of the same shape (..., n_modes)."""
+        """Return the errors |f − f_m|/f_m in %, as the paper defines them, of frequencies (..., n_modes) in Hz."""
         return 100.0 * np.abs(np.asarray(frequencies, dtype=float) - self.measured_hz) / self.measured_hz
 
     def inconsistent_errors(self, column: str) -> tuple[int, ...]:
-        """Return the modes (from 0) whose printed error cannot follow from the frequency printed beside it.
+        """Return the indices of the modes whose printed error is inconsistent with the printed frequency.
 
-        Every frequency that rounds to the printed one is allowed, and so is every error that rounds to the
-        printed error: only what rounding cannot explain is returned.
+        An error is inconsistent if rounding of the frequency and of the error cannot explain the difference.
         """
         table = self.columns[column]
         recomputed = self.error_percent(table.printed_hz)

@@ -1,4 +1,4 @@
-"""`fmu paper`: everything that is written, and the processes that compute it."""
+"""The command `fmu paper`, which computes the experiments in parallel processes and writes the results."""
 
 from __future__ import annotations
 
@@ -52,25 +52,25 @@ def run_paper(
     Parameters
     ----------
     out : path-like
-        Directory of the results. Only files that an earlier run wrote there are replaced or removed.
+        Output directory. Only files that an earlier run wrote there are replaced or removed.
     progress : callable, optional
         Called as ``progress(phase, done, total, info)``, one phase per experiment and per run with a vector β.
     plan : Plan, optional
-        Lengths of the runs.
+        The lengths of the runs.
     workers : int, optional
-        Number of processes for the experiments, by default the number of CPUs; 1 is this process alone. The
-        results do not depend on it.
+        Number of processes for the experiments, by default the number of CPUs; with 1, only the current process
+        is used. The results do not depend on this number.
 
     Raises
     ------
     ValueError
-        If files that fmu did not write are in the way; this is checked before anything is computed.
+        If the results would overwrite files that fmu did not write, which is checked before the computation.
     """
     plan = plan or Plan()
     directory = OutputDirectory(out)
     directory.check(file_names(plan))
     with directory.stage_files() as stage:
-        # the experiments by number take longest, so they start first
+        # the experiments paired by number take longest, so they start first
         tasks = sorted(plan.experiments, key=_by_shape)
         with engine(min(default_workers() if workers is None else workers, len(tasks))) as pool:
             found = {f.name: f for f in pool.run_tasks(_one_of, (plan, stage), tasks, report=progress)}
@@ -82,7 +82,7 @@ def _one_of(common: tuple[Plan, Path], experiment: tuple[str, str], progress: Re
 
 
 def run_experiment(case: str, pairing: str, plan: Plan, stage: Path, progress: Report | None) -> Findings:
-    """Compute one experiment and write its directory and its traces below `stage`."""
+    """Compute one experiment, write its results and traces below `stage`, and return its findings."""
     with single_thread():
         result = compute(case, pairing, plan, progress)
         weighted = _run_weighted(result, plan, stage, progress) if (case, pairing) in plan.weighted else None
@@ -92,7 +92,7 @@ def run_experiment(case: str, pairing: str, plan: Plan, stage: Path, progress: R
 
 
 def _run_weighted(result: Result, plan: Plan, stage: Path, progress: Report | None) -> VectorBeta:
-    """Make the run with a β for every mode, and write its trace."""
+    """Perform the run with a β for every mode, write its trace, and return the comparison with the scalar β."""
     trace = sample_weighted(result, plan, progress)
     (stage / "traces").mkdir(parents=True, exist_ok=True)
     save_trace(trace, stage / "traces" / f"{result.name}-{SAMPLER}-vector-beta.nc")
@@ -100,7 +100,7 @@ def _run_weighted(result: Result, plan: Plan, stage: Path, progress: Report | No
 
 
 def write_experiment(result: Result, findings: Findings, stage: Path) -> None:
-    """Write tables, figures and traces of one experiment, and a report on its long runs."""
+    """Write the tables, figures and traces of one experiment, and a report on its long runs, below `stage`."""
     directory, traces = stage / findings.name, stage / "traces"
     for path in (directory, traces):
         path.mkdir(parents=True, exist_ok=True)
@@ -115,7 +115,7 @@ def write_experiment(result: Result, findings: Findings, stage: Path) -> None:
 
 
 def file_names(plan: Plan) -> list[str]:
-    """Return the names of all files that are written, relative to the output directory."""
+    """Return the list of the files that the command may write, as paths relative to the output directory."""
     names = ["README.md", "errata.md", "recomputed.csv", "recomputed.md"]
     for name in (directory_of(*experiment) for experiment in plan.experiments):
         names += [f"{name}/tables.md", f"{name}/convergence.png"]
@@ -135,14 +135,14 @@ def _by_shape(experiment: tuple[str, str]) -> bool:
 
 
 def _traces(result: Result) -> Iterator[tuple[str, xr.DataTree]]:
-    """Name the traces of an experiment."""
+    """Yield the file name and the trace of each run of an experiment."""
     for kind, traces in (("paper", result.paper), ("long", result.long), ("one-start", {"hmc": result.one_start})):
         for sampler, trace in traces.items():
             yield f"{result.name}-{sampler}-{kind}.nc", trace
 
 
 def write_closing_pages(everything: Sequence[Findings], plan: Plan, stage: Path) -> None:
-    """Write README.md, errata.md, the recomputed frequencies and the study with a vector β."""
+    """Write README.md, errata.md, the recomputed frequencies and the study with a vector β, below `stage`."""
     from fmu import cases
 
     by_number, by_shape = (
@@ -163,7 +163,7 @@ def write_closing_pages(everything: Sequence[Findings], plan: Plan, stage: Path)
 
 
 def _write_vector_beta(studies: Sequence[VectorBeta], stage: Path) -> None:
-    """Write page, table and figure of the study with a β for every mode, if it was run."""
+    """Write the page, table and figure of the study with a β for every mode, unless `studies` is empty."""
     if not studies:
         return
     import pandas as pd
@@ -175,7 +175,10 @@ def _write_vector_beta(studies: Sequence[VectorBeta], stage: Path) -> None:
 
 
 def separated_modes(findings: Findings) -> Iterator[Erratum]:
-    """Yield an erratum if the posterior has separated modes, between which the paper's samplers cannot cross."""
+    """Yield an erratum if the posterior paired by number has separated modes.
+
+    The paper's samplers cannot cross between separated modes.
+    """
     maxima = findings.separate_maxima
     if findings.pairing != "index" or len(maxima) < 2:
         return

@@ -1,4 +1,4 @@
-"""Names of computed modes: the plane of motion, and the number in that plane."""
+"""Names of the computed modes, made of the plane of motion and the number of the mode in that plane."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _BATCH = 4096
 
 
 def _structure(problem: UpdatingProblem) -> PairedStructure:
-    """Return the structure of a problem; ValueError if it has none."""
+    """Return the structure of a problem; raise ValueError if its model has no structure."""
     structure = structure_of(problem.model)
     if structure is None:
         raise ValueError(f"problem: must have a structure of beam elements (got {problem.model.name})")
@@ -30,11 +30,12 @@ def _structure(problem: UpdatingProblem) -> PairedStructure:
 
 
 def paired_names(problem: UpdatingProblem, theta: FloatArray) -> StrArray:
-    """Return the name (``"W1"``, ``"S2"``, …) of the mode paired with each measured one, shape (n, n_modes).
+    """Return the names (``"W1"``, ``"S2"``, …) of the modes paired with the measured modes, shape (n, n_modes).
 
     Parameters
     ----------
     theta : ndarray, shape (n, ndim)
+        Parameter vectors, SI units.
     """
     structure = _structure(problem)
     model: Any = problem.model
@@ -43,7 +44,10 @@ def paired_names(problem: UpdatingProblem, theta: FloatArray) -> StrArray:
 
 
 def lowest_modes(problem: UpdatingProblem, theta: FloatArray, count: int) -> list[tuple[str, float]]:
-    """Return name and frequency (Hz) of the lowest modes of the whole structure at one theta, ascending."""
+    """Return the name and the frequency in Hz of the `count` lowest modes of the whole structure, ascending.
+
+    The parameters are `theta`, shape (ndim,), SI units.
+    """
     structure = _structure(problem)
     modes = structure.blocks.spectrum(theta[np.newaxis], count)
     return list(
@@ -52,20 +56,21 @@ def lowest_modes(problem: UpdatingProblem, theta: FloatArray, count: int) -> lis
 
 
 def shares(names: StrArray) -> dict[str, float]:
-    """Return the share of rows with each combination of names, the most common first."""
+    """Return a dict of the share of rows with each combination of names, the most common combination first."""
     counts = Counter(" ".join(row) for row in names.tolist())
     return {combination: count / len(names) for combination, count in counts.most_common()}
 
 
 def shares_over_the_box(problem: UpdatingProblem, points: int) -> list[dict[str, float]]:
-    """Return for each measured mode the share of the parameter box in which each physical mode is paired with it.
+    """Return, for each measured mode, a dict of the physical modes paired with it and their shares of the box.
 
-    By a scrambled Sobol sequence over the bounds.
+    A share is the part of the parameter box in which the physical mode is paired with the measured mode, estimated
+    with a scrambled Sobol sequence within the bounds.
 
     Parameters
     ----------
     points : int
-        A power of two.
+        Number of points of the sequence; a power of two.
     """
     from scipy.stats import qmc
 
@@ -75,7 +80,10 @@ def shares_over_the_box(problem: UpdatingProblem, points: int) -> list[dict[str,
 
 
 def _names(structure: PairedStructure, modes: ModalSolution) -> StrArray:
-    """Return plane and number of modes; the blocks of a straight beam are its four planes of motion."""
+    """Return the names of modes; the matrix blocks of a straight beam are its four planes of motion.
+
+    Raises ValueError if planes of motion are coupled, or if one plane has several blocks.
+    """
     planes = []
     for block in structure.blocks:
         letters = {_PLANE_OF[structure.structure.dofs[dof][1]] for dof in block.dofs}

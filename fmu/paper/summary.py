@@ -1,4 +1,4 @@
-"""The page that opens the results."""
+"""The summary page of the results, README.md."""
 
 from __future__ import annotations
 
@@ -27,15 +27,17 @@ FILES = {
 
 
 def summary_page(everything: Sequence[Findings], recomputed: str, seed: int, versions: Mapping[str, str]) -> str:
-    """Return results/README.md.
+    """Return the content of results/README.md.
 
     Parameters
     ----------
     everything : sequence of Findings
+        The findings of all experiments.
     recomputed : str
-        How many published frequencies were reproduced (`fmu.paper.errata.count_reproduced`).
+        Words on the number of published frequencies reproduced (`fmu.paper.errata.count_reproduced`).
     seed : int
     versions : mapping of str to str
+        The version of each software package by its name.
     """
     parts = [
         "# Results\n",
@@ -72,7 +74,7 @@ def _in_a_line(findings: Findings) -> str:
 
 
 def _means(findings: Findings) -> str:
-    """Return one row per source and one column per parameter, in the paper's units."""
+    """Return a table of parameter values with one row per source and one column per parameter, in paper units."""
     names = list(findings.parameters.index)
     units = [findings.unit_of_paper(name) for name in names]
 

@@ -1,4 +1,4 @@
-"""A test of the paper's remark on its first mode: β as a vector, with a weight for every mode."""
+"""A test of the paper's remark that a vector β, with a weight for every mode, would improve the first mode."""
 
 from __future__ import annotations
 
@@ -28,33 +28,33 @@ if TYPE_CHECKING:
 
 SAMPLER = "hmc"
 RELATIVE = 0.01
-"""Standard deviation of every frequency error, over the measured frequency."""
+"""Standard deviation of every frequency error relative to the measured frequency."""
 SCALAR, VECTOR = "scalar", "vector"
 
 
 def relative_weights(frequencies_hz: FloatArray) -> FloatArray:
-    """Return β_i = 1/(2σ_i²) with σ_i = `RELATIVE` · f_i, in 1/Hz²."""
+    """Return the weights β_i = 1/(2σ_i²) of the modes in 1/Hz², where σ_i is `RELATIVE` times the frequency."""
     return 1.0 / (2.0 * (RELATIVE * frequencies_hz) ** 2)
 
 
 @dataclass(frozen=True)
 class VectorBeta:
-    """Results with a vector β and with the scalar one, as tables.
+    """Tables that compare the results with a scalar β and with a vector β.
 
     Attributes
     ----------
     case, pairing : str
     modes : DataFrame
-        One row per measured mode. Frequencies in Hz (``*_hz``) and errors |f − f_m|/f_m in % (``*_error``):
-        ``measured``, ``initial``, ``published`` (the paper's HMC column), and of the model at the posterior mean
-        with the ``scalar`` and the ``vector`` β; the standard deviation of the frequency error that each β stands
-        for (``*_sigma_hz``).
+        One row per measured mode. Columns ``*_hz`` are frequencies in Hz, and columns ``*_error`` errors
+        |f − f_m|/f_m in %: ``measured`` (without error), ``initial``, ``published`` (the paper's HMC column), and
+        ``scalar`` and ``vector``, the model at the posterior mean with the scalar and with the vector β. Columns
+        ``*_sigma_hz`` are the standard deviation of the frequency error that corresponds to each β, in Hz.
     parameters : DataFrame
-        One row per parameter, SI units: ``unit``, and the posterior mean and sd with either β.
+        One row per parameter, SI units: ``unit``, and the posterior mean and sd with each β.
     runs : DataFrame
-        One row per β (`SCALAR`, `VECTOR`): ``converged``, ``rhat``, ``ess`` (bulk, the worst parameter's).
+        One row per β (`SCALAR`, `VECTOR`): ``converged``, the largest ``rhat``, and the smallest bulk ESS ``ess``.
     reasons : mapping of str to tuple of str
-        By β, why the run has not converged.
+        The reasons why the run has not converged, by β.
     """
 
     case: str
@@ -66,7 +66,7 @@ class VectorBeta:
 
     @property
     def name(self) -> str:
-        """Name of the experiment, ``"young-shape"`` for example."""
+        """The name of the experiment, for example ``"young-shape"``."""
         return directory_of(self.case, self.pairing)
 
     @property
@@ -76,7 +76,10 @@ class VectorBeta:
 
     @property
     def outcome(self) -> str:
-        """``"confirmed"`` if mode 1 is better with the vector, ``"not confirmed"`` or ``"cannot be judged"``."""
+        """Whether the vector β reduces the error of mode 1, in words.
+
+        The outcome is ``"confirmed"``, ``"not confirmed"`` or, unless both runs converged, ``"cannot be judged"``.
+        """
         if not self.runs["converged"].all():
             return "cannot be judged"
         first = self.modes.iloc[0]
@@ -84,7 +87,10 @@ class VectorBeta:
 
 
 def sample_weighted(result: Result, plan: Plan, progress: Report | None = None) -> xr.DataTree:
-    """Repeat the long HMC run of an experiment, settings and seed the same, with a weight for every mode."""
+    """Repeat the long HMC run of an experiment with a weight for every mode, and return the trace.
+
+    Settings and seed are those of the long run.
+    """
     from fmu import cases
 
     beta = relative_weights(result.published.measured_hz)
@@ -97,7 +103,7 @@ def sample_weighted(result: Result, plan: Plan, progress: Report | None = None) 
 
 
 def side_by_side(result: Result, weighted: xr.DataTree) -> VectorBeta:
-    """Return tables that compare the long HMC run, of one β, with the run of `sample_weighted`."""
+    """Return tables that compare the long HMC run with the scalar β and the run of `sample_weighted`."""
     import pandas as pd
 
     traces = {SCALAR: result.long[SAMPLER], VECTOR: weighted}
@@ -140,12 +146,12 @@ REMARK = (
     "all of the natural frequencies. Choosing β as a vector, to weight the natural frequencies, would improve the "
     "first natural frequency results."
 )
-"""Section 5.1, the paragraphs after Table 2."""
+"""The remark in section 5.1 of the paper, after Table 2."""
 NAMES = {SCALAR: "scalar β = 1", VECTOR: f"vector β, σ = {share(RELATIVE)}"}
 
 
 def vector_beta_page(studies: Sequence[VectorBeta]) -> str:
-    """Return vector-beta.md."""
+    """Return the content of vector-beta.md."""
     parts = [
         "# A β for every mode\n",
         f"The paper, section 5.1, after Table 2: *{REMARK}* It does not test this.\n",
@@ -167,7 +173,7 @@ def vector_beta_page(studies: Sequence[VectorBeta]) -> str:
 
 
 def outcome(study: VectorBeta) -> str:
-    """Return in a line how the error of mode 1 changed, and the errors of the other modes."""
+    """Return sentences on the change of the error of mode 1, and on the largest errors of the other modes."""
     first, others = study.modes.iloc[0], study.modes.iloc[1:].max()
     return (
         f"{study.title}: {study.outcome}. Mode 1 is off by {fixed(first['initial_error'], 2)} % before "
@@ -212,7 +218,7 @@ def _parameters(study: VectorBeta) -> str:
 
 
 def plot_vector_beta(studies: Sequence[VectorBeta], figure: Figure | None = None) -> Figure:
-    """Draw the error of every mode with the scalar and with the vector β, one panel per experiment."""
+    """Draw the error of every mode with the scalar β and with the vector β, one panel per experiment."""
     figure = figure or new_figure(3.4 * len(studies) + 0.6, 4.2)
     frames = figure.subplots(1, len(studies), sharey=True, squeeze=False)[0]
     looks = {

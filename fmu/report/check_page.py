@@ -1,4 +1,4 @@
-"""The page of `fmu check`: a problem before sampling."""
+"""The HTML page of `fmu check`, which examines a problem before sampling."""
 
 from __future__ import annotations
 
@@ -45,23 +45,23 @@ _MOST_SHAPES = 12
 
 
 def write_check(found: Check, directory: str | os.PathLike[str]) -> Path:
-    """Write the findings on a problem as a page.
+    """Write the results of a check of a problem as an HTML page.
 
     Parameters
     ----------
     found : Check
     directory : path-like
-        Created if it does not exist.
+        Output directory, created if it does not exist.
 
     Returns
     -------
     Path
-        ``index.html`` in that directory, a self-contained file.
+        The path of ``index.html`` in that directory, a self-contained file.
 
     Raises
     ------
     ValueError
-        If a file that fmu did not write is in the way.
+        If the page would overwrite a file that fmu did not write.
     """
     output = OutputDirectory(directory)
     name = f"{INDEX}.html"
@@ -72,7 +72,7 @@ def write_check(found: Check, directory: str | os.PathLike[str]) -> Path:
 
 
 def check_page(found: Check) -> Page:
-    """Return the page: verdicts, structure, modes, prior prediction, identifiability and gradient."""
+    """Return the page with verdicts, structure, modes, prior prediction, identifiability and gradient."""
     sections = [_model(found), _modes(found), *_sensors(found), _prior(found)]
     if found.identifiability is not None:
         sections.append(_identifiability(found.identifiability))
@@ -129,7 +129,7 @@ def _model(found: Check) -> PageSection:
     parts: list[Part] = [Items(found.model)]
     if found.drawing:
         caption = "Squares: supports. Discs: masses. Zigzags, rings: springs. Arrows, small dots: sensors."
-        # fmu.fem.frame.drawing escapes what it writes
+        # fmu.fem.frame.drawing escapes the text in the drawing
         drawing = Markup(found.drawing) + legend_of_parameters(
             found.parameters.index, found.colours, found.drawing
         )
@@ -172,7 +172,7 @@ def _modes(found: Check) -> PageSection:
 
 
 def _sensors(found: Check) -> list[PageSection]:
-    """Return the section on sensors where test and model disagree, if shapes were measured."""
+    """Return a list with the section on the agreement at the sensors; empty if no shapes were measured."""
     alike = found.modes.correlation
     if alike is None:
         return []
@@ -193,7 +193,7 @@ def _sensors(found: Check) -> list[PageSection]:
 
 
 def _shapes(found: Check, shapes: xr.Dataset) -> tuple[Picture, ...]:
-    """Return drawings of the structure deformed in each measured mode, at most twelve."""
+    """Return pictures of the computed modes paired with the measured modes, for at most 12 measured modes."""
     coordinates, ends = shapes["coordinates"].to_numpy(), shapes["ends"].to_numpy()
     pictures = []
     for k, label in enumerate(found.modes.labels[:_MOST_SHAPES]):

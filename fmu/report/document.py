@@ -1,4 +1,4 @@
-"""The parts of a page of a report; templates give them their look."""
+"""The contents of a report page as data classes; the HTML templates determine their layout."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ if TYPE_CHECKING:
 
 
 class _Part:
-    """What every part of a page says of its layout."""
+    """Base class of the parts of a page, with the properties that determine their layout."""
 
     is_words: ClassVar[bool] = False
     fills_desk: ClassVar[bool] = False
-    """Whether it leaves no half of a desk white beside a narrow figure."""
+    """Whether the part fills the space beside a narrow figure on a desktop screen."""
 
     @property
     def fits_beside(self) -> bool:
-        """Whether it has room beside a narrow figure on a desk."""
+        """Whether the part fits beside a narrow figure on a desktop screen."""
         return self.is_words
 
     @property
     def is_narrow_figure(self) -> bool:
-        """Whether it is a single figure that others have room beside."""
+        """Whether the part is a single figure, narrow enough for other parts to fit beside it."""
         return False
 
 
 @dataclass(frozen=True)
 class Text(_Part):
-    """A paragraph."""
+    """A paragraph of text."""
 
     kind: ClassVar[str] = "text"
     is_words: ClassVar[bool] = True
@@ -66,29 +66,29 @@ class Link:
 
 
 _LONG = 16
-"""Rows of a table that a page shows at once."""
+"""Largest number of rows of a table that is not folded."""
 _NARROW, _BESIDE = 560, 808
-"""Widths in CSS pixels of a figure, and of what is beside it, on a desk."""
+"""Widths in CSS pixels of a narrow figure, and of the part beside it, on a desktop screen."""
 _LETTER, _PADDING = 8.7, 13.0
-"""Widths in CSS pixels of a digit of a table beside a figure, and of the padding of a cell."""
+"""Widths in CSS pixels of a digit in a table beside a figure, and of the padding of a table cell."""
 _HIGH = 1200
-"""Height in CSS pixels of figures that a page shows at once."""
+"""Largest height in CSS pixels of a figure that is not folded."""
 
 
 @dataclass(frozen=True)
 class PageTable(_Part):
-    """A table.
+    """A table on a page.
 
     Attributes
     ----------
     caption : str
     header : tuple of str
     rows : tuple of tuple of (str or Link)
-        Each as long as the header; the first cell names the row.
+        Each row is as long as the header; its first cell names the row.
     words : tuple of int
-        Columns that hold words, aligned to the left, beside the first.
+        Indices of the columns of words, which are aligned to the left like the first column.
     greyed : tuple of int
-        Rows in grey: parameters that the data did not inform.
+        Indices of the rows shown in grey: parameters that the data did not inform.
     """
 
     kind: ClassVar[str] = "table"
@@ -106,7 +106,7 @@ class PageTable(_Part):
 
     @property
     def is_long(self) -> bool:
-        """Whether it is folded on a page."""
+        """Whether the table is long enough to be folded on a page."""
         return len(self.rows) > _LONG
 
     @property
@@ -116,7 +116,7 @@ class PageTable(_Part):
 
     @property
     def fits_beside(self) -> bool:
-        """Whether the words of its header and its longest cells have room beside a narrow figure, about."""
+        """Whether the estimated width of the table fits beside a narrow figure on a desktop screen."""
         columns = zip(self.header, *self.rows, strict=True)
         letters = sum(max(_longest(head.split()), _longest(map(str, cells))) for head, *cells in columns)
         return _LETTER * letters + _PADDING * len(self.header) <= _BESIDE
@@ -124,19 +124,19 @@ class PageTable(_Part):
 
 @dataclass(frozen=True)
 class Picture(_Part):
-    """A drawing.
+    """A figure or drawing on a page.
 
     Attributes
     ----------
     svg : Markup
-        With a description for those who cannot see it.
+        An SVG element with a text description for readers who cannot see it.
     caption : str
     width, height : int
-        Its natural size in CSS pixels; zero if the height is not known.
+        The natural size in CSS pixels; the height is zero if unknown.
     name : str
-        Of the files in which a reader keeps it.
+        The stem of the file names under which a reader saves the picture or its data.
     content : mapping
-        Its numbers for the script ``figures.js``, see `fmu.report.figure_data`; empty if there are none.
+        The plotted numbers for the script ``figures.js`` (`fmu.report.figure_data`); empty if there are none.
     """
 
     kind: ClassVar[str] = "picture"
@@ -149,7 +149,7 @@ class Picture(_Part):
 
     @property
     def is_high(self) -> bool:
-        """Whether it is folded on a page."""
+        """Whether the picture is high enough to be folded on a page."""
         return self.height > _HIGH
 
     @property
@@ -159,34 +159,34 @@ class Picture(_Part):
 
     @property
     def packed(self) -> str:
-        """The content as the script reads it."""
+        """The content in the compressed format that the script reads."""
         return pack(self.content)
 
 
 @dataclass(frozen=True)
 class Pictures(_Part):
-    """Drawings side by side if the page is wide enough."""
+    """Pictures that are placed side by side if the page is wide enough."""
 
     kind: ClassVar[str] = "pictures"
     pictures: tuple[Picture, ...]
 
     @property
     def is_narrow_figure(self) -> bool:
-        """Whether it is a single figure that others have room beside."""
+        """Whether the part is a single figure, narrow enough for other parts to fit beside it."""
         first = self.pictures[0]
         return len(self.pictures) == 1 and first.width <= _NARROW and not first.is_high
 
 
 @dataclass(frozen=True, eq=False)
 class View(_Part):
-    """A drawing that readers turn, by the script ``structure.js``; hidden where scripts are off, and in print.
+    """A drawing that readers rotate, by the script ``structure.js``; hidden without scripts and in print.
 
     Attributes
     ----------
     name : str
-        Unique on the page.
+        A name that is unique on the page.
     content : mapping
-        What is drawn, see `fmu.report.model_view`.
+        The drawn structure and its modes (`fmu.report.model_view`).
     caption : str
     """
 
@@ -197,13 +197,13 @@ class View(_Part):
 
     @property
     def packed(self) -> str:
-        """The content as the script reads it."""
+        """The content in the compressed format that the script reads."""
         return pack(self.content)
 
 
 @dataclass(frozen=True)
 class Details(_Part):
-    """Parts that are hidden until they are opened."""
+    """Parts of a page that are hidden until the reader opens them."""
 
     kind: ClassVar[str] = "details"
     summary: str
@@ -215,7 +215,7 @@ Part = Text | Items | PageTable | Picture | Pictures | View | Details
 
 @dataclass(frozen=True)
 class PageSection:
-    """A heading and the parts below it."""
+    """A section of a page: a heading and the parts below the heading."""
 
     id: str
     title: str
@@ -223,17 +223,17 @@ class PageSection:
 
     @property
     def shown(self) -> tuple[PageSection, ...]:
-        """The section itself."""
+        """A tuple that contains only this section."""
         return (self,)
 
     @property
     def omissions(self) -> tuple[str, ...]:
-        """Nothing is omitted."""
+        """An empty tuple: nothing is omitted."""
         return ()
 
     @property
     def has_figure_beside(self) -> bool:
-        """Whether its only narrow figure, the last part, has room beside the other parts on a desk."""
+        """Whether the last part is a narrow figure that fits beside the other parts on a desktop screen."""
         *others, last = self.parts
         is_filled = any(part.fills_desk for part in others)
         return last.is_narrow_figure and is_filled and all(part.fits_beside for part in others)
@@ -247,7 +247,7 @@ class Omitted:
     ----------
     title : str
     reason : str
-        Why it is omitted: half a sentence, without a full stop.
+        Why the section is omitted: half a sentence, without a full stop.
     """
 
     title: str
@@ -255,12 +255,12 @@ class Omitted:
 
     @property
     def shown(self) -> tuple[PageSection, ...]:
-        """No section."""
+        """An empty tuple: no section is shown."""
         return ()
 
     @property
     def omissions(self) -> tuple[str, ...]:
-        """What is omitted and why, in a sentence."""
+        """A tuple with one sentence that says what is omitted and why."""
         return (f"{self.title}: {self.reason}.",)
 
 
@@ -269,21 +269,21 @@ NOTES = "Notes on the model and the data"
 
 @dataclass(frozen=True)
 class Verdict:
-    """The answer to one question about a run: a line of the first screen, and reasons below it.
+    """The verdict on one question about a run: one line of the first screen, and the reasons below it.
 
     Attributes
     ----------
     question, answer : str
     is_good : bool or None
-        None if the answer is neither good nor bad.
+        Whether the answer is favourable; None if it is neither good nor bad.
     because : str
-        Heading of the reasons; empty for a fact, which needs none.
+        Heading of the list of reasons; empty for a fact, which needs no reasons.
     reasons : tuple of str
         Reasons for the answer.
     said : str
-        A sentence beside the answer.
+        A sentence shown beside the answer.
     notes : tuple of str
-        What else to know about the question; no reason for the answer.
+        Further remarks on the question that are not reasons for the answer.
     """
 
     question: str
@@ -296,12 +296,12 @@ class Verdict:
 
     @property
     def lists(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
-        """The lists below the first screen, each with its heading: reasons, notes."""
+        """The headings and contents of the lists below the first screen: reasons and notes, if not empty."""
         return tuple(one for one in ((self.because, self.reasons), (NOTES, self.notes)) if one[1])
 
     @property
     def tone(self) -> str:
-        """How it looks: ``"fact"``, ``"unknown"``, ``"good"`` or ``"bad"``."""
+        """The style class of the answer: ``"fact"``, ``"unknown"``, ``"good"`` or ``"bad"``."""
         if self.is_good is None:
             return "unknown" if self.because else "fact"
         return "good" if self.is_good else "bad"
@@ -309,16 +309,16 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Page:
-    """A page.
+    """A page of a report.
 
     Attributes
     ----------
     title : str
-        Its heading: the name of the problem.
+        The heading: the name of the problem.
     subtitle : str
-        What the page is about, below it.
+        The subject of the page, below the heading.
     lead : str
-        One more line.
+        One more line below the subtitle.
     verdicts : tuple of Verdict
         Verdicts at the top of the page.
     sections : tuple of PageSection
@@ -326,11 +326,11 @@ class Page:
         The other pages of the report.
     footer : str
     assumptions : tuple of Part
-        What the verdicts rest on, in a box below them; none if empty.
+        The assumptions of the verdicts, in a box below the verdicts; no box if empty.
     drawing : Markup or str
-        The structure, in the head of the page; empty if there is none to draw.
+        A drawing of the structure in the head of the page; empty if there is no structure to draw.
     leading : tuple of PageSection
-        Sections directly below the verdicts, before the reasons for them.
+        Sections directly below the verdicts, before the reasons for the verdicts.
     """
 
     title: str
@@ -362,27 +362,27 @@ def _longest(words: Iterable[str]) -> int:
 
 
 def breaking_at_commas(text: str) -> str:
-    """Return a text for a narrow column, which breaks its lines after commas only."""
+    """Return a text whose lines break after commas only, for a narrow column."""
     return text.replace(" ", "\N{NO-BREAK SPACE}").replace(",\N{NO-BREAK SPACE}", ", ")
 
 
 def picture(
     axes: Axes | AxesArray, key: str, alt: str, caption: str, data: Mapping[str, object] | None = None
 ) -> Picture:
-    """Return the figure of some axes as a picture on a page.
+    """Return the figure that contains `axes` as a picture on a page.
 
     Parameters
     ----------
     axes : Axes or ndarray of Axes
         The axes of one figure.
     key : str
-        A prefix of its ids, unique on the page.
+        A prefix for the ids in the SVG element, unique on the page; also the name of the picture.
     alt : str
-        What the figure shows, in words and numbers.
+        A description of the figure in words and numbers.
     caption : str
-        The text below it.
+        The text below the figure.
     data : mapping, optional
-        Its content, if not what `figure_data` reads from it.
+        The content of the picture. By default `figure_data` reads it from the figure.
     """
     figure = np.asarray(axes).ravel()[0].figure
     svg = inline_svg(figure, key, alt)

@@ -1,4 +1,4 @@
-"""Export of an updated model to the program that it came from: matrices, and a problem file with new starts."""
+"""Export of an updated model: system matrices, filled input decks and a problem file with the updated values."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ FOLDER = "export"
 _WORDS = {"mean": "posterior mean", "map": "highest maximum of the posterior"}
 AT = tuple(_WORDS)
 _MATCHING = 1e-5
-"""Largest relative difference between the frequencies of the kept draws and those of the problem built again."""
+"""Largest relative difference allowed between frequencies in the trace and those of the rebuilt problem."""
 _DRAWS = 4
 _TAIL = 0.01
 
@@ -73,12 +73,13 @@ class Exported:
     Attributes
     ----------
     directory : Path
+        The output directory.
     files : tuple of str
-        In the directory.
+        The exported files, as paths relative to the directory.
     sampler : str
-        The sampler whose draws were used.
+        Name of the sampler whose draws were used.
     remarks : tuple of str
-        Warnings about the values, a sentence each.
+        Warnings about the exported values, a sentence each.
     """
 
     directory: Path
@@ -95,41 +96,51 @@ def export(
     out: str | os.PathLike[str] | None = None,
     model: str | os.PathLike[str] | None = None,
 ) -> Exported:
-    """Write the updated values of a run and the model at them.
+    """Write the updated parameter values of a run, and the model evaluated at these values.
 
     Parameters
     ----------
     run_directory : path-like
         A directory that `fmu run` wrote.
     sampler : str, optional
-        The sampler whose draws are used; by default a converged one, the one with the most effective draws.
+        The sampler whose draws are used. By default `fmu.analysis.convergence.diagnosis.choose_run` selects it: a
+        converged one if there is any, with the largest effective sample size.
     at : {"mean", "map"}
-        The posterior mean, or the highest maximum of the posterior that the run found.
+        The exported values: the posterior mean, or the highest maximum of the posterior that the run found.
     out : path-like, optional
-        Output directory; by default ``export`` in the directory of the run.
+        Output directory. The default is ``export`` in the directory of the run.
     model : path-like, optional
-        The problem file, needed if the run has no copy of it or the files that it names have moved.
+        The problem file, needed if the run has no copy of it, or if the files that it names have moved.
 
     Returns
     -------
     Exported
-        ``theta.csv``: each parameter's unit, start, mean, standard deviation and the value chosen, SI units, and
-        what determined it: the data, the prior or a combination.
-        ``updated.toml``: the problem file with these values as start, its comments kept, and copies of the files
-        that it names. For a structure also ``K.mtx`` and ``M.mtx`` at the values, in Matrix Market format, and
-        ``dofs.csv``, the degrees of freedom of their rows; where its geometry is known, the updated and measured
-        mode shapes (`fmu.report.mode_files.write_modes`). The input decks whose templates the problem file names,
-        for its model or under ``[export]``, are filled with these values (`fmu.formats.decks`). Of several tests,
-        ``theta.csv`` has all that was inferred; starts, decks and matrices are at the shared values, those of the
-        reference state, the means or medians of populations, and for what varies freely the values in the first
-        test or group, all at mean covariates. Masses and springs that were added for a test are left out of the
-        matrices.
+        The output directory, the exported files, the sampler used and warnings. The exported files are:
+
+        ``theta.csv``: the unit, start value, posterior mean, posterior standard deviation and exported value of
+        each parameter, in SI units, and what determined the value: the data, the prior or a combination.
+
+        ``updated.toml``: the problem file with the exported values as start values and its comments kept. The
+        files that it names are copied beside it.
+
+        ``K.mtx``, ``M.mtx`` and ``dofs.csv``, for a structure: the stiffness and mass matrices at the exported
+        values, in Matrix Market format, and the degrees of freedom of their rows. If the geometry of the structure
+        is known, also the updated and measured mode shapes (`fmu.report.mode_files.write_modes`).
+
+        Input decks: each template that the problem file names, for its model or under ``[export]``, filled with
+        the exported values (`fmu.formats.decks`).
+
+        For a problem with several tests, ``theta.csv`` lists every inferred quantity. Start values, decks and
+        matrices then use the shared parameters, the reference state, the mean or median of each population, and,
+        for a parameter that varies freely, its value in the first test or group, all at mean covariates. The
+        matrices do not include masses and springs that were added for a test.
 
     Raises
     ------
     ValueError
-        If the directory contains no traces, none of the sampler or no maxima, `at` is unknown, the problem is
-        not the one that was sampled, or files that fmu did not write are in the way.
+        If the directory contains no traces, or no trace of `sampler`; if `at` is unknown, or is ``"map"`` and the
+        run found no maxima; if the problem is not the one that was sampled; or if the export would overwrite files
+        that fmu did not write.
     """
     directory = Path(run_directory)
     if at not in AT:
@@ -172,9 +183,10 @@ def export(
 
 
 def in_the_file(parameters: Sequence[str], names: Sequence[str]) -> dict[str, str]:
-    """Return the name of the inferred quantity that gives each parameter of the structure its value in the file.
+    """Return a dict from each parameter of the structure to the inferred quantity exported as its value.
 
-    It is the parameter itself, the mean or median of its population, or its value in the first test or group.
+    This quantity is the parameter itself, the mean or median of its population, or the parameter's value in the
+    first test or group.
     """
     found = {}
     for parameter in parameters:
@@ -185,7 +197,7 @@ def in_the_file(parameters: Sequence[str], names: Sequence[str]) -> dict[str, st
 
 
 def read_choice(directory: Path, sampler: str | None) -> tuple[str, xr.DataTree, Diagnosis]:
-    """Return name, trace and verdict of the given sampler, or of the sampler that `choose_run` prefers."""
+    """Return the name, trace and diagnosis of the given sampler, or by default of the one `choose_run` selects."""
     traces = {path.stem: load_trace(path) for path in sorted(directory.glob("*.nc"))}
     if not traces:
         raise ValueError(f"run_directory: {why_no_traces(Path(directory))}")
@@ -215,8 +227,8 @@ def _problem_again(file: Path, folder: Path, pairing: str | None) -> tuple[Probl
 def _check_same(problem: UpdatingProblem, trace: xr.DataTree) -> None:
     """Raise ValueError unless the problem is the one that was sampled.
 
-    The matrices may differ by rounding, as on another machine: then the frequencies at some draws must agree with
-    those in the trace.
+    The model matrices may differ by rounding, for example on another machine. In that case the model frequencies
+    at a few draws must agree with the frequencies stored in the trace.
     """
     sampled = problem_of(trace)
     now = json.loads(canonical_json(problem.configuration()))
@@ -253,7 +265,7 @@ def _values(trace: xr.DataTree, theta: FloatArray, found: Information | None) ->
 def _remarks(
     problem: UpdatingProblem, trace: xr.DataTree, theta: FloatArray, at: str, diagnosis: Diagnosis
 ) -> list[str]:
-    """Return warnings about the values: chains that have not converged, a mean outside the posterior."""
+    """Return warnings if the chains have not converged, or if the mean lies outside the bulk of the posterior."""
     remarks = [] if diagnosis.converged else [f"The run is {diagnosis.verdict}."]
     if at == "mean":
         lp = array_of(trace, "sample_stats", "lp")
@@ -266,7 +278,7 @@ def _remarks(
 
 
 def _from_prior(names: Sequence[str]) -> list[str]:
-    """Return a warning if the data did not inform some of the values."""
+    """Return a list with the warning that the data did not inform `names`; an empty list if `names` is empty."""
     if not names:
         return []
     come = "their values come from their priors" if len(names) > 1 else "its value comes from its prior"
@@ -280,7 +292,7 @@ def _not_in_a_deck(names: Sequence[str]) -> list[str]:
 
 
 def _incomplete(file: Path) -> list[str]:
-    """Return a warning if the updated file needs files that were not copied, such as imported modules."""
+    """Return a list with a warning if the updated file needs files that were not copied, such as modules."""
     from fmu.config import ConfigurationError
 
     try:
@@ -294,7 +306,10 @@ def _incomplete(file: Path) -> list[str]:
 def write_matrices(
     model: SeparableModel, places: Mapping[str, Hashable], theta: FloatArray, about: str, folder: Path
 ) -> None:
-    """Write the lower triangles of K and M at theta in Matrix Market format, and the table of their rows."""
+    """Write the lower triangles of the stiffness and mass matrices at `theta`, and the table of their rows.
+
+    The matrices are written in Matrix Market format, the table of degrees of freedom as CSV.
+    """
     from scipy.io import mmwrite
 
     for name, matrix, words in (
@@ -303,19 +318,19 @@ def write_matrices(
     ):
         symmetric = 0.5 * (matrix + matrix.T)
         comment = f" {words} {about} {DOFS} names the rows; entries above the diagonal are omitted."
-        with (folder / name).open("wb") as file:  # given a name, mmwrite would write ASCII
+        with (folder / name).open("wb") as file:  # mmwrite would write ASCII to a file given by name
             mmwrite(file, symmetric.tocoo(), comment=_ascii(comment), precision=17, symmetry="symmetric")
     dof_table(model, places).to_csv(folder / DOFS, index=False)
 
 
 def write_decks(templates: Sequence[str], source: Path, values: Mapping[str, float], target: Path) -> set[str]:
-    """Write templates with their placeholders filled (`fmu.formats.decks`); return the names that none has."""
+    """Write input decks from templates (`fmu.formats.decks`), and return the names in `values` that none uses."""
     unused = set(values)
     for template in templates:
         text = read_deck(source / template)
         path = target / filled_name(template)
         path.parent.mkdir(parents=True, exist_ok=True)
-        if path.exists():  # a copy of a file of the model
+        if path.exists():  # a file of the model was copied under this name
             path = path.with_name(f"updated-{path.name}")
         write_deck(path, fill_deck(text, values))
         unused -= placeholders(text)
@@ -323,9 +338,10 @@ def write_decks(templates: Sequence[str], source: Path, values: Mapping[str, flo
 
 
 def dof_table(model: SeparableModel, places: Mapping[str, Hashable]) -> pd.DataFrame:
-    """Return the degree of freedom of each row: ``row`` from 1, ``node``, ``place`` if named, ``direction``.
+    """Return a data frame with the degree of freedom of each row of the matrices.
 
-    If the geometry is known also ``x``, ``y``, ``z`` of the node, m.
+    Its columns are ``row`` (counted from 1), ``node``, ``place`` (the name of the node, empty if it has none) and
+    ``direction``; if the geometry is known, also the coordinates ``x``, ``y``, ``z`` of the node in m.
     """
     import pandas as pd
 

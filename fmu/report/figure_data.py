@@ -1,8 +1,9 @@
-"""The numbers of a figure, read from what matplotlib draws: for the pointer, for zooming, and for CSV.
+"""The numbers plotted in a Matplotlib figure, for values at the pointer, for zooming and for CSV files.
 
-Matplotlib is the one renderer: its SVG is printed, and the script answers on it, so that both have the same
-numbers. uPlot (50 kB) would draw every figure a second time and gives no SVG; Observable Plot with D3, Vega-Lite
-and Plotly's basic bundle take from half of a page's 700 kB to more than all of them, and would draw twice, too.
+Matplotlib is the only renderer: the page shows its SVG, and the script responds on this SVG, so that print and
+screen show the same numbers. uPlot (50 kB) would draw every figure a second time and produces no SVG. Observable
+Plot with D3, Vega-Lite and Plotly's basic bundle would also draw every figure twice, and their sizes range from
+half of a page's 700 kB to more than all of it.
 """
 
 from __future__ import annotations
@@ -26,28 +27,31 @@ if TYPE_CHECKING:
     from matplotlib.typing import ColorType
 
 MOST_ORDINATES = 7_000
-"""Ordinates that a page keeps of a figure; of longer paths only every second point, every third …"""
+"""About the largest number of ordinates kept per figure; longer paths are thinned to every k-th point."""
 _MOST_DRAWN = 12_000
-"""Numbers of the draws that a page keeps beside their pairs."""
+"""Largest number of values (draws of parameters and frequencies) kept for the linked pair plots of a page."""
 _POINTS = 72.0
 
 
 def figure_data(figure: Figure, most: int = MOST_ORDINATES) -> dict[str, object]:
-    """Return the panels of a figure whose axes are placed for good.
+    """Return a dict of the panels of a figure and the numbers plotted in them.
 
     Parameters
     ----------
     figure : Figure
+        A figure whose layout is final.
     most : int
-        About so many ordinates of paths are kept.
+        Approximate number of ordinates of paths that are kept.
 
     Returns
     -------
     dict
-        ``panels``: of each ``box`` (left, top, width, height in points from the upper left), ``x`` and ``y``
-        (range, label, whether logarithmic, names of places), ``title``, and ``series``, each with ``label``,
-        ``colour``, ``kind`` (``"path"``, ``"points"``, ``"spans"`` or ``"cells"``), ``x``, ``y``, and of spans
-        ``high``, of cells ``values``. ``every``: the distance of the points of paths that are kept.
+        ``panels``: a list with a dict for each panel that contains series. Its keys are ``box`` (left, top, width
+        and height in points from the upper left corner), ``title``, ``x`` and ``y`` (for each axis the range, the
+        label, whether it is logarithmic, and the names of named ticks) and ``series``. Each series has ``label``,
+        ``colour``, ``kind`` (``"path"``, ``"points"``, ``"spans"`` or ``"cells"``), ``x`` and ``y``; spans also
+        have ``high``, and cells ``values``.
+        ``every``: the thinning interval k; every k-th point of a path is kept.
     """
     from matplotlib.colors import to_hex
     from matplotlib.lines import Line2D
@@ -62,12 +66,12 @@ def figure_data(figure: Figure, most: int = MOST_ORDINATES) -> dict[str, object]
     every = max(1, -(-n // most))
     found = (
         (axes, _series(axes, names, every)) for axes in figure.axes if axes.axison
-    )  # drawings have no numbers
+    )  # axes that are switched off show drawings without numbers
     return {"every": every, "panels": [_panel(axes) | {"series": series} for axes, series in found if series]}
 
 
 def linked_draws(axes: AxesArray, trace: xr.DataTree, names: Sequence[str]) -> dict[str, object]:
-    """Return draws and the frequencies of the model at them, for the panels of `plot_corner`.
+    """Return a dict of draws and of the model frequencies at these draws, for the panels of `plot_corner`.
 
     Parameters
     ----------
@@ -79,8 +83,9 @@ def linked_draws(axes: AxesArray, trace: xr.DataTree, names: Sequence[str]) -> d
     Returns
     -------
     dict
-        ``pairs``: ``panels`` as in `figure_data`, n² of them; ``names``, ``units``; ``columns``, the draws of each
-        parameter; ``modes``, each with ``label``, ``hz`` at the draws, and the ``measured`` frequency.
+        The key ``pairs`` with a dict of ``panels``, n² of them, as in `figure_data` but without series; ``names``
+        and ``units`` of the parameters; ``columns``, the draws of each parameter in its unit; and ``modes``, each
+        with its ``label``, the frequencies ``hz`` at the draws and the ``measured`` frequency, in Hz.
     """
     units = [unit_of(trace, name) for name in names]
     draws = [
@@ -107,7 +112,7 @@ def linked_draws(axes: AxesArray, trace: xr.DataTree, names: Sequence[str]) -> d
 
 
 def _panel(axes: Axes) -> dict[str, object]:
-    """Return box, title and axes of a panel."""
+    """Return a dict of the box, the title and both axes of a panel."""
     figure = axes.get_figure(root=True)
     if figure is None:
         raise ValueError("axes: must be on a figure")
@@ -121,12 +126,12 @@ def _panel(axes: Axes) -> dict[str, object]:
 
 
 def plain(text: str) -> str:
-    """Return a label in one line, as its author wrote it."""
+    """Return a label in one line, with escaped dollar signs unescaped."""
     return " ".join(text.replace(r"\\$", "$").replace(r"\$", "$").split())
 
 
 def _below(axes: Axes) -> str:
-    """Return the label of the abscissa; panels in a column share the lowest one's."""
+    """Return the label of the abscissa; panels without a label take it from a panel that shares the abscissa."""
     together = axes.get_shared_x_axes().get_siblings(axes)
     return axes.get_xlabel() or next((other.get_xlabel() for other in together if other.get_xlabel()), "")
 
@@ -137,7 +142,7 @@ def _axis(axis: Axis, limits: tuple[float, float], label: str) -> dict[str, obje
     named, written = {}, axis.get_major_formatter()
     if isinstance(axis.get_major_locator(), FixedLocator) and isinstance(
         written, FuncFormatter
-    ):  # places, not values
+    ):  # the ticks are named positions, not values
         named = {f"{place:g}": plain(name) for place in axis.get_majorticklocs() if (name := written(place))}
     return {
         "range": [float(x) for x in limits],
@@ -148,7 +153,7 @@ def _axis(axis: Axis, limits: tuple[float, float], label: str) -> dict[str, obje
 
 
 def _paths(axes: Axes) -> list[Line2D]:
-    """Return the lines of some axes that are data, without marks that cross the whole axes at a value."""
+    """Return the lines in `axes` that show data, without reference lines that cross the whole axes."""
     return [
         line for line in axes.lines if line.get_transform() == axes.transData and len(np.asarray(line.get_xdata()))
     ]
@@ -183,7 +188,7 @@ def _series(axes: Axes, names: dict[str, str], every: int) -> list[dict[str, obj
 
 
 def _bars(axes: Axes) -> list[dict[str, object]]:
-    """Return the ends of lying bars and the tops of standing ones; steps are standing bars without gaps."""
+    """Return a series of the ends of horizontal bars or the tops of vertical bars, for each group of bars."""
     from matplotlib.colors import to_hex
     from matplotlib.container import BarContainer
 

@@ -1,7 +1,7 @@
-"""An output directory that may also contain other files: results are published together, other files left alone.
+"""An output directory whose results are published together, and in which no other file is changed.
 
-Files are made in a hidden directory and moved into place when all of them are complete. A manifest in the
-directory lists what was written; only files in it are ever replaced or removed.
+The files are written to a hidden directory and moved into place when all of them are complete. A manifest in the
+output directory lists the files written; only files listed in it are ever replaced or removed.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
 MANIFEST = "manifest.json"
-# The mark of a manifest, by which directories that fmu has written before are known: it must not be reworded.
+# This text identifies a manifest written by fmu, so it must not be reworded.
 _ABOUT = (
     "Written by fmu. The next run replaces these files, takes away those it no longer writes, and nothing else."
 )
@@ -27,12 +27,12 @@ class OutputDirectory:
     Parameters
     ----------
     root : path-like
-        Created when something is published, unless it exists.
+        The directory, created by `stage_files` if it does not exist.
 
     Raises
     ------
     ValueError
-        If `root` is not a directory, or its manifest is invalid.
+        If `root` exists but is not a directory, or if its manifest is invalid.
     """
 
     def __init__(self, root: str | os.PathLike[str]) -> None:
@@ -42,7 +42,10 @@ class OutputDirectory:
         self.written = self._read()
 
     def check(self, names: Iterable[str]) -> None:
-        """Raise ValueError if files that fmu did not write are in the way of `names` (relative)."""
+        """Raise ValueError if writing the files `names` would overwrite files that fmu did not write.
+
+        The names are paths relative to the directory.
+        """
         foreign = [name for name in _relative(names) if name not in self.written and self._stands(name)]
         if foreign:
             listed = ", ".join(foreign[:3]) + (", …" if len(foreign) > 3 else "")
@@ -53,7 +56,7 @@ class OutputDirectory:
 
     @contextmanager
     def stage_files(self) -> Iterator[Path]:
-        """Yield an empty directory to write into, and publish its files at the end, unless there was an error."""
+        """Yield an empty directory to write files into, which are published at the end unless an error occurs."""
         made = [path for path in (self.root, *self.root.parents) if not path.exists()]
         self.root.mkdir(parents=True, exist_ok=True)
         stage = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=self.root))
@@ -67,10 +70,10 @@ class OutputDirectory:
                     path.rmdir()
 
     def _publish(self, stage: Path) -> None:
-        """Move every file of `stage` into place and remove the files of an earlier run that it lacks.
+        """Move every file of `stage` into place, and remove files of an earlier run that `stage` does not contain.
 
-        The manifest lists a file before the file is written, so that after an interruption all written files are
-        known as fmu's.
+        The manifest lists each file before the file is moved into place. After an interruption, all moved files
+        are therefore known to be written by fmu.
         """
         names = sorted(path.relative_to(stage).as_posix() for path in stage.rglob("*") if path.is_file())
         self.check(names)
@@ -85,7 +88,7 @@ class OutputDirectory:
         self._write(set(names))
 
     def _stands(self, name: str) -> bool:
-        """Return whether something is in the way: a file of that name, or a file in place of a directory."""
+        """Return True if a file of this name exists, or if a file exists where a parent directory is needed."""
         path = self.root / name
         above = [parent for parent in path.parents if self.root in parent.parents]
         return os.path.lexists(path) or any(os.path.lexists(p) and not p.is_dir() for p in above)
@@ -114,7 +117,10 @@ class OutputDirectory:
 
 
 def _relative(names: Iterable[str]) -> list[str]:
-    """Return the names; ValueError unless every one is a path below the directory, and not the manifest's."""
+    """Return the names, after checking them.
+
+    Raises ValueError if a name is not a path below the directory, or is the name of the manifest.
+    """
     checked = []
     for name in names:
         path = PurePosixPath(name)

@@ -1,4 +1,4 @@
-"""Updated and measured mode shapes as files for ParaView (VTU) and for programs of modal testing (UFF)."""
+"""Files of updated and measured mode shapes for ParaView (VTU) and for modal-testing software (UFF)."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 
 _AXES = ("x", "y", "z")
 _KEPT = 0.9
-"""An expanded shape that keeps less than this of the measured one is told."""
+"""Threshold of the retained share of a measured shape below which its expansion causes a warning."""
 
 
 def write_modes(problem: UpdatingProblem, theta: FloatArray, folder: Path) -> list[str]:
-    """Write the modes at theta (ndim,) of a structure with geometry, and the measured ones beside them.
+    """Write the mode shapes of the structure at `theta` (ndim,), and the measured mode shapes, to `folder`.
 
-    ``modes.vtu`` has the mesh with the displacements in every updated mode, and in the measured ones, expanded by
-    SEREP (`fmu.fem.pairing.expansion`) and scaled to them. With pyuff, ``updated.uff`` has nodes, elements and
-    updated modes, ``measured.uff`` the sensors and what was measured: datasets 2411, 2412 and 55. Of a model
-    without geometry, or of several tests, nothing is written.
+    ``modes.vtu`` contains the mesh, the displacements in each updated mode, and those in each measured mode,
+    expanded by SEREP (`fmu.fem.pairing.expansion`) and scaled to the updated mode. If pyuff is installed,
+    ``updated.uff`` contains nodes, elements and updated modes, and ``measured.uff`` the sensors and the measured
+    modes, as datasets 2411, 2412 and 55. Nothing is written for a model without geometry or with several tests.
 
     Returns
     -------
@@ -84,7 +84,7 @@ def write_modes(problem: UpdatingProblem, theta: FloatArray, folder: Path) -> li
 
 
 def _move_nodes(model: SeparableModel, shape: FloatArray) -> FloatArray:
-    """Return the displacements of all nodes of the mesh, shape (n_nodes, 3), in a shape (n_dof,)."""
+    """Return the displacements of all nodes of the mesh, shape (n_nodes, 3), for a mode shape (n_dof,)."""
     assert model.geometry is not None
     moved = np.zeros((len(model.geometry.nodes), 3))
     for row, direction, seen_by in model.locate_motions():
@@ -96,7 +96,10 @@ def _move_nodes(model: SeparableModel, shape: FloatArray) -> FloatArray:
 def _expand_shapes(
     problem: UpdatingProblem, model: SeparableModel, theta: FloatArray, shapes: FloatArray
 ) -> tuple[Expanded | None, list[str]]:
-    """Return the measured shapes at all degrees of freedom, if there are any, and warnings about them."""
+    """Return the measured shapes expanded to all degrees of freedom, and a list of warnings.
+
+    The expanded shapes are None if no shapes were measured or if the expansion fails.
+    """
     data = problem.data
     if data.shapes is None:
         return None, []

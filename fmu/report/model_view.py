@@ -1,4 +1,4 @@
-"""A structure that readers turn on a page: its modes before and after updating, and changes as colours."""
+"""Interactive views of the structure: modes before and after updating, and parameter changes as colours."""
 
 from __future__ import annotations
 
@@ -25,16 +25,19 @@ if TYPE_CHECKING:
     import xarray as xr
 
 MOST_LINES = 20_000
-"""A structure of more lines is not shown."""
+"""Largest number of elements of a structure that is shown."""
 _MOST_NUMBERS = 300_000
-"""Displacements that a page keeps; of a large mesh the first modes only."""
+"""Largest number of displacement values kept on a page; of a large mesh only the first modes are kept."""
 _DETAILED = 2000
-"""Nodes of a structure whose displacements have 16 bits; of a larger one 8, a pixel."""
+"""Largest number of nodes for displacements of 16 bits; those of larger meshes have 8 bits, about one pixel."""
 _CORNER = (0.6, 0.45)
 
 
 def model_view(run: ReportedRun) -> View | None:
-    """Return the structure with its modes, coloured by the changes of the parameters; None without geometry."""
+    """Return a view of the structure with its modes, coloured by the changes of the parameters.
+
+    Returns None if the trace has no geometry or no displacements, or if the structure has too many elements.
+    """
     found = sketch_of(run.trace)
     if found is None or len(found.elements) > MOST_LINES or not has(run.trace, GROUP, "displacement"):
         return None
@@ -60,18 +63,19 @@ def model_view(run: ReportedRun) -> View | None:
 
 
 def damage_view(found: Sketch, names: Sequence[str], table: pd.DataFrame, beyond: str) -> View:
-    """Return the structure with the losses of its parameters as colours, and their probabilities.
+    """Return a view of the structure, coloured by the losses of the parameters and by their probabilities.
 
     Parameters
     ----------
     found : Sketch
+        The structure.
     names : sequence of str
-        Parameters of its elements.
+        The parameters of the structure, in the order of the columns of ``found.changed``.
     table : pandas.DataFrame
-        By state and parameter: mean and standard deviation of the loss, ``eti90_lb``, ``eti90_ub``, and the
-        probability that it is larger than `beyond`.
+        One row per state and parameter. The columns are the mean and the standard deviation of the loss,
+        ``eti90_lb``, ``eti90_ub``, and the probability that the loss is larger than `beyond`.
     beyond : str
-        In words: ``"5 %"``.
+        The threshold of the loss as text: ``"5 %"``.
     """
     said: dict[str, list[str]] = {}
     colourings = []
@@ -95,7 +99,10 @@ def damage_view(found: Sketch, names: Sequence[str], table: pd.DataFrame, beyond
 
 
 def _structure(found: Sketch, names: Sequence[str], said: Mapping[str, str]) -> dict[str, object]:
-    """Return nodes, elements and the text of each element; elements of the same parameters are one group."""
+    """Return a dict of nodes, elements, their groups and the text of each group.
+
+    Elements that are changed by the same parameters form one group.
+    """
     combinations, groups = np.unique(found.changed, axis=0, return_inverse=True)
     tips = [
         "; ".join(said[name] for name, is_changed in zip(names, row, strict=True) if is_changed and name in said)
@@ -113,7 +120,11 @@ def _structure(found: Sketch, names: Sequence[str], said: Mapping[str, str]) -> 
 
 
 def _changes(run: ReportedRun) -> dict[str, tuple[float, float, str]]:
-    """Return the relative change of each parameter from the start, its sd, and both in words."""
+    """Return a dict of the relative change of each parameter from the start, its sd, and a text with both.
+
+    Change and sd are NaN for a parameter that the data did not inform. Parameters without a nonzero start value
+    are omitted.
+    """
     left, found = not_informed(run.trace), {}
     for name in run.names:
         start = constant(run.trace, "start", name)
@@ -127,7 +138,7 @@ def _changes(run: ReportedRun) -> dict[str, tuple[float, float, str]]:
 
 
 def _colourings(run: ReportedRun, found: Sketch, names: Sequence[str]) -> list[dict[str, object]]:
-    """Return the change of the parameter of each element that changed most, and its standard deviation."""
+    """Return colour scales of the largest parameter change in each element, and of its standard deviation."""
     known = _changes(run)
     ratio, spread = (np.array([known.get(name, (np.nan,) * 2)[k] for name in names]) for k in (0, 1))
     of_element = np.where(found.changed & np.isfinite(ratio), np.abs(ratio), -1.0)
@@ -142,14 +153,17 @@ def _colourings(run: ReportedRun, found: Sketch, names: Sequence[str]) -> list[d
 
 
 def colour_scale(label: str, values: FloatArray, both: bool) -> dict[str, object]:
-    """Return values of the elements, shares of one, as colours: of both signs, or from zero."""
+    """Return a dict of a colour scale for `values`, one share per element.
+
+    The scale is symmetric about zero if `both` is True; otherwise it starts at zero.
+    """
     largest = float(np.nanmax(np.abs(values)))
     ends = (change(-largest), change(largest)) if both else ("0 %", share(largest))
     return {"label": label, "values": values, "scale": largest, "both": both, "ends": ends}
 
 
 def _labels(run: ReportedRun, modes: xr.Dataset) -> list[dict[str, str]]:
-    """Return name and frequencies of each mode."""
+    """Return a dict of texts for each mode: its label and its frequencies before, after and measured."""
     measured = None if run.prediction is None else run.prediction["measured"].to_numpy()
     labels = []
     for k, label in enumerate(modes["mode"].to_numpy().astype(str)):
@@ -160,18 +174,24 @@ def _labels(run: ReportedRun, modes: xr.Dataset) -> list[dict[str, str]]:
 
 
 def _shapes(modes: xr.Dataset) -> dict[str, object]:
-    """Return the displacements (mode, node, direction) before and after updating, and measured, expanded."""
+    """Return a dict of displacements (mode, node, direction): at the start, at the mean and measured, expanded.
+
+    Large meshes have no expanded displacements.
+    """
     bits = 16 if modes.sizes["node"] <= _DETAILED else 8
     moved = modes["displacement"].transpose("state", "mode", "node", "direction")
     found = {key: moved.sel(state=state).to_numpy() for key, state in (("start", START), ("mean", MEAN))}
-    if "expanded" in modes and bits > 8:  # over so many lines the arrows are clearer
+    if "expanded" in modes and bits > 8:  # on a large mesh the arrows at the sensors are clearer
         each = (scaled_to_mean(modes.isel(mode=k), "expanded") for k in range(modes.sizes["mode"]))
         found["expanded"] = np.stack([one for one in each if one is not None])
     return {key: Rounded(values, bits) for key, values in found.items()}
 
 
 def _sensors(found: Sketch, modes: xr.Dataset | None) -> dict[str, object]:
-    """Return places and measured displacements, or where no shapes were measured the sensors' directions."""
+    """Return a dict of the sensor positions and the measured displacements there.
+
+    If no shapes were measured, the dict contains the directions of the sensors and their nearest nodes instead.
+    """
     if modes is not None and "measured" in modes and "site" in modes:
         seen = [measured_at(modes.isel(mode=k)) for k in range(modes.sizes["mode"])]
         places = next(one[0] for one in seen if one is not None)
@@ -185,7 +205,7 @@ def _sensors(found: Sketch, modes: xr.Dataset | None) -> dict[str, object]:
 
 
 def _view(nodes: FloatArray, displacement: FloatArray) -> tuple[float, float]:
-    """Return azimuth and elevation from which the motion is seen: a straight structure from its side."""
+    """Return azimuth and elevation of the view in rad; a straight structure is seen so that its motion shows."""
     wide = np.ptp(nodes, axis=0) > 1e-6 * np.ptp(nodes, axis=0).max()
     moves = int(np.argmax(np.sum(displacement.reshape(-1, 3) ** 2, axis=0)))
     if wide.sum() == 1 and not wide[2]:

@@ -1,4 +1,4 @@
-"""Numbers and names for the scripts of a page, compressed: no character of them is HTML."""
+"""Compression of the data for the scripts of a page, as text without characters special in HTML."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ import numpy as np
 from fmu.types import AnyArray
 
 _FEW = 32
-"""Numbers that are written out."""
+"""Largest number of entries of an array that is written as JSON."""
 _MISSING = {8: 127, 16: 32767}
 _INTEGERS = {8: "i1", 16: "i2"}
 
 
 @dataclass(frozen=True, eq=False)
 class Rounded:
-    """Numbers as integers of few bits: the page needs no more than can be seen.
+    """Numbers to be stored as integers of 8 or 16 bits, which is accurate enough for drawing.
 
     Attributes
     ----------
     values : ndarray
-        Not finite where there is no value.
+        The numbers; entries that are not finite are missing values.
     bits : {8, 16}
-        The error is at most 1/508 or 1/131 068 of the range.
+        Bits per number. The rounding error is at most 1/508 or 1/131 068 of the range.
     """
 
     values: AnyArray
@@ -35,12 +35,12 @@ class Rounded:
 
 
 def pack(content: object) -> str:
-    """Return content as base64 of zlib's deflate of its JSON and, after that, its arrays.
+    """Return content as text: the base64 encoding of its zlib-compressed JSON, followed by its arrays.
 
     Parameters
     ----------
     content : mapping, sequence, str, number, None, ndarray or `Rounded`
-        Arrays of floats are rounded to 16 bits. ``data.js`` reads all of them as flat arrays.
+        Float arrays with more than 32 entries are rounded to 16 bits. ``data.js`` reads arrays as flat arrays.
     """
     arrays: list[bytes] = []
     text = json.dumps(_plain(content, arrays), ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
@@ -49,7 +49,7 @@ def pack(content: object) -> str:
 
 
 def _plain(content: object, arrays: list[bytes]) -> object:
-    """Return content as JSON has it, its arrays moved to `arrays`."""
+    """Return content as JSON types, with its longer arrays appended to `arrays`."""
     if isinstance(content, Mapping):
         return {str(key): _plain(value, arrays) for key, value in content.items()}
     if isinstance(content, (list, tuple)):
@@ -68,21 +68,24 @@ def _plain(content: object, arrays: list[bytes]) -> object:
 
 
 def _pack_rounded(content: Rounded, arrays: list[bytes]) -> dict[str, object]:
-    """Return the middle and the step of numbers that are integers in `arrays`."""
+    """Append numbers to `arrays` as integers, and return a dict of their position, offset and step.
+
+    A number is ``middle + step * integer``.
+    """
     missing, x = _MISSING[content.bits], np.asarray(content.values, dtype=float)
     known = np.isfinite(x)
     low, high = (float(x[known].min()), float(x[known].max())) if known.any() else (0.0, 0.0)
     middle, step = 0.5 * (low + high), (high - low) / (2 * (missing - 1)) or 1.0
     if np.array_equal(x[known], np.rint(x[known])) and max(high, -low) < missing:
         middle, step = 0.0, 1.0
-    elif low <= 0.0 <= high:  # zero, which is most of many shapes, stays zero
+    elif low <= 0.0 <= high:  # zeros, which are frequent in mode shapes, stay exact
         middle, step = 0.0, max(high, -low) / (missing - 1) or 1.0
     levels = np.where(known, np.rint((np.where(known, x, middle) - middle) / step), missing)
     return _append_array(levels.astype(_INTEGERS[content.bits]), arrays) | {"middle": middle, "step": step}
 
 
 def _append_array(array: AnyArray, arrays: list[bytes]) -> dict[str, object]:
-    """Append an array at a multiple of four bytes, and return its place."""
+    """Append an array at a multiple of four bytes, and return a dict of its offset in bytes, type and length."""
     kept = array.astype(array.dtype.newbyteorder("<")).tobytes()
     at = sum(map(len, arrays))
     arrays.append(kept + b"\0" * (-len(kept) % 4))

@@ -1,4 +1,4 @@
-"""Self-contained HTML pages: one for each sampler, and an index that compares several."""
+"""The HTML report of a run: a self-contained page for each sampler, and an index page that compares samplers."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ if TYPE_CHECKING:
 
 INDEX = "index"
 _LEADING = ("damage", "frequencies")
-"""Sections of a sampler's page that stand below the verdict, before the reasons for it."""
+"""Ids of the sections of a sampler's page that are placed below the verdicts, before the reasons for them."""
 _SCRIPTS = ("data.js", "structure.js", "figures.js", "pairs.js", "tables.js", "start.js")
 
 
 def file_names(names: Iterable[str]) -> dict[str, str]:
-    """Return the file name of each run's page, in characters that every file system and URL accepts.
+    """Return a dict from the name of each run to the file name of its page, valid in file systems and URLs.
 
-    The page of a single run is the index.
+    If there is only one run, its page is ``index.html``.
     """
     names = tuple(names)
     if len(names) == 1:
@@ -81,13 +81,13 @@ def sampler_page(run: ReportedRun, files: Mapping[str, str], runs: Mapping[str, 
 
 
 def _dates(runs: Iterable[ReportedRun]) -> str:
-    """Return the day on which runs were made, or the first and the last one; nothing if traces do not say it."""
+    """Return a sentence with the first and last sampling date; an empty string if no trace records its date."""
     days = sorted({str(run.trace.attrs["created_at"])[:10] for run in runs if "created_at" in run.trace.attrs})
     return f" Sampled on {' to '.join(dict.fromkeys((days[0], days[-1])))}." if days else ""
 
 
 def _without_omissions(found: Iterable[PageSection | Omitted]) -> tuple[PageSection, ...]:
-    """Return the sections, and a last one that lists the missing ones with their reasons."""
+    """Return the sections to show, followed by a section that lists the omitted sections with the reasons."""
     found = tuple(found)
     sections = tuple(section for part in found for section in part.shown)
     omitted = tuple(sentence for part in found for sentence in part.omissions)
@@ -95,7 +95,7 @@ def _without_omissions(found: Iterable[PageSection | Omitted]) -> tuple[PageSect
 
 
 def index_page(runs: Mapping[str, ReportedRun], files: Mapping[str, str]) -> Page:
-    """Return the page that compares the runs."""
+    """Return the index page, which compares the runs."""
     compared = comparison.Compared.of(runs)
     found = (
         comparison.posterior(compared),
@@ -121,13 +121,16 @@ def index_page(runs: Mapping[str, ReportedRun], files: Mapping[str, str]) -> Pag
 
 
 def _judged_run(runs: Mapping[str, ReportedRun]) -> ReportedRun:
-    """Return the run whose draws judge the model, see `choose_run`."""
+    """Return the run whose draws the verdicts on the model are based on, as `choose_run` selects it."""
     verdicts = {name: run.diagnosis for name, run in runs.items()}
     return runs[choose_run(verdicts, {name: run.summary for name, run in runs.items()})]
 
 
 def _common_verdicts(compared: comparison.Compared) -> tuple[Verdict, ...]:
-    """Return the verdicts on the samplers, and on the model by one of them, whose page has the reasons."""
+    """Return the verdicts on the samplers, then those on the model from the draws of the selected run.
+
+    The reasons for the verdicts on the model are on the page of the selected run only.
+    """
     told = _judged_run(compared.runs)
     first, *others = (replace(one, reasons=(), notes=()) for one in of_the_model(told))
     by = f"This and the rest by the draws of {told.title}."
@@ -154,14 +157,14 @@ def write_report(run_directory: str | os.PathLike[str]) -> Path:
     Returns
     -------
     Path
-        ``report/index.html`` in that directory. It appears with all its pages or not at all, and replaces only an
-        earlier report.
+        The path of ``report/index.html`` in that directory. Either all pages of the report are published, or none.
+        Only an earlier report is overwritten.
 
     Raises
     ------
     ValueError
-        If it is not a directory, contains no traces, or traces of different problems; or if files that fmu did not
-        write are in the way.
+        If `run_directory` is not a directory, contains no traces, or contains traces of different problems; or if
+        the report would overwrite files that fmu did not write.
     """
     directory = Path(run_directory)
     if not directory.is_dir():
@@ -173,7 +176,7 @@ def write_report(run_directory: str | os.PathLike[str]) -> Path:
 
 
 def publish(traces: Mapping[str, xr.DataTree], run_directory: str | os.PathLike[str]) -> Path:
-    """Write the report of traces in memory as `write_report` does, and return its index."""
+    """Write the report of traces in memory as `write_report` does, and return the path of its index page."""
     output = OutputDirectory(Path(run_directory) / FOLDER)
     output.check([f"{INDEX}.html", *file_names(traces).values()])
     with output.stage_files() as stage:
@@ -187,14 +190,14 @@ def write_pages(traces: Mapping[str, xr.DataTree], directory: str | os.PathLike[
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        Traces of several samplers on one problem, keyed by page name.
+        Traces of one or more samplers on the same problem, by the name of the run.
     directory : path-like
-        Made if it does not exist. Files of the same name are replaced.
+        Output directory, created if it does not exist. Files of the same name are overwritten.
 
     Returns
     -------
     Path
-        The index page; of a single run its page.
+        The path of the index page, which for a single run is the page of the run.
     """
     directory = Path(directory)
     with phase("report", len(traces) + 2) as under_way:
@@ -204,7 +207,7 @@ def write_pages(traces: Mapping[str, xr.DataTree], directory: str | os.PathLike[
 
 
 def _write_pages(runs: dict[str, ReportedRun], directory: Path, under_way: Phase) -> Path:
-    """Write the pages of runs, and return the index."""
+    """Write the pages of the runs, and return the path of the index page."""
     files = file_names(runs)
     directory.mkdir(parents=True, exist_ok=True)
     index = directory / f"{INDEX}.html"
@@ -218,7 +221,7 @@ def _write_pages(runs: dict[str, ReportedRun], directory: Path, under_way: Phase
 
 
 def render(page: Page) -> str:
-    """Return a page as HTML; every text in it is escaped."""
+    """Return a page as HTML, with all text escaped."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -234,9 +237,9 @@ def render(page: Page) -> str:
 
 
 def prose(text: str) -> Markup:
-    """Return a text as HTML, with words between backticks as code."""
+    """Return a text as escaped HTML, with words between backticks formatted as code."""
     parts = str(text).split("`")
-    if len(parts) % 2 == 0:  # a backtick of somebody's name
+    if len(parts) % 2 == 0:  # an unpaired backtick is part of a name
         return escape(text)
     return Markup("").join(
         Markup("<code>{}</code>").format(x) if k % 2 else escape(x) for k, x in enumerate(parts)
@@ -245,7 +248,7 @@ def prose(text: str) -> Markup:
 
 @cache
 def _script() -> tuple[Markup, str]:
-    """Return the script of all pages, and the hash by which browsers run it and no other."""
+    """Return the script of all pages, and its hash, by which browsers allow this script only."""
     files = resources.files("fmu.report") / "templates"
     parts = [(files / name).read_text(encoding="utf-8") for name in _SCRIPTS]
     text = re.sub(r"^\s+|^//.*\n", "", f'"use strict";\n{"".join(parts)}', flags=re.MULTILINE)

@@ -1,4 +1,4 @@
-"""A run with its summary, verdict and costs, computed once for all its pages."""
+"""A run with its summary, diagnosis and costs, computed once for all pages of the report."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ReportedRun:
-    """A trace with its summary, verdict and costs.
+    """A trace with its summary, diagnosis and costs.
 
     Attributes
     ----------
     name : str
-        Its key among the traces.
+        The key of the trace in the mapping given to `runs_of`.
     trace : xarray.DataTree
     summary : pandas.DataFrame
-        ``fmu.summary(trace)``.
+        The result of ``fmu.summary(trace)``.
     diagnosis : Diagnosis
     costs : pandas.Series
-        Its row of ``fmu.compare``.
+        The row of this run in the result of ``fmu.compare``.
     maxima : Maxima or None
         The maxima stored in the trace.
     prediction : pandas.DataFrame or None
-        ``predict_frequencies(trace)``; None if the trace has no frequencies.
+        The result of ``predict_frequencies(trace)``; None if the trace has no frequencies.
     """
 
     name: str
@@ -52,41 +52,44 @@ class ReportedRun:
 
     @property
     def title(self) -> str:
-        """The full name of the sampler; the name of the run if that names no sampler."""
+        """The full name of the sampler if the run is named after one, else the name of the run."""
         return TITLES.get(self.name, self.name)
 
     @property
     def sampler(self) -> str:
-        """The sampler's full name."""
+        """The full name of the sampler."""
         return TITLES.get(str(self.trace.attrs["sampler"]), str(self.trace.attrs["sampler"]))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The parameters' names."""
+        """The names of the parameters."""
         return parameter_names(self.trace)
 
     def unit(self, name: str) -> Unit:
-        """Return the unit in which a parameter is shown."""
+        """Return the unit in which the report shows the parameter `name`."""
         return unit_of(self.trace, name)
 
     def value(self, name: str, column: str) -> float:
-        """Return a number of the summary in the unit in which the parameter is shown."""
+        """Return the entry of the summary for the parameter `name`, in the unit in which the report shows it."""
         return float(self.summary[column][name]) / self.unit(name).factor
 
     @property
     def problem(self) -> dict[str, Any]:
-        """`UpdatingProblem.configuration` of the problem; of another density what is known of it."""
+        """The configuration of the problem, as `UpdatingProblem.configuration` returns it.
+
+        For a density that is not an `UpdatingProblem`, the dict contains what the trace records of it.
+        """
         return problem_of(self.trace)
 
     @property
     def priors(self) -> dict[str, str]:
-        """The prior of each parameter in words, in the unit in which it is shown; empty if it is not known."""
+        """The prior of each parameter in words, in customary units; without parameters whose prior is unknown."""
         known = (p for p in self.problem.get("parameters", ()) if "prior" in p)
         return {p["name"]: breaking_at_commas(prior_in_words(p["prior"], p["unit"])) for p in known}
 
     @property
     def chains_in_words(self) -> str:
-        """Number and length of the chains, in words."""
+        """The number and length of the chains, in words."""
         posterior, walkers = self.trace["posterior"], walkers_of(self.trace)
         chains, steps = posterior.sizes["chain"], posterior.sizes["draw"] // walkers
         many = "" if chains == 1 else "s"
@@ -95,12 +98,12 @@ class ReportedRun:
 
 
 def runs_of(traces: Mapping[str, xr.DataTree]) -> dict[str, ReportedRun]:
-    """Judge the traces of several samplers on one problem, each compared with the others.
+    """Return a dict with the `ReportedRun` of each trace, after comparing the traces with each other.
 
     Raises
     ------
     ValueError
-        If `traces` is empty, or contains something other than traces, or traces of different problems.
+        If `traces` is empty, or contains objects that are not traces, or traces of different problems.
     """
     if not traces:
         raise ValueError("traces: at least one is needed (got none)")

@@ -1,4 +1,4 @@
-"""Figures as SVG inside a page: described, small, with text as text and ids of their own."""
+"""Conversion of Matplotlib figures to compact SVG for a page, with a description, real text and unique ids."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RASTER_DPI = 96
-"""Resolution of the parts drawn as pixels: paths and clouds of many points."""
+"""Resolution of rasterised parts, such as paths and clouds of many points."""
 _COLOURS = 32
 _SVG_DPI = 72
 _TAG = re.compile(r"<[^>]*>")
-"""Matplotlib writes the angle brackets of names as entities."""
+"""A tag of the SVG; Matplotlib escapes angle brackets in text, so text does not match."""
 _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
 
 
@@ -31,19 +31,21 @@ _OF_SCHEME = {
     "#000000": "ink", "#ffffff": "paper", "#6e6e6e": "quiet", "#e8e8e8": "pale", "#0072b2": "blue",
     "#882255": "wine",
 }  # fmt: skip
-"""Colours that the page's scheme, light or dark, may replace: variables of its style sheet."""
+"""Colours that the light or dark scheme of the page replaces, with their variables in the style sheet."""
 _SHORT_PATH = 12
-"""Lines of a path that are written in full."""
+"""Number of line segments from which a path is written in relative coordinates."""
 _STRAIGHT = re.compile(r"[\dMLz eE.+-]*")
 
 
 def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
-    """Return a figure as an SVG element with selectable text, unique ids and no style sheet.
+    """Return a figure as an SVG element with selectable text, unique ids and without a style sheet.
+
+    The ids begin with `key`; `alt` describes the figure for readers who cannot see it.
 
     Raises
     ------
     ValueError
-        If `alt` is empty: readers who cannot see the figure would learn nothing.
+        If `alt` is empty.
     """
     import matplotlib as mpl
 
@@ -59,7 +61,7 @@ def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
         }
     )
     with as_text, warnings.catch_warnings():
-        # text is kept as text: the reader's font may have glyphs that Matplotlib's lacks
+        # text stays text, so the reader's font may have glyphs that Matplotlib's font lacks
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from font", UserWarning)
         with _ticks_placed_once():
             _arrange(figure)
@@ -70,7 +72,7 @@ def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
     body = re.sub(r"<style.*?</style>|<metadata>.*?</metadata>|<!--.*?-->", "", body, flags=re.DOTALL)
     body = re.sub(r"\s*\n\s*", " ", body).replace("> <", "><")
     used = set(re.findall(r"(?:url\(#|href=\"#)([^\")]+)", "".join(_TAG.findall(body))))
-    body = _TAG.sub(lambda tag: _clean(tag[0], key, used), body)  # change tags only, not text
+    body = _TAG.sub(lambda tag: _clean(tag[0], key, used), body)  # change only tags, not text
     body = _without_repetition(body)
     width, height = (72.0 * size for size in figure.get_size_inches())
     return Markup(f'<svg role="img" aria-label="{escape(alt)}" viewBox="0 0 {width:g} {height:g}">{body}</svg>')
@@ -78,10 +80,10 @@ def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
 
 @contextmanager
 def _ticks_placed_once() -> Iterator[None]:
-    """Have ticks placed anew only where the limits or the size of their axes have changed.
+    """Make Matplotlib update ticks only if the limits or the size of their axes have changed.
 
-    Matplotlib places them whenever the extent of anything beside them is asked for, ten times a figure, which is a
-    fifth of the time that figures take.
+    Matplotlib otherwise updates the ticks about ten times per figure, whenever it computes the extent of an
+    artist, which takes a fifth of the time for drawing figures.
     """
     from matplotlib.axis import Axis
 
@@ -103,19 +105,19 @@ def _ticks_placed_once() -> Iterator[None]:
 
 
 def _arrange(figure: Figure) -> None:
-    """Place the axes for good. Matplotlib places them the same, but draws the whole figure once more to do so."""
+    """Apply the layout of the figure once. Matplotlib would draw the whole figure an extra time to do so."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     engine = figure.get_layout_engine()
     if engine is not None:
-        FigureCanvasSVG(figure)  # from now on the canvas of the figure: it says how large text is
+        FigureCanvasSVG(figure)  # becomes the canvas of the figure, which determines the size of text
         figure.dpi = _SVG_DPI
         engine.execute(figure)
         figure.set_layout_engine(None)
 
 
 def _clean(tag: str, key: str, used: set[str]) -> str:
-    """Return a tag without font names, with short numbers, and with the prefix before ids that are referenced."""
+    """Return a tag without font names, with rounded numbers, and with `key` before the ids that are used."""
     tag = re.sub(r" ?font-family: [^;\"]*;?", "", tag).replace("xlink:href", "href")
     tag = re.sub(r' d="([^"]*)"', _short_path, tag)
     tag = re.sub(r' (?:x|y|transform|points)="[^"]*"', _round_coordinates, tag)
@@ -127,7 +129,7 @@ def _clean(tag: str, key: str, used: set[str]) -> str:
 
 
 def _of_scheme(style: re.Match[str]) -> str:
-    """Return a style without spaces, its colours as variables with the printed colour as their default."""
+    """Return a style without spaces and with colours as CSS variables that default to the original colour."""
     text = style[0].replace(": ", ":").replace("; ", ";")
     for colour, name in _OF_SCHEME.items():
         text = text.replace(colour, f"var(--{name},{colour})")
@@ -135,7 +137,7 @@ def _of_scheme(style: re.Match[str]) -> str:
 
 
 def _without_repetition(body: str) -> str:
-    """Leave out groups that say nothing, and the style of a symbol where it is used if the symbol has it."""
+    """Return the SVG without groups that have no attributes, and without styles that repeat a symbol's style."""
     says_something: list[bool] = []
     styles: dict[str, str] = {}
 
@@ -160,12 +162,12 @@ def _without_repetition(body: str) -> str:
 
 
 def _round_coordinates(attribute: re.Match[str]) -> str:
-    """Write coordinates to a hundredth of a point."""
+    """Return an attribute with its coordinates rounded to a hundredth of a point."""
     return re.sub(r"\d+\.\d{3,}", lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."), attribute[0])
 
 
 def _short_path(attribute: re.Match[str]) -> str:
-    """Write a path of straight lines relative to its last point: a long one to a tenth of a point."""
+    """Return a path attribute; a long path of straight lines has relative coordinates to a tenth of a point."""
     path = attribute[1]
     if path.count("L") < _SHORT_PATH or not _STRAIGHT.fullmatch(path):
         return _round_coordinates(attribute)
@@ -185,12 +187,12 @@ def _short_path(attribute: re.Match[str]) -> str:
 
 @cache
 def _tenths(value: int) -> str:
-    """Return a number of tenths as SVG needs it: ``".3"``, ``"-1.2"``, ``"4"``."""
+    """Return a number of tenths in the shortest SVG notation: ``".3"``, ``"-1.2"``, ``"4"``."""
     return f"{value / 10:g}".replace("0.", ".", 1) if abs(value) < 10 else f"{value / 10:g}"
 
 
 def _fewer_colours(data: re.Match[str]) -> str:
-    """Store the pixels with a palette, which takes a quarter of the space."""
+    """Return PNG data with a palette of 32 colours, which takes a quarter of the space."""
     from PIL import Image
 
     file = io.BytesIO()

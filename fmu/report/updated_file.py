@@ -1,4 +1,4 @@
-"""The problem file with updated start values, and copies of the files that it names."""
+"""Export of the problem file with updated start values, and of the files that it names."""
 
 from __future__ import annotations
 
@@ -23,19 +23,20 @@ _FROM_PRIOR = "from the prior: the data did not inform it"
 def updated_text(
     text: str, starts: Mapping[str, float], pairing: str | None, about: str, from_prior: Collection[str] = ()
 ) -> tuple[str, list[str]]:
-    """Return a problem file with new start values, otherwise unchanged, and the strings in it that may name files.
+    """Return a problem file with new start values, and the list of strings in it that may name files.
 
     Parameters
     ----------
     text : str
+        The content of the original problem file.
     starts : mapping of str to float
-        By the name of the parameter, SI units.
+        The start value of each parameter and inferred standard deviation by its name, SI units.
     pairing : str or None
-        Written to the file, if the file has another or none.
+        The pairing to write to the file, if it differs from that of the file; None to keep that of the file.
     about : str
-        Source of the values: a comment at the top.
+        The source of the values, written as a comment at the top.
     from_prior : collection of str
-        Parameters that the data did not inform: a comment beside their values says so.
+        Parameters that the data did not inform, which is noted in a comment beside their values.
     """
     import tomlkit
 
@@ -62,7 +63,7 @@ def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[st
     Returns
     -------
     dict of str to str
-        New names of files whose name is also that of an exported file.
+        The new name of each copied file whose original name is that of an exported file, by the original name.
     """
     renamed = {}
     for word in dict.fromkeys(words):
@@ -84,7 +85,7 @@ def copy_companions(words: Sequence[str], source: Path, target: Path) -> dict[st
 
 
 def rename(text: str, names: Mapping[str, str]) -> str:
-    """Return a problem file with renamed files."""
+    """Return a problem file in which file names are replaced as `names` maps them."""
     import tomlkit
 
     if not names:
@@ -96,7 +97,7 @@ def rename(text: str, names: Mapping[str, str]) -> str:
 
 
 def _strings(part: Any) -> Iterator[tuple[Any, Any]]:
-    """Yield the place of every string of a document: its table or array, and its key or index there."""
+    """Yield the location of every string in a document: its table or array, and its key or index there."""
     for key, value in part.items() if isinstance(part, Mapping) else enumerate(part):
         if isinstance(value, str):
             yield part, key

@@ -1,7 +1,7 @@
-"""Figures: one colour for each sampler, and units on every axis.
+"""Figures of posterior draws, with a fixed colour for each sampler and units on every axis.
 
-A plot is a function that takes traces, draws on a new or a given matplotlib Figure and returns its Axes, without
-global state of matplotlib. To add one, write it in a module of this folder and import it below.
+Each plot function takes traces, draws on a given or a new Matplotlib Figure and returns the Axes; it does not use
+the global state of Matplotlib. To add a plot, write it in a module of this package and import it below.
 """
 
 from fmu.report.plots.chains import plot_autocorrelation as plot_autocorrelation

@@ -1,4 +1,4 @@
-"""The chains: their paths, ranks, autocorrelation and energies, and estimates while the run grows."""
+"""Figures of the chains: paths, ranks, autocorrelation, energies, and running means and R-hat."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ _MAX_POINTS = 1500
 def plot_traces(
     traces: Mapping[str, xr.DataTree], published: ArrayLike | None = None, figure: Figure | None = None
 ) -> style.AxesArray:
-    """Draw the paths of the chains, one row per parameter and one column per trace, warm-up shaded.
+    """Draw the paths of the chains, one row per parameter and one column per trace, with the warm-up shaded.
 
-    For an ensemble, one walker is shown. The axes fit the retained draws; the warm-up may leave them. Dashed lines
-    are bounds.
+    For an ensemble, one walker is shown. The axes fit the retained draws, so the warm-up may extend beyond them.
+    Dashed lines are bounds.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        By the titles of the columns.
+        The traces by the titles of their columns.
     published : array_like, shape (parameters,), optional
-        Values to compare the first trace with, SI units.
+        Published values to compare with the first trace, SI units.
     figure : Figure, optional
 
     Returns
@@ -89,7 +89,7 @@ def _compare(axes: Axes, value: float) -> None:
 
 
 def _plot_path(axes: Axes, trace: xr.DataTree, name: str, room: float) -> None:
-    """Draw the paths of all chains in one parameter; the label has a room in inches."""
+    """Draw the paths of all chains for one parameter, with an axis label that fits in `room` inches."""
     unit = style.unit_of(trace, name)
     walkers = int(trace.attrs["walkers"])
     warm, kept = (
@@ -118,17 +118,17 @@ _LAGS = 100
 
 
 def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesArray:
-    """Draw ArviZ's rank plots, one row per parameter: chains of one distribution stay near zero.
+    """Draw ArviZ's rank plots, one row per parameter; chains with the same distribution stay near zero.
 
-    Drawn is the difference between the distribution of a chain's ranks among all draws and the uniform one. The
-    p-value is that of a multi-chain test of uniformity; if it is below 1 %, the deviating ranks are marked. The
-    test assumes independent draws: the chains are thinned to their effective sample size, 20 to 500 draws a
-    chain.
+    The plot shows the difference between the distribution of a chain's ranks among all draws and the uniform
+    distribution. The p-value is that of a multi-chain test of uniformity; if it is below 1 %, the deviating ranks
+    are marked. The test assumes independent draws, so the chains are thinned to their effective sample size, but
+    to at least 20 and at most 500 draws per chain.
 
     Parameters
     ----------
     trace : xarray.DataTree
-        Must have at least two chains.
+        A trace with at least two chains.
     figure : Figure, optional
 
     Returns
@@ -155,7 +155,7 @@ def plot_ranks(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesAr
 
 
 def draw_ranks(thinned: xr.Dataset, axes: style.AxesArray, colours: list[str]) -> None:
-    """Draw ArviZ's rank plots of independent draws (chain, draw), one parameter on each of the axes."""
+    """Draw ArviZ's rank plots of independent draws (chain, draw), with one parameter on each axes."""
     import xarray as xr
     from arviz_plots import plot_rank
     from arviz_plots.plot_collection import PlotCollection
@@ -186,14 +186,15 @@ def draw_ranks(thinned: xr.Dataset, axes: style.AxesArray, colours: list[str]) -
 
 
 def _independent(trace: xr.DataTree) -> float:
-    """Return the smallest effective sample size of a parameter, NaN if one is undefined."""
+    """Return the smallest bulk ESS over the parameters; NaN if the ESS of any parameter is undefined."""
     return float(np.min([ess_bulk(x, walkers_of(trace)) for x in np.moveaxis(parameter_draws(trace), -1, 0)]))
 
 
 def plot_autocorrelation(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesArray:
-    """Draw the autocorrelation of each chain, one row per parameter, out to a hundred steps.
+    """Draw the autocorrelation of each chain up to a lag of 100 steps, one row per parameter.
 
-    For an ensemble, the average over its walkers about their common mean, as in its effective sample size.
+    For an ensemble, the autocorrelation is averaged over the walkers, about their common mean, as in the effective
+    sample size.
 
     Parameters
     ----------
@@ -220,15 +221,15 @@ def plot_autocorrelation(trace: xr.DataTree, figure: Figure | None = None) -> st
 
 
 def plot_energy(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Draw the energies of Hamiltonian trajectories and their changes from one to the next, both about zero.
+    """Draw the centred energies of Hamiltonian trajectories, and the energy changes between successive draws.
 
-    If the changes are much narrower than the energies, new momenta explore the posterior poorly (Betancourt 2016,
-    arXiv:1604.00695, section 2).
+    If the distribution of the changes is much narrower than that of the energies, new momenta explore the
+    posterior poorly (Betancourt 2016, arXiv:1604.00695, section 2).
 
     Parameters
     ----------
     trace : xarray.DataTree
-        With ``energy`` in its sample_stats.
+        A trace with ``energy`` in its sample_stats.
     figure : Figure, optional
 
     Returns
@@ -238,7 +239,7 @@ def plot_energy(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
     Raises
     ------
     ValueError
-        If the sampler has no energies.
+        If the trace has no energies.
     """
     if not has(trace, "sample_stats", "energy"):
         raise ValueError(f"trace: must have energies (the sampler {trace.attrs['sampler']} has none)")
@@ -266,21 +267,21 @@ def plot_energy(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
 _DASHES = ("-", "--", "-.", ":")
 _BACKED = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
 _FLOOR = 1e-3
-"""Least value of R-hat − 1 that is drawn."""
+"""Smallest value of R-hat − 1 that is drawn; smaller values are drawn at this value."""
 
 
 def plot_running_means(
     trace: xr.DataTree, table: pd.DataFrame | None = None, figure: Figure | None = None
 ) -> style.AxesArray:
-    """Draw the mean of each chain's first draws, one row per parameter.
+    """Draw the running mean of each chain, one row per parameter.
 
-    The band is the mean of all draws with twice its standard error.
+    The band is the mean of all draws ± 2 standard errors.
 
     Parameters
     ----------
     trace : xarray.DataTree
     table : pandas.DataFrame, optional
-        ``fmu.summary(trace)``, if already computed.
+        The result of ``fmu.summary(trace)``, if already computed.
     figure : Figure, optional
 
     Returns
@@ -308,7 +309,7 @@ def plot_running_means(
 
 
 def _logarithmic_steps(axes: Axes) -> None:
-    """Give axes a logarithmic abscissa of steps, with numbers in full."""
+    """Set a logarithmic abscissa of steps, with tick labels in decimal notation."""
     from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
     axes.set_xscale("log")
@@ -319,7 +320,7 @@ def _logarithmic_steps(axes: Axes) -> None:
 
 
 def plot_running_rhat(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Draw R-hat of each parameter while the run grows, with the limit of the verdict.
+    """Draw the running R-hat of each parameter, with the limit that the convergence verdict uses.
 
     Parameters
     ----------

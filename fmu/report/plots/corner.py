@@ -1,4 +1,4 @@
-"""Marginals and pairs of a posterior, drawn with corner."""
+"""A corner plot of the marginals and pairs of a posterior."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ LEVELS = (0.5, 0.9)
 _MAX_DRAWS = 40_000
 _ROOM, _CLEAR = 0.06, 0.09
 _MOST_TICKED = 5
-"""With more parameters the panels have room for fewer ticks."""
+"""Largest number of parameters with four ticks per axis; with more parameters the panels have three."""
 _WIDTH, _SIDE, _EDGE, _LINE = 10.0, (1.25, 2.0), 0.75, 0.2
-"""Width of all panels, least and largest side of one, room for the ticks and a label beside them, and for each
-further line of a label; inches."""
+"""Sizes in inches: width of all panels, smallest and largest side of a panel, space for ticks and a label, and
+space for each further line of a label."""
 
 
 def plot_corner(
@@ -34,18 +34,18 @@ def plot_corner(
     figure: Figure | None = None,
     names: Sequence[str] | None = None,
 ) -> style.AxesArray:
-    """Draw all marginals and all pairs of a posterior, with start, bounds and maximum marked.
+    """Draw all marginals and all pairs of a posterior, and mark the start, the bounds and the maximum.
 
-    Contours hold 50 % and 90 % of the draws. Names in grey are of parameters that the data did not inform.
+    Contours enclose 50 % and 90 % of the draws. Parameters that the data did not inform have grey names.
 
     Parameters
     ----------
     trace : xarray.DataTree
     maximum : array_like, shape (ndim,), optional
-        Where the log-probability is highest, SI units.
+        The parameters at the maximum of the posterior, SI units.
     figure : Figure, optional
     names : sequence of str, optional
-        The n parameters shown; all if not given.
+        The n parameters shown; all parameters by default.
 
     Returns
     -------
@@ -110,9 +110,9 @@ def plot_corner(
 
 
 def _frames(draws: FloatArray, lower: FloatArray, upper: FloatArray) -> list[tuple[float, float]]:
-    """Return the range of each axis: the draws with a margin, but nothing beyond a bound.
+    """Return the range of each axis: the range of the draws with a margin, limited by the bounds.
 
-    Otherwise the smoothing of the histograms would spread draws at a bound beyond it.
+    Without this limit, the smoothing of the histograms would spread draws across a bound.
     """
     low, high = np.quantile(draws, (0.0005, 0.9995), axis=0)
     room = np.where(high > low, _ROOM * (high - low), np.fmax(1e-3 * np.abs(high), np.finfo(float).tiny))
@@ -132,7 +132,7 @@ class _Mark(TypedDict, total=False):
 
 
 def _mark(axes: style.AxesArray, marks: dict[str, FloatArray], bounds: list[FloatArray]) -> None:
-    """Draw points and bounds inside the axes; the legend names points outside."""
+    """Draw the points and bounds that are inside the axes; the legend says which points are outside."""
     from matplotlib.lines import Line2D
 
     styles: dict[str, _Mark] = {
@@ -176,7 +176,7 @@ def _mark(axes: style.AxesArray, marks: dict[str, FloatArray], bounds: list[Floa
 
 
 def _arrange_ticks(panel: Axes, most: int) -> None:
-    """Keep ticks, about `most`, away from the corners, where labels of two panels would overlap."""
+    """Place about `most` ticks per axis, away from the corners, where labels of adjacent panels would overlap."""
     from matplotlib.ticker import FixedLocator, MaxNLocator
 
     for axis in (panel.xaxis, panel.yaxis):
@@ -191,6 +191,6 @@ def _arrange_ticks(panel: Axes, most: int) -> None:
 
 
 def _line_within(draw: Callable[..., object], value: float, limits: tuple[float, float]) -> None:
-    """Draw a bound if it lies within the limits, ends included."""
+    """Draw a line at a bound that lies within the limits, ends included."""
     if limits[0] <= value <= limits[1]:
         draw(value, color=style.BLACK, linestyle="--", linewidth=1.6, clip_on=False, zorder=8)

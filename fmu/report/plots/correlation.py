@@ -1,4 +1,4 @@
-"""Agreement of test and model: MAC matrices, and CoMAC and ECoMAC along the sensors."""
+"""Figures of the agreement of test and model: MAC matrices, and CoMAC and ECoMAC of each sensor."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 READABLE, FEW = 12, 6
-"""With at most so many modes the MAC is written into each cell; with more than a few, zeros are left out."""
+"""Largest number of modes whose MAC values are written into the cells, and the largest with zeros written too."""
 _CELL = 0.42
-"""The least width of a cell, inches."""
+"""The smallest width of a cell in inches."""
 _SHORT = 3
-"""Letters of the longest label that fits below a cell."""
+"""Number of characters of the longest label that fits below a cell."""
 
 
 def plot_mac_matrix(
@@ -32,16 +32,16 @@ def plot_mac_matrix(
     x: str = "measured shape",
     y: str = "measured shape",
 ) -> Axes:
-    """Draw a matrix of MAC values between shapes, the AutoMAC of a measurement if nothing else is said.
+    """Draw a matrix of MAC values between mode shapes, with axis labels for an AutoMAC matrix by default.
 
     Parameters
     ----------
     values : ndarray, shape (n_rows, n_columns)
     rows, columns : sequence of str
-        Names of the shapes.
+        Names of the mode shapes.
     figure : Figure, optional
     x, y : str
-        What the columns and the rows are.
+        Labels of the abscissa (columns) and of the ordinate (rows).
 
     Returns
     -------
@@ -49,17 +49,17 @@ def plot_mac_matrix(
     """
     n, m = values.shape
     labels = [style.literal(label) for label in columns]
-    is_long = max(map(len, labels)) > _SHORT  # those of the rows need room beside the cells
+    is_long = max(map(len, labels)) > _SHORT  # row labels then need space beside the cells
     side = max(0.75 * style.NARROW, _CELL * m)
     figure = figure or style.new_figure(
         side + (2.4 if is_long else 0.25 * style.NARROW), 0.6 + side * n / m + 0.8 * is_long
     )
     axes = figure.subplots()
-    # few cells are drawn one by one, to stay sharp in an SVG
+    # a small matrix is not rasterised, so that its cells stay sharp in the SVG
     mesh = axes.pcolormesh(values, cmap="Blues", vmin=0.0, vmax=1.0, edgecolors="white", linewidth=1.0,
                            rasterized=max(n, m) > FEW)  # fmt: skip
     if max(n, m) <= READABLE:
-        # of many modes most are zeros, which are left out
+        # most values of a large matrix are zeros, which are not written
         for i, j in np.argwhere(values >= (0.005 if max(n, m) > FEW else 0.0)).tolist():
             axes.text(j + 0.5, i + 0.5, fixed(values[i, j], 2), ha="center", va="center", fontsize=style.FONT - 1,
                       color=style.ON_DARK if values[i, j] > 0.6 else style.ON_PALE)  # fmt: skip
@@ -77,11 +77,12 @@ def plot_mac_matrix(
 def plot_sensors(
     sensors: Sequence[str], states: Mapping[str, tuple[FloatArray, FloatArray]], figure: Figure | None = None
 ) -> NDArray[np.object_]:
-    """Draw CoMAC and ECoMAC of each sensor (`fmu.fem.pairing.correlation`) in one state of the model or in two.
+    """Draw CoMAC and ECoMAC of each sensor (`fmu.fem.pairing.correlation`) for one or two states of the model.
 
     Parameters
     ----------
     sensors : sequence of str
+        Names of the sensors.
     states : mapping of str to tuple (comac, ecomac), each of shape (n_sensors,)
     figure : Figure, optional
 

@@ -1,4 +1,4 @@
-"""Frequencies: measured, before updating and after it."""
+"""Figures of the frequencies: measured, before updating and after updating."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 _OF_A_MODE = 0.28
-"""Inches of a figure for each mode, at least."""
+"""Smallest width in inches of a figure per mode."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,12 @@ class Frequencies:
     ----------
     label : str
     hz : array_like, shape (n_modes,)
+        The frequencies in Hz.
     colour : str
     filled : bool
-        Whether its markers are filled.
+        Whether the markers are filled.
     interval_hz : array_like, shape (2, n_modes), optional
+        The lower and upper ends of an interval of each frequency in Hz.
     """
 
     label: str
@@ -52,13 +54,13 @@ class Frequencies:
 def plot_frequency_errors(
     measured_hz: ArrayLike, series: Sequence[Frequencies], labels: Sequence[str], figure: Figure | None = None
 ) -> Axes:
-    """Draw the errors of sets of frequencies with respect to the measured ones, in %.
+    """Draw the errors, in %, of several sets of frequencies relative to the measured frequencies.
 
     Parameters
     ----------
     measured_hz : array_like, shape (n_modes,)
     series : sequence of Frequencies
-        Side by side within each mode, in this order.
+        The sets of frequencies, drawn side by side for each mode in this order.
     labels : sequence of str
         Labels of the modes.
     figure : Figure, optional
@@ -105,16 +107,17 @@ def plot_frequency_errors(
 
 
 def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Draw the errors of the model's frequencies before updating and after it.
+    """Draw the errors of the model's frequencies before and after updating.
 
-    Before updating: if stored in the trace. After it: the posterior mean, with the 90 % interval of a new
-    measurement, noise included, if there is one. For repeated tests a new measurement is the mean of as many
-    tests, and the 90 % interval of one more test is drawn beside it.
+    The frequencies before updating are drawn if the trace stores them. Those after updating are the posterior
+    means, with the 90 % interval of a new measurement including noise, or without noise if no noise is modelled.
+    For repeated tests, a new measurement is the mean of as many tests, and the 90 % interval of one more test is
+    drawn beside it.
 
     Parameters
     ----------
     trace : xarray.DataTree
-        With ``posterior_predictive`` and ``observed_data``.
+        A trace with ``posterior_predictive`` and ``observed_data``.
     figure : Figure, optional
 
     Returns
@@ -143,13 +146,13 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
 
 
 def _new_figure(labels: Sequence[str]) -> Figure:
-    """Return an empty figure of modes, wider where they are many."""
+    """Return an empty figure whose width grows with the number of modes."""
     width = max(style.NARROW, _OF_A_MODE * len(labels))
     return style.new_figure(width, 5.2 if style.rotate_labels(labels, width) else 4.2)
 
 
 def plot_left_out(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Draw the frequency of each measured mode predicted by the other modes, relative to the measured one.
+    """Draw the errors, in %, of each measured frequency predicted from the other modes.
 
     Parameters
     ----------
@@ -172,7 +175,7 @@ def plot_left_out(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
 
 
 def frequencies_before(trace: xr.DataTree) -> FloatArray | None:
-    """Return the model's frequencies before updating in Hz, None if the trace does not store them."""
+    """Return the model's frequencies before updating in Hz, shape (n_modes,); None if the trace has none."""
     if has(trace, GROUP):
         return np.asarray(trace[GROUP]["frequency"].sel(state=START), dtype=float)
     if has(trace, "maxima"):
@@ -181,15 +184,15 @@ def frequencies_before(trace: xr.DataTree) -> FloatArray | None:
 
 
 def plot_predictive_check(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Draw each measured frequency within its posterior predictive distribution, eq. (10).
+    """Draw each measured frequency with its posterior predictive distribution, eq. (10).
 
-    For repeated tests this is the distribution of their mean. The single tests are drawn beside the predictive
-    interval of one more test.
+    For repeated tests, this is the distribution of the mean of the tests. The single tests are drawn beside the
+    predictive interval of one more test.
 
     Parameters
     ----------
     trace : xarray.DataTree
-        With ``posterior_predictive`` frequencies, measurement noise included.
+        A trace with ``posterior_predictive`` frequencies that include measurement noise.
     figure : Figure, optional
 
     Returns

@@ -1,4 +1,4 @@
-"""Information in the data: prior and posterior of each parameter, and sensitivities of the modes."""
+"""Figures of the information in the data: prior and posterior densities, and sensitivities of the modes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _BINS = 28
 MOST_MEASURED, _WRITTEN = 40, 12
-"""Measured quantities whose sensitivities are drawn, and up to how many the numbers are written into the cells."""
+"""Largest number of measured quantities drawn, and of rows and columns with numbers written into the cells."""
 
 
 def plot_marginals(
@@ -31,9 +31,9 @@ def plot_marginals(
     Parameters
     ----------
     trace : xarray.DataTree
-        With draws from the prior.
+        A trace with draws from the prior.
     maximum : array_like, shape (ndim,), optional
-        Where the log-probability is highest, SI units.
+        The parameters at the maximum of the posterior, SI units.
     figure : Figure, optional
 
     Returns
@@ -76,26 +76,27 @@ def plot_marginals(
 
 
 def _density(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the middles of bins and the density in them, with an empty bin on either side."""
+    """Return the bin centres of a histogram and the densities, with an empty bin on either side."""
     low, high = x.min(), x.max()
     spread = high - low or max(1e-9 * abs(high), np.finfo(float).tiny)
     room = (
         1.001 * spread / (_BINS - 2)
-    )  # a little more than a bin, so that the largest value is not in the last one
+    )  # slightly more than a bin, so that the last bin does not contain the largest value
     density, edges = np.histogram(x, _BINS, (low - room, high + room), density=True)
     return 0.5 * (edges[:-1] + edges[1:]), density
 
 
 def plot_sensitivity(trace: xr.DataTree, figure: Figure | None = None) -> Axes:
-    """Draw how far frequencies move, in standard deviations of their errors, by one prior sd of a parameter.
+    """Draw the sensitivity matrix of the frequencies.
 
-    Of the linearised model at the highest maximum, or at the start where none was searched for; frequencies only
-    where many shape components were measured, too.
+    An entry is the change of a frequency, in standard deviations of its error, for a parameter change of one prior
+    standard deviation. The model is linearised at the highest maximum, or at the start if no maximum was searched
+    for. Other measured quantities are drawn only if there are no frequencies.
 
     Parameters
     ----------
     trace : xarray.DataTree
-        With its identifiability (`fmu.analysis.identifiability`).
+        A trace with the linearised model (`fmu.analysis.identifiability`).
     figure : Figure, optional
 
     Returns

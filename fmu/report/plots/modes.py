@@ -1,4 +1,4 @@
-"""Mode shapes before and after updating, and their MAC."""
+"""Figures of mode shapes before and after updating, and of their modal assurance criterion (MAC)."""
 
 from __future__ import annotations
 
@@ -24,20 +24,22 @@ _EXPANDED = "measured, expanded"
 _SWING = 0.12
 """Largest displacement drawn, relative to the size of the structure."""
 _MOST_STROKES = 300
-"""Elements of a structure that is drawn as lines; one of more is drawn as pixels."""
+"""Largest number of elements drawn as vector lines; larger structures are rasterised."""
 _ONE_COLUMN = 6
-"""At most so many modes of a structure in space are drawn in one column."""
+"""Largest number of modes of a plane or spatial structure that are drawn in one column."""
 
 
 def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None = None) -> Axes:
-    """Draw the modal assurance criterion between reference shapes and the model's, 1 where they are the same.
+    """Draw the modal assurance criterion (MAC) between the reference shapes and the model's mode shapes.
+
+    The MAC of two proportional shapes is 1.
 
     Parameters
     ----------
     trace : xarray.DataTree
-        With ``mac`` in its group ``modes`` (`fmu.analysis.trace.modal_states`).
+        A trace with ``mac`` in its group ``modes`` (`fmu.analysis.trace.modal_states`).
     state : str, optional
-        The state drawn; the posterior mean if not given.
+        The state of the model; the posterior mean by default.
     figure : Figure, optional
 
     Returns
@@ -47,7 +49,7 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
     Raises
     ------
     ValueError
-        If the trace has no MAC, or none of that state.
+        If the trace has no MAC, or no MAC of the given state.
     """
     state = MEAN if state is None else state
     modes = _modes(trace, "mac")
@@ -61,16 +63,17 @@ def plot_mac(trace: xr.DataTree, state: str | None = None, figure: Figure | None
 
 
 def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesArray:
-    """Draw each mode before updating (dashed) and at the posterior mean, and the measured shape (diamonds, dots).
+    """Draw each mode shape before updating (dashed) and at the posterior mean, and the measured mode shape.
 
-    A straight structure is drawn with its largest displacement upwards, any other one from the side or in
-    isometric projection with scaled displacements, many modes in two columns. Of a structure without geometry the
-    components of the shapes are drawn. Measured shapes are scaled to the posterior mean by least squares.
+    Diamonds are the measured components, and a dotted line is the measured shape expanded to the mesh. A straight
+    structure is drawn with its largest displacement upwards. Any other structure is drawn in its plane or in
+    isometric projection, with scaled displacements; more than six modes are drawn in two columns. Without geometry
+    the components of the mode shapes are drawn. Measured shapes are scaled to the posterior mean by least squares.
 
     Parameters
     ----------
     trace : xarray.DataTree
-        With ``displacement`` or ``component`` in its group ``modes`` (`fmu.analysis.trace.modal_states`).
+        A trace with ``displacement`` or ``component`` in its group ``modes`` (`fmu.analysis.trace.modal_states`).
     figure : Figure, optional
 
     Returns
@@ -80,7 +83,7 @@ def plot_mode_shapes(trace: xr.DataTree, figure: Figure | None = None) -> style.
     Raises
     ------
     ValueError
-        If the trace has no shapes.
+        If the trace has no mode shapes.
     """
     is_placed = has(trace, GROUP, "displacement")
     modes = _modes(trace, "displacement" if is_placed else "component")
@@ -113,20 +116,21 @@ def _modes(trace: xr.DataTree, needed: str) -> xr.Dataset:
 
 
 def _is_wide(coordinates: FloatArray) -> BoolArray:
-    """Say in which of the directions x, y, z a structure extends, shape (3,)."""
+    """Return a mask, shape (3,), of the directions x, y, z in which a structure extends."""
     extent = np.ptp(coordinates, axis=0)
     return np.asarray(extent > _FLAT * extent.max())
 
 
 def _styles(base: str) -> tuple[tuple[str, str, str, str], ...]:
-    """Return state, words, colour and dashes of the shapes drawn."""
+    """Return the state, label, colour and line style of each mode shape drawn."""
     return (START, "before updating", style.GREY, "--"), (MEAN, "posterior mean", base, "-")
 
 
 def scaled_to_mean(one: xr.Dataset, of: str = "measured") -> FloatArray | None:
     """Return the measured components of one mode scaled to the posterior mean, NaN where nothing was measured.
 
-    With ``of="expanded"`` the displacements of all nodes, by the same factor.
+    With ``of="expanded"``, return the expanded displacements of all nodes, scaled by the same factor. Return None
+    if the mode has no such entry.
     """
     if of not in one:
         return None
@@ -135,7 +139,10 @@ def scaled_to_mean(one: xr.Dataset, of: str = "measured") -> FloatArray | None:
 
 
 def measured_at(one: xr.Dataset) -> tuple[FloatArray, FloatArray] | None:
-    """Return the places of the sensors and the measured displacements there, shapes (places, 3)."""
+    """Return the sensor positions in m and the scaled measured displacements there, both of shape (places, 3).
+
+    Return None if no shape was measured.
+    """
     seen = scaled_to_mean(one)
     if seen is None:
         return None
@@ -148,13 +155,13 @@ def measured_at(one: xr.Dataset) -> tuple[FloatArray, FloatArray] | None:
 
 
 def _mark(axis: Axes, points: FloatArray) -> None:
-    """Mark measured values at points, shape (n, 2)."""
+    """Draw diamonds for measured values at `points`, shape (n, 2)."""
     axis.plot(*points.T, linestyle="none", marker="D", markersize=5, color=style.BLACK, markerfacecolor="white",
               label="measured", zorder=5)  # fmt: skip
 
 
 def _draw_along(axis: Axes, one: xr.Dataset, base: str) -> str:
-    """Draw a straight structure, the largest displacement upwards; return the label below."""
+    """Draw a straight structure with the largest displacement upwards, and return the label of the abscissa."""
     coordinates, ends = one["coordinates"].to_numpy(), one["ends"].to_numpy()
     (along,) = np.flatnonzero(_is_wide(coordinates))
     first = one["displacement"].sel(state=START).to_numpy()
@@ -177,7 +184,7 @@ def _draw_along(axis: Axes, one: xr.Dataset, base: str) -> str:
 
 
 def _draw_projected(axis: Axes, one: xr.Dataset, base: str) -> str:
-    """Draw a structure undeformed in thin lines and deformed; return the label below, which is empty."""
+    """Draw a structure undeformed (thin lines) and deformed, and return the empty label of the abscissa."""
     coordinates, ends = one["coordinates"].to_numpy(), one["ends"].to_numpy()
     swing = _SWING * float(np.max(np.ptp(coordinates, axis=0)))
     project = _projection(coordinates, one["displacement"].to_numpy())
@@ -195,7 +202,7 @@ def _draw_projected(axis: Axes, one: xr.Dataset, base: str) -> str:
 
 
 def _draw_components(axis: Axes, one: xr.Dataset, base: str) -> str:
-    """Draw the components of the shapes of a structure without geometry; return the label below."""
+    """Draw the mode-shape components of a structure without geometry, and return the label of the abscissa."""
     x, places = np.arange(one.sizes["place"]), [str(label) for label in one["place"].to_numpy()]
     directions = {place.rpartition(" ")[2] for place in places}
     if len(directions) == 1:
@@ -237,7 +244,10 @@ _ISOMETRIC = np.array([[np.cos(np.pi / 6), 0.5], [-np.cos(np.pi / 6), 0.5], [0.0
 
 
 def _projection(coordinates: FloatArray, displacement: FloatArray) -> FloatArray:
-    """Return the picture's axes, shape (3, 2): a plane structure that moves in its plane from the side."""
+    """Return the projection matrix, shape (3, 2): onto the plane of a plane structure that moves in its plane.
+
+    For any other structure the projection is isometric.
+    """
     wide = np.flatnonzero(_is_wide(coordinates))
     in_plane = len(wide) == 2 and np.sum(displacement[..., wide] ** 2) > 0.5 * np.sum(displacement**2)
     return np.asarray(np.eye(3)[:, wide] if in_plane else _ISOMETRIC)
@@ -248,15 +258,16 @@ def plot_mode(
 ) -> Axes:
     """Draw a structure and its deformed shape in one mode.
 
-    A straight structure: the largest displacement over the position. A plane structure with motion in its plane:
-    in that plane. Any other: in isometric projection.
+    For a straight structure, the displacement in the direction of largest motion is drawn over the position. A
+    plane structure that moves in its plane is drawn in this plane, any other structure in isometric projection.
 
     Parameters
     ----------
     coordinates : ndarray, shape (n_nodes, 3), m
     ends : ndarray of int, shape (n_elements, 2)
+        The indices of the end nodes of each element.
     displacement : ndarray, shape (n_nodes, 3)
-        Scaled to a largest one of 1.
+        The mode shape, scaled to a largest displacement of 1.
     figure : Figure, optional
 
     Returns

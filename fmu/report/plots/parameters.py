@@ -1,4 +1,4 @@
-"""Parameters before and after updating."""
+"""A figure of the parameters before and after updating."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 _EACH = 0.26
-"""Width of a parameter whose name is turned, inches."""
+"""Width in inches for a parameter whose name is rotated."""
 _LEFT = "prior: not informed"
 _ENDS = ("mean", "eti90_lb", "eti90_ub")
 
@@ -34,24 +34,24 @@ def plot_parameter_updates(
     summaries: Mapping[str, pd.DataFrame] | None = None,
     figure: Figure | None = None,
 ) -> style.AxesArray:
-    """Draw posterior means and 90 % intervals between the bounds, beside start, maximum and published values.
+    """Draw posterior means and 90 % intervals of the parameters, with bounds, start, maximum and published values.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        By their label in the legend; side by side within each parameter.
+        The traces by their label in the legend, drawn side by side for each parameter.
     published : mapping of str to array_like, shape (ndim,), optional
-        Values to compare the trace of the same label with, SI units.
+        Published values to compare with the trace of the same label, SI units.
     maximum : array_like, shape (ndim,), optional
-        Maximum of the posterior, SI units.
+        The parameters at the maximum of the posterior, SI units.
     summaries : mapping of str to pandas.DataFrame, optional
-        ``fmu.summary(trace)`` of each, if already computed.
+        The result of ``fmu.summary(trace)`` for each trace, if already computed.
     figure : Figure, optional
 
     Returns
     -------
     ndarray of Axes, shape (units,)
-        One for the parameters of each unit; inferred standard deviations of errors are separate.
+        One axes for the parameters of each unit; inferred standard deviations of errors have their own axes.
     """
     first = next(iter(traces.values()))
     names = parameter_names(first)
@@ -97,7 +97,7 @@ def inferred_deviations(trace: xr.DataTree) -> frozenset[str]:
 
 
 def _frame(axis: Axes, trace: xr.DataTree, members: list[str]) -> None:
-    """Draw the axis of the parameters, the range between finite bounds, and the start."""
+    """Draw the parameter axis, and the ranges between the bounds and the start values where these are finite."""
     x = np.arange(len(members))
     lower, upper, start = (
         np.array([constant(trace, which, name) / style.unit_of(trace, name).factor for name in members])
@@ -119,7 +119,7 @@ def _frame(axis: Axes, trace: xr.DataTree, members: list[str]) -> None:
 def _intervals(
     axis: Axes, x: NDArray[np.floating], trace: xr.DataTree, table: pd.DataFrame, members: list[str], label: str
 ) -> None:
-    """Draw means with their intervals at the abscissae x, in grey where the data did not inform the parameter."""
+    """Draw means with intervals at the abscissae `x`, in grey for parameters that the data did not inform."""
     factor = np.array([style.unit_of(trace, name).factor for name in members])
     mean, low, high = (table.loc[members, column].to_numpy() / factor for column in _ENDS)
     left = not_informed(trace)

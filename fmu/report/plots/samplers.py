@@ -1,4 +1,4 @@
-"""Several samplers of one posterior: forest, marginals, ranks among all draws, and effective draws over solves."""
+"""Figures that compare samplers of one posterior: forest plot, marginals, ranks, and growth of the ESS."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _LINE, _BINS = 0.19, 32
 _INSIDE = (0.05, 0.25, 0.75, 0.95)
 _NUMBERS = (("rhat", "R-hat", 3, 0.28), ("ess_bulk", "bulk", 0, 0.64), ("ess_tail", "tail", 0, 1.0))
-"""Columns beside a forest plot: of the summary, heading, decimals, and the right edge."""
+"""Columns of numbers beside a forest plot: column of the summary, heading, decimals, and right edge."""
 _FEWEST_RANKED, _MOST_RANKED = 20, 500
 
 
@@ -34,17 +34,17 @@ def plot_forest(
     summaries: Mapping[str, pd.DataFrame] | None = None,
     figure: Figure | None = None,
 ) -> style.AxesArray:
-    """Draw the means with 50 % and 90 % intervals of every parameter by every sampler, R-hat and ESS beside them.
+    """Draw the mean with 50 % and 90 % intervals of every parameter from every sampler, beside R-hat and ESS.
 
-    As ArviZ's ``plot_forest``, which takes runs of one length only. Each parameter has an axis of its own, as
-    units differ.
+    This is similar to ``plot_forest`` of ArviZ, which requires runs of the same length. Each parameter has its own
+    axes, because the units differ.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        Of one posterior, by the names of the rows.
+        Traces of the same posterior, by the names of the rows.
     summaries : mapping of str to pandas.DataFrame, optional
-        ``fmu.summary(trace)`` of each, if already computed.
+        The result of ``fmu.summary(trace)`` for each trace, if already computed.
     figure : Figure, optional
 
     Returns
@@ -86,12 +86,12 @@ def plot_forest(
 
 
 def plot_overlaid_marginals(traces: Mapping[str, xr.DataTree], figure: Figure | None = None) -> style.AxesArray:
-    """Draw the posterior density of every parameter by every sampler, one over the other.
+    """Draw the posterior densities of every parameter from all samplers on the same axes.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        By the names in the legend.
+        Traces of the same posterior, by the names in the legend.
     figure : Figure, optional
 
     Returns
@@ -128,17 +128,18 @@ def plot_ranks_of_samplers(
     summaries: Mapping[str, pd.DataFrame] | None = None,
     figure: Figure | None = None,
 ) -> style.AxesArray:
-    """Draw ArviZ's rank plots of samplers: near zero if all draw from one distribution.
+    """Draw ArviZ's rank plots of the samplers, which are near zero if all draw from the same distribution.
 
-    As `plot_ranks`, each sampler in place of a chain. All are thinned to half of the smallest effective sample
-    size of a parameter: draws so far apart are nearly independent, which the test takes them to be.
+    The plots are those of `plot_ranks`, with samplers in place of chains. The test in them assumes independent
+    draws. The draws of every sampler are therefore thinned to half of the smallest effective sample size, but to
+    at least 20 and at most 500 draws.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        At least two.
+        At least two traces of the same posterior, by the names in the legend.
     summaries : mapping of str to pandas.DataFrame, optional
-        ``fmu.summary(trace)`` of each, if already computed.
+        The result of ``fmu.summary(trace)`` for each trace, if already computed.
     figure : Figure, optional
 
     Returns
@@ -166,7 +167,7 @@ def plot_ranks_of_samplers(
 
 
 def _evenly(trace: xr.DataTree, name: str, wanted: int) -> FloatArray:
-    """Return so many draws of a parameter, evenly spaced over all chains."""
+    """Return `wanted` draws of a parameter, evenly spaced over all chains."""
     draws = array_of(trace, "posterior", name).ravel()
     return np.asarray(draws[np.linspace(0, len(draws) - 1, wanted).astype(int)])
 
@@ -177,16 +178,18 @@ def plot_growth(
     search: float = 0.0,
     figure: Figure | None = None,
 ) -> Axes:
-    """Draw effective draws of the worst parameter over solves as the runs grew; a dot where the criterion was met.
+    """Draw the smallest effective sample size over model solves, as the runs grew.
+
+    A dot marks where a run first met the convergence criterion.
 
     Parameters
     ----------
     traces : mapping of str to xarray.DataTree
-        By the names in the legend.
+        Traces of the same posterior, by the names in the legend.
     grown : mapping of str to Growth, optional
-        ``growth(trace)`` of each, if already computed.
+        The result of ``growth(trace)`` for each trace, if already computed.
     search : float
-        Solves that each run shares, of the search for maxima.
+        Number of model solves of the search for maxima, added to those of each run.
     figure : Figure, optional
 
     Returns

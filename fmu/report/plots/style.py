@@ -1,4 +1,4 @@
-"""The style of all figures: colours of samplers and chains (Okabe & Ito's, colour-blind safe), sizes, units."""
+"""The common style of figures: colours of samplers and chains (the palette of Okabe & Ito), sizes and units."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ if TYPE_CHECKING:
 
 
 AxesArray = NDArray[np.object_]
-"""The axes of a figure."""
+"""An array of the axes of a figure."""
 
 COLOURS = {name: sampler_class(name).colour for name in SAMPLERS}
 TITLES = {name: sampler_class(name).title for name in SAMPLERS}
 PALETTE = drawing.COLOURS
 BLACK, GREY, PALE = "#000000", "#6E6E6E", "#E8E8E8"
 ON_PALE, ON_DARK = "#111111", "#FAFAFA"
-"""Words on a cell, whatever the page's scheme: `BLACK` and white follow it."""
+"""Text colours on pale and dark cells; unlike `BLACK` and white, they do not change with the page's scheme."""
 VERMILLION = "#D55E00"
 FONT = 10
 DPI = 130
 NARROW = 4.6
 """Width in inches of a figure whose labels are readable on a phone."""
 _LEGEND_HANDLE, _LEGEND_LETTER = 0.6, 0.072
-"""Width in inches of a legend handle, and of a letter of its label."""
+"""Width in inches of a legend handle, and of a character of its label."""
 _LABEL_LETTER = 0.085
-"""Width in inches of a letter of an axis label."""
+"""Width in inches of a character of an axis label."""
 _TICK_LETTER = 0.1
+"""Width in inches of a character of a tick label, including its share of the gaps."""
 MOST_LABELS = 16
-"""Tick labels side by side on a figure of usual width."""
-"""Width in inches of a letter of a tick label, including its share of the gaps."""
+"""Largest number of tick labels side by side on a figure of the usual width."""
 
 
 def new_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
@@ -50,9 +50,9 @@ def new_figure(width: float, height: float, layout: Literal["constrained"] | Non
     Parameters
     ----------
     width, height : float
-        In inches.
+        Size in inches.
     layout : {"constrained"}, optional
-        None if the axes are arranged otherwise.
+        The layout engine; None if the caller arranges the axes.
 
     Returns
     -------
@@ -64,12 +64,12 @@ def new_figure(width: float, height: float, layout: Literal["constrained"] | Non
 
 
 def colour(sampler: str) -> str:
-    """Return the colour of a sampler; grey for one that has none."""
+    """Return the colour of a sampler; grey for an unknown sampler."""
     return COLOURS.get(sampler, GREY)
 
 
 def tint(base: str, share: float) -> tuple[float, float, float]:
-    """Return a colour mixed with white; `share` of white between 0 and 1."""
+    """Return the RGB values of a colour mixed with white, where `share` from 0 to 1 is the share of white."""
     from matplotlib.colors import to_rgb
 
     red, green, blue = (share + (1.0 - share) * channel for channel in to_rgb(base))
@@ -77,12 +77,12 @@ def tint(base: str, share: float) -> tuple[float, float, float]:
 
 
 def chain_colours(trace: xr.DataTree) -> list[str]:
-    """Return a colour for each chain, whatever the sampler; from the seventh chain on they repeat."""
+    """Return the list of the colours of the chains; the colours repeat after the end of `PALETTE`."""
     return [PALETTE[chain % len(PALETTE)] for chain in range(trace["posterior"].sizes["chain"])]
 
 
 def legend_of_chains(figure: Figure, trace: xr.DataTree) -> None:
-    """Name the colours of the chains below the figure, if each chain has its own."""
+    """Add a legend of the chains' colours below the figure, if there are several chains of different colours."""
     from matplotlib.lines import Line2D
 
     shades = chain_colours(trace)
@@ -94,18 +94,18 @@ def legend_of_chains(figure: Figure, trace: xr.DataTree) -> None:
 
 
 def unit_of(trace: xr.DataTree, name: str) -> Unit:
-    """Return the unit in which a parameter of a trace is shown."""
+    """Return the customary unit in which a parameter of a trace is shown."""
     return customary_unit(trace["posterior"][name].attrs.get("units", ""))
 
 
 def finish(axes: Axes, x: str = "", y: str = "") -> None:
-    """Label axes, set the size of their ticks and remove the upper and right spines.
+    """Label the axes, set the size of the tick labels and hide the top and right spines.
 
     Parameters
     ----------
     axes : Axes
     x, y : str
-        Labels; where empty, the label is unchanged.
+        Axis labels; an empty string leaves the label unchanged.
     """
     if x:
         axes.set_xlabel(x, fontsize=FONT)
@@ -117,19 +117,19 @@ def finish(axes: Axes, x: str = "", y: str = "") -> None:
 
 
 def height_of_row(n: int) -> float:
-    """Return the height in inches of each of `n` axes in a column: so many as 12 fit on a printed page."""
+    """Return the height in inches of each of `n` axes in a column; up to 12 axes fit on a printed page."""
     return 1.35 if n <= 8 else 1.1
 
 
 def stack_axes(n: int, figure: Figure | None, height: float | None = None, sharey: bool = False) -> AxesArray:
-    """Return `n` axes in a column, with a common abscissa, on a narrow figure if none is given."""
+    """Return `n` axes in a column with a shared abscissa, on the given figure or on a new narrow one."""
     height = height_of_row(n) if height is None else height
     figure = figure or new_figure(NARROW, height * n + 0.5)
     return np.asarray(figure.subplots(n, 1, sharex=True, sharey=sharey, squeeze=False)[:, 0])
 
 
 def grid_axes(n: int, figure: Figure, shared: bool = False) -> AxesArray:
-    """Return `n` axes in two columns, with common ordinate and abscissa if `shared`, shape (n,)."""
+    """Return `n` axes in two columns, shape (n,), with shared abscissa and ordinate if `shared` is True."""
     axes = figure.subplots((n + 1) // 2, 2, sharex=shared, sharey=shared, squeeze=False).ravel()
     for spare in axes[n:]:
         spare.remove()
@@ -137,7 +137,7 @@ def grid_axes(n: int, figure: Figure, shared: bool = False) -> AxesArray:
 
 
 def broken(label: str, room: float) -> str:
-    """Return a label in lines that fit into a room in inches, at most three; the unit has a line of its own."""
+    """Return a label broken into at most three lines that fit in `room` inches, with the unit on its own line."""
     most = max(6, int(room / _LABEL_LETTER))
     quantity, slash, unit = label.rpartition(" / ")
     if not slash or len(label) <= most:
@@ -147,7 +147,7 @@ def broken(label: str, room: float) -> str:
 
 
 def legend_below(axes: Axes) -> None:
-    """Add a legend of the axes below the figure, in as many columns as fit."""
+    """Add the legend of the axes below the figure, in as many columns as fit."""
     figure = axes.get_figure(root=True)
     if figure is None:
         raise ValueError("axes: must be on a figure")
@@ -161,18 +161,18 @@ def legend_below(axes: Axes) -> None:
 
 
 def literal(text: str) -> str:
-    """Escape dollar signs, which matplotlib would take for mathematics."""
+    """Return a text with escaped dollar signs, which Matplotlib would interpret as mathematics."""
     return text.replace("$", r"\$")
 
 
 def thin_labels(labels: Sequence[str]) -> list[str]:
-    """Return tick labels with every other one, or more of them, left empty where there are too many to read."""
+    """Return tick labels with only every k-th label kept and the others empty, if there are too many to read."""
     every = -(-len(labels) // MOST_LABELS)
     return [label if k % every == 0 else "" for k, label in enumerate(labels)]
 
 
 class RotatedLabels(TypedDict, total=False):
-    """Options of tick labels that are turned."""
+    """Matplotlib options of rotated tick labels."""
 
     rotation: float
     ha: Literal["right"]
@@ -180,7 +180,7 @@ class RotatedLabels(TypedDict, total=False):
 
 
 def rotate_labels(labels: Sequence[str], width: float) -> RotatedLabels:
-    """Return the options that rotate tick labels which do not fit side by side in a width in inches."""
+    """Return options that rotate the tick labels; empty if they fit side by side in a width in inches."""
     if max(map(len, labels)) * _TICK_LETTER <= width / len(labels):
         return {}
     return {"rotation": 45, "ha": "right", "rotation_mode": "anchor"}

@@ -1,4 +1,4 @@
-"""Several tests of one structure: values in each test, predictions of the next one, and losses."""
+"""Figures for several tests of one structure: parameter values in each test, and losses."""
 
 from __future__ import annotations
 
@@ -22,15 +22,16 @@ _BAR = {"elinewidth": 1.6, "capsize": 0, "marker": "o", "markersize": 3.5, "line
 
 
 def plot_values(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesArray:
-    """Draw the value of every parameter with a population in each test, and the population behind them.
+    """Draw the value in each test of every parameter with a population, and the population.
 
-    The band is mean ± sd of the population: variability of the structure. The bars are the central 90 % of each
-    value: uncertainty of the estimate.
+    The band is the mean ± sd of the population (for a log-normal population, in the logarithm), which shows the
+    variability of the structure. The bars are the central 90 % intervals of the values, which show the uncertainty
+    of the estimates.
 
     Parameters
     ----------
     trace : xarray.DataTree
-        Of a hierarchical `fmu.JointProblem`.
+        A trace of a hierarchical `fmu.JointProblem`.
     figure : Figure, optional
 
     Returns
@@ -82,8 +83,9 @@ def plot_losses(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None 
     Parameters
     ----------
     trace : xarray.DataTree
-        See `fmu.damage`.
+        A trace with losses, as `fmu.damage` requires.
     beyond : float
+        The threshold of the loss as a share of one.
     figure : Figure, optional
 
     Returns
@@ -123,7 +125,7 @@ def _state(axis: Axes, draws: FloatArray, exceeded: FloatArray, beyond: float) -
         axis.annotate(
             probably(float(p)),
             (k, 1.0),
-            xycoords=axis.get_xaxis_transform(),  # above the axes, where no line crosses it
+            xycoords=axis.get_xaxis_transform(),  # above the axes, where no lines cross
             xytext=(0, 3),
             textcoords="offset points",
             ha="center",

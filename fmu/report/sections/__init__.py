@@ -1,6 +1,6 @@
-"""The sections of a report. A section is a function that takes a run and returns a `PageSection` or `Omitted`.
+"""The sections of a report. Each section is a function of a run that returns a `PageSection` or `Omitted`.
 
-To add one, write it in a module of this folder and name it in `OF_A_SAMPLER`.
+To add a section, write its function in a module of this package and list it in `OF_A_SAMPLER`.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ OF_A_SAMPLER = (
     "origin.certificate",
     "origin.settings",
 )
-"""The sections on the page of a sampler in their order, as ``MODULE.FUNCTION``."""
+"""The sections on the page of a sampler, in this order, as ``MODULE.FUNCTION``."""
 
 
 def of_a_sampler(run: ReportedRun) -> list[PageSection | Omitted]:
-    """Return the sections of the page of one run."""
+    """Return the list of sections, shown or omitted, of the page of one run."""
     found = []
     for name in OF_A_SAMPLER:
         module, _, function = name.partition(".")

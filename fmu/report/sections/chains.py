@@ -1,4 +1,4 @@
-"""The chains themselves: traces, ranks, autocorrelation, running means, pairs, energies."""
+"""Sections on the chains: traces, ranks, autocorrelation, running means, pairs of parameters, energies."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ TOO_FEW = "there are too few draws"
 
 
 def reliability(run: ReportedRun) -> PageSection:
-    """Return R-hat, effective sample sizes and standard errors of each parameter."""
+    """Return the section with R-hat, effective sample sizes and Monte Carlo errors of each parameter."""
     rows = []
     for name in run.names:
         rhat, bulk, tail, error, sd = (
@@ -77,7 +77,7 @@ def reliability(run: ReportedRun) -> PageSection:
 
 
 def paths(run: ReportedRun) -> PageSection:
-    """Return trace plots and rank plots."""
+    """Return the section with trace plots and, for several chains, rank plots."""
     ranges = []
     for name in run.names:
         unit, n = run.unit(name), decimals(run.value(name, "sd"))
@@ -98,7 +98,7 @@ def paths(run: ReportedRun) -> PageSection:
 
 
 def _agreement(run: ReportedRun) -> str:
-    """Return whether the chains agree, by the parameter in which they differ most."""
+    """Return a sentence that says whether the chains agree, with the largest R-hat."""
     rhat = run.summary["rhat"].fillna(np.inf)
     name, worst = str(rhat.idxmax()), float(rhat.max())
     if not np.isfinite(worst):
@@ -108,7 +108,7 @@ def _agreement(run: ReportedRun) -> str:
 
 
 def _slowest(run: ReportedRun) -> str:
-    """Name the parameter with the fewest effective draws."""
+    """Return a sentence on the parameter with the smallest effective sample size."""
     ess = run.summary["ess_bulk"]
     if ess.isna().any():
         return "The draws of some parameters do not move."
@@ -126,12 +126,12 @@ def _has_few_draws(run: ReportedRun) -> bool:
 
 
 def _furthest(axis: Axes) -> float:
-    """Return the largest ordinate drawn, either sign."""
+    """Return the largest absolute ordinate of the lines drawn."""
     return max(float(np.max(np.abs(line.get_ydata()))) for line in axis.lines)
 
 
 def settling(run: ReportedRun) -> PageSection:
-    """Return autocorrelation and running means."""
+    """Return the section on autocorrelation, running means and, for several chains, running R-hat."""
     drawings = [_autocorrelation(run), _running_means(run)]
     if _has_several_chains(run):
         drawings.append(_running_rhat(run))
@@ -145,7 +145,7 @@ def settling(run: ReportedRun) -> PageSection:
 def _autocorrelation(run: ReportedRun) -> Picture:
     axes = plot_autocorrelation(run.trace)
     k = int(np.argmin(run.summary["ess_bulk"].to_numpy()))
-    *chains, _ = axes[k].lines  # the last line is zero
+    *chains, _ = axes[k].lines  # the last line marks zero
     mean = np.mean([line.get_ydata() for line in chains], axis=0)
     values = ", ".join(f"{fixed(mean[lag], 2)} at lag {lag}" for lag in (1, 10, 50) if lag < len(mean))
     alt = f"Autocorrelation of each parameter; of {run.names[k]}, the slowest, {values}."
@@ -164,7 +164,7 @@ def _running_means(run: ReportedRun) -> Picture:
 def _running_rhat(run: ReportedRun) -> Picture:
     axes = plot_running_rhat(run.trace)
     seen = []
-    for name, line in zip(run.names, axes.lines, strict=False):  # a line more is the limit
+    for name, line in zip(run.names, axes.lines, strict=False):  # the last line is the limit
         above = np.asarray(line.get_ydata(), dtype=float)
         seen.append(f"{name} {fixed(1 + above[len(above) // 2], 3)}, then {fixed(1 + above[-1], 3)}")
     at = np.asarray(axes.lines[0].get_xdata())
@@ -175,7 +175,7 @@ def _running_rhat(run: ReportedRun) -> Picture:
 
 
 def pairs(run: ReportedRun, most: int = 8) -> PageSection | Omitted:
-    """Return the posterior in pairs of parameters, of those at most that are correlated most strongly."""
+    """Return the section on pairs of parameters, limited to the `most` most strongly correlated parameters."""
     title = "Pairs of parameters"
     if _has_few_draws(run):
         return Omitted(title, TOO_FEW)
@@ -200,7 +200,7 @@ def pairs(run: ReportedRun, most: int = 8) -> PageSection | Omitted:
 
 
 def _strongest_correlations(run: ReportedRun, most: int) -> tuple[tuple[str, ...], str]:
-    """Return the parameters most correlated with another one, and a sentence on the first pair."""
+    """Return the most strongly correlated parameters, and a sentence on the pair with the largest correlation."""
     draws, n = parameter_draws(run.trace).reshape(-1, len(run.names)), len(run.names)
     moving = np.flatnonzero(np.ptp(draws, axis=0) > 0)
     if len(moving) < 2:
@@ -217,7 +217,7 @@ def _strongest_correlations(run: ReportedRun, most: int) -> tuple[tuple[str, ...
 
 
 def energies(run: ReportedRun) -> PageSection | Omitted:
-    """Return the energies of Hamiltonian trajectories."""
+    """Return the section on the energies of Hamiltonian trajectories."""
     title = "Energies of the trajectories"
     if not has(run.trace, "sample_stats", "energy"):
         return Omitted(title, "this sampler has none")

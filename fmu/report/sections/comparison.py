@@ -1,4 +1,4 @@
-"""Samplers side by side: one posterior, the same criterion, and emcee as the baseline."""
+"""Sections that compare samplers of one posterior by the same criterion, with emcee as the baseline."""
 
 from __future__ import annotations
 
@@ -44,15 +44,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """Several runs on one posterior, with what is computed once for all sections.
+    """Several runs on one posterior, with the comparisons that all sections share.
 
     Attributes
     ----------
     runs : mapping of str to ReportedRun
     grown : mapping of str to Growth
+        R-hat and effective sample size of each run as it grew.
     costs : pandas.DataFrame
-        ``costs_side_by_side`` of them.
+        The result of ``costs_side_by_side`` for the runs.
     agreed : Agreement
+        The agreement of the posterior estimates.
     """
 
     runs: Mapping[str, ReportedRun]
@@ -62,7 +64,7 @@ class Compared:
 
     @classmethod
     def of(cls, runs: Mapping[str, ReportedRun]) -> Compared:
-        """Compare runs."""
+        """Return the comparison of the given runs."""
         traces = {name: run.trace for name, run in runs.items()}
         grown = {name: growth(trace) for name, trace in traces.items()}
         agreed = agreement(traces, {name: run.summary for name, run in runs.items()})
@@ -70,12 +72,12 @@ class Compared:
 
     @property
     def traces(self) -> dict[str, xr.DataTree]:
-        """The traces, by the names of their runs."""
+        """The trace of each run, by its name."""
         return {name: run.trace for name, run in self.runs.items()}
 
     @property
     def summaries(self) -> dict[str, pd.DataFrame]:
-        """The summaries, by the names of their runs."""
+        """The summary of each run, by its name."""
         return {name: run.summary for name, run in self.runs.items()}
 
 
@@ -96,7 +98,7 @@ def verdicts_on_samplers(found: Compared) -> tuple[Verdict, ...]:
 
 
 def _cost(found: Compared) -> Verdict:
-    """Return the solves to the criterion, the cheapest sampler first."""
+    """Return the verdict on the model solves that each sampler needed to meet the criterion, cheapest first."""
     costs = found.costs.sort_values("criterion_solves")
     met = [(str(name), float(x)) for name, x in costs["criterion_solves"].items() if not np.isnan(x)]
     question = "What did they cost?"
@@ -113,7 +115,7 @@ def _cost(found: Compared) -> Verdict:
 
 
 def posterior(found: Compared) -> PageSection:
-    """Return the posterior by every sampler, and how its effective draws grew."""
+    """Return the section on the posterior from every sampler, and on the growth of its effective sample size."""
     runs, traces = found.runs, found.traces
     seen = "; ".join(f"{row[0]} {', '.join(row[2:])} {row[1]}".rstrip() for row in _means(runs))
     forest = picture(
@@ -135,7 +137,7 @@ def posterior(found: Compared) -> PageSection:
 
 
 def costs(found: Compared, pages: Mapping[str, str]) -> PageSection:
-    """Return verdict, reliability and cost of each run, its name leading to its page."""
+    """Return the section with the verdict, reliability and cost of each run, and a link to its page."""
     rows = []
     for name, run in found.runs.items():
         cost, of = {column: float(found.costs[column][name]) for column in found.costs}, run.costs
@@ -168,14 +170,14 @@ def _is_baseline(run: ReportedRun) -> str:
 
 
 def _gradients(runs: Mapping[str, ReportedRun]) -> str:
-    """Say how many solves an exact gradient counts as; empty if none was taken."""
+    """Return a sentence on the cost of an exact gradient in solves; empty if no gradients were evaluated."""
     known = {run.title: float(run.costs["gradient_cost"]) for run in runs.values()}
     listed = ", ".join(f"{significant(cost, 2)} ({title})" for title, cost in known.items() if not np.isnan(cost))
     return f"An exact gradient costs as much as so many solves: {listed}." * bool(listed)
 
 
 def marginals(found: Compared) -> PageSection | Omitted:
-    """Return the densities by every sampler, and the ranks of their draws among all."""
+    """Return the section on the posterior densities from every sampler, and on the ranks of their draws."""
     title, runs = "Marginals and ranks", found.runs
     if len(runs) < 2:
         return Omitted(title, "there is one sampler")
@@ -202,7 +204,7 @@ def marginals(found: Compared) -> PageSection | Omitted:
 
 
 def paths(found: Compared) -> PageSection:
-    """Return the trace plots of every sampler."""
+    """Return the section with the trace plots of every sampler."""
     return PageSection(
         "paths", "Trace plots", (Text(LOOK_AT_PATHS), Pictures(tuple(map(_paths, found.runs.values()))))
     )
@@ -221,7 +223,7 @@ def _paths(run: ReportedRun) -> Picture:
 
 
 def _means(runs: Mapping[str, ReportedRun]) -> list[tuple[str, ...]]:
-    """Return a row for each parameter: name, unit, and mean with interval by each sampler."""
+    """Return a row for each parameter: its name, its unit, and the mean with interval from each sampler."""
     first, rows = next(iter(runs.values())), []
     for name in first.names:
         n = decimals(min(run.value(name, "sd") for run in runs.values()))
@@ -234,7 +236,7 @@ def _means(runs: Mapping[str, ReportedRun]) -> list[tuple[str, ...]]:
 
 
 def _means_table(runs: Mapping[str, ReportedRun]) -> Details:
-    """Return the posterior means side by side."""
+    """Return the table of the posterior means from every sampler, hidden until opened."""
     titles = (run.title for run in runs.values())
     words = "Posterior means and 90 % intervals"
     return Details(

@@ -1,4 +1,4 @@
-"""Whether the model fits the data: the verdict, and the checks that it comes from."""
+"""The verdict on the fit of the model to the data, and the section on the checks behind it."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _BECAUSE = {
 
 
 def model_fit(run: ReportedRun) -> Verdict:
-    """Return the verdict on the model, which no convergence of a sampler tells."""
+    """Return the verdict on the fit of the model, which does not follow from convergence of the sampler."""
     fit = run.diagnosis.fit
-    # what `judge_data` is about, what failed, and what was not checked
+    # warnings that appear elsewhere: in `judge_data`, as failed checks, or as checks that were not done
     elsewhere = {*information_warnings(run.trace), *fit.against, *left_out_warnings(run.trace)}
     found = tuple(warning for warning in run.diagnosis.warnings if warning not in elsewhere)
     answer = fit.answer[0].upper() + fit.answer[1:]
@@ -40,7 +40,7 @@ def model_fit(run: ReportedRun) -> Verdict:
 
 
 def _strongest_evidence(fit: ModelFit) -> str:
-    """Name the check that speaks most against the model; else count the checks that could have contradicted it."""
+    """Return a sentence on the strongest evidence against the model, or on the number of checks it passed."""
     against = failed_checks(fit.checks)
     if against:
         p = f" (p = {significant(against[0].p, 2)})" if np.isfinite(against[0].p) else ""
@@ -52,7 +52,7 @@ def _strongest_evidence(fit: ModelFit) -> str:
 
 
 def _shapes(run: ReportedRun) -> tuple[str, ...]:
-    """Return a sentence on measured shapes that all fit; nothing if there are none, or one does not."""
+    """Return a tuple with a sentence if every mode matches its measured shape; otherwise an empty tuple."""
     alike = measured_mac(run.trace)
     if alike is None or shape_warnings(run.trace):
         return ()
@@ -61,7 +61,7 @@ def _shapes(run: ReportedRun) -> tuple[str, ...]:
 
 
 def checks(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section of the checks: what each could have shown, and its result."""
+    """Return the section on the checks of the model: the result of each and the errors it could have detected."""
     title, fit = "Checks of the model", run.diagnosis.fit
     if not fit.checks:
         return Omitted(title, fit.reasons[0][0].lower() + fit.reasons[0][1:].removesuffix("."))

@@ -1,4 +1,4 @@
-"""Information in the data, as pictures: prior and posterior of each parameter, and the sensitivities."""
+"""The section on prior and posterior densities, and the picture of the parameter sensitivities."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LOOK_AT_SENSITIVITY = (
 
 
 def marginals(run: ReportedRun) -> PageSection | Omitted:
-    """Return prior and posterior of each parameter."""
+    """Return the section on the prior and posterior density of each parameter."""
     title, found = "Prior and posterior", information(run.trace)
     if found is None:
         return Omitted(title, "the trace has no draws from the prior")
@@ -46,7 +46,10 @@ def marginals(run: ReportedRun) -> PageSection | Omitted:
 
 
 def sensitivity(run: ReportedRun, found: Identifiability) -> tuple[Text, Picture]:
-    """Return the sensitivities of the frequencies in the linearised model, and sentences on the largest."""
+    """Return sentences on the parameter sensitivities, and a picture of the sensitivity matrix.
+
+    The sensitivities are those of the linearised model.
+    """
     size = np.linalg.norm(found.sensitivity, axis=0)
     weak = [name for name, x in zip(found.names, size, strict=True) if x < _WEAK * size.max()]
     said = "Every parameter affects at least one mode noticeably."

@@ -1,4 +1,4 @@
-"""Cost and origin of a run: cost, certificate, settings, versions."""
+"""Sections on the computational cost, the accuracy certificate, and the settings and versions of a run."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from fmu.report.document import Details, Items, Omitted, PageSection, PageTable,
 from fmu.report.run import ReportedRun
 
 _LONG = 60
-"""Letters of a setting in a table."""
+"""Largest number of characters of a list of settings in a table cell."""
 
 
 def cost(run: ReportedRun) -> PageSection:
-    """Return the section of the cost: solves and seconds, per effective draw too."""
+    """Return the section on the cost of the run: model solves, time in s, and efficiency."""
     attrs, costs = run.trace.attrs, run.costs
     counts = []
     for words, name in (("model solves", "n_solves"), ("of which gradients", "n_gradients")):
@@ -41,7 +41,7 @@ def cost(run: ReportedRun) -> PageSection:
 
 
 def certificate(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on the error of the reduced model at the draws."""
+    """Return the section on the error of the reduced model or of the surrogate at the draws."""
     title, attrs = "Certificate of the reduced model", run.trace.attrs
     of_surrogate = SurrogateCertificate.from_trace(attrs)
     if of_surrogate is not None:
@@ -51,7 +51,7 @@ def certificate(run: ReportedRun) -> PageSection | Omitted:
         return Omitted(title, "no reduced model was used")
     said = f"{found.draws} of the draws were solved again with the full model"
     bounds: tuple[tuple[str, str, str], ...] = ()
-    if found.bound is not None and found.bound_median is not None:  # a trace of an earlier version has none
+    if found.bound is not None and found.bound_median is not None:  # traces of earlier versions have no bounds
         said = (
             f"At {found.bound_draws} of the draws the errors of the frequencies were bounded by their residuals. "
             f"{said}, those with the largest bounds among them"
@@ -79,7 +79,10 @@ def certificate(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _of_surrogate(found: SurrogateCertificate, exact: list[str]) -> PageSection:
-    """Return the section on the error of the surrogate of a slow model at draws of the posterior."""
+    """Return the section on the error of the surrogate at draws of the posterior.
+
+    The sentences in `exact` say which draws are exact.
+    """
     if exact:
         exact.append("The rest of this section is about the surrogate; its errors are not those of the draws.")
     rows = (
@@ -97,13 +100,13 @@ def _of_surrogate(found: SurrogateCertificate, exact: list[str]) -> PageSection:
 
 
 def _beside(found: float, allowed: float) -> tuple[str, str]:
-    """Return an error and the largest that is allowed."""
+    """Return the texts of an error and of the largest allowed error, with enough digits to tell them apart."""
     text = significant(found, 2)
     return apart(found, allowed, digits=2)[0] if text == significant(allowed, 2) else text, given(allowed)
 
 
 def assumptions(run: ReportedRun) -> tuple[Part, ...]:
-    """Return the assumptions behind the verdicts on a run; nothing for a density that is no updating problem."""
+    """Return the parts on the assumptions of the verdicts; empty for a density that is not an updating problem."""
     attrs, mean = run.trace.attrs, run.summary["mean"]
     reduced = ReductionCertificate.from_trace(attrs)
     noise = run.problem.get("likelihood", {}).get("noise", ())
@@ -117,7 +120,10 @@ def assumptions(run: ReportedRun) -> tuple[Part, ...]:
 
 
 def assumption_parts(found: Assumptions, inferred: str) -> tuple[Part, ...]:
-    """Return assumptions as a list and the table of the errors; `inferred` says what an inferred σ stands at."""
+    """Return the list of assumptions and the table of the errors of the measured frequencies, if known.
+
+    The caption contains `inferred`, a sentence that says at which value an inferred σ is given.
+    """
     if not found.errors:
         return (Items(found.sentences),)
     caption = (
@@ -129,7 +135,7 @@ def assumption_parts(found: Assumptions, inferred: str) -> tuple[Part, ...]:
 
 
 def settings(run: ReportedRun) -> PageSection:
-    """Return settings, seed, versions and the hash of the configuration."""
+    """Return the section on settings, seed, versions and the hash of the configuration."""
     attrs = run.trace.attrs
     given, learnt = (json.loads(str(attrs[name])) for name in ("settings", "learnt"))
     before, after = dict(_flat(given)), dict(_flat(learnt))
@@ -154,7 +160,7 @@ def settings(run: ReportedRun) -> PageSection:
 
 
 def _flat(value: object, name: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the entries of nested settings as names and words; long lists are told by their size and range."""
+    """Yield the name and the text of each entry of nested settings; long lists are given by size and range."""
     if isinstance(value, dict) and value:
         for key, inner in value.items():
             yield from _flat(inner, f"{name}, {_plain(key)}" if name else _plain(key))
@@ -170,7 +176,7 @@ def _plain(key: str) -> str:
 
 
 def _in_words(value: object) -> str:
-    """Return a setting as text for a cell of a table."""
+    """Return the text of a setting for a table cell."""
     if value is None or value in ({}, []):
         return MISSING
     if isinstance(value, bool):

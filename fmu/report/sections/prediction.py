@@ -1,4 +1,4 @@
-"""Whether the posterior predicts the measurements."""
+"""Sections on how well the posterior predicts the measurements."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ NO_NOISE = (
 
 
 def predictive(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section that places the measured frequencies in their predictive distributions."""
+    """Return the section that compares the measured frequencies with their posterior predictive distributions."""
     title, table = "Posterior predictive check", run.prediction
     if table is None:
         return Omitted(title, NO_FREQUENCIES)
@@ -81,7 +81,10 @@ def predictive(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _single_tests(run: ReportedRun, tests: FloatArray) -> tuple[Part, ...]:
-    """Return the predictive distribution of one more test, and the place of each earlier test in it."""
+    """Return a table that compares the repeated tests with the predictive distribution of one more test.
+
+    A list of warnings on the repeatability of the tests follows, if there are any.
+    """
     table = run.prediction
     if table is None:
         raise ValueError("run: must predict frequencies (got none)")
@@ -110,7 +113,7 @@ def _single_tests(run: ReportedRun, tests: FloatArray) -> tuple[Part, ...]:
 
 
 def left_out(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on predictions of each measured mode by the others."""
+    """Return the section on predictions of each measured mode from the other modes."""
     title = "Leave-one-mode-out check"
     if not has(run.trace, "log_likelihood"):
         return Omitted(title, "the trace has no likelihood of single modes")
@@ -153,7 +156,7 @@ def left_out(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _compared_quantity(trace: xr.DataTree) -> str:
-    """Name the quantities whose log-likelihood a mode has."""
+    """Return the words for the measured quantities in the log-likelihood of a mode."""
     return "frequency" if has(trace, "log_likelihood", "frequency") else "all that is compared"
 
 

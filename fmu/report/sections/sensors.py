@@ -1,4 +1,4 @@
-"""Where test and model disagree before updating and after it: CoMAC and ECoMAC of each sensor."""
+"""The section on the agreement of test and model at each sensor, before and after updating: CoMAC and ECoMAC."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fmu.report.run import ReportedRun
 
 
 def sensors(run: ReportedRun) -> PageSection | Omitted:
-    """Return CoMAC and ECoMAC along the sensors, at the start and at the posterior mean."""
+    """Return the section with CoMAC and ECoMAC of each sensor, at the start and at the posterior mean."""
     title = "Test and model at the sensors"
     if not has(run.trace, GROUP, "measured"):
         return Omitted(title, "no shapes were measured")

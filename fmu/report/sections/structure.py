@@ -1,4 +1,4 @@
-"""Identifiability of the parameters, and the model before updating and after it."""
+"""Sections on the identifiability of the parameters, and on the modes before and after updating."""
 
 from __future__ import annotations
 
@@ -32,23 +32,23 @@ _WHERE = {START: "Before updating, at the start", "maximum": "After updating, at
 
 
 MOST_DRAWN = 5000
-"""Elements; a larger structure is not drawn."""
+"""Largest number of elements of a structure that is drawn."""
 
 
 def structure_drawing(trace: xr.DataTree) -> Markup:
-    """Return the structure with a legend of its colours; nothing if the trace has no drawing of it."""
+    """Return a drawing of the structure with its legend; empty without geometry or for a very large structure."""
     found = sketch_of(trace)
     if found is None or len(found.elements) > MOST_DRAWN:
         return Markup("")
-    # no text in it is the user's; inside HTML an SVG has no need of an address
+    # the drawing contains no text of the user; an SVG inside HTML needs no namespace
     svg = Markup(draw_svg(found).replace(' xmlns="http://www.w3.org/2000/svg"', "", 1))
     return svg + legend_of_parameters(parameter_names(trace), parameter_colours(found), svg)
 
 
 def legend_of_parameters(names: Iterable[str], colours: Iterable[str | None], svg: str) -> Markup:
-    """Return the legend of a drawing in which parameters have colours, None for those that change no element."""
+    """Return the legend of a drawing with the colour of each parameter, None if a parameter changes no element."""
     entries: dict[str, list[str]] = {}
-    for name, colour in zip(names, colours, strict=False):  # inferred errors, after the others, have none
+    for name, colour in zip(names, colours, strict=False):  # inferred errors, at the end, have no colour
         if colour is not None:
             entries.setdefault(colour, []).append(str(name))
     if f'stroke="{UNCHANGED}" stroke-width="4"' in svg:
@@ -57,13 +57,13 @@ def legend_of_parameters(names: Iterable[str], colours: Iterable[str | None], sv
 
 
 def legend(entries: Iterable[tuple[str, str]]) -> Markup:
-    """Return the legend of a drawing: each colour with its meaning."""
+    """Return the legend of a drawing from pairs of a colour and its meaning."""
     entry = Markup('<li><span aria-hidden="true" style="background:{}"></span>{}</li>')
     return Markup('<ul class="legend">{}</ul>').format(Markup("").join(entry.format(*one) for one in entries))
 
 
 def identifiability(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section of identifiability: parameter directions by the draws and by a linearised model."""
+    """Return the section on identifiability, from the posterior draws and from the linearised model."""
     title = "Identifiability"
     found, kept = information(run.trace), kept_identifiability(run.trace)
     if found is None and not kept:
@@ -88,7 +88,7 @@ def identifiability(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _drawn_directions(found: Information) -> PageTable:
-    """Return the principal directions of the draws."""
+    """Return the table of the principal directions of the draws, the least informed direction first."""
     rows = tuple(
         (str(k), significant(left), fixed(1.0 - left**2, 2), *(fixed(float(x), 2) for x in direction))
         for k, (left, direction) in enumerate(zip(found.remaining_sd, found.directions, strict=True), 1)
@@ -106,9 +106,10 @@ def _drawn_directions(found: Information) -> PageTable:
 
 
 def directions(found: Identifiability, lead: str, drawn: FloatArray | None = None) -> PageTable:
-    """Return the directions of a linearised model; the caption begins with `lead`.
+    """Return the table of the directions of a linearised model, with a caption that begins with `lead`.
 
-    With `drawn` (`fmu.analysis.information.left_along`) a column has the spread of the draws along each direction.
+    If `drawn` is given (`fmu.analysis.information.left_along`), one column shows the spread of the draws along
+    each direction.
     """
     rows = tuple(
         (
@@ -130,7 +131,7 @@ def directions(found: Identifiability, lead: str, drawn: FloatArray | None = Non
 
 
 def _contraction(run: ReportedRun, found: Information) -> PageTable:
-    """Return prior and posterior of each parameter; those that the data did not inform are grey."""
+    """Return the table of prior and posterior moments, with parameters that the data did not inform in grey."""
     rows = []
     for k, name in enumerate(run.names):
         unit, prior = run.unit(name), run.trace["prior"][name].to_numpy()
@@ -148,7 +149,10 @@ def _contraction(run: ReportedRun, found: Information) -> PageTable:
 
 
 def mac(run: ReportedRun) -> PageSection | Omitted:
-    """Return the MAC of the model's shapes with the measured ones, or else with its own before updating."""
+    """Return the section on the MAC of the updated modes with the measured shapes.
+
+    If no shapes were measured, the updated modes are compared with the modes before updating.
+    """
     if not has(run.trace, GROUP, "mac"):
         return Omitted("Modal assurance criterion", NO_SHAPES)
     criterion = run.trace[GROUP]["mac"]
@@ -172,7 +176,7 @@ def mac(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _mac_before_and_after(run: ReportedRun) -> tuple[PageTable, ...]:
-    """Return the MAC of each mode with its measured shape, if shapes were measured."""
+    """Return a table of the MAC of each mode with its measured shape; empty if no shapes were measured."""
     alike = measured_mac(run.trace)
     if alike is None:
         return ()
@@ -190,7 +194,7 @@ def _mac_before_and_after(run: ReportedRun) -> tuple[PageTable, ...]:
 
 
 def pairing(run: ReportedRun) -> PageSection | Omitted:
-    """Return how often the pairing of modes changed over the draws."""
+    """Return the section on changes of the mode pairing over the draws."""
     title = "Pairing over the draws"
     if not has(run.trace, GROUP) or not has(run.trace, "posterior_predictive"):
         return Omitted(title, "the trace has no frequencies at the draws and before updating")
@@ -217,7 +221,7 @@ def pairing(run: ReportedRun) -> PageSection | Omitted:
 
 
 def shapes(run: ReportedRun) -> PageSection | Omitted:
-    """Return the modes of the structure before and after updating, and the measured shapes."""
+    """Return the section on the mode shapes before and after updating, and the measured shapes."""
     title = "Mode shapes before and after"
     kind = next((name for name in ("displacement", "component") if has(run.trace, GROUP, name)), None)
     if kind is None:

@@ -1,4 +1,4 @@
-"""Several tests of one structure: variation between them, prediction of the next one, and damage."""
+"""Sections for several tests of one structure: variation between tests, prediction of the next test, damage."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 ONE_TEST = "there is one test"
 _BEYOND = (0.05, 0.1)
 _CERTAIN, _FEW = 0.9, 3
-"""Probability of a loss that the first screen states as such; parameters that a line names."""
+"""Probability from which a loss is stated as certain on the first screen; most parameters named in one line."""
 _STEPS = (0.1, 0.5, 0.9)
 _SCALE = (
     ("#C8C8C8", "below 10 %"),
@@ -53,9 +53,9 @@ _SCALE = (
     ("#E0672E", "50 to 90 %"),
     ("#9C1414", "above 90 %"),
 )
-"""Colours between those probabilities."""
+"""Colour and label of each interval between the probabilities in `_STEPS`."""
 _ADDRESS = ' xmlns="http://www.w3.org/2000/svg"'
-"""Inside HTML an SVG has no need of it."""
+"""The namespace of an SVG, which is not needed inside HTML."""
 
 
 def population(run: ReportedRun) -> PageSection | Omitted:
@@ -135,7 +135,7 @@ def _next_test(run: ReportedRun) -> PageTable:
 
 
 def losses(run: ReportedRun) -> PageSection | Omitted:
-    """Return the losses of the parameters that vary between groups of tests."""
+    """Return the section on the losses of the parameters that vary between groups of tests."""
     title = "Damage"
     if not has(run.trace, GROUP):
         return Omitted(title, "no parameter varies between groups of tests")
@@ -179,7 +179,7 @@ def losses(run: ReportedRun) -> PageSection | Omitted:
 
 
 def lost(run: ReportedRun) -> tuple[Verdict, ...]:
-    """Return the losses of each later state, a line each; nothing if no parameter varies between groups."""
+    """Return a verdict on the losses in each later state; empty if no parameter varies between groups."""
     if not has(run.trace, GROUP):
         return ()
     doubts = f" Do not rely on P: {' and '.join(run.diagnosis.doubts)}." if run.diagnosis.doubts else ""
@@ -188,7 +188,7 @@ def lost(run: ReportedRun) -> tuple[Verdict, ...]:
 
 
 def _lost_in(run: ReportedRun, state: str, table: pd.DataFrame, doubts: str) -> Verdict:
-    """Return the losses of one state: `table` has a row for each parameter."""
+    """Return the verdict on the losses in one state; `table` has a row for each parameter."""
     question = f"What was lost? After: {state_in_words(run.trace, state)}"
     p, beyond = table.iloc[:, 4], f"P(loss > {share(_BEYOND[0])})"
     by_size = table["mean"].sort_values(ascending=False).index
@@ -218,13 +218,13 @@ def _lost_in(run: ReportedRun, state: str, table: pd.DataFrame, doubts: str) -> 
 
 
 def _equals(p: float) -> str:
-    """Return a probability after its sign: ``"= 32 %"``, ``"> 99 %"``."""
+    """Return a probability with its relation sign: ``"= 32 %"``, ``"> 99 %"``."""
     text = probably(float(p))
     return text if text[0] in "<>" else f"= {text}"
 
 
 def damage_drawing(trace: xr.DataTree) -> Markup:
-    """Return the structure in each state in the colours of its losses; nothing without losses or geometry."""
+    """Return drawings of the structure coloured by its losses in each state; empty without losses or geometry."""
     if not has(trace, GROUP):
         return Markup("")
     drawings = _drawings(trace, damage(trace, _BEYOND[:1]))
@@ -237,7 +237,10 @@ def damage_drawing(trace: xr.DataTree) -> Markup:
 
 
 def _drawings(trace: xr.DataTree, table: pd.DataFrame) -> dict[str, tuple[Markup, list[tuple[str, str]]]]:
-    """Return drawing and legend by state; elements and springs have the colours of their losses."""
+    """Return a dict of the drawing and its legend for each state, with elements coloured by their losses.
+
+    The dict is empty if the trace has no geometry or the structure is too large to draw.
+    """
     sketch = sketch_of(trace)
     if sketch is None or len(sketch.elements) > MOST_DRAWN:
         return {}
@@ -257,12 +260,12 @@ def _drawings(trace: xr.DataTree, table: pd.DataFrame) -> dict[str, tuple[Markup
 
 
 def _shade(p: float) -> str:
-    """Return the colour of a probability; a negative one has the colour of no loss."""
+    """Return the colour of a probability; a negative number gives the colour of elements without a loss."""
     return UNCHANGED if p < 0 else _SCALE[int(np.searchsorted(_STEPS, p))][0]
 
 
 def _where(run: ReportedRun, table: pd.DataFrame) -> tuple[tuple[Pictures, ...], tuple[View, ...]]:
-    """Return the structure in each state in the colours of its losses, and one to be turned."""
+    """Return drawings of the structure coloured by its losses in each state, and a view that can be rotated."""
     sketch, drawings = sketch_of(run.trace), _drawings(run.trace, table)
     if sketch is None or not drawings:
         return (), ()
@@ -272,7 +275,7 @@ def _where(run: ReportedRun, table: pd.DataFrame) -> tuple[tuple[Pictures, ...],
             f"{state}: probability that more than {share(_BEYOND[0])} of an element's stiffness is lost, the "
             "largest of the parameters that change it."
         )
-        svg = Markup(svg.replace("The structure:", "The damaged structure:", 1))  # the head of the page has it too
+        svg = Markup(svg.replace("The structure:", "The damaged structure:", 1))  # also in the page's head
         pictures.append(Picture(svg + legend(entries), caption, round(WIDTH)))
     names = run.trace["structure"]["structural"].to_numpy().tolist()
     view = damage_view(sketch, names, table.iloc[:, :5].drop(index=ANY, level=1), share(_BEYOND[0]))

@@ -1,4 +1,4 @@
-"""The effect of updating: parameters, frequencies, the maxima of the posterior and the evidence."""
+"""Sections on the results of updating: parameters, frequencies, maxima of the posterior and evidence."""
 
 from __future__ import annotations
 
@@ -43,7 +43,10 @@ NO_FREQUENCIES = "the trace holds no frequencies to compare with measured ones"
 
 
 def parameters(run: ReportedRun) -> PageSection:
-    """Return the updated parameters beside prior, bounds and start; those not informed by the data are grey."""
+    """Return the section that compares the updated parameters with their priors, bounds and start values.
+
+    Parameters that the data did not inform are shown in grey.
+    """
     found = information(run.trace)
     rows, greyed, seen, stopped = [], [], [], pinned_parameters(run.trace)
     for k, name in enumerate(run.names):
@@ -89,7 +92,7 @@ def parameters(run: ReportedRun) -> PageSection:
 
 
 def _error_of_ends(run: ReportedRun) -> str:
-    """Return the largest Monte-Carlo error of an end of an interval, beside the sd of its parameter."""
+    """Return a sentence on the largest Monte Carlo error of an interval end, relative to the parameter's sd."""
     errors = run.summary[list(MCSE_OF_ENDS)].max(axis=1, skipna=False) / run.summary["sd"]
     if errors.isna().any():
         return "The Monte Carlo error of the ends of the intervals is unknown."
@@ -99,7 +102,7 @@ def _error_of_ends(run: ReportedRun) -> str:
 
 
 def frequencies(run: ReportedRun) -> PageSection | Omitted:
-    """Return the frequencies: measured, before updating and after it."""
+    """Return the section that compares the measured frequencies with the model before and after updating."""
     title, table = "Frequencies", run.prediction
     if table is None:
         return Omitted(title, NO_FREQUENCIES)
@@ -147,7 +150,7 @@ def frequencies(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _mean_error(run: ReportedRun, before: FloatArray) -> str:
-    """Return the mean error of the frequencies before and after updating, and modes that did not come closer."""
+    """Return sentences on the mean frequency error before and after updating, and on modes that became worse."""
     table = run.prediction
     if table is None:
         raise ValueError("run: must predict frequencies (got none)")
@@ -165,7 +168,7 @@ def _mean_error(run: ReportedRun, before: FloatArray) -> str:
 
 
 def maxima(run: ReportedRun) -> PageSection | Omitted:
-    """Return the maxima of the posterior: deterministic updating."""
+    """Return the section on the maxima of the posterior, which correspond to deterministic updating."""
     title = "Posterior maxima: deterministic updating"
     if run.maxima is None:
         return Omitted(title, "the trace has none; fmu run searches for them before sampling")
@@ -193,7 +196,7 @@ def maxima(run: ReportedRun) -> PageSection | Omitted:
 
 
 def _crossings(run: ReportedRun, seen: Visits) -> str:
-    """Say how often the chains crossed between the maxima."""
+    """Return a sentence on the number of times the chains crossed between maxima."""
     fewest, most = (whole(n) for n in (seen.crossings.min(), seen.crossings.max()))
     each = "ensemble" if walkers_of(run.trace) > 1 else "chain"
     often = fewest if fewest == most else f"{fewest} to {most}"
@@ -201,7 +204,7 @@ def _crossings(run: ReportedRun, seen: Visits) -> str:
 
 
 def _maxima_table(run: ReportedRun, found: Maxima, seen: Visits) -> PageTable:
-    """Return a column per maximum, beside start, posterior mean and measurement."""
+    """Return the table of the maxima, one column each, beside the start, posterior mean and measurement."""
     best = found.maxima[:MOST_SHOWN]
     names = tuple(found.title(k) for k in range(len(best)))
     nothing = (MISSING,) * 2
@@ -228,7 +231,7 @@ def _maxima_table(run: ReportedRun, found: Maxima, seen: Visits) -> PageTable:
 
 
 def _shares_of_draws(seen: Visits) -> list[str]:
-    """Return the share of the draws of each maximum, with its Monte Carlo error if chains crossed."""
+    """Return texts of the share of draws at each maximum, with its Monte Carlo error if the error is positive."""
     return [
         f"{share(part)} ± {share(error)}" if error > 0 else share(part)
         for part, error in zip(seen.share, seen.error, strict=True)
@@ -236,12 +239,12 @@ def _shares_of_draws(seen: Visits) -> list[str]:
 
 
 def evidence(run: ReportedRun) -> PageSection | Omitted:
-    """Return the evidences of one run."""
+    """Return the section on the evidence of one run."""
     return evidences({run.name: run})
 
 
 def evidences(runs: Mapping[str, ReportedRun]) -> PageSection | Omitted:
-    """Return every log-evidence with its error, its source and whether it is reliable."""
+    """Return the section on all estimates of the log-evidence, with their method, error and reliability."""
     title = "Evidence"
     first = next(iter(runs.values()))
     known = [run.maxima for run in runs.values() if run.maxima is not None]

@@ -1,4 +1,4 @@
-"""The first screen: changes, their certainty, undetermined parameters, fit and convergence."""
+"""The verdicts on the first screen: changes, their certainty, undetermined parameters, fit and convergence."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ SOUND = "The chains agree, and every parameter has enough effective draws."
 COVERED = "All maxima found that hold at least 1 % of the probability were visited."
 ASSUMED = "Assumes a model that the data reject."
 _FEW = 3
-"""Parameters that a line names."""
+"""Largest number of parameters named in one line."""
 
 
 def verdicts(run: ReportedRun) -> tuple[Verdict, ...]:
-    """Return the lines of the first screen, in the order in which an engineer asks; losses first."""
+    """Return the verdicts on the first screen in the order in which an engineer asks, with losses first."""
     *what, fit = of_the_model(run)
     if not has(run.trace, LOSSES):
         return *what, judge_data(run), fit, convergence(run)
@@ -39,7 +39,7 @@ def verdicts(run: ReportedRun) -> tuple[Verdict, ...]:
 
 
 def of_the_model(run: ReportedRun) -> tuple[Verdict, ...]:
-    """Return the verdicts on losses, other changes, their certainty, and the fit of the model."""
+    """Return the verdicts on losses, other parameter changes, their certainty, and the fit of the model."""
     names, losses = _most_changed(run), lost(run)
     what = judge_change(run, names)
     if losses:
@@ -48,7 +48,7 @@ def of_the_model(run: ReportedRun) -> tuple[Verdict, ...]:
 
 
 def _most_changed(run: ReportedRun) -> tuple[str, ...]:
-    """Return the names of the parameters that the data informed, the largest relative change first; no losses."""
+    """Return the names of the parameters that the data informed, except losses, with the largest change first."""
     found = information(run.trace)
     left = () if found is None else found.not_informed
     names = [name for name in run.names if name not in left and not is_loss(run.trace, name)]
@@ -56,14 +56,14 @@ def _most_changed(run: ReportedRun) -> tuple[str, ...]:
 
 
 def _change(run: ReportedRun, name: str) -> float:
-    """Return the relative change from the start to the posterior mean, zero where the start is zero or unknown."""
+    """Return the relative change from the start to the posterior mean; 0 if the start value is zero or unknown."""
     start = constant(run.trace, "start", name)
     ratio = float(run.summary["mean"][name]) / start - 1.0 if start else 0.0
     return ratio if np.isfinite(ratio) else 0.0
 
 
 def judge_change(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
-    """Return the verdict on the change by updating; the first of `names` changed most."""
+    """Return the verdict on the parameter changes; `names` lists the parameters with the largest change first."""
     question = "What changed?"
     if not names:
         return Verdict(question, "Nothing that the data determine", None, said=_errors(run))
@@ -81,7 +81,7 @@ def judge_change(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
 
 
 def _errors(run: ReportedRun) -> str:
-    """Return the largest error of a frequency before and after updating, in words."""
+    """Return a sentence with the largest frequency error before and after updating; empty without frequencies."""
     if run.prediction is None:
         return ""
     measured, after = (run.prediction[column].to_numpy() for column in ("measured", "mean"))
@@ -96,7 +96,7 @@ def _errors(run: ReportedRun) -> str:
 
 
 def certainty(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
-    """Return the posterior means and standard deviations of the parameters named by `judge_change`."""
+    """Return the verdict with the posterior means and sds of the parameters that `judge_change` shows first."""
     question = "How sure is that?"
     if not names:
         return Verdict(question, "The priors alone decide", None)
@@ -121,7 +121,7 @@ def certainty(run: ReportedRun, names: tuple[str, ...]) -> Verdict:
 
 
 def judge_data(run: ReportedRun) -> Verdict:
-    """Return the verdict on the data: which parameters the priors alone determine."""
+    """Return the verdict on the data: which parameters the data leave undetermined."""
     question = "Anything left undetermined?"
     found = information(run.trace)
     if found is None:
@@ -149,7 +149,7 @@ def judge_data(run: ReportedRun) -> Verdict:
 
 
 def convergence(run: ReportedRun) -> Verdict:
-    """Return the verdict on the sampler."""
+    """Return the verdict on the convergence of the run."""
     question = "Can the run be trusted?"
     rhat, needed = float(run.summary["rhat"].max()), required_ess(run.trace["posterior"].sizes["chain"])
     ess = float(run.summary[["ess_bulk", "ess_tail"]].min().min())
