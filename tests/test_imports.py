@@ -152,3 +152,14 @@ def test_tests_lie_where_the_package_has_what_they_test():
     strays = [str(f) for f in folders if own.isdisjoint(f.parts[:1]) and not (HOUSE / f).is_dir()]
     assert strays == []
     assert Path("fem", "frame") in folders
+
+
+def test_no_module_assigns_a_name_twice():
+    """The second value would hold for what is written above it, too."""
+    twice = []
+    for path in HOUSE.rglob("*.py"):
+        body = ast.parse(path.read_text(encoding="utf-8")).body
+        targets = [target for line in body if isinstance(line, ast.Assign) for target in line.targets]
+        names = [name.id for target in targets for name in ast.walk(target) if isinstance(name, ast.Name)]
+        twice += [f"{path.relative_to(HOUSE)}: {name}" for name in sorted(set(names)) if names.count(name) > 1]
+    assert twice == []

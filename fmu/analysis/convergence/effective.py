@@ -259,7 +259,7 @@ MOST_STEPS = 20_000
 def live_diagnostics(draws: FloatArray, walkers: int = 1, *, ended: bool = False) -> dict[str, float]:
     """Return the worst R-hat and bulk effective sample size over the parameters of a run in progress.
 
-    Both are defined as in `fmu.summary`, and equal the values there up to 1500 draws per chain.
+    Both are defined as in `fmu.summary`, and equal the values there up to 2000 draws per chain.
 
     Parameters
     ----------
@@ -278,7 +278,7 @@ def live_diagnostics(draws: FloatArray, walkers: int = 1, *, ended: bool = False
 
     Notes
     -----
-    For longer runs R-hat is computed from every k-th draw, 1500 per chain; this changes R-hat by less than its own
+    For longer runs R-hat is computed from every k-th draw, 2000 per chain; this changes R-hat by less than its own
     error. The ESS is that of the mean of all draws, from batch means: batching, unlike thinning, does not change
     the variance of the mean. With batch means b of the draws z, ESS = ESS(b) var(z)/var(b). Beyond 20 000 steps
     per chain every k-th step is taken; the ESS of nearly independent draws is then a lower bound, about 20 000
@@ -337,7 +337,7 @@ def _rank_normalised(x: FloatArray) -> FloatArray:
 
 LENGTHS = 20
 _FEWEST = 20
-MOST_RANKED = 1500
+MOST_RANKED_OF_RUNNING = 1500
 """Number of draws per chain that are ranked for R-hat of a run in progress, and of the first draws of a run."""
 
 
@@ -368,7 +368,7 @@ def running_means(trace: xr.DataTree, at: IntArray | None = None) -> tuple[IntAr
     return at, np.moveaxis(sums / (at * walkers)[None, :, None], 1, 0)
 
 
-def running_rhat(trace: xr.DataTree, most: int = MOST_RANKED) -> tuple[IntArray, FloatArray]:
+def running_rhat(trace: xr.DataTree, most: int = MOST_RANKED_OF_RUNNING) -> tuple[IntArray, FloatArray]:
     """Return R-hat of the first draws of a run, for increasing numbers of draws.
 
     For long runs only every k-th draw is ranked; with 1500 draws per chain this changes R-hat by less than its own

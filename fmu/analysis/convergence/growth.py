@@ -47,7 +47,7 @@ def meets_criterion(rhat_max: float, ess_min: float, chains: int) -> bool:
 def growth(trace: xr.DataTree, at: IntArray | None = None) -> Growth:
     """Return R-hat and effective sample size of a run for increasing numbers of draws.
 
-    If a chain has more than 10 000 draws, R-hat is computed from every k-th draw, 1500 per chain.
+    If a chain has more than 10 000 draws, R-hat is computed from every k-th draw, 2000 per chain.
 
     Parameters
     ----------
