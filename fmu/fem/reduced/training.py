@@ -143,7 +143,7 @@ class Training:
         return self._current()
 
     def refine(self, theta: FloatArray, times: float = 3.0) -> Trained:
-        """Continue training at further points (n, n_parameters), where errors must be `times` smaller.
+        """Continue training at points theta (n, n_parameters), where errors must decrease by the factor `times`.
 
         Errors at other points of the box may stay as they are.
         """
