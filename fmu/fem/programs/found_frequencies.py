@@ -1,4 +1,4 @@
-"""Frequencies in a text file that a program has written, found by a regular expression."""
+"""Extraction of frequencies from a program's text file by a regular expression."""
 
 from __future__ import annotations
 

@@ -173,7 +173,7 @@ class SolveStore:
             )
 
     def _paths(self, theta: FloatArray) -> tuple[Path, Path]:
-        """Return the two paths of the file of a theta: that of a successful solve, and that of a failed one."""
+        """Return the two possible paths of the file of a theta: of a successful solve, and of a failed one."""
         name = f"{digest(theta.tobytes())[:32]}{_SUFFIX}"
         return self.folder / name, self.folder / FAILED / name
 

@@ -143,7 +143,7 @@ class Learner:
         return Mapped(seen), reference
 
     def add(self, X: FloatArray) -> None:
-        """Add vectors (n_dof, m), such as modes of the full model."""
+        """Add vectors X (n_dof, m) to the space, such as modes of the full model."""
         self.space = self.space.grown(X, self.anchors.first)
 
     def _correct(self, C: FloatArray, target: FloatArray) -> None:

@@ -199,7 +199,7 @@ class ReducedStructure(Approximation):
         theta: FloatArray,
         gradient: bool,
     ) -> Solution:
-        """Return the solution of the reduced model; outside its box and where it fails, that of the full model."""
+        """Return the reduced model's solution, or the full model's solution outside the box and on failure."""
         count_solves(len(theta), with_gradients=gradient)
         with single_thread():
             within = (theta >= self.lower) & (theta <= self.upper)

@@ -93,7 +93,7 @@ class ClosePairs:
         return np.delete(learnt, [i + 1 for i in self.first])
 
     def weights(self, y: FloatArray, v: FloatArray, by_z: FloatArray) -> FloatArray:
-        """Return the weights (n, n_modes) of the variances v that correspond to weights `by_z` of those of z."""
+        """Return the weights (n, n_modes) of the variances v, for given weights `by_z` of the variances of z."""
         found = by_z.copy()
         for i in self.first:
             both = by_z[:, i] + by_z[:, i + 1]
