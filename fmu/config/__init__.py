@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 LARGEST_FILE = 2**21
 """Largest size of a TOML file in bytes. Large matrices belong in separate files, read a hundred times faster."""
 DEEPEST_KEY, DEEPEST = 6, 12
-"""Largest number of parts of a dotted key, and of nested tables and lists. No problem needs half as many."""
+"""Largest numbers of parts of a dotted key, and of nested levels of tables and lists: no problem needs half."""
 SMALLEST_NUMBER, LARGEST_NUMBER = 1e-60, 1e60
 """Limits of the absolute value of a number in SI units. Beyond them products or reciprocals would overflow."""
 _PART = r"""(?:[\w-]+|"(?:[^"\\\n]|\\.){0,200}"|'[^'\n]{0,200}')"""

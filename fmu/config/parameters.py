@@ -29,8 +29,8 @@ KEYS = dict.fromkeys(PROPERTIES, "groups") | {"mass": "masses", "inertia": "mass
 class Target(TomlTable):
     """The quantities of a frame that a parameter sets or multiplies.
 
-    A ``property`` of ``groups`` of members (or ``"all"``), ``masses`` or ``springs``; of the last two in the given
-    ``directions``, or in all.
+    They are a ``property`` of ``groups`` of members (or ``"all"``), of ``masses`` or of ``springs``. The inertia
+    of masses and the stiffness of springs may be limited to some ``directions``.
     """
 
     property: Literal["E", "rho", "A", "Iy", "Iz", "J", "mass", "inertia", "stiffness"] | None = None

@@ -69,8 +69,8 @@ def upper_shift(errors: FloatArray, draws: FloatArray, posterior: FloatArray) ->
     parameter, the mean changes by Cov(z, w) posterior standard deviations, and the standard deviation, to first
     order, by the relative amount ½ Cov(z², w). The changes of the means are estimated from the draws, with limits
     by Student's t with Bonferroni's correction. The changes of the standard deviations depend on a few outlying
-    draws, and are therefore bounded by ½ sd(z²) sd(w) (Cauchy–Schwarz inequality). The upper limit of sd(w) is
-    that of a variance with Satterthwaite's degrees of freedom (1946, *Biometrics Bull.* 2, 110–114),
+    draws, and are therefore bounded by ½ sd(z²) sd(w) (Cauchy–Schwarz inequality). The upper limit of sd(w) uses
+    the chi-square distribution with Satterthwaite's degrees of freedom (1946, *Biometrics Bull.* 2, 110–114),
     ν = 2n/(κ − (n − 3)/(n − 1)), where κ is the larger of the kurtosis of the sample and `HEAVY`. If this limit is
     too large to estimate the means from a few draws, it is the limit for them as well, as |Cov(z, w)| ≤ sd(w).
 

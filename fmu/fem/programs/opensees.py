@@ -61,8 +61,8 @@ _KINDS = {
     10: "tetra10", 20: "hexahedron20",
 }  # fmt: skip
 _LEVELS, _JOINT, _CHECKS = 5, 6, 2
-"""Values of each parameter when it alone varies; points where all vary, so many and as many more for each
-parameter; points at which the model is checked."""
+"""Number of values of each parameter when it alone varies; of points where all vary, to be multiplied by one plus
+the number of parameters; and of points at which the model is checked."""
 _INSIDE = 0.02
 _ASYMMETRIC = 1e-10
 
@@ -343,7 +343,7 @@ def _assemble_matrix(ops: ModuleType, follows: bool) -> dict[int, list[int]]:
 
 
 def _matrix(ops: ModuleType, what: str, n: int, factors: Sequence[float]) -> sp.csr_array:
-    """Return a sparse matrix of the model, shape (n, n); ArgumentError if it is zero, infinite or unsymmetric."""
+    """Return a sparse matrix of the model, (n, n); ArgumentError if it is zero, not finite or not symmetric."""
     ops.integrator("GimmeMCK", *factors)
     ops.analyze(1, 0.0)
     entries = np.array(ops.printA("-ret") or [], dtype=float)

@@ -1,6 +1,6 @@
 """Storage of the solves of a slow program on disk: a small file per theta, written atomically.
 
-Any number of processes can share a store. Each theta is solved by one process, and the others wait for it::
+Any number of processes can share a store. Each theta is solved by one process, for which other processes wait::
 
     for solve in SolveStore(folder):
         print(solve.theta, solve.frequencies, solve.seconds, solve.reason)
@@ -108,9 +108,10 @@ class SolveStore:
 
     @contextmanager
     def only_one(self, theta: FloatArray) -> Iterator[None]:
-        """Hold a lock within a with block, so that one process at a time solves theta, one point or a batch.
+        """Wait for the lock of theta, and hold it within a with block, so that no other process solves this theta.
 
-        The operating system releases the lock of a process that dies.
+        theta is one point (n_parameters,), or the points (n, n_parameters) of a batch. The operating system
+        releases the lock of a process that dies.
         """
         path = self.running_folder(theta).with_suffix(".lock")
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -197,7 +197,7 @@ class Anchors:
         return np.asarray(np.max(self._ratios(theta, self.theta[0]), axis=1))
 
     def far(self, theta: FloatArray, space: Space) -> Far | None:
-        """Return the point of theta (n, p) that is farthest from every anchor; None if no point is far."""
+        """Return the point of theta (n, p) that is farthest from all anchors, or None if no point is far."""
 
         def near(points: FloatArray) -> FloatArray:
             if self.proven:

@@ -2,7 +2,8 @@
 
 Let (μ, u) be a Ritz pair, uᵀ M u = 1, and r = K u − μ M u its residual. Let A = K + s M, σ = μ + s and T = A⁻¹ M,
 which is self-adjoint in the inner product of A. Split the space into the span of the Ritz vectors and the
-A-orthogonal complement of all trial vectors, on which T ≤ β. The highest eigenvalues of T are at most those of
+A-orthogonal complement of all trial vectors, on which T ≤ β. The highest eigenvalues of T are at most those of the
+matrix
 
     diag(1/σ_i) + D G D,    G_ij = r_iᵀ A⁻¹ r_j / (σ_i σ_j)^(3/2),    D_ii = (1/σ_i − β)^(−1/2),
 
@@ -191,9 +192,10 @@ class FrequencyBound:
         return error
 
     def find_far(self, theta: FloatArray, counts: Mapping[int, int], tolerance: float) -> Far | None:
-        """Return a point of theta (n, p) that is far from every anchor and where error bounds exceed `tolerance`.
+        """Return the point of theta (n, p) farthest from the anchors of a block, if errors are not bounded there.
 
-        `counts` gives the number of modes of each block that are examined. Return None if there is no such point.
+        The error bounds of the lowest `counts` modes of each block are compared with `tolerance` at its farthest
+        point. Return None if no point is far, or the bounds are small enough there.
         """
         for b, count in counts.items():
             space, anchors = self.trial(b)

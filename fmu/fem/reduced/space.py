@@ -37,8 +37,8 @@ class Space:
     V : ndarray, shape (block.size, r)
         The trial vectors.
     K, M : sequence of ndarray, each of shape (n_terms, q, width)
-        The lower triangles of the projected terms, in strips of q rows; the columns of a strip end with its last
-        row. Thus the space is enlarged or truncated without copying the existing strips.
+        The lower triangles of the projected terms, in strips of q rows; `width` is the number of rows up to the
+        end of the strip. Thus the space is enlarged or truncated without copying the existing strips.
     """
 
     def __init__(

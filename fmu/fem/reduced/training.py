@@ -185,7 +185,7 @@ class Training:
     def at(self, theta: FloatArray) -> Trained:
         """Return the model whose large blocks have a basis made from their full modes at theta (n, n_parameters).
 
-        The basis has as many vectors as reduce the cost. Its accuracy away from these points is not examined.
+        The basis has the largest useful number of vectors. Its accuracy away from these points is not examined.
         """
         centre = 0.5 * (self.lower + self.upper)
         for b, count in self.rule.counts(self.full).items():
