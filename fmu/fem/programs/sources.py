@@ -34,7 +34,7 @@ def source_digest(function: Callable[..., object]) -> str:
         function = inspect.unwrap(function)
         file = Path(inspect.getsourcefile(function) or "").absolute()
         spec = getattr(function, "__globals__", {}).get("__spec__")
-        name = function.__module__ if spec is None else spec.name  # of a script it is __main__
+        name = function.__module__ if spec is None else spec.name  # the __module__ of a script is __main__
         found = hashlib.sha256(file.read_bytes())
     except Exception:  # not a Python function: its attributes may be of any kind
         return ""
@@ -86,13 +86,13 @@ def _imports(file: Path, module: str) -> Iterator[str]:
     package = module if file.stem == "__init__" else module.rpartition(".")[0]
     try:
         tree = ast.parse(file.read_bytes())
-    except (SyntaxError, ValueError, RecursionError, MemoryError):  # it cannot be imported
+    except (SyntaxError, ValueError, RecursionError, MemoryError):  # the file cannot be imported
         return
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            with suppress(ImportError):  # beyond the package
+            with suppress(ImportError):  # a relative import from beyond the package
                 of = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
                 yield from (f"{of}.{alias.name}" for alias in node.names)
 
@@ -105,7 +105,7 @@ def _locate_source(name: str, root: Path) -> list[tuple[str, Path]]:
     """
     found, within = [], [str(root)]
     parts = name.split(".") if name else []
-    for i, part in enumerate(parts):  # each by its last name: a full one would need its package imported
+    for i, part in enumerate(parts):  # a search for a full name would import the package
         specs = [PathFinder.find_spec(part, within), _on_the_path(part) if i == 0 else None]
         known = [spec for spec in specs if spec is not None]
         spec = next((spec for spec in known if spec.has_location), known[0] if known else None)

@@ -33,7 +33,7 @@ from fmu.types import FloatArray
 _LARGE, _FEW = 2000, 0.125
 # From this size on, computing a few of the lowest modes of a reduced matrix is cheaper than computing all modes.
 _PARTIAL = 128
-# An eigenvalue ν below this share of the highest belongs to no mode of finite frequency.
+# An eigenvalue ν below this fraction of the highest ν belongs to no mode of finite frequency.
 _FINITE = 1e-14
 
 
