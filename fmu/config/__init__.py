@@ -1,4 +1,4 @@
-"""Problems from TOML files.
+"""Updating problems read from TOML files.
 
 Reading order: tables, problem; then a module for each table of the file: models/, parameters, measurement, errors.
 """
@@ -30,15 +30,15 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 LARGEST_FILE = 2**21
-"""Bytes of a TOML file. Large matrices belong in files of their own, which are read a hundred times faster."""
+"""Largest size of a TOML file in bytes. Large matrices belong in separate files, read a hundred times faster."""
 DEEPEST_KEY, DEEPEST = 6, 12
-"""Parts of a dotted key, and levels of nested tables and lists. No problem needs half as many."""
+"""Largest numbers of parts of a dotted key, and of nested levels of tables and lists: no problem needs half."""
 SMALLEST_NUMBER, LARGEST_NUMBER = 1e-60, 1e60
-"""Sizes of numbers in SI units. Beyond them, products of numbers or of their reciprocals would overflow."""
+"""Limits of the absolute value of a number in SI units. Beyond them products or reciprocals would overflow."""
 _PART = r"""(?:[\w-]+|"(?:[^"\\\n]|\\.){0,200}"|'[^'\n]{0,200}')"""
 _KEY = rf"(?:^|[{{,])[ \t]*\[{{0,2}}[ \t]*{_PART}(?:[ \t]*\.[ \t]*{_PART})"
 _LONG_KEY = re.compile(rf"(?m)(?a:{_KEY}{{{DEEPEST_KEY},}}+[ \t]*[=\]]|{_KEY}{{{8 * DEEPEST_KEY},}}+)")
-"""Text that does not end like a key, as in a string or a comment, may have more parts."""
+"""Pattern of a key with too many parts. Text that does not end like a key, as in a string, may have more parts."""
 
 
 @check_arguments
@@ -54,10 +54,11 @@ def load(
     Parameters
     ----------
     path : path-like
+        The TOML file.
     pairing : {"shape", "index", "soft"}, optional
-        Instead of that of the file.
+        The pairing to use instead of the pairing in the file.
     beta : float or array_like, shape (n_modes,), optional
-        Instead of the trust in the data that the file gives, 1/Hz².
+        Weights 1/(2 sd²) of the frequency errors, in 1/Hz², to use instead of the uncertainty in the file.
     engine : Engine, optional
         Trains the reduced model with its workers, see `fmu.engine`.
 
@@ -68,16 +69,16 @@ def load(
     Raises
     ------
     ConfigurationError
-        Lists every mistake in the file with its place, the rule and the value received; a ValueError.
+        If the file has errors: a ValueError that lists each with its location, the rule and the value received.
     FileNotFoundError
-        If there is no such file.
+        If the file does not exist.
     """
     path = Path(path)
     return read(path).build(path.name, path.parent, pairing, beta, engine)
 
 
 def read(path: Path) -> ProblemFile:
-    """Read a file and check the types and ranges of its values; see `load`."""
+    """Return the content of a file with the types and ranges of its values checked; see `load`."""
     from pydantic import ValidationError
 
     from fmu.config.problem import ProblemFile
@@ -99,9 +100,9 @@ def read(path: Path) -> ProblemFile:
 
 
 def _parse_toml(path: Path) -> dict[str, object]:
-    """Return the content of a TOML file; ValueError if it is broken.
+    """Return the content of a TOML file as a dict; ValueError if the file is not valid TOML or too large.
 
-    Dotted keys are checked first: the parser's memory grows with the square of their length.
+    Dotted keys are checked first, as the parser's memory grows with the square of their length.
     """
     with path.open("rb") as file:
         raw = file.read(LARGEST_FILE + 1)
@@ -123,12 +124,12 @@ def _parse_toml(path: Path) -> dict[str, object]:
         raise ValueError(f"must not be nested more than {DEEPEST} tables and lists deep") from None
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"is not valid TOML: {error}") from error
-    except ValueError as error:  # of a number with thousands of digits, or a date that is none
+    except ValueError as error:  # from a number with thousands of digits, or an impossible date
         raise ValueError(f"is not valid TOML: it has a number or a date that cannot be read ({error})") from error
 
 
 def _out_of_size(content: Mapping[str, object]) -> Iterator[ArgumentError]:
-    """Yield a mistake for everything nested too deeply and for every number out of the range of SI values."""
+    """Yield an error for each table or list nested too deeply and for each number that is too large or small."""
     ahead: list[tuple[tuple[int | str, ...], object]] = [((), content)]
     while ahead:
         where, value = ahead.pop()

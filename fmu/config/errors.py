@@ -1,4 +1,4 @@
-"""``[[error]]``: error models, and the standard deviations that they infer with the parameters."""
+"""``[[error]]``: error models, and the standard deviations that are inferred together with the parameters."""
 
 from __future__ import annotations
 
@@ -31,7 +31,10 @@ _ARRAY = set(get_args(ArrayLike | None)) - {type(None)}
 
 
 def _in_a_file(annotation: object) -> object:
-    """Return the type that an error model's argument has in a file: numbers for an array, a name for a noise."""
+    """Return the type that an error model's argument has in a file, such as a list of numbers for an array.
+
+    A parameter, which is an inferred standard deviation, has its name in the file.
+    """
     parts = set(get_args(annotation))
     is_array, optional = parts >= _ARRAY, type(None) in parts
     if not is_array and Parameter not in parts:
@@ -46,15 +49,15 @@ ErrorTable = Annotated[Declared, OneOf("of", {name: (model,) for name, model in 
 def build_error_models(
     tables: Sequence[Declared], noise: Mapping[str, Parameter], known: Sequence[str]
 ) -> tuple[list[ErrorModel], list[ArgumentError]]:
-    """Return the error models of tables, and what is wrong between them and the noises that they name.
+    """Return the list of error models, and the list of errors in their references to noise tables.
 
     Parameters
     ----------
     tables : sequence of ErrorTable
     noise : mapping of str to Parameter
-        Standard deviations to be inferred.
+        Standard deviations to be inferred, by name.
     known : sequence of str
-        Their names in the order of the file; of some that are wrong there is no parameter.
+        Names of all noise tables in the order of the file; invalid tables have no entry in `noise`.
     """
     models, found, used = [], [], set()
     rule = f"must be the name of a [[noise]] table: {names_shown(known) or 'there is none'}"
@@ -75,12 +78,12 @@ def build_error_models(
 
 
 def with_places(models: Sequence[ErrorModel], places: Mapping[str, Place]) -> list[ErrorModel]:
-    """Return error models at nodes of the model, in place of the names that the file has for them."""
+    """Return a list of the error models in which names of places are replaced by nodes of the model."""
     return [one.at_places(places) if _are_of_quantities(one) else one for one in models]
 
 
 def is_of_modes(model: ErrorModel) -> bool:
-    """Say whether errors are of modes, and not of a mass or a displacement."""
+    """Return True if an error model is for modes, and not for another quantity such as a mass or displacement."""
     return not _are_of_quantities(model)
 
 
@@ -89,7 +92,7 @@ def _are_of_quantities(model: ErrorModel) -> TypeGuard[QuantityErrors]:
 
 
 def _noises(table: Declared) -> dict[str, str]:
-    """Return the names of noises that a table has, by their keys."""
+    """Return a dict from the keys of a table that refer to a noise to the noise's name."""
     hints = get_type_hints(table.makes[0])
     return {
         key: str(value)
@@ -99,7 +102,10 @@ def _noises(table: Declared) -> dict[str, str]:
 
 
 def beside_tests(tables: Sequence[Declared], models: Sequence[ErrorModel], data: ModalData) -> list[ArgumentError]:
-    """Refuse an ``sd`` of errors whose size the scatter of tests gives: one of the two would be ignored."""
+    """Return an error for each ``sd`` that is given although the scatter of tests determines it.
+
+    One of the two would be ignored.
+    """
     rule = (
         "must not be given together with tests, whose scatter gives the error of their mean. Leave it out and "
         "use discrepancy for the model error, or replace tests by frequencies (the means) with an sd"
@@ -114,15 +120,16 @@ def beside_tests(tables: Sequence[Declared], models: Sequence[ErrorModel], data:
 def vanishing(
     noise: Mapping[str, Parameter], models: Sequence[ErrorModel], data: ModalData, n_parameters: int
 ) -> list[ArgumentError]:
-    """Return the standard deviations that an exact fit would let shrink to zero, where the density has no limit.
+    """Return an error for each inferred standard deviation for which the posterior density may be unbounded.
 
-    The density grows as sd^(−n) where all n errors of that size can be zero: with at most as many errors as
-    parameters, and no other deviation that is known. A prior may fall faster.
+    If all n errors with this standard deviation sd can be zero, the likelihood grows as sd^(−n) for sd → 0. This
+    is possible if n is at most the number of parameters, and no known standard deviation contributes to the errors
+    too. The posterior is still bounded if the prior falls faster.
 
     Parameters
     ----------
     noise : mapping of str to Parameter
-        In the order of the file.
+        Inferred standard deviations by name, in the order of the file.
     models : sequence of ErrorModel
     data : ModalData
     n_parameters : int

@@ -1,4 +1,4 @@
-"""``[measurement.geometry]``: where the points of a test are, to find their nodes in the model."""
+"""``[measurement.geometry]``: coordinates of a test's points, by which the points are matched to nodes."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class GeometryTable(TomlTable):
         return self
 
     def build(self, folder: Path, built: Built) -> Matching:
-        """Return the points on the nodes of a model; BrokenError if there are none or they do not fit."""
+        """Return the matching of points to nodes; BrokenError if it fails, or if nodes have no coordinates."""
         model = built.separable
         if model is None or model.geometry is None:
             rule = "must be given with a model whose nodes have coordinates: of a frame, or exported with its mesh"

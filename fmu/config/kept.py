@@ -1,4 +1,4 @@
-"""The problem file and the options of a run, saved so that the run can be resumed and the model built again."""
+"""Saved copies of a run's problem file and options, from which the run is resumed and its model built again."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _ABOUT = (
 
 
 class Orders(TypedDict, total=False):
-    """The options of a run, as ``fmu run`` has them; those that an earlier version did not have may be missing."""
+    """The options of ``fmu run``; options that did not exist in an earlier version may be missing."""
 
     samplers: Sequence[str]
     draws: int | None
@@ -41,18 +41,19 @@ class Orders(TypedDict, total=False):
     keep_draws: int
     keep_seconds: float
     design: str
-    """Of the surrogate: a hash of the solves that it has learnt from."""
+    """Hash of the solves to which the surrogate was fitted."""
 
 
 @dataclass(frozen=True)
 class KeptProblem:
-    """A problem file, and what a run was asked to do with it.
+    """A problem file and the options of a run with it.
 
     Attributes
     ----------
     file : Path
+        The problem file.
     folder : Path
-        Directory of the files that it refers to.
+        Directory to which file names in the problem file are relative.
     pairing : str or None
         How modes are paired; None for the pairing in the file.
     orders : Orders
@@ -68,13 +69,13 @@ class KeptProblem:
     finished: tuple[str, ...] = ()
 
     def load(self, engine: Engine | None = None) -> UpdatingProblem:
-        """Build the problem; an engine trains its reduced model. ConfigurationError if the file is broken."""
+        """Return the updating problem; an engine trains its reduced model. ConfigurationError if this fails."""
         from fmu import config
 
         return config.read(self.file).build(self.file.name, self.folder, self.pairing, engine=engine)
 
     def save(self, directory: Path) -> None:
-        """Write a copy of the problem file and the options of the run into a directory, for `read_saved`."""
+        """Write a copy of the problem file and the options of the run to a directory, for `read_saved`."""
         origin = {
             "about": _ABOUT,
             "file": self.file.name,
@@ -96,12 +97,14 @@ def read_saved(directory: Path, model: Path | None = None) -> KeptProblem:
     directory : Path
         Directory of the run.
     model : Path, optional
-        The problem file to use instead, if the saved one is missing or the files that it refers to have moved.
+        The problem file to use instead of the saved one, for example because that is missing or the files to
+        which it refers have moved.
 
     Raises
     ------
     ValueError
-        If the run saved no problem file, or the files are not as `KeptProblem.save` wrote them.
+        If there is no saved problem file and no `model`, or the saved options are not as `KeptProblem.save` wrote
+        them.
     """
     if not (directory / ORIGIN).is_file() or not (directory / FILE).is_file():
         if model is None:

@@ -42,7 +42,7 @@ from fmu.posterior.data.repeated import RepeatedTests, mean_shapes, shapes_sd
 from fmu.types import Dof, FloatArray
 
 Missed = Annotated[float, Field(allow_inf_nan=True)]
-"""A number, or nan where a test missed the mode."""
+"""A number, or nan for a mode that a test missed."""
 Test = Annotated[list[Missed], Field(max_length=MOST_MODES)]
 MOST_SENSORS = 10_000
 NodeNumber = Annotated[str, StringConstraints(pattern=r"^\d{1,9}$")]
@@ -60,9 +60,9 @@ _IN_A_FILE: dict[object, object] = {
     Sensors: None,
     Sensors | None: None,
 }
-"""TOML types of a reader's arguments. Sensors are not a key of its table, but of ``[measurement]``."""
+"""Types in TOML for annotations of a reader's arguments. Sensors are a key of ``[measurement]`` instead: None."""
 _FILES = ("file", "deck")
-"""Arguments of readers that name files."""
+"""Names of the arguments of readers that are file names."""
 
 
 def _of_reader(key: str, form: ModesFormat) -> tuple[object, object]:
@@ -168,35 +168,36 @@ class MeasurementTable(TomlTable):
                 raise ValueError(f"{key} must be {len(rows[0])}, one per mode (got {n})")
 
     def _given(self, keys: Sequence[str]) -> list[str]:
-        """Return those of some keys that the table has."""
+        """Return the list of those `keys` that the file gives in this table."""
         return [key for key in keys if key in self.model_fields_set]
 
     @property
     def _source(self) -> str:
-        """The key that has the frequencies."""
+        """The key that gives the frequencies."""
         return self._given(_SOURCES)[0]
 
     @property
     def _reads_shapes(self) -> bool:
-        """Whether the source has shapes too, at sensors that its reader may be given."""
+        """Whether the source of the frequencies is a file format with shapes, whose reader has the key sensors."""
         return self._source in READERS and "sensors" in arguments(READERS[self._source].read)
 
     def mistakes(self, needs_trust: bool) -> list[ArgumentError]:
-        """Return a mistake if the size of the frequency errors is given neither here nor by an error model."""
+        """Return a list of errors: one if the uncertainty of the frequencies is needed but not given."""
         if self._given(_TRUST) or not needs_trust or self.frequencies is None:
             return []
         return [ArgumentError("measurement", _ONE_TRUST, "[]")]
 
     def build(self, folder: Path, built: Built, needs_trust: bool = True) -> ModalData:
-        """Return the data at sensors of the model; BrokenError if they cannot be built.
+        """Return the measured data at sensors of the model; BrokenError if they cannot be built.
 
         Parameters
         ----------
         folder : Path
-            Where files are.
+            The folder to which file names are relative.
         built : Built
+            The model with its named places.
         needs_trust : bool
-            Whether no error model says how large errors are.
+            Whether the measurement must give the uncertainty of the frequencies, as no error model does.
         """
         given = self._read(folder)
         points = None if self.geometry is None else self.geometry.build(folder, built)
@@ -237,7 +238,7 @@ class MeasurementTable(TomlTable):
             raise BrokenError(wrong.under("measurement")) from None
 
     def _covariance(self, folder: Path) -> ArrayLike | None:
-        """Return the covariance of the frequencies, read if it is in a file; BrokenError if it cannot be."""
+        """Return the covariance of the frequencies, Hz², or None; BrokenError if its file cannot be read."""
         if not isinstance(self.covariance, str):
             return self.covariance
         try:
@@ -251,7 +252,7 @@ class MeasurementTable(TomlTable):
         return np.asarray(matrix.toarray())
 
     def _turn_sensors(self, modes: MeasuredModes, points: Matching | None) -> MeasuredModes:
-        """Return modes with sensors and shapes along the axes of the model, unless the test has parallel ones."""
+        """Return modes with sensors and shapes rotated to the axes of the model, if these are not parallel yet."""
         if points is None or points.is_parallel:
             return modes
         if self.test_shapes is not None and modes.shapes_sd is not None:
@@ -265,11 +266,11 @@ class MeasurementTable(TomlTable):
 
     @property
     def _where(self) -> str:
-        """The key that names the sensors."""
+        """The key that gives the sensors."""
         return "sensors" if self.sensors else self._source if self._reads_shapes else "shapes_file"
 
     def _sensors(self, given: Sensors, built: Built, points: Matching | None) -> tuple[Dof, ...]:
-        """Return the sensors of the model at the places and directions that the file gives."""
+        """Return the tuple of sensors of the model for places and directions; BrokenError if some do not exist."""
         sensors: list[Dof] = []
         found = Mistakes()
         for i, (place, direction) in enumerate(given):
@@ -289,7 +290,7 @@ class MeasurementTable(TomlTable):
         return tuple(sensors)
 
     def _read(self, folder: Path) -> _Given:
-        """Read the source."""
+        """Return the modes, tests and covariance from the source of the frequencies, with shapes and sensors."""
         sensors = tuple((place, str(direction)) for place, direction in self.sensors)
         given = self._frequencies(folder, {"sensors": sensors} if sensors and self._reads_shapes else {})
         if self._reads_shapes:
@@ -309,7 +310,7 @@ class MeasurementTable(TomlTable):
         return given._replace(modes=modes)
 
     def _frequencies(self, folder: Path, options: Mapping[str, Sensors]) -> _Given:
-        """Return the frequencies and their own uncertainty, with labels, numbers and tests where there are any."""
+        """Return the frequencies with their uncertainty in the source, and its labels, numbers and tests."""
         if self.frequencies is not None:
             return _Given(MeasuredModes(np.array(self.frequencies), ()))
         if self.tests is not None:
@@ -328,7 +329,7 @@ class MeasurementTable(TomlTable):
 
 
 class _Given(NamedTuple):
-    """What the source has: modes, the tests whose mean they are, and the covariance of this mean."""
+    """The data of a source: modes, the repeated tests that were averaged, and the covariance of their mean."""
 
     modes: MeasuredModes
     tests: RepeatedTests | None = None
@@ -336,7 +337,7 @@ class _Given(NamedTuple):
 
 
 def _mean(key: str, values: ArrayLike, scatter: str, labels: tuple[str, ...] = ()) -> _Given:
-    """Return the mean of repeated tests."""
+    """Return the mean of repeated tests with its uncertainty; BrokenError at `key` if the tests are invalid."""
     try:
         tests = RepeatedTests(values, scatter)
     except ValueError as error:
@@ -348,7 +349,7 @@ def _mean(key: str, values: ArrayLike, scatter: str, labels: tuple[str, ...] = (
 def _repeated_shapes(
     shapes: list[list[list[float]]], tests: RepeatedTests
 ) -> tuple[FloatArray, FloatArray | None]:
-    """Return the mean of the tests' shapes and its standard deviation."""
+    """Return the mean (n_sensors, n_modes) of the tests' shapes, and its standard deviation or None."""
     where, (n_tests, n_modes) = "measurement.test_shapes", np.shape(tests.frequencies_hz)
     wrong = (
         [ArgumentError(where, f"must be {n_tests}, one per test", len(shapes))] if len(shapes) != n_tests else []

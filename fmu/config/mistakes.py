@@ -1,4 +1,4 @@
-"""Mistakes in a problem file: all reported together, each with its location, the rule and the value received."""
+"""Errors in a problem file, reported together, each with its location, the rule and the value received."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 _NAME = r"[^\W\d]\w*"
 FUNCTION = rf"^{_NAME}(\.{_NAME})*:{_NAME}(\.{_NAME})*$"
-"""The pattern of ``module:function``."""
+"""Pattern of ``module:function``."""
 PYTHON_FILE = rf"^{_NAME}\.py$"
 LONGEST_KEY = 40
 _PATTERNS = {
@@ -24,11 +24,11 @@ _PATTERNS = {
     PYTHON_FILE: "must be a Python file beside this one, as portal.py",
     FUNCTION: 'must be "module:function", as in "storeys:modes"',
 }
-"""The rules behind the patterns of strings."""
+"""The rule, in words, for each pattern of a string."""
 
 
 class BrokenError(Exception):
-    """Mistakes found while a part of the problem was built."""
+    """Errors found while a part of the problem was built; `mistakes` is a tuple of them."""
 
     def __init__(self, *mistakes: ArgumentError) -> None:
         self.mistakes = mistakes
@@ -39,22 +39,22 @@ class BrokenError(Exception):
 
 
 class Mistakes(list[ArgumentError]):
-    """Mistakes that are reported together."""
+    """A list of errors that are reported together."""
 
     def add(self, key: str, rule: str, value: object = "") -> None:
-        """Add a mistake at a key of the file."""
+        """Append an error at a key of the file: the rule that is broken, and the value received."""
         self.append(ArgumentError(key, rule, value))
 
 
 class ConfigurationError(ValueError):
-    """A problem file that cannot be used.
+    """The error for a problem file that cannot be used.
 
     Attributes
     ----------
     source : str
-        The file.
+        Name of the file.
     mistakes : tuple of ArgumentError
-        All that were found.
+        All errors that were found in the file.
     """
 
     def __init__(self, source: str, mistakes: Sequence[ArgumentError]) -> None:
@@ -63,7 +63,7 @@ class ConfigurationError(ValueError):
 
     @property
     def headline(self) -> str:
-        """The file, and how many mistakes it has."""
+        """The name of the file and its number of errors, as a phrase."""
         n = len(self.mistakes)
         return f"{self.source}: {n} error{'s' if n > 1 else ''}"
 
@@ -72,14 +72,14 @@ class ConfigurationError(ValueError):
 
 
 def place(parts: Sequence[int | str]) -> str:
-    """Return a location in the file, with long keys shortened."""
+    """Return a location in the file as dotted keys and indices, with long keys shortened."""
     return ".".join(
         str(part) if len(str(part)) <= LONGEST_KEY else f"{str(part)[:LONGEST_KEY]}…" for part in parts
     )
 
 
 def of_validation(error: ValidationError) -> list[ArgumentError]:
-    """Return the errors of pydantic as mistakes."""
+    """Return pydantic's validation errors as a list of ArgumentError."""
     return [_of_one(one) for one in error.errors(include_url=False)]
 
 
@@ -102,13 +102,13 @@ def _of_one(error: ErrorDetails) -> ArgumentError:
 
 
 def _as_rule(message: str) -> str:
-    """Return pydantic's ``Input should be …`` as ``must be …``."""
+    """Return a message of pydantic, ``Input should be …``, as the rule ``must be …``."""
     subject, should, rest = message.partition(" after validation")[0].partition(" should ")
     return f"must {rest}" if should and subject in ("Input", "String", "List", "Dictionary") else message
 
 
 def _of_tag(where: str, error: ErrorDetails) -> ArgumentError:
-    """Return the mistake in the key that selects the kind of a table."""
+    """Return the error for the key that selects the kind of a table."""
     context = error["ctx"]
     where = f"{where}.{context['discriminator'].strip("'")}"
     if "tag" not in context:
@@ -118,7 +118,7 @@ def _of_tag(where: str, error: ErrorDetails) -> ArgumentError:
 
 
 def _in_the_file(where: tuple[int | str, ...]) -> list[int | str]:
-    """Return a location without the kinds of values and tables that pydantic inserts after a key."""
+    """Return a location without the parts that pydantic inserts after a key: kinds of values and of tables."""
     parts = [part for part in where if not str(part).startswith("<") and part != "[key]"]
     number = parts[1:2]
     of_parameter = (["prior"], ["loss"], ["population", "sd"], ["slopes", *parts[3:4]])

@@ -21,16 +21,16 @@ from fmu.posterior.priors import PRIORS
 from fmu.types import Direction
 
 LEAST_LOG_MASS = -200.0
-"""Least log-probability of a prior between the bounds. Bounds 20 standard deviations off are a typing error."""
+"""Smallest log-probability of a prior between the bounds. Bounds 20 standard deviations away are a typo."""
 KEYS = dict.fromkeys(PROPERTIES, "groups") | {"mass": "masses", "inertia": "masses", "stiffness": "springs"}
-"""The key of a parameter that lists what has a property."""
+"""The key of a parameter's table that lists the groups, masses or springs with a property, by property."""
 
 
 class Target(TomlTable):
     """The quantities of a frame that a parameter sets or multiplies.
 
-    A ``property`` of ``groups`` of members (or ``"all"``), ``masses`` or ``springs``; of the last two in the given
-    ``directions``, or in all.
+    They are a ``property`` of ``groups`` of members (or ``"all"``), of ``masses`` or of ``springs``. The inertia
+    of masses and the stiffness of springs may be limited to some ``directions``.
     """
 
     property: Literal["E", "rho", "A", "Iy", "Iz", "J", "mass", "inertia", "stiffness"] | None = None
@@ -41,7 +41,7 @@ class Target(TomlTable):
     scaling: Literal["absolute", "factor"] = "absolute"
 
     def names_at(self, key: str, groups: Sequence[str] = ()) -> list[str]:
-        """Return the names listed by a key; all `groups` where it is ``"all"``."""
+        """Return the list of names at a key, "groups", "masses" or "springs"; all of `groups` for ``"all"``."""
         names = {"groups": self.groups, "masses": self.masses, "springs": self.springs}[key]
         return list(groups) if names == "all" else list(names)
 
@@ -65,12 +65,12 @@ class Uncertain(TomlTable):
     """Knowledge before the measurement."""
 
     def build(self) -> Parameter:
-        """Return the parameter.
+        """Return the parameter that the table describes.
 
         Raises
         ------
         ValueError
-            If bounds, start and prior do not fit each other.
+            If bounds, start and prior are inconsistent.
         """
         if self.prior.called == "truncated-normal" and self.lower is None and self.upper is None:
             raise ArgumentError("prior", "a truncated normal needs lower or upper")
@@ -96,12 +96,12 @@ class PopulationTable(TomlTable):
     """Prior of its standard deviation, or of the logarithm's; half-normal if not given."""
 
     def build(self) -> Population:
-        """Return the population."""
+        """Return the population that the table describes."""
         return Population(self.distribution, None if self.sd is None else self.sd.build())
 
 
 SETTINGS = {"population": "population", "damage": "loss"}
-"""The key with the settings of a way to vary between tests."""
+"""For each value of ``varies`` with settings, the key of the settings."""
 
 
 class ParameterTable(Uncertain, Target):
@@ -125,7 +125,7 @@ class ParameterTable(Uncertain, Target):
         return self
 
     def variation(self) -> str | Variation | None:
-        """Return how the parameter varies between tests; None if the file does not say."""
+        """Return the variation of the parameter between tests, or its name; None if the file gives none."""
         if self.varies == "population":
             return (self.population or PopulationTable()).build()
         if self.varies == "damage":
@@ -133,10 +133,10 @@ class ParameterTable(Uncertain, Target):
         return self.varies
 
     def is_positive(self) -> bool:
-        """Say whether bounds or prior keep the parameter positive."""
+        """Return True if the bounds or the prior keep the parameter positive."""
         try:
             return self.build().lowest > 0.0
-        except ValueError:  # which is a mistake of its own
+        except ValueError:  # this error is reported separately
             return self.lower is not None and self.lower > 0.0
 
 
@@ -151,15 +151,15 @@ class NoiseTable(Uncertain):
 def build_parameters(
     key: str, tables: Sequence[Uncertain], taken: Sequence[str] = ()
 ) -> tuple[dict[str, Parameter], list[ArgumentError]]:
-    """Return the parameters by name, in the order of the file, and the mistakes in their tables.
+    """Return a dict of the parameters by name, in the order of the file, and a list of errors in their tables.
 
     Parameters
     ----------
     key : str
-        Where the tables are in the file.
+        Key of the tables in the file.
     tables : sequence of Uncertain
     taken : sequence of str
-        Names of other parameters.
+        Names of other parameters, which must not be used again.
     """
     parameters: dict[str, Parameter] = {}
     found, names = Mistakes(), list(taken)
@@ -175,25 +175,25 @@ def build_parameters(
 
 
 def of_several_tests(tables: Sequence[ParameterTable]) -> list[ArgumentError]:
-    """Return a mistake for each key that needs several tests."""
+    """Return a list with an error for each key that is allowed with several tests only."""
     return [
         ArgumentError(f"parameters.{i}.{key}", "is allowed with several [[tests]] only")
         for i, table in enumerate(tables)
-        for key in ParameterTable.__annotations__  # its own: a single test has those of its bases
+        for key in ParameterTable.__annotations__  # without the keys of the base classes, allowed for one test too
         if key in table.model_fields_set
     ]
 
 
 class ModelTable(TomlTable):
-    """The table of a model; most have no use for the keys of a parameter that are of frames."""
+    """The base of the tables of models, most of which do not allow the keys of parameters that are for frames."""
 
     @property
     def decks(self) -> list[str]:
-        """Input decks that are filled with the values of parameters."""
+        """Names of the input decks that are filled with the values of parameters."""
         return []
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return the mistakes between tables: here one for each key that only parameters of a frame may have."""
+        """Return a list with an error for each key of a parameter that is allowed for frames only."""
         return [
             ArgumentError(f"parameters.{i}.{key}", "is allowed for frames only")
             for i, table in enumerate(parameters)

@@ -1,4 +1,4 @@
-"""The whole file: model, measurement, parameters -> an updating problem; and its JSON schema."""
+"""The table of a whole problem file, from which the updating problem is built, and its JSON schema."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ Reduction = Annotated[
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 TITLE = "A Bayesian model-updating problem for fmu"
 MOST_PARAMETERS = 200
-"""Far more than a few modes can determine."""
+"""Largest number of parameters, far more than a few modes can determine."""
 NAMES_OR_MODELS = by_kind("the name of an error model, or tables [[error]]")
 
 
@@ -57,7 +57,7 @@ class ExportTable(TomlTable):
     plate.inp."""
 
     def mistakes(self, folder: Path, names: Sequence[str]) -> list[ArgumentError]:
-        """Return a mistake for each template that cannot be filled."""
+        """Return a list with an error for each template that cannot be filled with the parameters `names`."""
         found, given = Mistakes(), dict.fromkeys([*names, *(f"{name} sd" for name in names)], 1.0)
         made = list(EXPORTED)
         for i, template in enumerate(self.templates):
@@ -121,23 +121,23 @@ class ProblemFile(TomlTable):
         beta: ArrayLike | None = None,
         engine: Engine | None = None,
     ) -> UpdatingProblem:
-        """Return the problem.
+        """Return the updating problem that the file describes.
 
         Parameters
         ----------
         source : str
-            Name of the file in the error message.
+            Name of the file in error messages.
         folder : Path
-            Where files that it names are.
+            The folder to which file names in the problem file are relative.
         pairing, beta : optional
-            Instead of those of the file.
+            Values to use instead of those in the file, see `fmu.load`.
         engine : Engine, optional
             Trains the reduced model.
 
         Raises
         ------
         ConfigurationError
-            Lists every mistake, if there is one.
+            If the problem cannot be built; it lists the errors found.
         """
         parameters, found = build_parameters("parameters", self.parameters)
         found += self.model.mistakes(self.parameters)
@@ -180,7 +180,7 @@ class ProblemFile(TomlTable):
             raise ConfigurationError(source, [ArgumentError.of(error)]) from error
 
     def _of_measurements(self, needs_trust: bool) -> list[ArgumentError]:
-        """Return the mistakes that the tables of the measurement show by themselves."""
+        """Return the list of errors in the tables of the measurements that are found without the model."""
         if (self.measurement is None) == (self.tests is None):
             given = "none" if self.tests is None else "both"
             return [ArgumentError("measurement", f"must be given, or several [[tests]] instead (got {given})")]
@@ -197,13 +197,13 @@ class ProblemFile(TomlTable):
 
     @property
     def decks(self) -> list[str]:
-        """Templates that ``fmu export`` fills: the deck of a program's model, and those below ``[export]``."""
+        """Names of the templates that ``fmu export`` fills: the decks of the model, and those in ``[export]``."""
         others = [] if self.export is None else self.export.templates
         return list(dict.fromkeys([*self.model.decks, *others]))
 
     @property
     def measured(self) -> MeasurementTable:
-        """The measurement, of a file with one."""
+        """The table of the measurement; ValueError for a file with several tests."""
         if self.measurement is None:
             raise ValueError("measurement: a file with several tests has none")
         return self.measurement
@@ -218,7 +218,7 @@ class ProblemFile(TomlTable):
         beta: ArrayLike | None,
         engine: Engine | None,
     ) -> UpdatingProblem:
-        """Return the problem of several tests."""
+        """Return the joint problem of several tests."""
         from fmu.posterior.joint.joint_problem import JointProblem
 
         if beta is not None:
@@ -247,7 +247,7 @@ class ProblemFile(TomlTable):
             raise BrokenError(*in_the_file(error, self.parameters)) from None
 
     def _data(self, folder: Path, built: Built, beta: ArrayLike | None, errors: Sequence[ErrorModel]) -> ModalData:
-        """Return the measured data, without their own uncertainty where `beta` replaces it."""
+        """Return the measured data; if `beta` is given, without the uncertainty in the file, which it replaces."""
         data = self.measured.build(folder, built, needs_trust=not any(map(is_of_modes, errors)))
         if beta is not None:
             return replace(data, sd_hz=None, covariance_hz2=None)
@@ -264,8 +264,8 @@ def schema() -> dict[str, object]:
     Returns
     -------
     dict
-        Draft 2020-12. It knows keys, types and ranges; what holds between the tables, such as that a member's
-        section exists, only `fmu.load` checks.
+        A schema of draft 2020-12. It contains keys, types and ranges. Relations between tables, for example that
+        the section of a member exists, are checked only by `fmu.load`.
     """
     found = json.loads(json.dumps(ProblemFile.model_json_schema()), object_hook=_for_toml)
     one = [{"required": [key]} for key in ("measurement", "tests")]
@@ -273,13 +273,14 @@ def schema() -> dict[str, object]:
 
 
 def _for_toml(part: dict[str, Any]) -> dict[str, Any]:
-    """Return a table of a schema in the form that editors show best.
+    """Return a dict of a schema, simplified for editors.
 
-    Without null, which TOML does not have, and without pydantic's titles; line breaks in descriptions are removed.
+    Null, which TOML does not have, and the titles that pydantic adds are removed, as are line breaks in
+    descriptions.
     """
     found: dict[str, Any] = {}
     for key, value in part.items():
-        is_text = isinstance(value, str)  # and no field of that name
+        is_text = isinstance(value, str)  # otherwise it is a field with this name
         if (key, value) == ("default", None) or (key == "title" and is_text):
             continue
         if key == "description" and is_text:

@@ -1,9 +1,9 @@
 """Tables of a problem file.
 
-`TomlTable` is the base of all. A table that only collects the arguments of one of the library's constructors is
-not written out: `declare_table` makes it from the constructor's annotations (keys, types, ranges), defaults and
-docstring (descriptions). In the file, a key ``Annotated[Material, Of("material", Material)]`` is a table with E,
-nu and rho; its value here is a `Material`.
+`TomlTable` is the base class of all tables. If a table only collects the arguments of a constructor of this
+library, its class is not written by hand: `declare_table` makes it from the constructor's annotations (keys,
+types, ranges), defaults and docstring (descriptions). In the file, the value of a key with the type
+``Annotated[Material, Of("material", Material)]`` is a table with E, nu and rho; here it is a `Material`.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ from fmu.types import NotNegative as NotNegative
 from fmu.types import Positive as Positive
 
 Maker = Callable[..., object]
-"""A class of the library, or a function that returns an object of one."""
+"""A class of this library, or a function that returns an instance of such a class."""
 
 Name = Annotated[str, StringConstraints(min_length=1, max_length=100, pattern=r"^[^/\x00-\x1f]+$")]
-"""No slash: traces keep names as paths."""
+"""A name without slashes, as traces use names as paths."""
 
 
 def _of_parameter(name: str) -> str:
@@ -58,26 +58,26 @@ def _of_parameter(name: str) -> str:
 
 
 ParameterName = Annotated[Name, AfterValidator(_of_parameter)]
-"""Not a name that means something else in a trace."""
+"""The name of a parameter, which must not have another meaning in a trace."""
 FileName = Annotated[str, StringConstraints(min_length=1, max_length=1000, pattern=r"^[^\x00-\x1f]+$")]
-"""From the folder of the TOML file."""
+"""The path of a file, relative to the folder of the TOML file."""
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
 class Built(NamedTuple):
-    """A model, and the node of the model that each place named in the file is."""
+    """A model, the node of each place that is named in the file, and the largest number of modes of the model."""
 
     model: SeparableModel | BlackBoxModel | ModalModel
     places: Mapping[str, Place]
     most_modes: float = math.inf
 
     def at(self, place: Place) -> Place:
-        """Return the node that a place is: that of its name, or itself."""
+        """Return the node of a named place; any other place is returned as it is."""
         return self.places.get(str(place), place)
 
     @property
     def separable(self) -> SeparableModel | None:
-        """The model, if it is one of matrices."""
+        """The model if it has matrices, otherwise None."""
         return self.model if isinstance(self.model, SeparableModel) else None
 
 
@@ -85,14 +85,14 @@ _KIND_OF = {str: "<text>", bool: "<switch>", int: "<number>", float: "<number>"}
 
 
 def kind_of(value: object) -> str | None:
-    """Return the kind of a value, where a key takes several; kinds are in angle brackets, unlike keys."""
+    """Return the kind of a value, such as ``<number>``, or None; the brackets distinguish kinds from keys."""
     if isinstance(value, list):
         return "<rows>" if value and kind_of(value[0]) in ("<list>", "<rows>") else "<list>"
     return next((kind for cls, kind in _KIND_OF.items() if isinstance(value, cls)), None)
 
 
 def by_kind(words: str) -> Discriminator:
-    """Return a discriminator that picks the type of a value by its kind; `words` lists the kinds."""
+    """Return a discriminator that selects the type of a value by its kind; `words` lists the kinds in messages."""
     return Discriminator(kind_of, custom_error_type="kind", custom_error_message=f"must be {words}")
 
 
@@ -100,11 +100,11 @@ Number = Annotated[Positive, Tag("<number>")]
 Numbers = Annotated[list[Positive], Tag("<list>")]
 NumberOrNumbers = Annotated[Number | Numbers, by_kind("a number or a list of numbers")]
 SensorTable = Annotated[list[int | str], Field(min_length=2, max_length=2)]
-"""A place and a direction."""
+"""A sensor: a list of a place and a direction."""
 
 
 def one_length(what: str) -> AfterValidator:
-    """Return a validator that refuses rows of different lengths: each has a value per mode, sensor or the like."""
+    """Return a validator that refuses rows of different lengths; a row has a value per `what`, such as "mode"."""
 
     def check(rows: list[list[float]]) -> list[list[float]]:
         lengths = [len(row) for row in rows]
@@ -117,7 +117,7 @@ def one_length(what: str) -> AfterValidator:
 
 @contextmanager
 def reading(where: str) -> Iterator[None]:
-    """Turn errors of a file into mistakes at the key that names it."""
+    """Within a with block, raise errors of reading a file as a BrokenError at the key `where` that names it."""
     try:
         yield
     except ModesError as error:
@@ -127,9 +127,9 @@ def reading(where: str) -> Iterator[None]:
 
 
 class TomlTable(BaseModel):
-    """A table of the file: unknown keys and values of the wrong type are mistakes, nothing is converted.
+    """A table of the file: unknown keys and values of the wrong type are errors, and no value is converted.
 
-    The string below a key describes it in the schema that editors show (`fmu.config.problem`).
+    The string below a key is its description in the schema that editors show (`fmu.config.problem`).
     """
 
     model_config = ConfigDict(
@@ -140,30 +140,30 @@ class TomlTable(BaseModel):
 class Declared(TomlTable):
     """A table whose keys are the arguments of a constructor, or of one of several; see `declare_table`."""
 
-    model_config = ConfigDict(use_attribute_docstrings=False)  # there is no source to look for them
+    model_config = ConfigDict(use_attribute_docstrings=False)  # classes made at run time have no source
     makes: ClassVar[tuple[Maker, ...]] = ()
     tag: ClassVar[str] = ""
     is_complete: ClassVar[bool] = True
-    """Whether all arguments are in the table, and none elsewhere in the file."""
+    """Whether the table contains all arguments; otherwise some of them are in other tables of the file."""
     renamed: ClassVar[Mapping[str, str]] = {}
 
     @property
     def called(self) -> str:
-        """The value of the key that says what kind of table it is."""
+        """The value of the key `tag`, which gives the kind of the table."""
         return str(dict(self)[self.tag])
 
     def given_arguments(self) -> dict[str, object]:
-        """Return the arguments that the file gives."""
+        """Return a dict of the constructor's arguments that the file gives."""
         given = self.model_fields_set - {self.tag}
         return {self.renamed.get(key, key): value for key, value in self if key in given}
 
     def build(self, **others: object) -> Any:
-        """Return the object built from the arguments in the file, with `others` in place of some of them.
+        """Return the object built from the arguments in the file; `others` are added to them or replace them.
 
         Raises
         ------
         ValueError
-            If the keys are not the arguments of one of the constructors, or it refuses their values.
+            If the keys are not the arguments of one of the constructors, or the constructor refuses the values.
         """
         given = self.given_arguments() | others
         for make in self.makes:
@@ -185,19 +185,20 @@ def declare_table(
     in_a_file: Callable[[Any], object] | None = None,
     renamed: Mapping[str, str] | None = None,
 ) -> type[Declared]:
-    """Return the table of a constructor: its keys, their types, ranges, defaults and descriptions are its own.
+    """Return the class of a table whose keys, types, ranges, defaults and descriptions come from a constructor.
 
     Parameters
     ----------
     name : str
-        Name of the table in the schema; the value of `tag`.
+        Name of the table in the schema, and the value of the key `tag`.
     *makes : callable
-        A class or a function with annotations and a docstring. Of several, the file gives the arguments of one.
+        Constructors: classes or functions with annotations and a docstring. If there are several, the file gives
+        the arguments of one of them.
     tag : str
-        A further key, which gives the kind of the table.
+        Name of a further key, which gives the kind of the table.
     in_a_file : callable, optional
-        Returns what a file has in place of an annotation that is not a TOML type, such as the name of another
-        table; None for an argument that is not a key.
+        Maps the annotation of an argument to the type of its key in the file, for annotations that are not TOML
+        types; returns None for an argument that is not a key.
     renamed : mapping of str to str, optional
         See `Of`.
     """
@@ -225,14 +226,14 @@ def declare_table(
 
 
 class OneOf:
-    """The tables of several kinds, which a key tells apart: ``Annotated[Declared, OneOf("distribution", …)]``.
+    """A union of tables whose kinds differ in a key's value: ``Annotated[Declared, OneOf("distribution", …)]``.
 
     Parameters
     ----------
     tag : str
-        The key.
+        The key that distinguishes the kinds.
     kinds : mapping of str to tuple of callable
-        The constructors of each kind, see `declare_table`.
+        The constructors of each kind, by the value of the key; see `declare_table`.
     in_a_file : callable, optional
         See `declare_table`.
     """
@@ -253,7 +254,7 @@ class OneOf:
 
 
 class Of:
-    """A value of the file that a constructor makes of a table: ``Annotated[Material, Of("material", Material)]``.
+    """The type of an object that is built from a table: ``Annotated[Material, Of("material", Material)]``.
 
     Parameters
     ----------
@@ -262,7 +263,7 @@ class Of:
     *makes : callable
         See `declare_table`.
     **renamed : str
-        Keys in the file, each with the name of the argument that it stands for: a name of something in the file.
+        Keys in the file with the names of their arguments, in place of which the file gives a name.
     """
 
     def __init__(self, name: str, *makes: Maker, **renamed: str) -> None:
@@ -273,7 +274,7 @@ class Of:
 
 
 def inside(key: str, make: Maker) -> Maker:
-    """Return a constructor whose only argument is the table of another: ``{ tube = { diameter = …, … } }``."""
+    """Return a constructor whose only key is a table of `make`'s arguments: ``{ tube = { diameter = …, … } }``."""
 
     def take_argument(**given: object) -> object:
         return given[key]
@@ -289,32 +290,32 @@ def inside(key: str, make: Maker) -> Maker:
 def with_keys[Table: TomlTable](
     fields: Mapping[str, Any],
 ) -> Callable[[type[Table]], type[Table]]:
-    """Return a decorator that gives a table further keys: their types and fields, as `create_model` has them."""
+    """Return a decorator that adds keys to a table: `fields` has types and fields as `create_model` takes them."""
     return lambda table: create_model(table.__name__, __base__=table, __doc__=table.__doc__, **fields)
 
 
 @cache
 def required_arguments(make: Maker) -> set[str]:
-    """Return the names of the arguments that a constructor cannot do without."""
+    """Return the set of names of a constructor's arguments that have no default."""
     return {key for key, (_, default) in arguments(make).items() if default is inspect.Parameter.empty}
 
 
 @cache
 def arguments(make: Maker) -> dict[str, tuple[Any, object]]:
-    """Return annotation and default of each argument."""
+    """Return a dict from the name of each argument of a constructor to its annotation and default."""
     hints = get_type_hints(make.__init__ if inspect.isclass(make) else make, include_extras=True)
     return {key: (hints[key], argument.default) for key, argument in inspect.signature(make).parameters.items()}
 
 
 def _ways(makes: tuple[Maker, ...]) -> str:
-    """Return, in words, the arguments that only some of the constructors have."""
+    """Return a phrase with each constructor's arguments that not all of the constructors have."""
     every = [arguments(make) for make in makes]
     ways = [[key for key in names if any(key not in other for other in every)] for names in every]
     return ", or ".join(map(names_in_words, ways))
 
 
 def _descriptions(make: Maker) -> dict[str, str]:
-    """Return the description of each argument in the docstring, from its section of attributes or parameters."""
+    """Return a dict of the descriptions of arguments, from the docstring's section of attributes or parameters."""
     text = inspect.getdoc(make) or ""
     section = re.search(r"(?:Attributes|Parameters)\n-+\n(.*?)(?:\n\n|\Z)", text, re.DOTALL)
     entries = re.findall(r"^([\w, ]+?) : .*\n((?:    .*\n?)*)", section[1] if section else "", re.MULTILINE)
@@ -322,7 +323,7 @@ def _descriptions(make: Maker) -> dict[str, str]:
 
 
 def tuple_as_list(annotation: object) -> Any:
-    """Return a type of lists for a type of tuples, which TOML lacks; any other type as it is."""
+    """Return the type of a list for the type of a tuple, which TOML does not have; any other type as it is."""
     parts = get_args(annotation)
     if type(None) in parts and any(get_origin(part) is tuple for part in parts):
         return tuple_as_list(next(part for part in parts if get_origin(part) is tuple)) | None

@@ -1,4 +1,4 @@
-"""Files to start from: each kind of model with a commented problem that runs without changes."""
+"""Templates of problem files: for each kind of model, a commented problem that runs without changes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ KINDS = tuple(_FILES)
 
 
 def template(kind: str) -> str:
-    """Return the text of a kind's problem file.
+    """Return the text of the problem file of a kind, one of `KINDS`.
 
     Raises
     ------
@@ -31,7 +31,7 @@ def template(kind: str) -> str:
 
 
 def files(kind: str) -> tuple[str, ...]:
-    """Return the names of a kind's files, the problem file first.
+    """Return the names of the files of a kind, one of `KINDS`, with the problem file first.
 
     Raises
     ------
@@ -44,14 +44,14 @@ def files(kind: str) -> tuple[str, ...]:
 
 
 def write_template(kind: str, directory: str | os.PathLike[str]) -> Path:
-    """Write a kind's problem file, and the files that it names.
+    """Write the problem file of a kind, and the other files that it needs, to a directory.
 
     Parameters
     ----------
     kind : str
         One of `KINDS`.
     directory : path-like
-        Made if it does not exist.
+        Directory for the files, made if it does not exist.
 
     Returns
     -------
@@ -61,7 +61,7 @@ def write_template(kind: str, directory: str | os.PathLike[str]) -> Path:
     Raises
     ------
     ValueError
-        If there is no such kind, or one of its files exists already: nothing is written then.
+        If there is no such kind, or one of its files already exists in the directory. Nothing is then written.
     """
     folder = Path(directory)
     taken = [name for name in files(kind) if os.path.lexists(folder / name)]

@@ -1,4 +1,4 @@
-"""``[[tests]]``: several tests of one structure, and what varies between them."""
+"""``[[tests]]``: several tests of one structure, and the differences between them."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class TestTable(MeasurementTable):
     """Parameters whose values are known in this test."""
 
     def test(self, number: int, folder: Path, built: Built, needs_trust: bool) -> Test:
-        """Return the test; BrokenError, with places in the file, if its modes cannot be built."""
+        """Return the test; BrokenError, with locations in the file, if it cannot be built."""
         where = f"tests.{number}"
         try:
             data = self.build(folder, built, needs_trust)
@@ -83,7 +83,7 @@ class TestTable(MeasurementTable):
 def build_tests(
     tables: Sequence[TestTable], folder: Path, built: Built, needs_trust: bool
 ) -> tuple[list[Test], list[ArgumentError]]:
-    """Return the tests, and the mistakes in their tables."""
+    """Return the list of tests, and the list of errors in their tables."""
     tests: list[Test] = []
     found: list[ArgumentError] = []
     for number, table in enumerate(tables):
@@ -97,14 +97,14 @@ def build_tests(
 def variations(
     tables: Sequence[ParameterTable],
 ) -> tuple[dict[str, str | Variation], dict[str, dict[str, Prior]]]:
-    """Return the arguments `varies` and `slopes` of `fmu.JointProblem`."""
+    """Return the dicts `varies` and `slopes` that `fmu.JointProblem` takes as arguments."""
     varies = {table.name: how for table in tables if (how := table.variation()) is not None}
     slopes = {t.name: {name: prior.build() for name, prior in t.slopes.items()} for t in tables if t.slopes}
     return varies, slopes
 
 
 def in_the_file(error: TestsError, tables: Sequence[ParameterTable]) -> list[ArgumentError]:
-    """Return the mistakes of tests that do not fit together, where they are in the file."""
+    """Return the list of errors of inconsistent tests, with their locations in the file."""
     number = {table.name: i for i, table in enumerate(tables)}
     found = Mistakes()
     for said in error.mistakes:

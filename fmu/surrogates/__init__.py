@@ -1,4 +1,4 @@
-"""From a slow model to a surrogate with a certificate, and to exact draws: which theta are solved, and how many.
+"""Construction of surrogates with certificates, and delayed acceptance, which gives exact posterior draws.
 
 Reading order: learning, selection, error_limits; second_stage, delayed_acceptance.
 """

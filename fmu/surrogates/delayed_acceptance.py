@@ -1,4 +1,4 @@
-"""Delayed acceptance: draws from a surrogate's posterior become draws from the model's by a solve of each."""
+"""Delayed acceptance: draws from the model's posterior, made from a surrogate's draws by solves of the model."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 _MARGIN = 1.25
-"""Proposals that are solved first, over the effective draws that are wanted."""
+"""Ratio of the number of proposals that are solved at first to the effective sample size that is required."""
 
 
 @check_arguments
@@ -41,53 +41,56 @@ def delayed_acceptance(
     max_solves: Count | None = None,
     engine: Engine | None = None,
 ) -> xr.DataTree:
-    """Return draws from the posterior of the model itself, made from draws of a surrogate's posterior.
+    """Return posterior draws of the model itself, made from posterior draws of its surrogate.
 
     Delayed acceptance (Christen & Fox 2005, *J. Comput. Graph. Stat.* 14, 795–810): the surrogate's chain is the
-    first stage, and its draws θ′ are proposals that the model accepts with the probability
+    first stage. Its draws θ′ are proposals, which the second stage accepts with the probability
 
     min(1, w(θ′)/w(θ)),  w = p(θ)/p̂(θ),
 
-    p the posterior density by the model and p̂ that by the surrogate. Where a solve fails, w = 0. The proposals of
-    a chain are the draws of a chain of the trace, two autocorrelation times apart or more. They are known before
-    the first solve, so that all workers solve at once, and an independence sampler (Tierney 1994, *Ann. Stat.* 22,
-    1701–1762) accepts or rejects them in their order. It starts at one of them, drawn with a probability in
-    proportion to w, and has no burn-in.
+    where p is the posterior density of the model and p̂ that of the surrogate. If a solve fails, w = 0. The
+    proposals of a chain are the draws of a chain of the trace, thinned to at least two autocorrelation times. They
+    are known before the first solve, so that all workers can solve in parallel. An independence sampler (Tierney
+    1994, *Ann. Stat.* 22, 1701–1762) accepts or rejects the proposals in their order. It starts at a proposal that
+    is drawn with a probability proportional to w, and has no burn-in.
 
-    Its limit is p, whatever the error of the surrogate, which costs acceptances only. Two things are approximate
-    in a finite run, and small beside its Monte-Carlo error: proposals are thinned draws of a Markov chain, and the
-    start is one of finitely many. Where the surrogate's posterior has no mass, nothing is proposed.
+    The limiting distribution is p, whatever the error of the surrogate; an error only lowers the acceptance rate.
+    A finite run has two approximations, small compared with its Monte-Carlo error: proposals are thinned draws of
+    a Markov chain, and the start is one of finitely many proposals. Where the surrogate's posterior has no mass,
+    nothing is proposed.
 
     Parameters
     ----------
     problem : UpdatingProblem
-        With a surrogate, from `fmu.surrogate`.
+        A problem with a surrogate, from `fmu.surrogate`.
     trace : xarray.DataTree
-        From `fmu.sample` of this problem. Its effective sample size bounds the number of proposals: half as many,
-        or a quarter. ``until_ess=2000`` gives enough where the surrogate is good.
+        The result of `fmu.sample` for this problem. The number of proposals is a quarter to a half of its
+        effective sample size. A trace with ``until_ess=2000`` has enough draws if the surrogate is good.
     until_ess : float
-        Bulk and tail ESS that every parameter is to have, and no less than convergence needs. So many proposals
-        are solved, and a quarter more; further ones if that is not enough.
+        Bulk and tail ESS that every parameter must reach; at least the ESS that convergence requires. At first
+        1.25 times as many proposals are solved, and more if the ESS is then too small.
     max_solves : int, optional
-        Solves after which it ends.
+        Largest number of proposals that are solved.
     engine : Engine, optional
-        Calls the user's function at several theta at once, see `fmu.engine`. The draws do not depend on it.
+        Calls the user's function at several theta in parallel, see `fmu.engine`. The draws do not depend on it.
 
     Returns
     -------
     xarray.DataTree
-        As `fmu.sample` of the problem without surrogate returns it; ESS and R-hat see a rejection as a repeated
-        draw. ``identifiability`` is that of the surrogate. Attributes beside those of the surrogate
-        (`fmu.analysis.certificate.certify`): ``second_stage_proposals``, how many were solved,
-        ``second_stage_accepted`` and ``second_stage_failed`` of them, ``second_stage_solves``, and ``limit``, in
-        words, if it ended before its verdict was good. ``warmup_n_solves`` are the solves of the surrogate, and
-        ``warmup_wall_s`` is the time of its draws.
+        A trace as `fmu.sample` returns it for the problem without surrogate. A rejection is a repeated draw, also
+        for ESS and R-hat. The group ``identifiability`` is taken from the trace of the surrogate. There are these
+        attributes besides those of the surrogate (`fmu.analysis.certificate.certify`):
+        ``second_stage_proposals``, the number of solved proposals; ``second_stage_accepted`` and
+        ``second_stage_failed``, the numbers of accepted and of failed proposals; ``second_stage_solves``, the
+        number of distinct solves; and ``limit``, a phrase with the number of solves or draws that were available,
+        if the run ended before it converged. ``warmup_n_solves`` is the number of solves for the surrogate, and
+        ``warmup_wall_s`` the time of sampling it, in seconds.
 
     Raises
     ------
     ValueError
-        If the problem has no surrogate, the trace is not one of its posterior or has too few effective draws, a
-        number is out of range, or all solves of a chain fail.
+        If the problem has no surrogate, the trace does not belong to its posterior or has too few effective draws,
+        a number is out of range, or all solves of a chain fail.
     """
     until_ess = positive_number("until_ess", until_ess)
     stage = SecondStage(problem, trace)
@@ -122,12 +125,12 @@ def delayed_acceptance(
 
 
 def proposals(until_ess: float | None, chains: int) -> int:
-    """Return how many proposals are solved before the draws are first judged, of all chains."""
+    """Return the number of proposals, in all chains together, that are solved before convergence is checked."""
     return chains * int(np.ceil(_MARGIN * max(until_ess or 0.0, required_ess(chains)) / chains))
 
 
 def _with_model(found: xr.DataTree, stage: SecondStage) -> xr.DataTree:
-    """Add to a trace what `fmu.sample` adds, as far as it costs no more than a few solves."""
+    """Return a trace with the groups that `fmu.sample` adds, as far as they cost no more than a few solves."""
     trace, truth = stage.trace, stage.truth
     known = maxima_of(trace)
     maxima = None if known is None else stage.maxima(known)

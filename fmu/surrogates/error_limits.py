@@ -1,4 +1,4 @@
-"""How far a posterior's moments may be off, from errors of a surrogate's log-probability at a few draws."""
+"""Limits of the errors of a posterior's moments, from errors of a surrogate's log-probability at a few draws."""
 
 from __future__ import annotations
 
@@ -11,30 +11,31 @@ from fmu.types import FloatArray
 
 LEVEL = 0.95
 HEAVY = 6.0
-"""Kurtosis of errors that are Gaussian with a standard deviation that differs from draw to draw."""
+"""Assumed kurtosis of errors that are Gaussian with a standard deviation that varies from draw to draw."""
 
 _LARGE = 1.0
 _MARGIN = 1.3
 
 
 class ErrorLimits(NamedTuple):
-    """Errors e = log p − log p̂ at n draws of p̂, and what follows from them.
+    """Statistics of the errors e = log p − log p̂ at n draws from p̂, and limits of the posterior's errors.
 
     Attributes
     ----------
     n : int
+        Number of draws.
     n_failed : int
-        Draws at which the slow model failed.
+        Number of draws at which the slow model failed.
     sd : float
         Standard deviation of e.
     shift : float
-        With 95 % confidence no posterior mean is off by more posterior standard deviations, and no standard
-        deviation by more, relative: see `upper_shift`.
+        Upper limit, with 95 % confidence, of the error of any posterior mean, in posterior standard deviations,
+        and of the relative error of any posterior standard deviation: see `upper_shift`.
     largest : float
-        The largest |e|, e taken from its mean, which is without effect.
+        The largest deviation of e from its mean, in absolute value; the mean itself has no effect.
     share : float
-        With 95 % confidence at least so large a share of the posterior has no larger |e| (Wilks 1941, *Ann. Math.
-        Stat.* 12, 91–96).
+        Fraction of the posterior that, with 95 % confidence, has no larger deviation than `largest` (Wilks 1941,
+        *Ann. Math. Stat.* 12, 91–96).
     """
 
     n: int
@@ -46,10 +47,10 @@ class ErrorLimits(NamedTuple):
 
     @classmethod
     def of(cls, errors: FloatArray, draws: FloatArray, posterior: FloatArray, expected: float) -> ErrorLimits:
-        """Return the limits for errors (n,), not finite where the slow model failed.
+        """Return the limits for errors (n,), which are not finite where the slow model failed.
 
-        `shift` is `upper_shift`, but not less than `expected`, the standard deviation of e over the posterior that
-        the surrogate expects: where errors are large in few places, few draws may not show it.
+        `shift` is the value of `upper_shift`, but at least `expected`, the standard deviation of e over the
+        posterior that the surrogate predicts: a few draws may miss small regions with large errors.
         """
         finite = np.isfinite(errors)
         n, n_failed = len(errors), int(np.sum(~finite))
@@ -62,29 +63,30 @@ class ErrorLimits(NamedTuple):
 
 
 def upper_shift(errors: FloatArray, draws: FloatArray, posterior: FloatArray) -> float:
-    """Return the 95 % upper limit of how far errors e move posterior means and standard deviations.
+    """Return the 95 % upper limit of the changes of posterior means and standard deviations by errors e.
 
-    The true posterior has the weight w = exp(e)/E[exp(e)] beside the surrogate's, and with z = (θ − mean)/sd of
-    each parameter it moves the mean by Cov(z, w) posterior standard deviations, and the standard deviation,
-    relative and to first order, by ½ Cov(z², w). Limits of the means follow from their values at the draws, by
-    Student's t with Bonferroni's correction. The standard deviations depend on few draws far out, so that for
-    them it is what none exceeds (by Cauchy and Schwarz), ½ sd(z²) sd(w). The limit of sd(w) is that of a
-    variance with Satterthwaite's degrees of freedom (1946, *Biometrics Bull.* 2, 110–114), ν = 2n/(κ − (n −
-    3)/(n − 1)), for the kurtosis κ of the sample, or `HEAVY` if that is larger. Where it is so large that few
-    draws do not tell how far the means are off, it is the limit of them as well: |Cov(z, w)| ≤ sd(w).
+    The ratio of the true posterior to the surrogate's is w = exp(e)/E[exp(e)]. With z = (θ − mean)/sd for each
+    parameter, the mean changes by Cov(z, w) posterior standard deviations, and the standard deviation, to first
+    order, by the relative amount ½ Cov(z², w). The changes of the means are estimated from the draws, with limits
+    by Student's t with Bonferroni's correction. The changes of the standard deviations depend on a few outlying
+    draws, and are therefore bounded by ½ sd(z²) sd(w) (Cauchy–Schwarz inequality). The upper limit of sd(w) uses
+    the chi-square distribution with Satterthwaite's degrees of freedom (1946, *Biometrics Bull.* 2, 110–114),
+    ν = 2n/(κ − (n − 3)/(n − 1)), where κ is the larger of the kurtosis of the sample and `HEAVY`. If this limit is
+    too large to estimate the means from a few draws, it is the limit for them as well, as |Cov(z, w)| ≤ sd(w).
 
     Parameters
     ----------
     errors : ndarray, shape (n,), n ≥ 5
+        The errors e at the draws.
     draws : ndarray, shape (n, ndim)
-        θ of the errors, drawn from the surrogate's posterior.
+        The draws θ from the surrogate's posterior.
     posterior : ndarray, shape (N, ndim)
-        Many draws of it: means and standard deviations are theirs.
+        Many draws from the surrogate's posterior, which determine its means and standard deviations.
 
     Returns
     -------
     float
-        In posterior standard deviations.
+        The limit, in posterior standard deviations.
     """
     n, ndim = draws.shape
     weights = np.exp(errors - errors.max())
@@ -100,15 +102,16 @@ def upper_shift(errors: FloatArray, draws: FloatArray, posterior: FloatArray) ->
 
 
 def largest_sd_shift(posterior: FloatArray) -> float:
-    """Return how far a standard deviation moves at most, relative, over sd(w): ½ sd(z²), from draws (N, ndim)."""
+    """Return the largest ½ sd(z²) of a parameter, from draws (N, ndim): a bound of an sd's change over sd(w)."""
     z = (posterior - posterior.mean(axis=0)) / posterior.std(axis=0)
     return float(0.5 * np.max(np.std(z**2, axis=0)))
 
 
 def draws_needed(sd: float, posterior: FloatArray, tolerance: float, fewest: int, most: int) -> int:
-    """Return how many draws make an `upper_shift` within a tolerance likely, for errors with an sd; 0 if none do.
+    """Return the number of draws, `fewest` to `most`, for which `upper_shift` likely fits `tolerance`; else 0.
 
-    Their standard deviation may be larger by `_MARGIN`, and their means off by as many standard errors.
+    `sd` is the expected standard deviation of the errors. As a margin, the sample's standard deviation is assumed
+    to be larger by the factor `_MARGIN`, and the changes of the means to be as many standard errors.
     """
     of_sds = largest_sd_shift(posterior)
     for n in range(fewest, most + 1):
@@ -119,12 +122,12 @@ def draws_needed(sd: float, posterior: FloatArray, tolerance: float, fewest: int
 
 
 def _quantile(n: int, ndim: int) -> float:
-    """Return how many standard errors ndim means of n values are off at most."""
+    """Return the 95 % limit of the errors of ndim means of n values, in standard errors."""
     return float(stdtrit(n - 1, 1.0 - (1.0 - LEVEL) / (2 * ndim)))
 
 
 def _upper_sd(values: FloatArray) -> float:
-    """Return the upper limit of the standard deviation of n values."""
+    """Return the 95 % upper limit of the standard deviation of a population, from n values."""
     n = len(values)
     variance = float(np.var(values, ddof=1))
     if variance == 0.0:
@@ -134,6 +137,6 @@ def _upper_sd(values: FloatArray) -> float:
 
 
 def _factor(n: int, kurtosis: float) -> float:
-    """Return the ratio of the upper limit of a standard deviation to the standard deviation of n values."""
+    """Return the ratio of the upper limit of a standard deviation to the sample's, for n values of a kurtosis."""
     freedom = 2.0 * n / (kurtosis - (n - 3.0) / (n - 1.0))
     return float(np.sqrt(freedom / (2.0 * gammaincinv(0.5 * freedom, 1.0 - LEVEL))))  # of chi-square

@@ -1,4 +1,4 @@
-"""`fmu.surrogate`: a problem whose slow model is replaced by Gaussian processes, with a certificate."""
+"""`fmu.surrogate`: replacement of a problem's slow model by Gaussian processes, with a certificate."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ BATCH, CHECKS = 4, 12
 _STARTS, _CHAINS, _WARMUP, _DRAWS = 32, 8, 250, 150
 _CANDIDATES = 300
 _UNDECIDED = 0.05
-"""Part of the posterior that may lie between points that were solved and points that failed."""
+"""Largest fraction of posterior draws that may lie between points that were solved and points that failed."""
 _MAY_BE_SWAPPED = 0.6
-"""MAC with the measured shape below which another mode is as likely."""
+"""MAC with the measured shape below which the paired mode may be another one."""
 
 
 class SurrogateWarning(UserWarning):
-    """The surrogate misses its tolerance."""
+    """Warning that a surrogate does not reach its tolerance."""
 
 
 @check_arguments
@@ -53,36 +53,39 @@ def surrogate(
 ) -> UpdatingProblem:
     """Return the same problem with Gaussian processes in place of its slow model.
 
-    They are fitted to solves at points that fill the bounds, and then, batch after batch, where the posterior is
-    and a solve reduces its error most. When the surrogate expects little error, fresh draws of the posterior are
-    solved: their errors are the certificate. If it allows the posterior to be off by more than the tolerance,
-    these solves join the design, and it goes on. The certificate is always from solves that the surrogate has not
-    seen.
+    The processes are first fitted to solves at points that fill the bounds. Batches of solves are then added at
+    posterior draws, chosen to reduce the error of the posterior most. When the surrogate expects a small error,
+    the slow model is solved at fresh posterior draws, and the errors there give the certificate. If by this
+    certificate the error of the posterior may exceed the tolerance, these solves are added to the design, and the
+    procedure continues. The solves of the final certificate are never part of the design.
 
     Parameters
     ----------
     problem : UpdatingProblem
-        Of a `BlackBoxModel`, or of any `ModalModel` without matrices.
+        A problem with a `BlackBoxModel`, or with any `ModalModel` without matrices.
     seed : int
+        Seed of the random numbers.
     tolerance : float
-        How far posterior means may be off, in posterior standard deviations, and how far these, relative, with
-        95 % confidence.
+        Largest error of the posterior, with 95 % confidence: of a mean in posterior standard deviations, and of a
+        standard deviation relative to itself.
     batch : int, optional
-        Solves between two rounds of sampling; they can run at once. By default as many as the model has
-        parameters, and at least four. The design depends on this number, and not on how many workers there are.
+        Number of solves between two rounds of sampling, which can run in parallel. The default is the number of
+        structural parameters, and at least four. The design depends on this number, but not on the number of
+        workers.
     checks : int
-        Draws that are solved for a certificate, at least 8; more where that takes fewer solves than a better
-        surrogate.
+        Number of draws that are solved for a certificate, at least 8. More are solved if that costs less than a
+        better surrogate.
     max_solves : int, optional
-        After so many it ends, whatever the certificate says; by default 100, and 50 more for every parameter.
+        Number of solves after which the procedure ends, even if the tolerance is not reached. The default is 100,
+        plus 50 for each structural parameter.
     engine : Engine, optional
-        Calls the user's function at several theta at once, see `fmu.engine`.
+        Calls the user's function at several theta in parallel, see `fmu.engine`.
 
     Returns
     -------
     UpdatingProblem
-        ``model.certificate`` says how far it may be off, and how many solves it took
-        (`fmu.fem.certificates.SurrogateCertificate`).
+        The problem with the surrogate. ``model.certificate`` contains the limits of its error and the number of
+        solves (`fmu.fem.certificates.SurrogateCertificate`).
 
     Raises
     ------
@@ -92,7 +95,7 @@ def surrogate(
     Warns
     -----
     SurrogateWarning
-        If it ended before the tolerance was kept.
+        If the procedure ended before the tolerance was reached.
     """
     batch = max(BATCH, problem.n_structural) if batch is None else batch
     max_solves = most_solves(problem) if max_solves is None else max_solves
@@ -107,13 +110,16 @@ def surrogate(
 
 
 def _learnt(learner: _Learner, tolerance: float, batch: int, checks: int, under_way: Phase) -> ErrorLimits:
-    """Extend the design until the certificate is kept, or no solves are left; return the certificate."""
+    """Extend the design until the certificate is within the tolerance or no solves are left; return its limits.
+
+    It also ends if the scatter of the solver prevents a better certificate.
+    """
     optimism, at_floor = 1.0, 0
     while True:
         draws, expected, floor = learner.posterior()
         edge = learner.find_undecided(draws)
         under_way.said["expected_error"] = optimism * expected
-        # more checks instead of a better surrogate are no cheaper beyond two batches
+        # beyond two batches more checks are not cheaper than a better surrogate
         most = checks + 2 * batch
         n_checks = draws_needed(optimism * expected, learner.drawn, tolerance, checks, most)
         is_rough = (n_checks == 0 and optimism * expected > 0.5 * floor) or len(edge) > _UNDECIDED * len(draws)
@@ -128,18 +134,18 @@ def _learnt(learner: _Learner, tolerance: float, batch: int, checks: int, under_
         errors, answers = learner.check_draws(theta, under_way)
         limits = ErrorLimits.of(errors, theta, learner.drawn, expected)
         under_way.said["certificate"] = limits.shift
-        # further solves do not help against the scatter of those that check; one estimate of it may be wrong
+        # more solves do not reduce the scatter of the checks; a single estimate of the scatter may be wrong
         is_limiting = not draws_needed(floor, learner.drawn, tolerance, checks, most)
         at_floor += is_limiting and limits.sd <= 2.0 * np.hypot(floor, expected)
         if limits.shift <= tolerance or learner.left < checks or at_floor > 1:
             return limits
         if np.isfinite(limits.sd) and expected > 0.0:
-            optimism = max(1.0, np.sqrt(limits.sd / expected))  # the surrogate learns from these errors, too
+            optimism = max(1.0, np.sqrt(limits.sd / expected))  # the checks join the design and reduce the error
         learner.learn(answers)
 
 
 class _Learner:
-    """A design that grows, and the problem with the surrogate that it gives."""
+    """The growing design, the surrogate that is fitted to it, and the problem with this surrogate."""
 
     def __init__(self, problem: UpdatingProblem, seed: int, max_solves: int) -> None:
         self.given, self.truth = problem, problem.model
@@ -165,7 +171,7 @@ class _Learner:
         return self.most - self.solves
 
     def begin(self, under_way: Phase) -> None:
-        """Solve the start and points that fill the box, and fit the first surrogate."""
+        """Solve at the start and at points that fill the box, and fit the first surrogate."""
         from scipy.stats import qmc
 
         design: Design | None = None
@@ -190,9 +196,10 @@ class _Learner:
         self._fit(None)
 
     def posterior(self) -> tuple[FloatArray, float, float]:
-        """Return draws of the surrogate's posterior, and the error of the log-probability to expect there.
+        """Return draws (n, ndim) of the surrogate's posterior, and two expected errors of the log-probability.
 
-        Of the error its own part, and the part of the solver's scatter.
+        The first error is due to the surrogate's own uncertainty, the second to the scatter of the solver. Both
+        are root mean squares over the posterior.
         """
         from fmu.analysis.maxima.search import find_map
         from fmu.analysis.maxima.starts import choose_starts, components
@@ -214,16 +221,16 @@ class _Learner:
         return draws, expected, floor
 
     def find_undecided(self, draws: FloatArray) -> IntArray:
-        """Return the rows of draws (n, ndim) that lie between points that were solved and points that failed."""
+        """Return the indices of the draws (n, ndim) between points that were solved and points that failed."""
         margin = self.model.feasibility.margin(self.coordinates.to_x(draws[:, : self.n]))
         return np.flatnonzero(np.abs(margin) < EDGE)
 
     def extend(self, draws: FloatArray, under_way: Phase) -> None:
-        """Solve at draws (n, ndim), and learn from them."""
+        """Solve at draws (n, ndim), add the solves to the design and fit the surrogate again."""
         self.learn(self._solve(draws[:, : self.n], under_way))
 
     def check_draws(self, draws: FloatArray, under_way: Phase) -> tuple[FloatArray, Design]:
-        """Return the errors of the log-probability at draws (n, ndim), and the solves there."""
+        """Return the errors (n,) of the log-probability at draws (n, ndim), NaN on failure, and the solves."""
         answers = self._solve(draws[:, : self.n], under_way)
         self.checks = answers.theta
         expected = self.model.frequencies(draws[:, : self.n])
@@ -236,12 +243,12 @@ class _Learner:
         return np.where(good, errors, np.nan), answers
 
     def learn(self, answers: Design) -> None:
-        """Add solves to the design, and fit anew."""
+        """Add solves to the design, and fit the surrogate again."""
         self.design = self.design.join(answers)
         self._fit(self.model)
 
     def certificate(self, limits: ErrorLimits, tolerance: float) -> SurrogateCertificate:
-        """Return how far the surrogate may be off."""
+        """Return the certificate of the surrogate, with the limits of its errors."""
         failed = self.design.failed
         estimated = 0.5 * float(np.max(self.model.pairs.of_eigenvalues(self.model.scatter)))
         where = failed_region(self.design.theta, failed, self.problem.names) if failed.any() else ""
@@ -251,7 +258,7 @@ class _Learner:
             failed=int(np.sum(failed)) + limits.n_failed,
             failed_where=where,
             doubts=self._doubts(),
-            scatter=min(estimated, self.most_scatter),  # unseen solves would scatter as much
+            scatter=min(estimated, self.most_scatter),  # the errors of the checks contain the scatter
             draws=limits.n,
             frequency_error=self.frequency_error,
             log_prob_error=limits.largest,
@@ -262,14 +269,14 @@ class _Learner:
         )
 
     def _doubts(self) -> str:
-        """Return in words which modes could not be followed where the posterior is; empty if all could."""
+        """Return a sentence for each mode that may be swapped near the posterior, one per line; may be empty."""
         shapes = self.given.data.shapes
         if not (self.truth.by_shape and self.truth.gives_shapes) or shapes is None:
             return ""
         theta = np.concatenate([self.design.theta[self.n_first :], self.checks])
         seen = orient_shapes(
             self.truth.observed(theta).shapes, np.asarray(shapes)
-        )  # remembered: nothing is solved
+        )  # these solves are in memory: nothing is solved again
         unit = np.asarray(shapes) / np.linalg.norm(shapes, axis=0)
         unlike = np.sum(np.sum(seen * unit, axis=1) ** 2 < _MAY_BE_SWAPPED, axis=0)
         labels = self.given.data.labels
@@ -293,14 +300,14 @@ class _Learner:
 
 
 def certificate_of(problem: UpdatingProblem) -> SurrogateCertificate:
-    """Return the certificate of a problem with a surrogate."""
+    """Return the certificate of a problem whose model is a surrogate."""
     found = problem.model.certificate
     assert isinstance(found, SurrogateCertificate)
     return found
 
 
 def can_learn(problem: UpdatingProblem) -> str:
-    """Return why a problem can have no surrogate; empty if it can."""
+    """Return the reason why a surrogate cannot be built for a problem; an empty string if it can."""
     if problem.model.is_uncertain:
         return "the model is a surrogate already"
     if any(map(structure_of, problem.model.parts)):
@@ -311,12 +318,12 @@ def can_learn(problem: UpdatingProblem) -> str:
 
 
 def expected_solves(problem: UpdatingProblem) -> int:
-    """Return about how many solves a surrogate takes: more for each parameter, the more parameters there are."""
+    """Return the approximate number of solves that a surrogate needs, quadratic in the number of parameters."""
     return problem.n_structural * (6 + problem.n_structural) + CHECKS
 
 
 def most_solves(problem: UpdatingProblem) -> int:
-    """Return how many solves a surrogate takes at most, unless told otherwise."""
+    """Return the default of the largest number of solves for a surrogate of a problem."""
     return solves_of_a_surrogate(problem.n_structural)
 
 

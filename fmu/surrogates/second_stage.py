@@ -1,4 +1,4 @@
-"""The second stage of delayed acceptance: proposals that the model accepts or rejects."""
+"""The second stage of delayed acceptance: the proposals of a surrogate are accepted or rejected by the model."""
 
 from __future__ import annotations
 
@@ -27,29 +27,30 @@ if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
 _APART = 2.0
-"""Autocorrelation times between two proposals, at least: of an autoregression e⁻⁴ of its correlation is left."""
+"""Smallest number of autocorrelation times between proposals: an autoregression then has a correlation of e⁻⁴."""
 _FEWEST = 4
-"""Proposals of a chain, at least: ArviZ judges no fewer draws."""
+"""Smallest number of proposals of a chain: ArviZ gives no diagnostics for fewer draws."""
 _TURNS = 4
-"""Solves of a worker between two reports."""
+"""Number of solves per worker between two reports of progress."""
 _STREAM = 22
 
 
 def independence_chain(log_weight: FloatArray, rng: np.random.Generator) -> tuple[IntArray, int]:
-    """Return where an independence sampler is after each of its proposals, and where it starts.
+    """Return the states of an independence sampler, as indices of its proposals.
 
     Parameters
     ----------
     log_weight : ndarray, shape (n,)
-        log p − log p̂ of the proposals, which are from p̂; −inf where p = 0. Not all of them.
+        Values of log p − log p̂ at the proposals, which are drawn from p̂; −inf where p = 0, but not everywhere.
     rng : Generator
-        The chain of more proposals begins with the same random numbers.
+        A chain of more proposals uses the same random numbers at first.
 
     Returns
     -------
     path : ndarray of int, shape (n,)
-        The proposal that each state is.
+        Index of the proposal that is the state after each step.
     start : int
+        Index of the proposal at which the chain starts.
     """
     weight = np.exp(log_weight - np.max(log_weight))
     cumulative = np.cumsum(weight)
@@ -63,7 +64,20 @@ def independence_chain(log_weight: FloatArray, rng: np.random.Generator) -> tupl
 
 
 class SecondStage:
-    """The proposals of all chains, (chains, n, ndim), and what the model says of the first of them."""
+    """The proposals of all chains, (chains, n, ndim), and the model's log-probabilities at those solved so far.
+
+    Parameters
+    ----------
+    problem : UpdatingProblem
+        A problem with a surrogate.
+    trace : xarray.DataTree
+        Draws of the surrogate's posterior.
+
+    Raises
+    ------
+    ValueError
+        If the problem has no surrogate, or the trace belongs to another problem or has too few effective draws.
+    """
 
     def __init__(self, problem: UpdatingProblem, trace: xr.DataTree) -> None:
         check_trace(trace)
@@ -82,7 +96,7 @@ class SecondStage:
                 "the surrogate longer"
             )
         times = max(draws.shape[0] * draws.shape[1] / ess, 1.0 / _APART)
-        # a power of two, so that a longer run has the same proposals and more
+        # a power of two, so that the proposals of a run are among those of a longer run
         self.thinning = 2 ** int(np.ceil(np.log2(_APART * times)))
         self.theta = draws.reshape(chains, -1, walkers, ndim)[:, :: self.thinning].reshape(chains, -1, ndim)
         self.problem, self.truth, self.trace = problem, problem.with_model(model.truth), trace
@@ -96,11 +110,11 @@ class SecondStage:
 
     @property
     def log_weight(self) -> FloatArray:
-        """Return log p − log p̂ of the proposals that were solved, (chains, n)."""
+        """The values of log p − log p̂ at the first n proposals of each chain, which were solved, (chains, n)."""
         return np.asarray(self._log_weight[self._which[:, : self._n]])
 
     def solve(self, n: int, workers: int, under_way: Phase) -> None:
-        """Solve at the first n proposals of every chain, as far as that was not done."""
+        """Solve at the first n proposals of every chain that have not been solved yet."""
         chains = len(self.theta)
         rows = -(-_TURNS * workers // chains)
         for first in range(self._n, n, rows):
@@ -115,7 +129,7 @@ class SecondStage:
             under_way.advance(chains * (self._n - first))
 
     def result(self, seconds: float) -> RunResult:
-        """Return the draws that the model accepted, after so many seconds."""
+        """Return the chains of accepted proposals as the result of a run; `seconds` is the time of this stage."""
         path, start = self._paths()
         chain = np.arange(len(path))[:, None]
         stats = {
@@ -142,10 +156,11 @@ class SecondStage:
         )
 
     def maxima(self, known: Maxima) -> Maxima | None:
-        """Return the maxima of the surrogate's posterior as the model has them; None if it has none of them.
+        """Return the maxima of the surrogate's posterior, corrected by the model; None if none of them remains.
 
-        The mass of each is multiplied by the mean weight of the proposals near it, which makes it that of the
-        model's posterior. Each is at the highest of these proposals, if that is higher than the maximum.
+        The mass of a maximum is multiplied by the mean weight of the proposals near it, which gives its mass in
+        the model's posterior. A maximum moves to the proposal near it with the largest log-probability, if that
+        exceeds its own. A maximum without a successful solve near it is removed.
         """
         ids = self._which[:, : self._n].ravel()
         near = nearest_maxima(self._distinct[ids], known)
@@ -167,7 +182,7 @@ class SecondStage:
         return replace(known, maxima=tuple(sorted(found, key=lambda one: -one.log_prob))) if found else None
 
     def record(self) -> Mapping[str, int]:
-        """Return the attributes of the trace that say how the draws came about."""
+        """Return a dict of the attributes of the trace that count proposals and solves."""
         return {
             "second_stage_proposals": self._which[:, : self._n].size,
             "second_stage_accepted": int(np.sum(self._accept_draws(*self._paths()))),
@@ -176,7 +191,7 @@ class SecondStage:
         }
 
     def _paths(self) -> tuple[IntArray, IntArray]:
-        """Return `independence_chain` of every chain, (chains, n) and (chains,)."""
+        """Return the paths (chains, n) and starts (chains,) of `independence_chain` for all chains."""
         weights, seed = self.log_weight, int(self.trace.attrs["seed"])
         failed = np.flatnonzero(~np.isfinite(weights).any(axis=1))
         if len(failed):

@@ -1,4 +1,4 @@
-"""Which theta to solve next: those that reduce the error of the posterior most."""
+"""Selection of the points that are solved next: those that reduce the error of the posterior most."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def error_variances(
 ) -> tuple[FloatArray, FloatArray]:
     """Return two variances of the error of the log-probability at theta (n, ndim), (n,) each.
 
-    That which the surrogate expects of itself, and that which the scatter of the solver's answers causes.
+    The first is due to the surrogate's own uncertainty, the second to the scatter of the solver.
     """
     of_frequency, of_shape = likelihood.sensitivity_to_model(theta)
     structural = theta[:, : model.n_parameters]
@@ -27,12 +27,12 @@ def error_variances(
 
 
 def choose_draws(likelihood: ModalLikelihood, model: SurrogateModel, draws: FloatArray, n: int) -> IntArray:
-    """Return the rows of posterior draws (N, ndim) that are to be solved, n of them.
+    """Return the indices (n,) of the posterior draws (N, ndim) at which the model is to be solved.
 
-    One after the other, each such that, once it is solved, the mean over the posterior of the variance of the
-    log-probability is smallest: a sequential design by integrated variance (Sacks, Welch, Mitchell & Wynn 1989,
-    *Stat. Sci.* 4, 409–435), weighted by the posterior and by what the likelihood makes of an error. Solved points
-    reduce the variance around them, so that points of one batch keep apart.
+    The draws are selected one after the other. Each minimises the variance of the log-probability that remains
+    after it is solved, averaged over the posterior. This is a sequential design by integrated variance (Sacks,
+    Welch, Mitchell & Wynn 1989, *Stat. Sci.* 4, 409–435), weighted by the posterior and by the sensitivity of the
+    likelihood. Each selected point reduces the variance around it, so that the points of a batch lie apart.
     """
     of_frequency, of_shape = likelihood.sensitivity_to_model(draws)
     x = model.coordinates.to_x(draws[:, : model.n_parameters])
@@ -57,6 +57,6 @@ def choose_draws(likelihood: ModalLikelihood, model: SurrogateModel, draws: Floa
 
 
 def stratify(uncertainty: FloatArray, n: int, rng: np.random.Generator) -> IntArray:
-    """Return n rows of draws, one at random of each of n groups of equal size, by their `uncertainty` (N,)."""
+    """Return indices of n draws, one at random from each of n equal groups in the order of `uncertainty` (N,)."""
     groups = np.array_split(np.argsort(uncertainty, kind="stable"), n)
     return np.array([rng.choice(group) for group in groups])

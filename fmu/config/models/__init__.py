@@ -1,1 +1,1 @@
-"""``[model]``: the structure, a module for each type."""
+"""``[model]``: the table of the structure, with one module for each type of model."""

@@ -52,7 +52,7 @@ class CommandTable(ModelTable):
 
     @property
     def decks(self) -> list[str]:
-        """The template."""
+        """The list of the template's name."""
         return [self.template]
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:

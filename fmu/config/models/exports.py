@@ -1,6 +1,7 @@
 """``[model] type = "exports"``: K(θ) and M(θ) from another program's matrices at several values of the parameters.
 
-`fmu.fem.exports.from_exports` says how they are recovered, `fmu.formats.models.read` which files are read.
+`fmu.fem.exports.from_exports` explains how K(θ) and M(θ) are recovered, and `fmu.formats.models.read` lists the
+file formats.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class ExportsTable(ModelTable):
     free: bool = False
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return the mistakes between tables: values of unknown parameters, and parameters without a value."""
+        """Return the list of errors: values of unknown parameters, parameters without a value, keys of frames."""
         names = [parameter.name for parameter in parameters]
         found = Mistakes()
         for i, one in enumerate(self.exports):
@@ -61,7 +62,7 @@ class ExportsTable(ModelTable):
         return found + super().mistakes(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Read the exports and return the model; BrokenError if it cannot be built."""
+        """Return the model that is recovered from the exports; BrokenError if this fails."""
         nominal = self.exports[0].values
         try:
             mesh = None if self.mesh is None else read_mesh(folder / self.mesh)

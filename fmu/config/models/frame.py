@@ -23,7 +23,8 @@ from fmu.formats.shown import names_shown, quote
 from fmu.types import Direction, FloatArray, Positive
 
 MOST_ELEMENTS = 10_000
-"""60 000 degrees of freedom, one second per solve. Condense a larger structure and give its matrices."""
+"""Largest number of elements: 60 000 degrees of freedom, one second per solve. Condense larger structures and give
+their matrices."""
 _SHAPES = [
     inside("rectangle", Section.rectangle),
     inside("tube", Section.tube),
@@ -86,11 +87,11 @@ class FrameTable(ModelTable):
     free: bool = False
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return the mistakes between tables: names that do not exist, members of no length."""
+        """Return the list of errors between tables, such as unknown names and members without length."""
         return self._between_tables() + self._of_points() + self._of_parameters(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Return the model and the node of every point; BrokenError if it cannot be built. It reads no files."""
+        """Return the model and the node of every point; BrokenError if it cannot be built. No files are read."""
         mesh = _Mesh(self)
         updates = {table.name: mesh.targets(table) for table in parameters}
         try:
@@ -104,7 +105,7 @@ class FrameTable(ModelTable):
 
     @property
     def groups(self) -> list[str]:
-        """Names of the groups of members, sorted."""
+        """Sorted list of the names of the groups of members."""
         return sorted({member.group for member in self.members})
 
     def _of_parameters(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
@@ -115,7 +116,7 @@ class FrameTable(ModelTable):
         return found
 
     def _of_targets(self, parameters: Sequence[ParameterTable]) -> Mistakes:
-        """Return the mistakes in targets: unknown names or directions, and values updated by two parameters."""
+        """Return the errors in targets: unknown names or directions, and quantities updated by two parameters."""
         known: dict[str, Collection[str]] = {
             "groups": self.groups,
             "masses": [_known_as(mass) for mass in self.masses],
@@ -203,9 +204,9 @@ class FrameTable(ModelTable):
 
 
 class _Mesh:
-    """The nodes and elements of a table.
+    """The nodes and elements of the frame that a table describes.
 
-    Members of one group may differ in section, material and orientation; the frame has one group a member.
+    Members of a group may differ in section, material and orientation; the frame has one element group per member.
     """
 
     def __init__(self, table: FrameTable) -> None:
@@ -220,7 +221,7 @@ class _Mesh:
                 self._node_at(end)
 
     def frame(self) -> Frame:
-        """Return the frame; ValueError if it cannot be built."""
+        """Return the frame that the table describes; ValueError if it cannot be built."""
         table, at = self.table, self.node_of
         supports = {
             at[point]: DIRECTIONS if fixed == "clamped" else tuple(fixed)
@@ -239,7 +240,7 @@ class _Mesh:
         return Frame(np.array(self.nodes), self._groups, supports, masses, arms, springs)
 
     def targets(self, table: Target) -> list[tuple[str, ...]] | Factor:
-        """Return the targets of a parameter, as `Frame.separable` takes them."""
+        """Return the targets of a parameter in the form that `Frame.separable` takes: a list, or a Factor."""
         named = table.names_at(KEYS[str(table.property)], self.table.groups)
         if table.property not in ("mass", "inertia", "stiffness"):
             named = [part for group in named for part in self.parts[group]]
@@ -248,7 +249,7 @@ class _Mesh:
         return Factor(targets) if table.scaling == "factor" else list(targets)
 
     def label(self, node: int) -> str:
-        """Return the name of a node's point, or of the two points that it lies between."""
+        """Return a label of a node: the name of its point, or "between …" with the names of a member's ends."""
         return next((name for name, number in self.node_of.items() if number == node), self._between.get(node, ""))
 
     def _node_at(self, point: str) -> int:
@@ -279,7 +280,7 @@ _SINGULAR = {"groups": "group", "masses": "mass", "springs": "spring"}
 
 
 def _out_of_place(where: str, table: Target, key: str) -> list[ArgumentError]:
-    """Return the keys that a parameter with this property must not have."""
+    """Return a list with an error for each key that a parameter with this property must not have."""
     wrong = [other for other in _SINGULAR if other != key and table.names_at(other, ["all"])]
     if table.directions and table.property not in ("inertia", "stiffness"):
         wrong.append("directions")
@@ -290,12 +291,12 @@ def _out_of_place(where: str, table: Target, key: str) -> list[ArgumentError]:
 
 
 def _ends(spring: JointSpring) -> list[str]:
-    """Return the points at the ends of a spring."""
+    """Return the list of the points at the ends of a spring: one or two."""
     return [str(end) for end in spring.nodes if end is not None]
 
 
 def _known_as(mass: PointMass) -> str:
-    """Return the name by which parameters refer to a mass: its own, or the name of its point."""
+    """Return the name by which parameters refer to a mass: its own name, or the name of its point."""
     return mass.name or str(mass.node)
 
 

@@ -1,4 +1,4 @@
-"""``[model.points]`` and ``[[model.lines]]``: the lines that pictures draw of a structure given by matrices."""
+"""``[model.points]`` and ``[[model.lines]]``: the lines in pictures of a structure that is given by matrices."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class LineTable(TomlTable):
 def mistakes_of_lines(
     points: Mapping[str, object], lines: Sequence[LineTable], parameters: Sequence[ParameterTable], has_mesh: bool
 ) -> list[ArgumentError]:
-    """Return the mistakes between lines, their points and parameters."""
+    """Return the list of errors in lines: unknown points or parameters, points without lines, lines and a mesh."""
     names = [parameter.name for parameter in parameters]
     found = Mistakes()
     for i, line in enumerate(lines):
@@ -47,7 +47,7 @@ def mistakes_of_lines(
 def picture_of(
     points: Mapping[str, Sequence[float]], lines: Sequence[LineTable], parameters: Sequence[ParameterTable]
 ) -> LinePicture | None:
-    """Return the picture of the structure; None without lines."""
+    """Return the line picture of the structure, or None if there are no lines."""
     if not lines:
         return None
     names = list(points)

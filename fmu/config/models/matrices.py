@@ -1,6 +1,6 @@
-"""``[model] type = "matrices"``: stiffness and mass terms, from files as other programs export them or by rows.
+"""``[model] type = "matrices"``: stiffness and mass terms, from files of other programs or as rows of numbers.
 
-`fmu.formats.matrices.read` lists the file formats and says how to export them.
+`fmu.formats.matrices.read` lists the file formats and explains how programs export them.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class TermTable(TomlTable):
         return "matrix" if self.file is None else "file"
 
     def read(self, folder: Path) -> Labelled:
-        """Return the matrix; ValueError if it cannot be read."""
+        """Return the matrix with the names of its rows, if its file has them; ValueError if it cannot be read."""
         if self.file is not None:
             return read_labelled(folder / self.file, self.variable, self.triangle)
         return Labelled(symmetric_matrix(np.array(self.matrix), self.triangle), None)
@@ -86,7 +86,7 @@ class MatricesTable(ModelTable):
     free: bool = False
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return the mistakes between tables: powers of unknown parameters, and parameters in no term."""
+        """Return the list of errors between tables, such as powers of unknown parameters and unused parameters."""
         names = [parameter.name for parameter in parameters]
         found, used = Mistakes(), set[str]()
         for where, term in self._terms():
@@ -103,7 +103,7 @@ class MatricesTable(ModelTable):
         return found + self._of_powers(parameters) + super().mistakes(parameters) + self._of_dofs()
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Read the matrices and return the model; BrokenError if it cannot be built."""
+        """Return the model of the matrices, which are read from files; BrokenError if it cannot be built."""
         read: list[Labelled] = []
         found: list[ArgumentError] = []
         for where, table in self._terms():
@@ -149,12 +149,12 @@ class MatricesTable(ModelTable):
         return Built(model, {}, model.n_dof)
 
     def _terms(self) -> list[tuple[str, TermTable]]:
-        """Return the terms with their places in the file, stiffness first."""
+        """Return the list of pairs of a term's key in the file and its table, stiffness first."""
         both = (("stiffness", self.stiffness), ("mass", self.mass))
         return [(f"model.{key}.{i}", term) for key, terms in both for i, term in enumerate(terms)]
 
     def _of_powers(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
-        """Return a mistake for each parameter whose power is undefined somewhere between its bounds."""
+        """Return an error for each parameter and term whose power may be undefined between the bounds."""
         found = Mistakes()
         for where, term in self._terms():
             for i, table in enumerate(parameters):
@@ -176,10 +176,11 @@ class MatricesTable(ModelTable):
         return found
 
     def _on_the_same_dofs(self, read: Sequence[Labelled], mesh: Mesh) -> Assembled[Place]:
-        """Return the matrices on the same degrees of freedom, with their names.
+        """Return the matrices expanded to the same degrees of freedom, and the names of these.
 
-        Where files name them, a matrix may lack degrees of freedom at which it is zero; those at which all are
-        zero are removed. So are those that Abaqus marks as held by a support, with 1e36 in the stiffness.
+        If files name their degrees of freedom, a matrix may lack those at which it is zero. Degrees of freedom at
+        which all matrices are zero are removed, as are those that Abaqus marks as supported, by 1e36 in the
+        stiffness.
         """
         rows = [one.matrix.shape[0] for one in read]
         is_known = any(len(names) in rows for names in mesh.sets.values()) and self.dofs is None
@@ -210,12 +211,12 @@ class MatricesTable(ModelTable):
         )
 
     def _at(self, k: int) -> str:
-        """Return the place of the matrix of a term in the file."""
+        """Return the location in the file of the matrix of the term with index k."""
         where, table = self._terms()[k]
         return f"{where}.{table.source}"
 
     def _check(self, read: Sequence[Labelled], are_named: bool, by_mesh: bool = False) -> None:
-        """Refuse matrices that are not on the same degrees of freedom; all files name their rows, or none does."""
+        """Raise BrokenError if matrices differ in size, or only some files name their degrees of freedom."""
         n, found = read[0].matrix.shape[0], Mistakes()
         for (where, table), one in zip(self._terms(), read, strict=True):
             rows = one.matrix.shape[0]

@@ -42,7 +42,7 @@ class OpenSeesTable(ModelTable):
     free: bool = False
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Import the file, build the model at several theta, and return it; BrokenError if that fails."""
+        """Import the file and return the model that its function ``build`` makes; BrokenError on failure."""
         build = import_function(f"{self.file.removesuffix('.py')}:build", folder, WHERE)
         start = np.array([table.start for table in parameters], dtype=float)
         bounds = [[np.nan if end is None else end for end in (table.lower, table.upper)] for table in parameters]

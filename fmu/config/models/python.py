@@ -27,7 +27,7 @@ from fmu.formats.shown import in_words, quote
 
 WHERE = "model.function"
 LARGEST_MODULE = 2**24
-"""Bytes of a module's source, which Python reads as a whole."""
+"""Largest size of a module's source file in bytes, since Python reads it as a whole."""
 
 
 class PythonTable(ModelTable):
@@ -46,7 +46,7 @@ class PythonTable(ModelTable):
     store: FileName = "solves"
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
-        """Import the function and return the model; BrokenError if there is none."""
+        """Return the model of the function, which is imported; BrokenError if it cannot be imported."""
         function = import_function(self.function, folder)
         store = folder / self.store if source_digest(function) else None
         model = BlackBoxModel(
@@ -56,16 +56,17 @@ class PythonTable(ModelTable):
 
 
 class Imported:
-    """A function of a module beside a file. In another process it is imported again, from the same folder.
+    """A function from a module next to a problem file; unpickling it imports the module from the same folder.
 
     Parameters
     ----------
     function : callable
     place : str
-        ``module:function``.
+        Module and name of the function, as ``module:function``.
     folder : Path
+        The folder of the module.
     where : str
-        The key that names it, for messages.
+        The key of the file that names the function, for messages.
     """
 
     def __init__(self, function: Callable[..., object], place: str, folder: Path, where: str = WHERE) -> None:
@@ -73,7 +74,7 @@ class Imported:
         self._place, self._folder, self._where = place, folder, where
 
     def __call__(self, *arguments: object) -> object:
-        """Call the function."""
+        """Call the function with these arguments, and return its result."""
         return self.__wrapped__(*arguments)
 
     def __repr__(self) -> str:
@@ -84,21 +85,23 @@ class Imported:
 
 
 def import_function(place: str, folder: Path, where: str = WHERE) -> Callable[..., object]:
-    """Return the function at ``module:function``, from a folder or from what is installed.
+    """Return the function at ``module:function``, from a module in a folder or from an installed module.
 
     Parameters
     ----------
     place : str
+        Module and name of the function, as ``module:function``.
     folder : Path
-        While the module is imported, and only then, it can import what is beside it. Nothing of it stays among the
-        modules that other files of the same names would find.
+        The folder that is searched first. The module can import other modules of this folder, but only while it
+        is imported itself; afterwards all modules from the folder are removed from ``sys.modules``, where problem
+        files in other folders would find them.
     where : str
-        The key that names it, for messages.
+        The key of the file that names the function, for messages.
 
     Returns
     -------
     callable
-        It travels to other processes.
+        The function; it can be pickled for other processes.
 
     Raises
     ------
@@ -124,7 +127,7 @@ def import_function(place: str, folder: Path, where: str = WHERE) -> Callable[..
         raise _not_importable(name, error, where) from error
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # GeneratorExit and others of the user's own among them
+    except BaseException as error:  # such as GeneratorExit and the user's own exceptions
         raise _not_importable(name, error, where) from error
     if function is None:
         raise BrokenError(ArgumentError(where, f"must be in the module {name}", quote(attribute)))
@@ -141,7 +144,7 @@ def _not_importable(name: str, error: BaseException, where: str) -> BrokenError:
 
 
 def _beside(name: str, folder: Path) -> Path | None:
-    """Return the file of a module in a folder, or None."""
+    """Return the source file of a module in a folder, or None if there is none."""
     path = folder.joinpath(*name.split("."))
     files = (path / "__init__.py", path.with_name(f"{path.name}.py"))
     return next((file for file in files if not why_no_file(file)), None)
@@ -149,10 +152,10 @@ def _beside(name: str, folder: Path) -> Path | None:
 
 @contextmanager
 def _importing_from(folder: Path, name: str) -> Iterator[None]:
-    """Put a folder first on the path; afterwards forget the modules imported from it. No bytecode is written."""
+    """Within a with block, import from a folder first; then remove its modules. No bytecode is written."""
 
     def of_folder(module: object) -> bool:
-        if not issubclass(type(module), ModuleType):  # anything may be put among the modules
+        if not issubclass(type(module), ModuleType):  # sys.modules may contain objects of any type
             return False
         file = object.__getattribute__(module, "__dict__").get("__file__")
         return isinstance(file, str) and Path(file).resolve().is_relative_to(folder)

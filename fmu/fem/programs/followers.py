@@ -1,4 +1,7 @@
-"""Motions of nodes in OpenSees that follow others: rigid diaphragms, rigid links, equal degrees of freedom."""
+"""Multi-point constraints in OpenSees: rigid diaphragms, rigid links and equal degrees of freedom.
+
+A constrained degree of freedom is called a follower here; its displacement is a weighted sum of retained ones.
+"""
 
 from __future__ import annotations
 
@@ -12,39 +15,39 @@ from fmu.formats.shown import names_shown
 from fmu.types import FloatArray
 
 _SPARE = 2
-"""Loads beyond those that determine the weights: they show whether the motion is a weighted sum."""
+"""Number of load cases beyond those that determine the weights: they test whether u is a weighted sum."""
 _UNEXPLAINED = 1e-9
-"""Relative error of a follower's motion as a weighted sum; OpenSees imposes it to rounding."""
+"""Largest relative error of a follower's displacement; OpenSees imposes the constraint to rounding."""
 _TAG = 987_654_321
-"""Of the loads; builds use smaller tags."""
+"""Tag of the time series and load pattern; builds use smaller tags."""
 
 
 def follower_motions(
     ops: ModuleType, directions: Mapping[int, Sequence[str]], dofs: Collection[DofName], step: float
 ) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
-    """Return the motions of followers as weighted sums of the degrees of freedom that they follow.
+    """Return the displacements of followers as weighted sums of the degrees of freedom that they follow.
 
-    OpenSees does not print C of u_follower = C u_retained. Here C follows by least squares from displacements
+    OpenSees does not print C of u_follower = C u_retained. C is therefore fitted by least squares to displacements
     under random loads: the handler Transformation imposes the constraint to rounding. The loads act during a step
     of Newmark's method, whose matrix K + 4 M/Δt² is regular for free structures too.
 
     Parameters
     ----------
     ops : module
-        openseespy.opensees, with a model. Its state and its analysis are changed.
+        The module openseespy.opensees, with a model. Its state and its analysis are changed.
     directions : mapping of int to sequence of str
         Names of each node's degrees of freedom.
     dofs : collection of (node, direction)
-        The free degrees of freedom that follow none.
+        The free degrees of freedom that are not followers.
     step : float, s
-        Δt, for which K and 4 M/Δt² are of like size.
+        The time step Δt, for which K and 4 M/Δt² are of like size.
 
     Returns
     -------
     motions : dict of (node, direction) to dict of (node, direction) to float
-        Of the followers that move.
+        For each follower, the weights of the free degrees of freedom. Followers that do not move are omitted.
     notes : list of str
-        The followers whose motion is no such sum; at these no sensor can be.
+        One sentence with the followers that are not such sums, at which no sensor can be; none if all are.
     """
     retained = {
         node: sorted(set(ops.getRetainedNodes(node))) for node in sorted(set(ops.getConstrainedNodes() or []))
@@ -72,7 +75,7 @@ def follower_motions(
 
 
 def begin_analysis(ops: ModuleType, constraints: str, integrator: str, *parameters: float) -> None:
-    """Set up an analysis of a linear model with dense matrices, in place of the one that OpenSees has."""
+    """Set up an analysis of a linear model with dense matrices; it replaces the current analysis of OpenSees."""
     ops.wipeAnalysis()
     ops.constraints(constraints)
     ops.numberer("Plain")
@@ -83,7 +86,10 @@ def begin_analysis(ops: ModuleType, constraints: str, integrator: str, *paramete
 
 
 def _weights(u: FloatArray, own: FloatArray) -> FloatArray | None:
-    """Return w (m,) of own (n,) = u (n, m) w, zero where it adds nothing; None if there is no such w."""
+    """Return the least-squares solution w (m,) of u (n, m) w = own (n,); None if the residual is not negligible.
+
+    Weights that contribute only rounding are set to zero.
+    """
     size = np.linalg.norm(u, axis=0)
     size[size == 0.0] = 1.0
     scaled = np.linalg.lstsq(u / size, own, rcond=1e-12)[0]
@@ -97,7 +103,7 @@ def _weights(u: FloatArray, own: FloatArray) -> FloatArray | None:
 def _displacements(
     ops: ModuleType, directions: Mapping[int, Sequence[str]], n_loads: int, step: float
 ) -> dict[DofName, FloatArray]:
-    """Return the displacements (n_loads,) of all degrees of freedom, fixed ones too, under random loads."""
+    """Return a dict of the displacements (n_loads,) of each degree of freedom, fixed or free, by random loads."""
     rng = np.random.default_rng(0)
     begin_analysis(ops, "Transformation", "Newmark", 0.5, 0.25)
     ops.timeSeries("Constant", _TAG)

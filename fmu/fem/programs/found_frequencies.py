@@ -1,4 +1,4 @@
-"""Frequencies in a text file that a program has written, found by a regular expression."""
+"""Extraction of frequencies from a program's text file by a regular expression."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _WORD = re.compile(r"\{(\w+)\}")
 
 
 def wrong_words(key: str, text: str) -> list[ArgumentError]:
-    """Return the mistakes in the placeholders of a text, which is the argument `key`."""
+    """Return a list of errors, one for each unknown placeholder in a text that was given as the argument `key`."""
     rule = "may have {job} and {deck} in braces"
     return [ArgumentError(key, rule, f"{{{w}}}") for w in _WORD.findall(text) if w not in ("job", "deck")]
 
@@ -43,7 +43,7 @@ class FoundFrequencies:
     Raises
     ------
     ValueError
-        If the pattern is no regular expression with one group, or the file has other placeholders.
+        If the pattern is not a regular expression with one group, or the file's name has an unknown placeholder.
     """
 
     file: str
@@ -62,7 +62,11 @@ class FoundFrequencies:
             raise mistake
 
     def read(self, path: Path, seconds: float = 60.0) -> FloatArray:
-        """Return the frequencies in a file; ValueError if there are none, or none are found within `seconds`."""
+        """Return the frequencies in a file, in Hz, shape (n,).
+
+        Raises ValueError if the file cannot be read, the pattern has no match or one that is not a number, or the
+        search takes longer than `seconds`.
+        """
         wrong = why_no_file(path) or too_large(path, LARGEST_RESULT)
         if wrong:
             raise ValueError(wrong)
@@ -72,7 +76,7 @@ class FoundFrequencies:
         return np.array([_number(word, path.name) for word in words])
 
     def _find(self, path: Path, seconds: float) -> list[str | None]:
-        """Return the matches of the pattern, from a process that can be killed: some patterns never end."""
+        """Return the list of matches, found in a process that can be killed: some patterns never terminate."""
         command = [sys.executable, "-I", "-S", "-c", _MATCHING, str(path), self.pattern]
         try:
             done = subprocess.run(command, capture_output=True, timeout=seconds, check=True)

@@ -1,10 +1,10 @@
 """Models that a Python function builds in OpenSees, by openseespy: ``pip install 'fmu[opensees]'``.
 
 ``build(theta)`` makes nodes, supports, elements and masses with openseespy, from ``model(…)`` on; it defines no
-analysis. OpenSees holds one model at a time, for the whole process: whatever was there is wiped.
+analysis. OpenSees holds one model per process: a model that already exists there is wiped.
 
-Stiffness and mass are those of the tangent at rest. They come from the integrator GimmeMCK, which assembles
-a M + b C + c K, with the solver FullGeneral, which keeps the matrix dense:
+Stiffness and mass are the tangent matrices at rest. The integrator GimmeMCK assembles a M + b C + c K, and the
+solver FullGeneral keeps this matrix dense:
 https://portwooddigital.com/2020/05/17/gimme-all-your-damping-all-your-mass-and-stiffness-too/
 """
 
@@ -44,7 +44,7 @@ from fmu.types import Dof, FloatArray, Positive
 Build = Callable[[FloatArray], object]
 
 MOST_DOFS = 5000
-"""OpenSees prints dense matrices, of 200 MB each for so many."""
+"""Largest number of degrees of freedom: OpenSees prints dense matrices, of 200 MB each at this size."""
 MODES = 20
 _DIRECTIONS = {
     (1, 1): ("x",),
@@ -55,13 +55,14 @@ _DIRECTIONS = {
     (3, 3): ("x", "y", "z"),
     (3, 6): ("x", "y", "z", "rx", "ry", "rz"),
 }
-"""Of a node's degrees of freedom, by the dimensions ndm and their number ndf."""
+"""Names of a node's degrees of freedom, by the dimension ndm of the model and their number ndf."""
 _KINDS = {
     1: "vertex", 2: "line", 3: "triangle", 4: "quad", 6: "triangle6", 8: "hexahedron", 9: "quad9",
     10: "tetra10", 20: "hexahedron20",
 }  # fmt: skip
 _LEVELS, _JOINT, _CHECKS = 5, 6, 2
-"""Values of each parameter alone; points where all differ, and as many more for each parameter; those to check."""
+"""Number of values of each parameter when it alone varies; of points where all vary, to be multiplied by one plus
+the number of parameters; and of points at which the model is checked."""
 _INSIDE = 0.02
 _ASYMMETRIC = 1e-10
 
@@ -77,8 +78,8 @@ def export_matrices(build: Build, theta: FloatArray) -> ExportedModel:
     Returns
     -------
     ExportedModel
-        Without the degrees of freedom that are fixed, or follow others. The motions of followers are weighted sums
-        of its degrees of freedom.
+        The model of the degrees of freedom that are neither fixed nor constrained to others. The displacements of
+        constrained degrees of freedom are weighted sums of these.
 
     Raises
     ------
@@ -146,27 +147,27 @@ def export_matrices(build: Build, theta: FloatArray) -> ExportedModel:
 def from_opensees(
     build: Build, names: Sequence[str], start: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> SeparableModel:
-    """Return K(θ) and M(θ) of a model in OpenSees, from its matrices at several θ; see `fmu.from_exports`.
+    """Return a model with K(θ) and M(θ), fitted to the matrices of OpenSees at several θ; see `fmu.from_exports`.
 
     Parameters
     ----------
     build : callable
         See `fmu.fem.programs.opensees`.
     names : sequence of str
-        The parameters.
+        Names of the parameters, in the order of theta.
     start, lower, upper : array_like, shape (n_parameters,)
-        Where matrices are taken: at the start, with each parameter changed alone, and with all changed, within the
-        bounds. Bounds that are not finite are replaced by half and twice the start.
+        The starting point and the bounds. Matrices are assembled at the start, at points where one parameter
+        varies, and at points where all vary. Bounds that are not finite are replaced by half and twice the start.
 
     Returns
     -------
     SeparableModel
-        Matrices at two further points are reproduced to 1e-8.
+        The model. It reproduces the matrices at two further points to 1e-8.
 
     Raises
     ------
     ValueError
-        If the matrices are not sums of products of powers of the parameters, or for what `export_matrices` raises.
+        If the matrices are not sums of products of powers of the parameters, or `export_matrices` raises it.
     """
     for key, values in (("start", start), ("lower", lower), ("upper", upper)):
         if not len(names) or np.shape(values) != (len(names),) or np.isnan(values).any():
@@ -192,16 +193,16 @@ def from_opensees(
 
 @check_arguments
 class OpenSeesModel(BlackBoxModel):
-    """A model in OpenSees that is assembled and solved anew at every theta, on which it may depend in any way.
+    """A model that OpenSees assembles anew at every theta; its matrices may depend on theta in any way.
 
     Parameters
     ----------
     build : callable
         See `fmu.fem.programs.opensees`.
     start : array_like, shape (n_parameters,)
-        There the degrees of freedom are looked up.
+        The theta at which the model is built once to obtain its degrees of freedom.
     modes : int
-        How many modes are computed.
+        Number of modes that are computed.
     step, store
         See `BlackBoxModel`.
 
@@ -230,18 +231,18 @@ class OpenSeesModel(BlackBoxModel):
         super().__init__(self._describe_run(), len(start), step=step, store=store, name=f"{name} in OpenSees")
 
     def sees(self, sensor: Dof) -> bool:
-        """Say whether a sensor sees a degree of freedom, or the follower of one."""
+        """Return True if a sensor measures a free degree of freedom, or one that is constrained to free ones."""
         return self.assembled.sees(sensor)
 
     def at_sensors(self, sensors: Sequence[Dof]) -> OpenSeesModel:
-        """Return the model with shapes at these sensors."""
+        """Return a copy of the model that gives shapes at these sensors."""
         return self._copy_with(tuple(sensors))
 
     def _describe_run(self) -> ModesInOpenSees:
         return ModesInOpenSees(self.build, self.modes, self.sensors)
 
     def configuration(self) -> dict[str, object]:
-        """Return the data that identify the model: its number of modes, and a hash of the source of `build`."""
+        """Return a dict of the data that identify the model, such as a hash of the source of `build`."""
         own = {"modes": self.modes, "sha256": self.sha256}
         return {"function": self.name, "batched": False, "step": self.step, **own}
 
@@ -253,14 +254,15 @@ class OpenSeesModel(BlackBoxModel):
 
 @dataclass(frozen=True)
 class ModesInOpenSees:
-    """The modes of a model that OpenSees assembles, as a function of theta (n_parameters,).
+    """The function that returns the modes at theta (n_parameters,) of a model that OpenSees assembles.
 
     Attributes
     ----------
     build : callable
     modes : int
+        Number of modes.
     sensors : tuple of (node, direction)
-        Where shapes are given.
+        The sensors at which shapes are given.
     """
 
     build: Build
@@ -268,7 +270,7 @@ class ModesInOpenSees:
     sensors: tuple[Dof, ...] = ()
 
     def __call__(self, theta: FloatArray) -> dict[str, object]:
-        """Return frequencies, and shapes at the sensors."""
+        """Return a dict of frequencies in Hz, shape (m,), and shapes at the sensors; None without sensors."""
         model = export_matrices(self.build, theta)
         with single_thread():
             eigenvalues, phi = eigen(model.stiffness, model.mass, min(self.modes, len(model.dofs)))
@@ -277,7 +279,7 @@ class ModesInOpenSees:
 
 
 def _fixed_model(model: ExportedModel) -> SeparableModel:
-    """Return the model of one theta, without parameters."""
+    """Return the exported model of one theta as a model without parameters."""
     return SeparableModel([Term(model.stiffness, ())], [Term(model.mass, ())], model.dofs, motions=model.motions)
 
 
@@ -287,9 +289,9 @@ _WHAT = {"stiffness": (0.0, 0.0, 1.0), "mass": (1.0, 0.0, 0.0)}
 
 @contextmanager
 def _alone(ops: ModuleType) -> Iterator[None]:
-    """Give OpenSees without a model, whose messages go to a file; the last of them are added to a ValueError.
+    """Provide OpenSees without a model; its messages go to a file, and the last ones are added to a ValueError.
 
-    It complains of every mass matrix that is singular, which it may be.
+    The messages are not printed, since OpenSees warns of every singular mass matrix, which is allowed here.
     """
     with TemporaryDirectory() as folder:
         log = Path(folder) / "log"
@@ -315,9 +317,9 @@ def _openseespy() -> ModuleType:
 
 
 def _followers(ops: ModuleType) -> dict[int, list[int]]:
-    """Return, by node, the degrees of freedom (from 1) that follow other nodes.
+    """Return a dict from each constrained node to its degrees of freedom (from 1) that follow other nodes.
 
-    A model of which nothing is free would crash OpenSees; ValueError instead.
+    Raises ArgumentError if no degree of freedom is free, which would crash OpenSees.
     """
     followers = {node: ops.getConstrainedDOFs(node) for node in sorted(set(ops.getConstrainedNodes() or []))}
     held = sum(len(ops.getFixedDOFs(node)) for node in ops.getFixedNodes() or [])
@@ -328,9 +330,10 @@ def _followers(ops: ModuleType) -> dict[int, list[int]]:
 
 
 def _assemble_matrix(ops: ModuleType, follows: bool) -> dict[int, list[int]]:
-    """Return the equations of each node's degrees of freedom, negative where it has none, after numbering them.
+    """Assemble the model and return a dict from each node to the equation numbers of its degrees of freedom.
 
-    Where nodes follow others, which needs the handler Transformation, those of the others come behind their own.
+    Numbers of fixed degrees of freedom are negative. For nodes that follow others, which need the handler
+    Transformation, the equations of the followed nodes come after those of the node itself.
     """
     begin_analysis(ops, "Transformation" if follows else "Plain", "GimmeMCK", 0.0, 0.0, 1.0)
     ops.analyze(1, 0.0)
@@ -340,7 +343,7 @@ def _assemble_matrix(ops: ModuleType, follows: bool) -> dict[int, list[int]]:
 
 
 def _matrix(ops: ModuleType, what: str, n: int, factors: Sequence[float]) -> sp.csr_array:
-    """Return a matrix of the model, shape (n, n), sparse; ValueError if there is none, or it is not symmetric."""
+    """Return a sparse matrix of the model, (n, n); ArgumentError if it is zero, not finite or not symmetric."""
     ops.integrator("GimmeMCK", *factors)
     ops.analyze(1, 0.0)
     entries = np.array(ops.printA("-ret") or [], dtype=float)
@@ -358,7 +361,7 @@ def _matrix(ops: ModuleType, what: str, n: int, factors: Sequence[float]) -> sp.
 
 
 def _points(start: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, list[bool]]:
-    """Return where matrices are taken, shape (n, n_parameters), the start first, and which of them are checks."""
+    """Return the points where matrices are assembled, (n, n_parameters), start first, and which are checks."""
     ends = np.sort([0.5 * start, 2.0 * start], axis=0)
     low, high = (
         np.where(np.isfinite(given), given, other) for given, other in zip((lower, upper), ends, strict=True)

@@ -1,4 +1,4 @@
-"""One run of a program in its own folder: the deck is filled, the program started, its results are read."""
+"""One run of a program in its own folder: fill the deck, start the program and read its results."""
 
 from __future__ import annotations
 
@@ -20,22 +20,24 @@ from fmu.types import Dof, FloatArray
 
 OUTPUT = "output.txt"
 MOST_KEPT = 20
-"""Folders of failed runs that are kept."""
+"""Largest number of folders of failed runs that are kept."""
 
 
 @dataclass(frozen=True)
 class ProgramRun:
-    """A program that is run at one theta (n_parameters,), as a function that returns frequencies and shapes.
+    """The function that runs a program at one theta (n_parameters,) and returns frequencies and shapes.
 
     Attributes
     ----------
     program : Path
+        Path of the executable.
     store : SolveStore
-        Its folder has those of the runs under way, and of those that failed.
+        The store whose folder contains the folders of current and of failed runs.
     sensors : tuple of (place, direction)
-        Where shapes are read.
+        The sensors at which shapes are read.
     command, names, template, deck, folder, inputs, found, reader, result, timeout, keep
-        See `fmu.CommandModel`; the template is the text, and the deck the name of the file that is written.
+        See `fmu.CommandModel`. Here `template` is its text, `deck` the name of the filled deck, and `found` is
+        `frequencies`.
     """
 
     program: Path
@@ -54,7 +56,7 @@ class ProgramRun:
     store: SolveStore
 
     def __call__(self, theta: FloatArray) -> dict[str, FloatArray | None]:
-        """Return frequencies, and shapes if there are any; AnswerError if the program fails."""
+        """Return a dict of frequencies in Hz and shapes, None without a reader; AnswerError if the run fails."""
         folder, failed = self.store.running_folder(theta), self.store.failed_folder(theta)
         shutil.rmtree(failed, ignore_errors=True)
         self._prepare(theta, folder)
@@ -76,11 +78,11 @@ class ProgramRun:
         return {"frequencies": frequencies, "shapes": shapes}
 
     def is_outdated(self, solve: Solve) -> bool:
-        """Say whether a run took longer than a limit that is higher now."""
+        """Return True if a stored run exceeded a time limit that has since been raised."""
         return TOO_LONG in solve.reason and solve.seconds < self.timeout
 
     def _prepare(self, theta: FloatArray, folder: Path) -> None:
-        """Make the folder of a run anew, with the deck and the other inputs."""
+        """Create the folder of a run, in place of an older one, with the filled deck and the other inputs."""
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
         deck = fill_deck(self.template, dict(zip(self.names, theta.tolist(), strict=True)))
@@ -91,7 +93,7 @@ class ProgramRun:
             shutil.copyfile(self.folder / name, copy)
 
     def _read(self, folder: Path) -> tuple[FloatArray, FloatArray | None]:
-        """Return frequencies and shapes that a run has written; ValueError if they are not all finite."""
+        """Return the frequencies and the shapes, or None, that a run has written; ValueError if not all finite."""
         shapes = None
         if self.found is not None:
             frequencies = self.found.read(folder / self._name(self.found.file), self.timeout)
@@ -105,11 +107,11 @@ class ProgramRun:
         return frequencies, shapes
 
     def _name(self, text: str) -> str:
-        """Return a text with the deck's name for ``{job}`` and ``{deck}``."""
+        """Return a text with ``{job}`` and ``{deck}`` replaced by the deck's name, without and with its suffix."""
         return text.replace("{job}", self.deck.stem).replace("{deck}", self.deck.name)
 
     def _keep_files(self, reason: str, folder: Path, failed: Path) -> str:
-        """Keep the files of a failed run, unless many are kept; return the reason with their place."""
+        """Keep the files of a failed run, unless many are kept already; return the reason with their folder."""
         failed.parent.mkdir(parents=True, exist_ok=True)
         kept = sum(path.is_dir() for path in failed.parent.iterdir())
         if kept >= MOST_KEPT and not self.keep:
@@ -122,7 +124,7 @@ class ProgramRun:
 
 
 def _find_in_any_case(path: Path) -> Path:
-    """Return the file of a name: MYSTRAN writes ``job.F06`` where others write ``job.f06``."""
+    """Return the path of a file, whatever the case of its name: MYSTRAN writes ``job.F06``, not ``job.f06``."""
     if not path.exists():
         names = [other for other in path.parent.glob("*") if other.name.lower() == path.name.lower()]
         return names[0] if len(names) == 1 else path
@@ -130,6 +132,9 @@ def _find_in_any_case(path: Path) -> Path:
 
 
 def place_beside(name: str) -> Path:
-    """Return where a copy of an input is, in the folder of a run: a path within the folder of the file is kept."""
+    """Return the path of the copy of an input, relative to the folder of a run.
+
+    A relative path without ``..`` is kept; of any other path only the file name is.
+    """
     path = Path(name)
     return path if not path.is_absolute() and ".." not in path.parts else Path(path.name)

@@ -1,7 +1,7 @@
-"""The solves of a callable: one record of theta, answer or reason, and seconds, in memory and perhaps on disk.
+"""The solves of a callable, in memory and optionally on disk: result or failure at each theta, and its time.
 
-A Python function, a program that is run and OpenSees are three callables. `Solves` calls each of them once per
-theta, and it alone knows of batches, retries, workers and files.
+The callable is a Python function, a run of a program or a model in OpenSees. `Solves` calls it once per theta; no
+other class handles batches, retries, workers and files.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from fmu.progress.phases import count_solves
 from fmu.types import FloatArray
 
 SLOW_S = 0.05
-"""Seconds of a solve from which on answers are stored, and ``fmu run`` takes a surrogate."""
+"""Time of a solve, in seconds, from which solves are stored and ``fmu run`` uses a surrogate."""
 MOST_REASONS = 20
 MOST_BYTES = 2**28
-# The longest reason that is remembered, and what a solve takes beside its numbers, in bytes.
+# The length of the longest reason that is kept in memory, and the memory of a solve without its arrays, in bytes.
 _LONGEST, _OVERHEAD = 500, 500
 _NOTHING = Answer(np.zeros(0))
 
 
 class Failure(NamedTuple):
-    """A theta, shape (ndim,), at which the function failed, and why."""
+    """A theta, shape (ndim,), at which the function failed, and the reason."""
 
     theta: FloatArray
     reason: str
@@ -40,9 +40,9 @@ class Failure(NamedTuple):
 
 @dataclass(eq=False, repr=False)
 class Solves:
-    """The solves of one callable, each made once: remembered, read from a store, or made by calling it.
+    """The solves of one callable: each is found in memory, read from a store, or made by calling the callable.
 
-    A copy in another process, or a pickled one, remembers nothing.
+    A pickled copy, such as one in another process, has no solves in memory.
 
     Parameters
     ----------
@@ -50,22 +50,23 @@ class Solves:
         ``call(theta)`` returns what `fmu.fem.black_box` describes, or raises.
     n_parameters : int
     batched : bool
-        Whether it takes theta (n_points, n_parameters).
+        Whether `call` takes theta of shape (n_points, n_parameters).
     store : SolveStore, optional
-        Where solves are kept that took `least_s` or longer per point. Of two processes that ask for the same
-        points, one calls. Batches that share only some points may solve these twice; a lock for each point would
-        need as many open files.
+        The store of solves that took `least_s` or longer per point. If two processes need the same points, only
+        one calls. Batches that share only some points may solve these twice; a lock for each point would need as
+        many open files.
     least_s : float
+        Seconds per point from which a solve is stored.
     retries : int
-        How often a call that fails is repeated.
+        How often a failed call is repeated.
     loading_s : float
-        A first call that takes less may have loaded modules for most of it: the next one is timed.
+        If the first call takes less, in seconds, it may have spent most of the time on imports: another is timed.
     lasting : type
-        Errors beside AnswerError that a repeated call is not expected to mend: only these are stored.
+        Exceptions, besides AnswerError, that would occur again in a repeated call. Only these failures are stored.
     is_outdated : callable, optional
-        ``is_outdated(solve)`` says whether a stored solve is to be made again.
+        ``is_outdated(solve)`` returns True if a stored solve must be made again.
     most_bytes : int
-        Most memory that solves take; beyond it the oldest are forgotten.
+        Largest memory of the solves; beyond it the oldest solves are removed.
 
     Attributes
     ----------
@@ -97,7 +98,7 @@ class Solves:
         return self.__dict__ | {"reasons": [], "_known": {}, "_bytes": 0, "_first": None, "_engine": None}
 
     def of(self, theta: FloatArray) -> list[Solve]:
-        """Return the solves at points theta (n, n_parameters); where points are equal, the same one."""
+        """Return the list of the n solves at points theta (n, n_parameters); equal points share a solve."""
         keys = [point.tobytes() for point in theta]
         found = {key: self._known[key] for key in keys if key in self._known}
         missing = {key: i for i, key in enumerate(keys) if key not in found}
@@ -109,25 +110,25 @@ class Solves:
         return [found[key] for key in keys]
 
     def recall(self, theta: FloatArray) -> Solve | None:
-        """Return the remembered solve at a theta (n_parameters,) without a call; None if there is none."""
+        """Return the solve in memory at theta (n_parameters,), or None; the callable is not called."""
         return self._known.get(theta.tobytes())
 
     def at_start(self, theta: FloatArray) -> Solve:
-        """Return the solve at theta (n_parameters,), where a problem starts: it tells whether others are true.
+        """Return the solve at theta (n_parameters,), the start of a problem, which shows whether solves are valid.
 
-        The callable is called there once in a process, even if a solve is stored. The stored one is returned, so
-        that a resumed run draws the same; a stored failure is forgotten. Without a store it is called there for
-        every problem, and solves are forgotten if it answers otherwise than before.
+        With a store the callable is called there once per process, even if a solve is stored. The stored solve is
+        returned, so that a resumed run gives the same draws; a stored failure is removed. Without a store the
+        callable is called there for every problem. If its result has changed, all solves in memory are removed.
 
         Raises
         ------
         ValueError
-            If it fails there, or no longer gives what is stored (`fmu.fem.programs.store.MOST_SCATTER`).
+            If the callable fails, or does not reproduce a stored solve (`fmu.fem.programs.store.MOST_SCATTER`).
 
         Warns
         -----
         StoreWarning
-            If it gives what is stored, but not to all digits.
+            If the callable reproduces a stored solve, but only to within the scatter of a solver.
         """
         known, store = self.recall(theta), self.store if self._keeps else None
         stored = None if store is None or known is not None else store.find(theta)
@@ -151,7 +152,7 @@ class Solves:
         return self._remember(solve)
 
     def seconds_at(self, theta: FloatArray) -> float:
-        """Return the seconds that a call at theta (n_parameters,) takes, even if it fails; measured once."""
+        """Return the time of a call at theta (n_parameters,), in seconds, even if the call fails."""
         solve = self.recall(theta) or self.of(theta[None])[0]
         if theta.tobytes() == self._first and solve.seconds < self.loading_s:
             self._first = b""
@@ -159,7 +160,7 @@ class Solves:
         return solve.seconds
 
     def note(self, theta: FloatArray, reason: str) -> None:
-        """Keep a failure among the first ones, if it is not there."""
+        """Append a failure to `reasons`, unless the list is full or contains it already."""
         failure = Failure(theta.copy(), _shorten(reason))
         is_new = all(reason != failure.reason or not np.array_equal(at, theta) for at, reason in self.reasons)
         if len(self.reasons) < MOST_REASONS and is_new:
@@ -167,10 +168,10 @@ class Solves:
 
     @contextmanager
     def spread_over(self, engine: Engine) -> Iterator[None]:
-        """Within a with block, call at several theta side by side, in the workers of an engine.
+        """Within a with block, solve at several theta in parallel, in the workers of an engine.
 
-        Solves are the same as in the calling process, in the same order. A theta that crashes its process three
-        times has failed for that reason. A batched callable gets all theta in one call and is not spread.
+        The solves and their order are the same as without an engine. A theta that crashes its process three times
+        counts as failed. A batched callable receives all theta in one call in the calling process.
         """
         before, self._engine = self._engine, engine
         try:
@@ -179,16 +180,16 @@ class Solves:
             self._engine = before
 
     def make(self, theta: FloatArray) -> Solve:
-        """Return the solve at one theta (n_parameters,), from the store or by a call; nothing is remembered."""
+        """Return the solve at theta (n_parameters,), from the store or by a call, without keeping it in memory."""
         return self._look_up_or_call(theta[None])[0]
 
     def repeat(self, theta: FloatArray) -> Solve:
-        """Return a solve by a call at theta (n_parameters,), whatever is known; nothing is kept."""
+        """Return the solve of a new call at theta (n_parameters,); it is neither stored nor kept in memory."""
         with self._lock(theta[None]):
             return self._call_at(theta[None], keep=False)[0]
 
     def _make_all(self, theta: FloatArray) -> Iterator[Solve]:
-        """Yield `make` at points (n, n_parameters): by one call, by the engine, or one after the other."""
+        """Yield the solves at points (n, n_parameters), made in one call, by the engine or one after the other."""
         if self.batched and len(theta) > 1:
             together = self._look_up_or_call(theta)
             if together:
@@ -201,7 +202,7 @@ class Solves:
             yield one
 
     def _spread(self, theta: FloatArray, engine: Engine) -> list[Solve]:
-        """Return `make` at points (n, n_parameters) by workers; a point that crashes them has failed."""
+        """Return the solves at points (n, n_parameters), made by workers; a point that crashes them has failed."""
         found: dict[int, Solve] = {}
         while len(found) < len(theta):
             missing = [i for i in range(len(theta)) if i not in found]
@@ -218,7 +219,10 @@ class Solves:
         return [found[i] for i in range(len(theta))]
 
     def _look_up_or_call(self, theta: FloatArray) -> list[Solve]:
-        """Return the solves at points (n, n_parameters), by one call for what is not stored; none if it fails."""
+        """Return the list of solves at points (n, n_parameters), with one call for those that are not stored.
+
+        The list is empty if that call fails for several points.
+        """
         if not self._keeps:
             return self._call_at(theta)
         found = self._look_up(theta)
@@ -233,7 +237,7 @@ class Solves:
         return [found[i] for i in range(len(theta))]
 
     def _look_up(self, theta: FloatArray) -> dict[int, Solve]:
-        """Return the stored solves at points (n, n_parameters), by the number of the point."""
+        """Return a dict from the index of each stored point to its solve, for points (n, n_parameters)."""
         if self.store is None or not self._keeps:
             return {}
         found = {i: solve for i, point in enumerate(theta) if (solve := self.store.find(point)) is not None}
@@ -243,7 +247,7 @@ class Solves:
 
     @contextmanager
     def _lock(self, theta: FloatArray) -> Iterator[None]:
-        """Keep other processes from solving the same points for as long as a block lasts."""
+        """Within a with block, keep other processes from solving the same points (n, n_parameters)."""
         with ExitStack() as stack:
             if self.store is not None and self._keeps:
                 try:
@@ -253,9 +257,9 @@ class Solves:
             yield
 
     def _call_at(self, theta: FloatArray, keep: bool = True) -> list[Solve]:
-        """Return the solves of one call at points (n, n_parameters), one point unless it is batched; store them.
+        """Call at points (n, n_parameters), n = 1 unless the callable is batched; return and store the solves.
 
-        None if the call fails for several points: which one is at fault is not known.
+        The list is empty if the call fails for several points, as the point at fault is then not known.
         """
         if self._first is None:
             self._first = theta[0].tobytes()
@@ -273,7 +277,7 @@ class Solves:
                 reason = one_line(str(error))
             except self.lasting as error:
                 reason = in_words(error)
-            except BaseException as error:  # GeneratorExit and others of the user's own among them
+            except BaseException as error:  # such as GeneratorExit and the user's own exceptions
                 reason, is_lasting = in_words(error), False
             seconds = (time.perf_counter() - began) / len(theta)
             if not reason:
@@ -286,7 +290,7 @@ class Solves:
         ]
         if keep and self._keeps:
             if seconds < self.least_s:
-                self._keeps = bool(reason)  # a store would slow it down
+                self._keeps = bool(reason)  # a store would be slower than the callable
             elif is_lasting:
                 self._write(found)
         return found
@@ -305,7 +309,7 @@ class Solves:
         warnings.warn(f"store: solves cannot be kept in {where} ({error})", stacklevel=2)
 
     def _remember(self, solve: Solve) -> Solve:
-        """Keep a solve in memory, in place of an earlier one of the same theta; the oldest make room for it."""
+        """Keep a solve in memory, in place of an earlier one at its theta; the oldest are removed to make room."""
         if len(solve.reason) > _LONGEST:
             solve = solve._replace(reason=_shorten(solve.reason))
         key = solve.theta.tobytes()
@@ -331,7 +335,7 @@ def _size(solve: Solve) -> int:
 
 
 def _is_same(one: Solve, other: Solve) -> bool:
-    """Say whether two solves give the same numbers, in every bit."""
+    """Return True if two solves have equal frequencies, shapes and gradients, to the last bit."""
     pairs = ((one.frequencies, other.frequencies), (one.shapes, other.shapes), (one.gradient, other.gradient))
     return all((a is b is None) or np.array_equal(a, b, equal_nan=True) for a, b in pairs)  # type: ignore[arg-type]
 

@@ -1,10 +1,10 @@
-"""Which code a user's function is made of: its source file, and the user's own modules that it imports.
+"""The source files of a user's function: its own file, and the user's own modules that it imports.
 
-Import statements are read, wherever they are, and nothing is run: the answer is the same in every process, before
-the first call, which may import more, and after it. The user's own modules are those of the function's package,
-and all that belong neither to Python nor to an installed package: beside the function, on the path, or of a
-package that was installed to be edited. New versions of installed packages are not seen, nor modules that no
-statement names (``importlib.import_module(name)``), nor data files.
+All import statements in these files are parsed, and no code is run. The result is therefore the same in every
+process, and does not depend on imports that happen during a call. The user's own modules are the modules of the
+function's package, and all modules that belong neither to Python nor to an installed package: next to the
+function, on the path, or in a package that was installed in editable mode. Changes in installed packages, in
+modules that no statement names (``importlib.import_module(name)``) and in data files are not detected.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from pathlib import Path
 
 _INSTALLED = {"site-packages", "dist-packages"}
 _LIBRARIES = (sysconfig.get_path("stdlib"), sysconfig.get_path("platstdlib"), str(Path(__file__).parents[2]))
-"""Python's own modules, and those of fmu."""
+"""Folders of the modules of Python and of fmu."""
 
 
 def source_digest(function: Callable[..., object]) -> str:
     """Return a hash of the source file of a function and of the user's own modules that it imports.
 
-    Empty if the function has no source file, as in a notebook.
+    The hash is an empty string if the function has no source file, as in a notebook.
     """
     try:
         function = inspect.unwrap(function)
         file = Path(inspect.getsourcefile(function) or "").absolute()
         spec = getattr(function, "__globals__", {}).get("__spec__")
-        name = function.__module__ if spec is None else spec.name  # of a script it is __main__
+        name = function.__module__ if spec is None else spec.name  # the __module__ of a script is __main__
         found = hashlib.sha256(file.read_bytes())
     except Exception:  # not a Python function: its attributes may be of any kind
         return ""
@@ -44,19 +44,19 @@ def source_digest(function: Callable[..., object]) -> str:
 
 
 def own_modules(file: Path, name: str) -> dict[str, Path]:
-    """Return the files of the user's own modules that a module imports, directly or through each other.
+    """Return the files of the user's own modules that a module imports, directly or indirectly.
 
     Parameters
     ----------
     file : Path
         Source of the module.
     name : str
-        Its full name; if it does not agree with the file, the module is taken for one outside packages.
+        Full name of the module. If it does not agree with the file, the module is assumed to be in no package.
 
     Returns
     -------
     dict of str to Path
-        By the full name of the module, without the given one.
+        The file of each module, by the module's full name. The given module is not included.
     """
     path, parts = file.parent if file.stem == "__init__" else file.with_suffix(""), name.split(".")
     if path.parts[-len(parts) :] != tuple(parts):
@@ -80,31 +80,32 @@ def own_modules(file: Path, name: str) -> dict[str, Path]:
 
 
 def _imports(file: Path, module: str) -> Iterator[str]:
-    """Yield the full names that a module imports: of modules, and of what may be one in a package."""
+    """Yield the full names that a module imports: modules, and attributes that may be submodules of a package."""
     if file.suffix != ".py":
         return
     package = module if file.stem == "__init__" else module.rpartition(".")[0]
     try:
         tree = ast.parse(file.read_bytes())
-    except (SyntaxError, ValueError, RecursionError, MemoryError):  # it cannot be imported
+    except (SyntaxError, ValueError, RecursionError, MemoryError):  # the file cannot be imported
         return
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            with suppress(ImportError):  # beyond the package
+            with suppress(ImportError):  # a relative import from beyond the package
                 of = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
                 yield from (f"{of}.{alias.name}" for alias in node.names)
 
 
 def _locate_source(name: str, root: Path) -> list[tuple[str, Path]]:
-    """Return full names and files of the packages that a module is in, and of itself, as far as there are any.
+    """Return pairs of full name and source file of the packages that contain a module, and of the module itself.
 
-    They are searched for in the folder from which the function was imported, then on the path.
+    They are searched for in the folder `root`, from which the function was imported, then on the path. Names
+    without a source file are skipped.
     """
     found, within = [], [str(root)]
     parts = name.split(".") if name else []
-    for i, part in enumerate(parts):  # each by its last name: a full one would need its package imported
+    for i, part in enumerate(parts):  # a search for a full name would import the package
         specs = [PathFinder.find_spec(part, within), _on_the_path(part) if i == 0 else None]
         known = [spec for spec in specs if spec is not None]
         spec = next((spec for spec in known if spec.has_location), known[0] if known else None)
@@ -121,7 +122,7 @@ def _locate_source(name: str, root: Path) -> list[tuple[str, Path]]:
 def _on_the_path(name: str) -> ModuleSpec | None:
     try:
         return importlib.util.find_spec(name)
-    except (ImportError, ValueError, AttributeError):  # something else was put among the modules
+    except (ImportError, ValueError, AttributeError):  # sys.modules contains an object that is not a module
         return None
 
 

@@ -1,6 +1,6 @@
-"""What a slow program has computed, on disk: a small file per theta, written whole or not at all.
+"""Storage of the solves of a slow program on disk: a small file per theta, written atomically.
 
-Any number of processes and runs share a store. Each theta is solved by one of them, and the others wait for it::
+Any number of processes can share a store. Each theta is solved by one process, for which other processes wait::
 
     for solve in SolveStore(folder):
         print(solve.theta, solve.frequencies, solve.seconds, solve.reason)
@@ -32,31 +32,32 @@ _ARRAYS = ("theta", "frequencies", "shapes", "gradient")
 
 MOST_SCATTER = 1e-3
 """Largest relative difference of a frequency between two solves of one theta that is taken for a solver's scatter.
-Iterative ones stop at 1e-4 or below; more is another model."""
+Iterative solvers stop at 1e-4 or below; a larger difference means another model."""
 _MOST_TURNED = 0.01
-"""Of shapes, sin²: so far does such a scatter turn a mode towards one whose frequency is 1 % away."""
+"""Largest sin² between two shapes: such a scatter rotates a mode this far towards one 1 % away in frequency."""
 _ROUNDING = 1e-6
-"""Differences that other processors may make, and that no posterior shows."""
+"""Relative difference that another processor may cause, too small to change a posterior."""
 _NO_MOTION = 1e-6
+"""Norm of a shape at the sensors, relative to the largest one, below which the shape is taken for zero there."""
 
 
 class StoreWarning(UserWarning):
-    """A model does not give exactly what is stored."""
+    """Warning that a model does not reproduce a stored solve exactly."""
 
 
 class Solve(NamedTuple):
-    """What came of one theta.
+    """The result of the program at one theta, or the reason why it failed.
 
     Attributes
     ----------
     theta : ndarray, shape (n_parameters,)
     frequencies : ndarray, shape (n_modes,)
-        Hz; empty if it failed.
+        Frequencies in Hz; empty if the solve failed.
     shapes : ndarray, shape (n_sensors, n_modes), or None
     seconds : float
         Time that the program took.
     reason : str
-        Why it failed; empty if it did not.
+        Reason why the solve failed; empty if it succeeded.
     gradient : ndarray, shape (n_modes, n_parameters), or None
     """
 
@@ -70,12 +71,13 @@ class Solve(NamedTuple):
 
 @check_arguments
 class SolveStore:
-    """The solves of one model; iterating gives them all, in no particular order.
+    """The stored solves of one model; iterating yields every `Solve`, in no particular order.
 
     Parameters
     ----------
     folder : Path
-        Made when the first solve is kept. What failed is in ``failed/``: without it, it is solved again.
+        Folder of the store, made when the first solve is stored. Failures are in its folder ``failed``: if that
+        is deleted, they are solved again.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -86,7 +88,7 @@ class SolveStore:
         return (solve for solve in map(_read, sorted(paths)) if solve is not None)
 
     def find(self, theta: FloatArray) -> Solve | None:
-        """Return the stored solve of a theta (n_parameters,); None if there is none, or its file is damaged."""
+        """Return the stored solve at theta (n_parameters,), or None if there is none or its file is damaged."""
         for path in self._paths(theta):
             found = _read(path)
             if found is not None and found.theta.tobytes() == theta.tobytes():
@@ -94,53 +96,54 @@ class SolveStore:
         return None
 
     def keep(self, solve: Solve) -> None:
-        """Store a solve; OSError if it cannot be written."""
+        """Store a solve; raise OSError if its file cannot be written."""
         values = solve._asdict()
         lists = {name: None if values[name] is None else values[name].tolist() for name in _ARRAYS}
         payload = json.dumps(values | lists).encode()
         path = self._paths(solve.theta)[bool(solve.reason)]
         path.parent.mkdir(parents=True, exist_ok=True)
         write_durably(path, add_checksum(TITLE, payload))
-        if not solve.reason:  # it may have failed before
+        if not solve.reason:  # an earlier solve may have failed
             self._paths(solve.theta)[1].unlink(missing_ok=True)
 
     @contextmanager
     def only_one(self, theta: FloatArray) -> Iterator[None]:
-        """Wait until no other process solves this theta, or these points (n, n_parameters) together.
+        """Wait for the lock of theta, and hold it within a with block, so that no other process solves this theta.
 
-        The system ends the lock of a process that dies.
+        theta is one point (n_parameters,), or the points (n, n_parameters) of a batch. The operating system
+        releases the lock of a process that dies.
         """
         path = self.running_folder(theta).with_suffix(".lock")
         path.parent.mkdir(parents=True, exist_ok=True)
         with FileLock(path):
             yield
-            with suppress(OSError):  # whoever waits for it finds the theta solved
+            with suppress(OSError):  # a process that waits for the lock then finds the theta solved
                 path.unlink()
 
     def running_folder(self, theta: FloatArray) -> Path:
-        """Return a folder to run in, for the one process that solves this theta (`only_one`)."""
+        """Return the path of the folder in which the program runs for this theta; hold its lock (`only_one`)."""
         return self.folder / RUNNING / self._paths(theta)[0].stem
 
     def failed_folder(self, theta: FloatArray) -> Path:
-        """Return where the files of a failed solve are kept."""
+        """Return the path of the folder that keeps the files of a failed solve at this theta."""
         return self._paths(theta)[1].with_suffix("")
 
     def forget_failure(self, theta: FloatArray) -> None:
-        """Remove what is stored of a theta that failed."""
+        """Remove the stored failure at this theta, if there is one."""
         self._paths(theta)[1].unlink(missing_ok=True)
 
     def check(self, stored: Solve, frequencies: FloatArray, shapes: FloatArray | None) -> None:
-        """Compare a stored solve with what the same theta gives now: frequencies (n_modes,) in Hz, and shapes.
+        """Compare a stored solve with a new one at the same theta: frequencies (n_modes,) in Hz, and shapes.
 
         Raises
         ------
         ValueError
-            If they differ more than by a solver's scatter.
+            If the two solves differ by more than a solver's scatter (`MOST_SCATTER`).
 
         Warns
         -----
         StoreWarning
-            If they differ by more than rounding.
+            If the frequencies differ by more than rounding.
         """
         found, kept = (
             [None if array is None else array.shape for array in arrays]
@@ -171,15 +174,16 @@ class SolveStore:
             )
 
     def _paths(self, theta: FloatArray) -> tuple[Path, Path]:
-        """Return the file of a theta, where it was solved and where it failed."""
+        """Return the two possible paths of the file of a theta: of a successful solve, and of a failed one."""
         name = f"{digest(theta.tobytes())[:32]}{_SUFFIX}"
         return self.folder / name, self.folder / FAILED / name
 
 
 def _frequencies_apart(stored: FloatArray, given: FloatArray) -> float:
-    """Return the largest relative difference of frequencies, NaN if some are not finite in one of them only.
+    """Return the largest relative difference of frequencies, NaN if a frequency is NaN in one of the arrays only.
 
-    Frequencies below a hundredth of the highest, which may be those of rigid motions, count as that hundredth.
+    Differences are relative to the stored frequency, but to no less than a hundredth of the highest one, since
+    low frequencies may belong to rigid-body modes.
     """
     least = 0.01 * np.nanmax(stored, initial=0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -189,10 +193,10 @@ def _frequencies_apart(stored: FloatArray, given: FloatArray) -> float:
 
 
 def _shapes_apart(frequencies: FloatArray, stored: FloatArray, given: FloatArray) -> float:
-    """Return the largest sin² between a shape and the stored ones (n_sensors, n_modes) of close frequencies.
+    """Return the largest sin² between a shape and the span of the stored shapes of close frequencies.
 
-    Close ones, within 1 % of the highest frequency, may turn into each other. Shapes without motion at the sensors
-    do not count.
+    Both arrays have shape (n_sensors, n_modes). Modes whose frequencies differ by at most 1 % of the highest
+    frequency may mix. Shapes that are zero at the sensors are not compared. Return 1 if the NaN entries differ.
     """
     if not np.array_equal(np.isnan(given), np.isnan(stored)):
         return 1.0
@@ -207,7 +211,7 @@ def _shapes_apart(frequencies: FloatArray, stored: FloatArray, given: FloatArray
 
 
 def _read(path: Path) -> Solve | None:
-    """Return the solve in a file; None if there is none, or it is damaged."""
+    """Return the solve in a file, or None if the file is missing or damaged."""
     try:
         held = json.loads(payload_of(TITLE, path.read_bytes()))
         given = {name: None if held.get(name) is None else np.array(held[name], dtype=float) for name in _ARRAYS}

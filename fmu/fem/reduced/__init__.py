@@ -1,4 +1,5 @@
-"""The certified reduced basis: trained by residuals, tested over the box, cached on disk.
+"""The certified reduced basis: trained by residuals, tested over the box of parameters, and cached on disk.
 
-Reading order: basis, space, anchors, residuals, learning, cost, training, cache.
+Reading order: basis, space, anchors, residuals, learning, cost, points, confirming, training, reduced_structure,
+cache.
 """

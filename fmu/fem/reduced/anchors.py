@@ -1,4 +1,4 @@
-"""Points of a box at which K is factorised, and what is known of K everywhere from there.
+"""Anchors: points of a box at which K is factorised, and from which K is bounded elsewhere in the box.
 
 If every term K_k is positive semidefinite, then
 
@@ -28,22 +28,22 @@ from fmu.types import FloatArray, IntArray
 
 # A box in which a coefficient changes by more than this factor is halved, and has two anchors.
 _WIDE = 30.0
-# Where α is a smaller share than this of the largest ratio, an anchor says little.
+# Where α divided by the largest ratio of coefficients is below this, the bound by an anchor is of little use.
 _FAR = 1e-3
 _MOST = 8
-# Modes of the anchors beyond those that are asked for.
+# Number of modes of the anchors beyond the requested ones.
 _GUARDS = 3
-_HALVED = 20  # times, the way out of a region
+_HALVED = 20  # bisection steps
 NO_MODES = "the eigenproblem of K and M has no solution"
 
 
 class SingularAnchorError(ValueError):
-    """A motion of the structure has neither stiffness nor mass somewhere in the box, or negative mass.
+    """The error for a singular K + s M: a displacement has neither stiffness nor mass, or has negative mass.
 
     Attributes
     ----------
     parameter : int or None
-        The parameter that is zero there.
+        Index of a parameter that is zero at the anchor; None if there is none.
     """
 
     def __init__(self, message: str, parameter: int | None = None) -> None:
@@ -52,19 +52,20 @@ class SingularAnchorError(ValueError):
 
 
 class Far(NamedTuple):
-    """A point that no anchor is near to.
+    """A point that is far from every anchor, so that errors are not bounded well there.
 
     Attributes
     ----------
     theta : ndarray, shape (n_parameters,)
+        The point.
     parameter : int
-        The one that takes it there.
+        Index of the parameter whose value makes the point far: resetting it to the first anchor's helps most.
     value : float
-        From which on, found by bisection.
+        Limit of this parameter, found by bisection, beyond which the point is far.
     is_above : bool
-        Whether that is so above the value, or below.
+        True if the point is far above `value`, False if below.
     is_negative : bool
-        Whether K is negative there for some motion.
+        Whether K + s M has a negative eigenvalue in the reduced space at the point.
     """
 
     theta: FloatArray
@@ -75,23 +76,24 @@ class Far(NamedTuple):
 
 
 class Anchors:
-    """The factorised points of one block.
+    """The anchors of one block, at which K + s M is factorised.
 
     Parameters
     ----------
     block : FullBlock
     lower, upper : ndarray, shape (n_parameters,)
-        The box.
+        Bounds of the box.
 
     Attributes
     ----------
     theta : ndarray, shape (n_anchors, n_parameters)
-        The first lies in the middle of the box.
+        The anchors; the first lies in the middle of the box.
     shift : float
-        s of K + s M, above 0 where the structure is free at an anchor: of the size of its lowest elastic λ.
+        The shift s of K + s M. It is 0 if K is clearly positive definite at all anchors; otherwise it is of the
+        size of the lowest elastic eigenvalue.
     proven : bool
-        Whether all terms are positive semidefinite, with coefficients that are not negative in the box. Where they
-        are not, α is estimated: it is the smallest eigenvalue of the reduced matrices.
+        Whether all terms are positive semidefinite, with coefficients that are not negative in the box. If not, α
+        is estimated as the smallest eigenvalue of the reduced matrices.
 
     Raises
     ------
@@ -120,7 +122,7 @@ class Anchors:
         )
 
     def __getstate__(self) -> dict[str, object]:
-        """Leave out the factors, which cannot travel."""
+        """Return the state without the factors, which cannot be pickled, and without the cached first matrix."""
         return {name: value for name, value in self.__dict__.items() if name != "first"} | {"_factors": {}}
 
     @property
@@ -137,17 +139,17 @@ class Anchors:
             return False
 
     def matrix(self, a: int) -> Matrix:
-        """Return K + s M at anchor `a`."""
+        """Return the sparse matrix K + s M at the anchor of index `a`."""
         ((K, M),) = self.block._matrices(self.theta[a : a + 1])
         return K + self.shift * M if self.shift else K
 
     @cached_property
     def first(self) -> Matrix:
-        """K + s M at the first anchor: the inner product of training."""
+        """The matrix K + s M at the first anchor, which defines the inner product of training."""
         return self.matrix(0)
 
     def factor(self, a: int) -> Factor:
-        """Return the factors of K + s M at anchor `a`."""
+        """Return the factors of K + s M at the anchor of index `a`; SingularAnchorError if it is not definite."""
         if a not in self._factors:
             try:
                 found = factorise(self.matrix(a))
@@ -163,7 +165,7 @@ class Anchors:
         return self._factors[a]
 
     def modes(self, count: int) -> Space:
-        """Return the space of the full model's lowest modes at all anchors, `count` of each and a few more."""
+        """Return the space of the full model's lowest modes at all anchors, `count` per anchor and a few more."""
         if self._modes is None or self._modes.size < count:
             space = Space.empty(self.block, self.shift)
             for at in self.theta:
@@ -176,23 +178,26 @@ class Anchors:
         return self._modes
 
     def nearest(self, theta: FloatArray, space: Space) -> tuple[IntArray, FloatArray]:
-        """Return for every theta (n, p) the anchor that bounds it best, and α, not positive where none does."""
+        """Return the index (n,) of the anchor that bounds K best at each theta (n, p), and its α (n,).
+
+        α is not positive where no anchor gives a bound.
+        """
         low, tight = self._tight(theta)
         best = np.argmax(tight, axis=0)
         alpha = low[best, np.arange(len(theta))]
         return best, alpha if self.proven else self._estimate_alpha(theta, best, space)
 
     def stretch(self, theta: FloatArray) -> FloatArray:
-        """Return by what factor K + s M exceeds that at the first anchor at most, at theta (n, p).
+        """Return the upper bound (n,) of the ratio of K + s M at theta (n, p) to K + s M at the first anchor.
 
-        Infinite where the terms do not tell.
+        The bound is infinite if it is not `proven`.
         """
         if not self.proven:
             return np.full(len(theta), np.inf)
         return np.asarray(np.max(self._ratios(theta, self.theta[0]), axis=1))
 
     def far(self, theta: FloatArray, space: Space) -> Far | None:
-        """Return where K is farthest from every anchor, of theta (n, p); None if it is far nowhere."""
+        """Return the point of theta (n, p) that is farthest from all anchors, or None if no point is far."""
 
         def near(points: FloatArray) -> FloatArray:
             if self.proven:
@@ -203,7 +208,7 @@ class Anchors:
         i = int(np.argmin(tight))
         if tight[i] >= _FAR:
             return None
-        back = np.where(np.eye(theta.shape[1], dtype=bool), self.theta[0], theta[i])  # one parameter each
+        back = np.where(np.eye(theta.shape[1], dtype=bool), self.theta[0], theta[i])  # each resets one parameter
         closer = near(back)
         j = int(np.argmax(closer))
         outer, inner = float(theta[i, j]), float(self.theta[0, j])
@@ -216,10 +221,13 @@ class Anchors:
         return Far(theta[i], j, outer, outer > self.theta[0, j], not self.proven and tight[i] <= 0.0)
 
     def _tight(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return α of every anchor at theta (n, p), and how near K is to it, both of shape (n_anchors, n)."""
+        """Return α of every anchor at theta (n, p), and α over the largest ratio, both of shape (n_anchors, n).
+
+        The second array is −1 where α is not positive. A largest ratio below 1 counts as 1.
+        """
         ratios = np.stack([self._ratios(theta, at) for at in self.theta])  # (n_anchors, n, n_terms)
         low, high = np.min(ratios, axis=2), np.max(ratios, axis=2)
-        # a term that an anchor leaves out is as far from it as from a small share of what it is in the middle
+        # a term that is zero at an anchor is compared with a small part of its value at the middle of the box
         left_out = _WIDE * self._ratios(theta, self.theta[0])
         high = np.where(np.isinf(high), np.max(np.where(np.isinf(ratios), left_out, ratios), axis=2), high)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -229,7 +237,7 @@ class Anchors:
         here, there = coefficients(self._terms, theta), coefficients(self._terms, at[None])
         with np.errstate(invalid="ignore", divide="ignore"):
             ratio = here / there
-        # a term that the anchor leaves out adds to K whatever it is, as long as it is not negative
+        # a term that is zero at the anchor does not lower the bound, as long as its coefficient is not negative
         return np.where(there == 0.0, np.where(here >= 0.0, np.inf, -np.inf), np.where(there < 0.0, np.nan, ratio))
 
     def _estimate_alpha(self, theta: FloatArray, best: IntArray, space: Space) -> FloatArray:
@@ -242,10 +250,10 @@ class Anchors:
 
 
 def anchor_points(terms: Sequence[Term], lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return anchors (n_anchors, p) of a box: its middle, and the middles of parts where a stiffness changes much.
+    """Return anchors (n_anchors, p) of a box: its middle, and the middles of its parts if a stiffness varies much.
 
-    A part is halved where a coefficient changes by more than a factor of `_WIDE`, along the parameter that
-    changes it most, until there are `_MOST`. Of parameters that change no stiffness the middle serves.
+    A part is divided along the parameter with the largest ratio of its bounds, if that exceeds `_WIDE`, until
+    there are `_MOST` anchors. Parameters that change no stiffness are not divided.
     """
     varied = np.any([[power != 0 for power in term.powers] for term in terms], axis=0)
     anchors, parts = [_middle(lower, upper)], [(lower, upper)]
@@ -259,7 +267,7 @@ def anchor_points(terms: Sequence[Term], lower: FloatArray, upper: FloatArray) -
         cut = np.sqrt(low[j] * high[j]) if low[j] > 0.0 else high[j] / _WIDE
         below, above = high.copy(), low.copy()
         below[j], above[j] = cut, cut
-        if low[j] == 0.0:  # further down no anchor but the face itself can follow
+        if low[j] == 0.0:  # the only anchor further down is on the face where the parameter is zero
             face = below.copy()
             face[j] = 0.0
             anchors += [_middle(low, face), _middle(low, below), _middle(above, high)]
@@ -271,6 +279,6 @@ def anchor_points(terms: Sequence[Term], lower: FloatArray, upper: FloatArray) -
 
 
 def _middle(lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return the geometric mean of positive bounds that are far apart, the mean of others."""
+    """Return the middle (p,) of bounds: the geometric mean where upper > 2 lower > 0, else the arithmetic mean."""
     with np.errstate(invalid="ignore"):
         return np.where((lower > 0.0) & (upper > 2.0 * lower), np.sqrt(lower * upper), 0.5 * (lower + upper))

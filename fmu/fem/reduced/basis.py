@@ -1,11 +1,11 @@
 """The parametric reduced basis: one fixed basis for every theta of a box.
 
 K(theta) and M(theta) are sums of fixed matrices, so that the modes at all theta of a box lie close to a space of
-few dimensions. The modes at sampled points are compressed by proper orthogonal decomposition in the inner product
-of the mass matrix at the box's centre; every term is projected onto that basis once; a solve is then a dense
-eigenproblem of order 10 to 50, whatever the size of the structure, and a batch of them is one call of NumPy's
-batched LAPACK (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for Partial Differential Equations*,
-chapter 6).
+few dimensions. The modes at sampled points are compressed by proper orthogonal decomposition to a basis that is
+orthonormal in the mass matrix at the box's centre. Every term is projected onto the basis once. A solve is then a
+dense eigenproblem of order 10 to 50, whatever the size of the structure, and a batch of solves is one call of
+NumPy's batched LAPACK (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for Partial Differential
+Equations*, chapter 6).
 By Rayleigh's principle the reduced eigenvalues lie above the exact ones.
 """
 
@@ -28,12 +28,12 @@ from fmu.fem.modes.modal import BlockModel
 from fmu.fem.modes.terms import CoefficientMap, Term
 from fmu.types import FloatArray
 
-# In a block of more degrees of freedom than the first, a term with less than this share of non-empty rows is
-# projected by those rows alone.
+# In a block of more than _LARGE degrees of freedom, a term whose fraction of non-empty rows is at most _FEW is
+# projected by these rows alone.
 _LARGE, _FEW = 2000, 0.125
-# From this size on, the few lowest modes of a reduced matrix are cheaper than all of them.
+# From this size on, computing a few of the lowest modes of a reduced matrix is cheaper than computing all modes.
 _PARTIAL = 128
-# An eigenvalue ν below this share of the highest belongs to no mode of finite frequency.
+# An eigenvalue ν below this fraction of the highest ν belongs to no mode of finite frequency.
 _FINITE = 1e-14
 
 
@@ -44,7 +44,7 @@ class ReducedBlock(Block):
     ----------
     block : FullBlock
     basis : ndarray, shape (block.size, r)
-        Orthonormal in the mass matrix at the box's centre.
+        The basis vectors, orthonormal in the mass matrix at the box's centre.
     n_trained : int
         Number of lowest modes that the basis was trained for.
 
@@ -55,12 +55,12 @@ class ReducedBlock(Block):
 
     Notes
     -----
-    Where degrees of freedom have no mass, the reduced M may be singular as well, and the inverse problem M x = ν
-    (K + s M) x is solved, λ = 1/ν − s (as in `fmu.fem.modes.eigensolver`), with s = tr K/tr M, which makes it
-    definite for a free structure too.
+    If degrees of freedom have no mass, the reduced M may also be singular. Then the inverse problem M x = ν
+    (K + s M) x is solved, with λ = 1/ν − s (as in `fmu.fem.modes.eigensolver`). The shift s = tr K/tr M makes
+    K + s M definite for a free structure too.
 
-    Every step is done theta by theta inside NumPy's loops, elementwise or in one small LAPACK or BLAS call a
-    theta, so that no bit of a result depends on the rest of the batch.
+    Every operation treats each theta separately, elementwise or in one small LAPACK or BLAS call per theta, so
+    that no bit of a result depends on the rest of the batch.
     """
 
     is_reduced: ClassVar[Literal[True]] = True
@@ -75,7 +75,7 @@ class ReducedBlock(Block):
         self._set_terms(_project(block.K_terms, basis), _project(block.M_terms, basis))
 
     def __getstate__(self) -> dict[str, object]:
-        """Leave out views of the same numbers."""
+        """Return the state without the arrays that are views of the projected terms."""
         return {name: value for name, value in self.__dict__.items() if name not in ("_K_rows", "_M_rows")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -84,11 +84,11 @@ class ReducedBlock(Block):
 
     @property
     def terms(self) -> tuple[FloatArray, FloatArray]:
-        """Projected terms of K and of M, shapes (n_terms, r, r)."""
+        """Projected terms of K and of M, each an array of shape (n_terms, r, r)."""
         return self._K, self._M
 
     def truncate(self, size: int) -> Self:
-        """Return the block reduced by only the first `size` vectors of its basis."""
+        """Return a copy of the block with only the first `size` vectors of its basis."""
         leading = copy.copy(self)
         leading.basis, leading.size = self.basis[:, :size], size
         leading.n_modes = min(self.n_modes, size)
@@ -96,15 +96,16 @@ class ReducedBlock(Block):
         return leading
 
     def coarser(self, share: float) -> Self:
-        """Return the block by the leading share of its basis; the block itself, if nothing is left out.
+        """Return the block with the leading fraction `share` of its basis, or itself if no vector is removed.
 
-        A basis of as many vectors as the block has unknowns keeps all of them.
+        At least `n_trained` vectors are kept, and all of a basis with as many vectors as the block has degrees of
+        freedom.
         """
         few = max(self.n_trained, math.ceil(share * self.size))
         return self.truncate(few) if few < self.size < len(self.dofs) else self
 
     def eigenvalues(self, theta: FloatArray, count: int) -> FloatArray:
-        """Return the lowest eigenvalues, shape (n, count); NaN where the solver fails."""
+        """Return the lowest eigenvalues in (rad/s)², shape (n, count); NaN where the solver fails."""
         if self.massless:
             return self.modes(theta, count)[0]
         A = _assemble(self._K, self._K_map(theta))
@@ -130,15 +131,15 @@ class ReducedBlock(Block):
         return lam[:, :count], np.swapaxes(inverse, 1, 2) @ y[:, :, :count]
 
     def n_required(self, count: int, gradient: bool) -> int:
-        """Return how many modes `seen` takes: for the derivatives all of them, where all are finite."""
+        """Return the number of modes that `seen` needs: all for derivatives, unless the block is `massless`."""
         return self.size if gradient and not self.massless else count
 
     def coordinates(self, rows: sp.csr_array) -> FloatArray:
-        """Return sensor rows on the basis, a dense array."""
+        """Return the sensor rows projected onto the basis, a dense array of shape (n_sensors, r)."""
         return rows @ self.basis
 
     def compress_rows(self, rows: Any, reference: FloatArray) -> tuple[Any, FloatArray]:
-        """Return rows and references in an orthonormal basis of all that the block can show there."""
+        """Return rows and references in an orthonormal basis of the shapes that the block can have at `rows`."""
         return compress_rows(rows, reference)
 
     def _at(self, rows: Any, phi: FloatArray) -> FloatArray:
@@ -148,7 +149,7 @@ class ReducedBlock(Block):
         self, theta: FloatArray, count: int, rows: Any, lam: FloatArray, phi: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         if self.massless:
-            # modes of infinite frequency have no place in a sum over all modes: a bordered system a mode instead
+            # a sum over all modes excludes modes of infinite frequency: one bordered system per mode instead
             lam, phi = lam[:, :count], phi[:, :, :count]
             slopes, lam_slopes = self._bordered_slopes(theta, lam, phi), self.eigenvalue_gradient(theta, lam, phi)
         else:
@@ -163,7 +164,7 @@ class ReducedBlock(Block):
         return lam_slopes, (rows @ slopes.reshape(n, r, -1)).reshape(n, len(rows), count, p)
 
     def _bordered_slopes(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
-        """Return ∂φ, shape (n, r, m, n_parameters), a mode at a time; NaN where its eigenvalue is repeated."""
+        """Return ∂φ/∂θ, shape (n, r, m, n_parameters), by one system per mode; NaN for repeated eigenvalues."""
         K, M = _assemble(self._K, self._K_map(theta)), _assemble(self._M, self._M_map(theta))
         n, r, count = phi.shape
         dK, dM = (
@@ -180,14 +181,14 @@ class ReducedBlock(Block):
     def _slopes(
         self, theta: FloatArray, coefficient: CoefficientMap, rows: FloatArray, phi: FloatArray, count: int
     ) -> FloatArray:
-        """Return φ_kᵀ ∂K φ_i for all k and the lowest i, shape (n, r, count, n_parameters)."""
+        """Return φ_kᵀ (∂K/∂θ) φ_i for all k and the `count` lowest i, shape (n, r, count, n_parameters)."""
         n, r, _ = phi.shape
         products = (rows @ phi[:, :, :count]).reshape(n, -1, r, count)
         forms = np.swapaxes(phi, 1, 2)[:, None] @ products
         return coefficient.contract(theta, forms.reshape(n, forms.shape[1], -1)).reshape(n, r, count, -1)
 
     def observe(self, rows: sp.csr_array, reference: FloatArray) -> Observation:
-        """Return shapes at `rows` and the references in an orthonormal basis of what the block can show there."""
+        """Return the map from shapes to an orthonormal basis of the shapes at `rows`, and the references in it."""
         seen, reference = self.compress_rows(self.coordinates(rows), reference)
         return Mapped(seen), reference
 
@@ -197,14 +198,14 @@ class ReducedBlock(Block):
 
     def _forms(self, phi: FloatArray, of_mass: bool) -> FloatArray:
         n, r, m = phi.shape
-        rows = self._M_rows if of_mass else self._K_rows  # the symmetric terms one below the other
+        rows = self._M_rows if of_mass else self._K_rows  # the symmetric terms, stacked vertically
         shapes = np.ascontiguousarray(np.swapaxes(phi, 1, 2))
         products = (shapes @ rows.T).reshape(n, m, len(rows) // r, r)
         return np.swapaxes((products @ shapes[..., None])[..., 0], 1, 2)
 
 
 Parts = BlockModel[FullBlock | ReducedBlock]
-"""A structure of which some blocks are reduced."""
+"""A structure in which some blocks may be reduced."""
 
 
 def compress_rows(rows: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -221,7 +222,7 @@ def _project(terms: tuple[Term, ...], basis: FloatArray) -> FloatArray:
 
 
 def _project_matrix(matrix: sp.csr_array, basis: FloatArray) -> FloatArray:
-    """Return Vᵀ K V; for a large K with few non-empty rows by these alone."""
+    """Return Vᵀ K V, computed from the non-empty rows of K alone if K is large and these are few."""
     rows = np.flatnonzero(np.diff(matrix.indptr))
     if len(basis) <= _LARGE or len(rows) > _FEW * len(basis):
         return np.asarray(basis.T @ (matrix @ basis))
@@ -235,7 +236,7 @@ def _assemble(matrices: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def _whiten(K: FloatArray, M: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return L⁻¹ K L⁻ᵀ and L⁻¹, with M = L Lᵀ."""
+    """Return L⁻¹ K L⁻ᵀ and L⁻¹, each of shape (n, r, r), with the Cholesky factorisation M = L Lᵀ."""
     inverse = np.linalg.inv(np.linalg.cholesky(M))
     return inverse @ K @ np.swapaxes(inverse, 1, 2), inverse
 
@@ -247,16 +248,16 @@ def _solve_inverse(K: FloatArray, M: FloatArray, count: int | None) -> tuple[Flo
     ----------
     K, M : ndarray, shape (n, r, r)
     count : int or None
-        Return the lowest so many modes; all r if None.
+        Number of lowest modes to return; all r if None.
 
     Returns
     -------
     ndarray, shape (n, m)
-        λ = 1/ν − s, the lowest first; NaN beyond the rank of M.
+        Eigenvalues λ = 1/ν − s in ascending order; NaN beyond the rank of M.
     ndarray, shape (n, r, m)
         The M-normalised shapes.
     """
-    # K + s M is definite for a free structure too, and s of the size of λ keeps the digits of both matrices
+    # K + s M is definite for a free structure too, and with s of the size of λ neither matrix loses digits
     shift = np.array([np.trace(k) / np.trace(m) for k, m in zip(K, M, strict=True)])
     C, inverse = _whiten(M, K + shift[:, None, None] * M)
     if count is None:
@@ -274,7 +275,7 @@ def _solve_bordered(*parts: FloatArray) -> tuple[FloatArray]:
 
 
 def _lowest(A: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest eigenvalues (n, count) and vectors (n, r, count); NaN where A is not finite."""
+    """Return the lowest eigenvalues (n, count) and eigenvectors (n, r, count); NaN where A is not finite."""
     lam, phi = np.full((len(A), count), np.nan), np.full((*A.shape[:2], count), np.nan)
     for i in np.flatnonzero(np.isfinite(A).all(axis=(1, 2))):
         lam[i], phi[i] = sl.eigh(A[i], subset_by_index=[0, count - 1], check_finite=False)
@@ -286,7 +287,7 @@ def _values(A: FloatArray) -> tuple[FloatArray]:
 
 
 def _row_by_row(solve: Callable[..., Sequence[FloatArray]], *matrices: FloatArray) -> tuple[FloatArray, ...]:
-    """Apply a batched solver; if it fails, solve one matrix at a time, with NaN for those that fail."""
+    """Return the arrays of a batched solver; if the batch fails, solve each matrix alone, with NaN on failure."""
     try:
         return tuple(solve(*matrices))
     except np.linalg.LinAlgError:

@@ -1,8 +1,8 @@
-"""Trained reduced bases on disk, under a hash of the problem that they were trained for.
+"""Cache of trained reduced bases on disk, under a hash of the problem for which each was trained.
 
 If a file is missing, damaged or of another version, the basis is trained again. The cache is in the user's cache
-directory, or in the directory given by the environment variable ``FMU_CACHE_DIR``; if that variable is empty,
-nothing is cached.
+directory, or in the directory given by the environment variable ``FMU_CACHE_DIR``. If that variable is set but
+empty, nothing is cached.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ import platformdirs
 from fmu.durable_files import add_checksum, digest, payload_of, write_durably
 from fmu.types import FloatArray
 
-# Raised whenever what is stored, or how it is trained, changes.
+# Increased whenever the stored arrays or the training change.
 _VERSION = 11
 _TITLE = "fmu basis 1"
 
 
 def load_basis(key: object) -> dict[str, FloatArray] | None:
-    """Return the basis that `store_basis` stored for `key` (JSON-able), or None."""
+    """Return the dict of arrays that `store_basis` stored for `key` (JSON-able), or None if there is none."""
     path = _path(key)
     if path is None:
         return None
@@ -39,7 +39,7 @@ def load_basis(key: object) -> dict[str, FloatArray] | None:
 
 
 def store_basis(key: object, state: dict[str, FloatArray]) -> None:
-    """Store `state` for `key`, atomically; nothing happens if the cache cannot be written."""
+    """Store the arrays `state` for `key` atomically; do nothing if the cache cannot be written."""
     path = _path(key)
     if path is None:
         return

@@ -1,10 +1,10 @@
-"""Modes of the full model, found from the reduced model's modes: they confirm bounds where a solve is slow.
+"""Modes of the full model computed from the reduced model's modes, to confirm error bounds of large structures.
 
-The block version of Davidson's method (1975, *J. Comput. Phys.* 17, 87–94; Crouzeix, Philippe & Sadkane 1994,
-*SIAM J. Sci. Comput.* 15, 62–76). It starts from the Ritz vectors of the basis and of the anchors' modes. The
-corrections are w = Ā⁻¹ r with the factors that training holds, so that nothing is factorised but K − σ M once:
-its inertia counts the eigenvalues below σ (Sylvester), and shows that no mode is missing. Where the two do not
-agree, or the iterations do not end, the modes are solved for as those of any other structure.
+The method is the block version of Davidson's method (1975, *J. Comput. Phys.* 17, 87–94; Crouzeix, Philippe &
+Sadkane 1994, *SIAM J. Sci. Comput.* 15, 62–76). It starts from the Ritz vectors of the basis and of the anchors'
+modes. The corrections are w = Ā⁻¹ r with the factors from training. Only K − σ M is factorised, once: its inertia
+is the number of eigenvalues below σ (Sylvester), and shows that no mode is missing. If this number does not agree
+with the modes found, or the iterations do not converge, the ordinary eigensolver is used.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from fmu.fem.reduced.space import Space, new_directions
 from fmu.types import FloatArray
 
 LARGE = 20_000
-"""Degrees of freedom of a block from which on its modes are found so."""
+"""Degrees of freedom of a block from which on its modes are computed by this method."""
 CONVERGED = 1e-9
-"""Estimated error of a frequency, relative, at which the iterations end; the last corrections are still used."""
+"""Estimated relative error of a frequency at which the iterations end; the last corrections are still added."""
 _MOST_STEPS = 12
-# Modes above those that are asked for, and how far below them the gap may be where the inertia is counted.
+# Number of modes above the requested ones, and how many ranks below the highest requested mode σ may lie.
 _BEYOND = 3
 
 
 class ConfirmedBlock(FullBlock):
-    """A large block whose modes, at points of the trained box, are found from the modes of its reduced model.
+    """A large block whose modes at points of the trained box are computed from the modes of its reduced model.
 
     Parameters
     ----------
     block : FullBlock
     space : Space
-        Of the basis.
+        The space of the reduced basis.
     anchors : Anchors
     """
 
@@ -54,7 +54,7 @@ class ConfirmedBlock(FullBlock):
         return lam, phi
 
     def _from_ritz(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray] | None:
-        """Return the lowest λ (count,) and shapes (size, count) at theta (1, p); None if not confirmed."""
+        """Return the lowest λ (count,) and shapes (size, count) at theta (1, p); None if the method fails."""
         space, anchors = self._space, self._anchors
         known = anchors.modes(count)
         wanted = min(count + _BEYOND, space.size, known.size)
@@ -75,7 +75,7 @@ class ConfirmedBlock(FullBlock):
 
 
 def confirmed_model(bound: FrequencyBound) -> BlockModel[FullBlock]:
-    """Return the full model of a bound, whose large blocks start from the modes of the reduced model."""
+    """Return the full model of a bound, with large reduced blocks replaced by instances of `ConfirmedBlock`."""
     blocks = list(bound.full)
     for b, (full, reduced) in enumerate(zip(bound.full, bound.reduced, strict=True)):
         if full.size >= LARGE and reduced.is_reduced and reduced.size < full.size:
@@ -101,13 +101,17 @@ def davidson(
     A, M : sparse arrays, shape (n, n)
         K + s M and M; A is positive definite.
     shift : float
-        s.
+        The shift s.
     start : list of ndarray, each of shape (n, m)
+        Starting vectors.
     factor : Factor
-        Of a matrix Ā with A ≥ α Ā.
+        Factors of a matrix Ā with A ≥ α Ā.
     wanted : int
-        Pairs that are returned.
+        Number of pairs that are returned: λ (wanted,) and vectors (n, wanted).
+    count : int
+        Number of lowest pairs that must converge.
     alpha : float
+        The factor α.
     """
     V = MV = np.empty((len(start[0]), 0))
     new, is_converged = np.concatenate(start, axis=1), False
@@ -124,7 +128,7 @@ def davidson(
             return 1.0 / nu - shift, X
         R = A @ X[:, :count] - MV @ (y[:, :count] * nu[:count] ** -1.5)
         new = factor.solve(R)
-        # of a frequency; half the relative error of λ + s, as if no other mode were near
+        # error of a frequency: half the relative error of λ + s, if no other mode is near
         error = 0.5 * np.sum(R * new, axis=0) * nu[:count] / alpha
         if not np.isfinite(error).all():
             return None

@@ -1,9 +1,9 @@
-"""The trial space of one block: it grows by what the residuals of its modes ask for, and is cut at the end.
+"""The trial space of one block in training: corrections of its modes are added, and it is truncated at the end.
 
-A correction w = Ā⁻¹ r is a step of Davidson's method (1975, *J. Comput. Phys.* 17, 87–94) that all points of the
-box share, since one factorisation serves them all. Those of a few points are compressed by proper orthogonal
-decomposition in the inner product of Ā before they join the space. In that inner product the energy of an error
-is the relative error of an eigenvalue.
+A correction w = Ā⁻¹ r from a residual r is a step of Davidson's method (1975, *J. Comput. Phys.* 17, 87–94). One
+factorisation of Ā serves all points of the box. The corrections at a few points are compressed by proper
+orthogonal decomposition in the inner product of Ā before they are added to the space. In that inner product the
+energy of an error is the relative error of an eigenvalue.
 """
 
 from __future__ import annotations
@@ -24,34 +24,37 @@ from fmu.fem.reduced.residuals import at_once, bound_errors, inertia_agrees
 from fmu.fem.reduced.space import Space
 from fmu.types import BoolArray, FloatArray, IntArray
 
-# A step of Davidson's method leaves about this share of an error: what is smaller need not be added.
+# A step of Davidson's method leaves about this fraction of an error; smaller corrections need not be added.
 _STEP = 0.05
-# Of a tolerance: the space grows where an error exceeds the first share, and may have the second before it is cut.
+# Fractions of a tolerance: the space grows where an error exceeds GROWN, and an error of SHARE is accepted before
+# the space is truncated.
 GROWN, SHARE = 0.25, 0.45
-# Of the tolerance: energy left out of the cut that no frequency feels.
+# Fraction of the tolerance: a smaller energy outside the truncated space does not change a frequency noticeably.
 _NEGLIGIBLE = 0.02
-# Points that the cut is tuned at; all others are checked.
+# Number of points for which the size of the truncated space is chosen first; all others are then checked.
 _TUNED = 24
-# A mode with λ up to this multiple of the highest one needed may change places with it at points nearby.
+# A mode with λ up to this multiple of that of the highest needed mode may swap order with it at nearby points.
 _CLOSE = 1.05
-# Decompositions, each weighted by what the one before left, and the least factor of a weight, to the fourth power.
-# More of them save a few vectors, and cost digits of the gradient: all points then err as much as the worst.
+# Number of decompositions, each weighted by the remainders of the previous one, and the fourth power of the
+# smallest factor of a weight. More decompositions save a few vectors, but cost digits of the gradient: the errors
+# at all points then become as large as at the worst point.
 _WEIGHED, _LEAST = 2, 1e-4
-# Directions with a smaller share of the energy of the strongest are rounding.
+# Directions with a smaller fraction of the energy of the strongest direction are rounding errors.
 _ROUNDING = 1e-13
 
 
 class Learner:
-    """The trial space of one block as it grows.
+    """The growing trial space of one block, and the points visited in training.
 
     Parameters
     ----------
     block : FullBlock
     lower, upper : ndarray, shape (n_parameters,)
+        Bounds of the box.
     count : int
-        Modes that may be needed.
+        Number of modes that may be needed.
     largest : int
-        Most vectors that the space may have.
+        Largest number of vectors of the space.
 
     Attributes
     ----------
@@ -60,7 +63,7 @@ class Learner:
     theta : ndarray, shape (n, n_parameters)
         Points visited so far.
     share : ndarray, shape (n,)
-        What is allowed there, as a share of the tolerance.
+        Allowed error at each point, as a fraction of the tolerance.
     """
 
     def __init__(self, block: FullBlock, lower: FloatArray, upper: FloatArray, count: int, largest: int) -> None:
@@ -73,23 +76,24 @@ class Learner:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the space holds every motion of the block."""
+        """Whether the space has as many vectors as the block has degrees of freedom."""
         return self.space.size >= self.block.size
 
     @property
     def is_full(self) -> bool:
-        """Whether the space may not grow any more."""
+        """Whether the space has its largest allowed size."""
         return self.space.size >= self.largest
 
     @property
     def is_stuck(self) -> bool:
-        """Whether the space may not grow any more, and lacks motions of the block."""
+        """Whether the space has its largest allowed size without being whole."""
         return self.is_full and not self.is_whole
 
     def visit(self, theta: FloatArray, allowed: FloatArray, share: float = 1.0) -> BoolArray:
-        """Return at which points (n, p) errors keep to their share of `allowed` (m,); grow where they do not.
+        """Visit points theta (n, p): return where errors are small enough, (n,), and grow the space elsewhere.
 
-        Looks at the lowest m modes. At these points only `share` of what is allowed elsewhere is allowed.
+        The errors of the lowest m modes are compared with `SHARE` times `share` times `allowed` (m,). Where an
+        error exceeds `GROWN` times `share` times `allowed`, its corrections are added to the space.
         """
         allowed = share * allowed
         good = np.empty(len(theta), dtype=bool)
@@ -108,9 +112,9 @@ class Learner:
         return good
 
     def largest_miss(self, cut: Space, theta: FloatArray, needed: int, allowed: float) -> float:
-        """Return how far the needed frequencies of a cut of the space are from its own at most, at theta (n, p).
+        """Return the largest relative difference of the needed frequencies between `cut` and the trial space.
 
-        Points where that is more than what is allowed join those visited.
+        Points of theta (n, p) at which the difference exceeds `allowed` are added to the visited points.
         """
         lam = self.space.modes(theta, needed)[0]
         off = np.max(apart(cut.modes(theta, needed)[0], lam), axis=1)
@@ -123,7 +127,7 @@ class Learner:
         self.share = np.concatenate([self.share, np.full(len(theta), share)])
 
     def solve_visited(self) -> tuple[FloatArray, FloatArray]:
-        """Return λ (n, count) and shapes (n, r, count) in V at all points visited; NaN on failure."""
+        """Return λ (n, count) and shapes (n, r, count) in the basis V at all visited points; NaN on failure."""
         lam, y = np.empty((0, self.count)), np.empty((0, self.space.size, self.count))
         if self._solved is not None and self._solved[0] is self.space:
             _, lam, y = self._solved
@@ -134,16 +138,20 @@ class Learner:
         return lam, y
 
     def observe(self, rows: sp.csr_array, reference: FloatArray) -> Observation:
-        """Return how shapes in the trial vectors are compared with references, see `Block.observe`."""
+        """Return the map from shapes in V to those compared, and the references, see `Block.observe`."""
         seen, reference = compress_rows(rows @ self.space.V, reference)
         return Mapped(seen), reference
 
     def add(self, X: FloatArray) -> None:
-        """Add vectors (n_dof, m), such as modes of the full model."""
+        """Add vectors X (n_dof, m) to the space, such as modes of the full model."""
         self.space = self.space.grown(X, self.anchors.first)
 
     def _correct(self, C: FloatArray, target: FloatArray) -> None:
-        """Add the corrections (n_dof, m), but for what is small beside the target (m,) or what the step leaves."""
+        """Add directions of the corrections C (n_dof, m) to the space, as many as their errors need.
+
+        The remaining energy of each correction is at most its `target` (m,) or the fraction `_STEP` of its own,
+        unless the space becomes full.
+        """
         gram = C.T @ (self.anchors.first @ C)
         energy, U = np.linalg.eigh(0.5 * (gram + gram.T))
         energy, U = np.maximum(energy[::-1], 0.0), U[:, ::-1]
@@ -156,24 +164,27 @@ class Learner:
         self.add(C @ (U[:, :n][:, kept] / np.sqrt(energy[:n][kept])))
 
     def counts_the_same(self, theta: FloatArray, needed: int) -> bool:
-        """Say whether the full model has as many low modes as the space at theta (n, p), by Sylvester's law."""
+        """Return True if the full model has as many low modes as the space at all theta (n, p).
+
+        The modes are counted by Sylvester's law of inertia. Points where they cannot be counted are skipped.
+        """
         lam = self.space.modes(theta, min(self.count, self.space.size))[0]
         for values, (K, M) in zip(lam, self.block._matrices(theta), strict=True):
-            # between two modes that are far apart, no lower than what is needed
+            # σ lies between two modes that are far apart, above all needed modes
             is_known = len(values) > needed and np.isfinite(values).all()
             if is_known and inertia_agrees(K, M, values, needed - 1) is False:
                 return False
         return True
 
     def cut(self, needed: int, tolerance: float, smallest: int, largest: int) -> tuple[Space, FloatArray]:
-        """Return a space of few vectors whose frequencies agree at all points visited, within `tolerance`.
+        """Return a small space whose frequencies agree at all visited points within `tolerance`, and a rotation.
 
-        And its directions (q, q), those that matter most first.
+        The columns of the rotation (q, q) are its principal directions, in descending order of energy.
 
-        Proper orthogonal decomposition of the modes in the inner product of Ā, in which their errors are those of
-        λ; of the decomposition as many vectors as the worst points need. Weights make the largest errors small
-        (`balance_directions`). Where only a share of the tolerance is allowed, modes have more weight. A mode that
-        nearly coincides with the highest one needed takes its place not far away, and counts as needed there.
+        The modes are compressed by proper orthogonal decomposition in the inner product of Ā, in which the energy
+        of an error is the relative error of λ. The space has as many vectors as the worst points need. Weights
+        reduce the largest errors (`balance_directions`), and modes have a larger weight where the allowed error is
+        smaller. A mode close above the highest needed mode may swap order with it nearby, and counts as needed.
         """
         space, theta = self.space, self.theta
         lam, y = self.solve_visited()
@@ -207,13 +218,13 @@ class Learner:
         stretch = self.anchors.stretch(theta)
         while True:
             top = _fewest(partial(is_enough, rows=tuned), low, high, guess)
-            # no λ errs by more than the energy left of all these modes in K, which is at most `stretch` times Ā
-            with np.errstate(invalid="ignore"):  # an infinite stretch bounds nothing, not even no energy
+            # the error of λ is at most the remaining energy of all these modes in K, and K ≤ `stretch` times Ā
+            with np.errstate(invalid="ignore"):  # with an infinite stretch there is no bound, even for zero energy
                 bounded = stretch * total[top - 1] <= 2.0 * tolerance
             others = np.setdiff1d(np.flatnonzero(~bounded), tuned)
             bad = others[~(worst(top, others) <= tolerance)] if len(others) else others
             if not len(bad) or top == high:
-                # weights mix the order of the directions: strongest first, a part of the basis is a coarser one
+                # the weights change the order of the directions: once sorted, the leading ones are a coarser basis
                 energy = Q[:, :top].T @ Z
                 return rotated.truncate(top), np.linalg.eigh(energy @ energy.T)[1][:, ::-1]
             low, guess, tuned = top, top + 1, np.concatenate([tuned, bad])
@@ -222,8 +233,8 @@ class Learner:
 def count_needed(
     full: BlockModel[FullBlock], rule: IndexPairing | ShapePairing, learners: Mapping[int, Learner]
 ) -> tuple[RankPairing | None, dict[int, int]]:
-    """Return the pairing as fixed ranks where that is exact, and how many modes of each block are needed."""
-    # after a cut each block may have looked at points of its own: those before are the same
+    """Return the pairing as fixed ranks, None if that is not exact, and a dict of the modes needed per block."""
+    # after a truncation, blocks may have visited different points: only the common earlier points are used
     visited = [learner.theta for learner in learners.values()]
     n = min(map(len, visited))
     alike = np.all([np.all(theta[:n] == visited[0][:n], axis=1) for theta in visited], axis=0)
@@ -240,17 +251,18 @@ def count_needed(
 def balance_directions(
     Z: FloatArray, tolerance: float, smallest: int, largest: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return orthonormal directions Q (r, q), the strongest first, and the remainder of the columns of Z.
+    """Return orthonormal directions Q (r, q), the strongest first, and the remaining energies of the columns of Z.
 
-    Proper orthogonal decomposition makes the mean of what is left small. Columns of which much is left have more
-    weight in the next decomposition, which makes the largest small (as Lawson's algorithm does for polynomials:
-    Lawson 1961, *Contributions to the theory of linear least maximum approximation*).
+    Proper orthogonal decomposition minimises the mean of the remaining energies. Columns with a large remainder
+    have a larger weight in the next decomposition, which reduces the largest remainder (as Lawson's algorithm does
+    for polynomials: Lawson 1961, *Contributions to the theory of linear least maximum approximation*).
 
     Returns
     -------
     Q : ndarray, shape (r, q)
+        The directions.
     left : ndarray, shape (q, n_columns)
-        Energy left by the first 1, 2, … directions.
+        Remaining energy of each column after the first 1, 2, … directions are removed.
     """
     energy, weight = np.sum(Z**2, axis=0), np.ones(Z.shape[1])
     best: tuple[FloatArray, FloatArray] | None = None
@@ -261,10 +273,10 @@ def balance_directions(
         left = energy - np.cumsum((Q.T @ Z) ** 2, axis=0)
         size = int(np.sum(np.max(left, axis=1) > 2.0 * tolerance)) + 1
         if best is None or size < fewest:
-            # far more vectors than any point needs are not worth their projection
+            # more vectors than this are not worth the cost of their projection
             enough = max(smallest, int(np.sum(np.max(left, axis=1) > _NEGLIGIBLE * tolerance)) + 1)
             best, fewest = (Q[:, :enough], left[:enough]), size
-        # by the last size that was not enough
+        # the remainders for the largest size that was not sufficient
         rest = np.maximum(left[max(min(size, len(left)) - 2, 0)], 0.0)
         if not rest.any():
             break
@@ -276,24 +288,25 @@ def balance_directions(
 def snapshot_basis(
     block: FullBlock, anchors: Anchors, theta: FloatArray, count: int, size: int, tolerance: float
 ) -> FloatArray:
-    """Return the `size` directions (n_dof, size) that hold most of the lowest modes at theta (n, n_parameters).
+    """Return a basis (n_dof, size) that approximates the lowest modes at theta (n, n_parameters) best.
 
-    Where a box is too wide for a basis that serves all of it. Proper orthogonal decomposition in the inner product
-    of Ā = K + s M at an anchor, in which the energy of an error is the relative error of an eigenvalue
-    (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for Partial Differential Equations*, chapter 6). The
-    basis is accurate near these points; elsewhere nothing is known of it.
+    It is meant for a box that is too wide for a basis that is accurate everywhere. The modes are compressed by
+    proper orthogonal decomposition in the inner product of Ā = K + s M at an anchor, in which the energy of an
+    error is the relative error of an eigenvalue (Quarteroni, Manzoni & Negri 2016, *Reduced Basis Methods for
+    Partial Differential Equations*, chapter 6). The basis is accurate near theta; elsewhere its error is unknown.
 
     Parameters
     ----------
     block : FullBlock
     anchors : Anchors
     theta : ndarray, shape (n, n_parameters)
-        Points where a solve fails are left out.
+        Points where a solve fails are skipped.
     count : int
-        Modes at each point.
+        Number of modes at each point.
     size : int
+        Largest number of basis vectors.
     tolerance : float
-        Relative error of an eigenvalue below which a mode does not gain from more directions.
+        Relative error of an eigenvalue below which a mode needs no further directions.
     """
     lam, phi = block.modes(theta, count)
     known = np.isfinite(lam).all(axis=1)
@@ -307,7 +320,7 @@ def snapshot_basis(
 
 
 def _fewest(is_enough: Callable[[int], bool], low: int, high: int, guess: int) -> int:
-    """Return the smallest size above `low` and at most `high` that is enough, near a guess that is rarely far off.
+    """Return the smallest size above `low` and at most `high` that is enough, searched for from a guess.
 
     `high` counts as enough.
     """
@@ -333,7 +346,7 @@ def _fewest(is_enough: Callable[[int], bool], low: int, high: int, guess: int) -
 
 
 def apart(reduced: FloatArray, lam: FloatArray) -> FloatArray:
-    """Return how far the frequencies of λ (n, m) are apart, relative; 0 for rigid-body modes in both."""
+    """Return the relative differences (n, m) of the frequencies from two arrays of λ; 0 for rigid-body modes."""
     rigid = (lam <= RIGID * lam[:, -1:]) & (reduced <= 10.0 * RIGID * lam[:, -1:])
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(rigid, 0.0, np.abs(np.sqrt(reduced / lam) - 1.0))

@@ -1,4 +1,4 @@
-"""Points of a box, for training and for tests of it; bases orthonormal in the mass."""
+"""Points of a box for training and for its checks, sizes of bases, and mass-orthonormal bases."""
 
 from __future__ import annotations
 
@@ -17,39 +17,43 @@ from fmu.types import FloatArray
 
 _MOST_VECTORS = 1000
 MEMORY = 2**31
-"""Bytes of the trial vectors of a block in training; while they grow they are there twice."""
+"""Largest memory of a block's trial vectors in training, in bytes; while the space grows they are held twice."""
 
 
 def affordable(n_dof: int) -> int:
     """Return the largest useful number of basis vectors for a block of `n_dof` degrees of freedom.
 
-    A reduced solve takes about 60 ns · r², more from r = 1000 on, and a sparse full one about 30 µs a degree of
-    freedom (results/scale.md): at 12 √n the first is a third of the second. Dense blocks, up to
-    `fmu.fem.modes.eigensolver.DENSE_LIMIT`, are solved a theta at a time, which is never faster.
+    A reduced solve with r vectors takes about 60 ns · r², and more from r = 1000 on. A sparse solve of the full
+    block takes about 30 µs per degree of freedom (results/scale.md), three times as long as a reduced solve with
+    r = 12 √n_dof. Blocks of up to `fmu.fem.modes.eigensolver.DENSE_LIMIT` degrees of freedom may have all vectors:
+    their full model is solved one theta at a time, which is never faster than a batch.
     """
     return n_dof if n_dof <= DENSE_LIMIT else min(int(12.0 * np.sqrt(n_dof)), _MOST_VECTORS)
 
 
 def most_trial_vectors(n_dof: int) -> int:
-    """Return how many vectors training may have for a block: twice what is affordable, and no more than 2 GiB."""
+    """Return the largest number of trial vectors of a block: twice the affordable number, in at most 2 GiB."""
     return n_dof if n_dof <= DENSE_LIMIT else min(2 * affordable(n_dof), n_dof, MEMORY // (8 * n_dof))
 
 
 @dataclass(frozen=True)
 class Trained:
-    """A reduced model, the pairing to use with it, and the box that it was trained for.
+    """A reduced model, the pairing to use with it, and the box for which it was trained.
 
     Attributes
     ----------
     model : BlockModel
+        The reduced model.
     pairing : IndexPairing, ShapePairing or RankPairing
+        Rule that pairs its modes with the measured modes.
     lower, upper : ndarray, shape (n_parameters,)
+        Bounds of the box.
     confirmed : bool
-        Whether fresh points of the box were all within the tolerance, those of all candidate modes.
+        Whether training succeeded: the errors at fresh points were all within the tolerance.
     anchors : mapping of int to Anchors
-        The factorised points of each block, where training left them.
+        The anchors of each block by the block's index, if training made them.
     elsewhere : float or None
-        The tolerance of the box, where a smaller one was kept in a part of it.
+        The tolerance of the whole box if a smaller tolerance holds in a part of it; otherwise None.
     """
 
     model: Parts
@@ -62,9 +66,9 @@ class Trained:
 
 
 def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> FloatArray:
-    """Return points that cover a box: `n` of a scrambled Sobol sequence, n/2 on its faces, and its corners.
+    """Return points (m, ndim) of a box: `n` of a scrambled Sobol sequence, n/2 on its faces, and its corners.
 
-    All corners up to 2⁶, as many at random beyond.
+    With more than six parameters, 64 random corners are taken instead of all.
     """
     from scipy.stats import qmc
 
@@ -72,7 +76,7 @@ def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> Float
     rng = np.random.default_rng(seed)
     inside = qmc.Sobol(ndim, rng=rng).random(n)
     faces = rng.uniform(size=(n // 2, ndim))
-    fixed = rng.integers(0, 3, size=faces.shape)  # per coordinate: lower face, upper face or free
+    fixed = rng.integers(0, 3, size=faces.shape)  # for each coordinate: on the lower face, upper face or free
     faces = np.where(fixed == 0, 0.0, np.where(fixed == 1, 1.0, faces))
     if ndim <= 6:
         corners = np.array(np.meshgrid(*[[0.0, 1.0]] * ndim, indexing="ij")).reshape(ndim, -1).T
@@ -84,8 +88,8 @@ def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> Float
 def points_near_zero(lower: FloatArray, upper: FloatArray, n: int, seed: int = 0) -> FloatArray:
     """Return points (m, n_parameters), m ≤ n, of a box, near zero in parameters whose lower bound is zero.
 
-    A stiffness that nearly vanishes has modes that neither the face shows, where
-    it is gone, nor points that cover the box evenly.
+    A structure in which a stiffness nearly vanishes has modes that occur neither on the face of the box, where
+    that stiffness is zero, nor at points that cover the box evenly.
     """
     rng = np.random.default_rng(n + seed)
     points = lower + (upper - lower) * rng.uniform(size=(n, len(lower)))
@@ -97,8 +101,8 @@ def points_near_zero(lower: FloatArray, upper: FloatArray, n: int, seed: int = 0
 def mass_orthonormal(block: FullBlock, V: FloatArray, centre: FloatArray) -> FloatArray:
     """Return a basis of the space of V (size, r), orthonormal in the block's mass matrix at `centre`.
 
-    Where degrees of freedom have no mass, in M + K/λ with the mean λ = tr Vᵀ K V / tr Vᵀ M V, as M does not see
-    how they follow. SingularAnchorError if M is negative for a motion of the space.
+    If degrees of freedom have no mass, M is singular, and the basis is orthonormal in M + K/λ instead, with the
+    mean λ = tr Vᵀ K V / tr Vᵀ M V. Raises SingularAnchorError if M is not positive definite in the space.
     """
     K, M = (sum_at(terms, centre) for terms in (block.K_terms, block.M_terms))
     if block.n_modes < block.size:

@@ -1,4 +1,4 @@
-"""A structure whose modes are solved for in a reduced basis, in a box, with a bound of the error."""
+"""Structures whose modes are computed in a reduced basis within a box of parameters, with an error bound."""
 
 from __future__ import annotations
 
@@ -24,28 +24,30 @@ from fmu.fem.reduced.training import LOOSE, Training
 from fmu.progress.phases import count_solves
 from fmu.types import BoolArray, FloatArray, IntArray
 
-# Numbers of an array in a batch of reduced solves: 128 MiB.
+# Largest number of elements of an array in a batch of reduced solves: 128 MiB.
 _MOST_NUMBERS = 2**24
-# How often the box of training may become larger, and points be added where the model is inaccurate.
+# How often the training box may be enlarged, and how often points may be added where the model is inaccurate.
 _WIDENED, _REFINED = 3, 20
 
 
 class ReducedStructure(Approximation):
-    """A structure by its reduced basis inside a box, and by its full matrices outside and on failure.
+    """A structure solved in a reduced basis inside a box, and by its full matrices outside it or after a failure.
 
     Parameters
     ----------
     truth : PairedStructure
+        The structure with its full matrices.
     trained : Trained
+        The outcome of training.
 
     Attributes
     ----------
     cheap : PairedStructure
         The same structure and measured modes, solved by the reduced blocks.
     confirmed : bool
-        Whether training ended because fresh points of the box were within the tolerance.
+        Whether training succeeded: the errors at fresh points of the box were within the tolerance.
     elsewhere : float or None
-        The tolerance outside the part of the box that matters, if training kept that one there alone.
+        The larger tolerance outside the part of the box that matters; None if one tolerance holds everywhere.
     """
 
     cheap: PairedStructure
@@ -55,7 +57,7 @@ class ReducedStructure(Approximation):
         super().__init__(truth, truth.solved_by(trained.model, trained.pairing))
         self.rule, self.pairing = truth.rule, self.cheap.pairing
         self.confirmed, self.elsewhere = trained.confirmed, trained.elsewhere
-        # of the box, as rows, like one theta: it spares NumPy's broadcasting
+        # the bounds have shape (1, n_parameters), like one theta, which saves broadcasting in NumPy
         self.lower, self.upper = trained.lower[None], trained.upper[None]
         self._corner = self.lower
         self._bound = FrequencyBound(truth.blocks, trained.model, trained.lower, trained.upper, trained.anchors)
@@ -73,21 +75,21 @@ class ReducedStructure(Approximation):
 
     @property
     def truth(self) -> PairedStructure:
-        """The structure by its full matrices."""
+        """The structure solved by its full matrices."""
         return self._truth
 
     def coarser(self, share: float) -> Self:
-        """Return the model with the leading vectors of each basis only, which carry most of the modes.
+        """Return a model with only the leading vectors of each basis, which represent most of each mode.
 
         Parameters
         ----------
         share : float
-            The share of the vectors, see `fmu.fem.reduced.basis.ReducedBlock.coarser`.
+            The fraction of the vectors that is kept, see `fmu.fem.reduced.basis.ReducedBlock.coarser`.
 
         Returns
         -------
         ReducedStructure
-            This model itself, if nothing is left out.
+            The coarser model; this model itself if all vectors are kept.
         """
         blocks = tuple(block.coarser(share) for block in self.cheap.blocks)
         if all(one is other for one, other in zip(blocks, self.cheap.blocks, strict=True)):
@@ -97,35 +99,35 @@ class ReducedStructure(Approximation):
         return other
 
     def extend(self, lower: FloatArray, upper: FloatArray) -> Self:
-        """Return the model with an answer in a larger box than it was trained for: for a first look there."""
+        """Return a model that uses the reduced basis in a larger box than it was trained for, for a first look."""
         other = copy(self)
         other.lower, other.upper = np.minimum(lower, self.lower), np.maximum(upper, self.upper)
         return other
 
     def keeping(self, elsewhere: float) -> Self:
-        """Return the model with another tolerance outside the part of the box that matters."""
+        """Return a copy of the model that records another tolerance outside the part of the box that matters."""
         other = copy(self)
         other.elsewhere = elsewhere
         return other
 
     def within(self, theta: FloatArray) -> BoolArray:
-        """Say, shape (n,), at which theta (n, n_parameters) the reduced model answers."""
+        """Return a bool array (n,): True where theta (n, n_parameters) lies in the box of the reduced model."""
         return find_inside(theta, self.lower, self.upper)[0]
 
     def modes(self, theta: FloatArray, gradient: bool = False) -> ModalSolution:
-        """Return the paired modes at theta (n, n_parameters), with the gradients of the eigenvalues if wanted."""
+        """Return the paired modes at theta (n, n_parameters), with gradients of the eigenvalues if `gradient`."""
         return self._answer(self._solve, self._truth.solve, theta, gradient)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies and shapes at the sensors, at theta (n, n_parameters), with derivatives if wanted."""
+        """Return frequencies and shapes at the sensors for theta (n, n_parameters), with derivatives if asked."""
         return self._answer(self.cheap.see, self._truth.see, theta, gradient)
 
     def seen_candidates(self, theta: FloatArray, gradient: bool = False) -> Candidates:
-        """Return all candidates for a pairing with the measured modes, at theta (n, n_parameters).
+        """Return all modes that are candidates for a pairing with the measured modes, at theta (n, n_parameters).
 
-        With derivatives if wanted; for a pairing by shape, soft or not.
+        Derivatives are included if `gradient`. The pairing must be by shape, soft or not.
         """
-        assert self.cheap.choose is not None  # of a pairing by shape
+        assert self.cheap.choose is not None  # the pairing is by shape
         assert self._truth.choose is not None
         return self._answer(self.cheap.choose, self._truth.choose, theta, gradient)
 
@@ -134,11 +136,11 @@ class ReducedStructure(Approximation):
         return frequency_hz(self.modes(theta).eigenvalues)
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters), exact."""
+        """Return frequencies (n, n_modes) in Hz and their exact gradients (n, n_modes, n_parameters)."""
         return frequencies_of(self.modes(theta, gradient=True))
 
     def candidates(self, theta: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
-        """Return all modes that might have answered to a measured one, see `PairedStructure.candidates`."""
+        """Return all modes that could be paired with a measured mode, see `PairedStructure.candidates`."""
         count_solves(len(theta))
         counts, within = self._truth.candidate_counts(), self.within(theta)
         found = np.empty((len(theta), sum(counts.values())))
@@ -148,10 +150,11 @@ class ReducedStructure(Approximation):
         return found, *candidate_numbers(counts)
 
     def confirmed_modes(self, theta: FloatArray) -> ModalSolution:
-        """Return the true modes at theta (n, n_parameters), of large structures by what training has factorised.
+        """Return the modes of the full model at theta (n, n_parameters), with the factors from training if large.
 
-        From `fmu.fem.reduced.confirming.LARGE` degrees of freedom on the reduced model's modes are where the
-        iterations begin. They end when the frequencies have ten digits and the eigenvalues have been counted.
+        For blocks of `fmu.fem.reduced.confirming.LARGE` degrees of freedom or more, iterations start from the
+        modes of the reduced model. They end when the estimated relative errors of the frequencies are below 1e-9,
+        and the number of eigenvalues is then verified.
         """
         within = self.within(theta)
         if not within.any():
@@ -164,12 +167,12 @@ class ReducedStructure(Approximation):
         return self._truth.solved_by(confirmed_model(self._bound), self.rule)
 
     def frequency_bound(self, theta: FloatArray) -> FloatArray:
-        """Return how far the reduced model's frequencies may be off, relative, shape (n, n_modes).
+        """Return bounds of the relative errors of the reduced model's frequencies, shape (n, n_modes).
 
-        By the residuals of its modes at theta (n, n_parameters), for the modes that it pairs: their number in
-        the spectrum is not examined. Infinite where there is no bound. What is proven of it and what is
-        estimated: `fmu.fem.reduced.residuals`. It costs a solve of linear equations a mode, not an eigenproblem;
-        the matrix is factorised at the first call.
+        The bounds follow from the residuals of the paired modes at theta (n, n_parameters); the ranks of these
+        modes in the spectrum are not verified. A bound is infinite where none is known.
+        `fmu.fem.reduced.residuals` explains which parts of the bound are proven and which are estimated. The cost
+        is one linear solve per mode, and no eigenproblem; the matrix is factorised at the first call.
         """
         with single_thread():
             inside = self.within(theta)
@@ -179,11 +182,11 @@ class ReducedStructure(Approximation):
         return bound
 
     def configuration(self) -> dict[str, object]:
-        """Return the data that identify the structure and its pairing: the basis follows from the problem."""
+        """Return a dict of the data that identify the structure and its pairing; these determine the basis."""
         return self._truth.configuration()
 
     def _solve(self, theta: FloatArray, gradient: bool) -> ModalSolution:
-        """Return the reduced model's modes, a few theta at a time where their matrices would take much memory."""
+        """Return the modes of the reduced model, solved for a few theta at a time to limit the memory."""
         if len(theta) <= self._at_once:
             return self.cheap.solve(theta, gradient)
         starts = range(0, len(theta), self._at_once)
@@ -196,12 +199,12 @@ class ReducedStructure(Approximation):
         theta: FloatArray,
         gradient: bool,
     ) -> Solution:
-        """Return the reduced model's solution, and the full one's outside the trained box and on failure."""
+        """Return the reduced model's solution, or the full model's solution outside the box and on failure."""
         count_solves(len(theta), with_gradients=gradient)
         with single_thread():
             within = (theta >= self.lower) & (theta <= self.upper)
             everywhere = np.count_nonzero(within) == within.size  # a tenth of what `all` takes on a small array
-            # far outside its box the reduced model may overflow: a corner stands in for such points
+            # far outside its box the reduced model may overflow: such points are replaced by a corner of the box
             inside = theta if everywhere else np.where(within.all(axis=1, keepdims=True), theta, self._corner)
             found = reduced(inside, gradient)
             failed = found.failed
@@ -213,12 +216,12 @@ class ReducedStructure(Approximation):
 
 
 def reduced_structures(model: ModalModel) -> list[ReducedStructure]:
-    """Return the reduced models that a model consists of."""
+    """Return the list of the reduced models among the parts of a model."""
     return [part for part in model.parts if isinstance(part, ReducedStructure)]
 
 
 def largest_tolerance_elsewhere(model: ModalModel) -> float | None:
-    """Return the largest tolerance outside the part of the box that matters; None if there is only one."""
+    """Return the largest tolerance outside the part of the box that matters; None if no model has one."""
     return max((of.elsewhere for of in reduced_structures(model) if of.elsewhere is not None), default=None)
 
 
@@ -239,27 +242,26 @@ def train(
     truth : PairedStructure
     lower, upper : ndarray, shape (n_parameters,)
     tolerance : float
-        Largest relative error of a frequency at any point of the box that was tried.
+        Largest relative error of a frequency at the points of the box that are tried.
     inaccurate_points : callable, optional
-        Maps the reduced model, as trained so far, to points (n, n_parameters) at which it is not good enough for a
-        purpose of one's own, and the factor by which errors of frequencies there should be smaller; None where it
-        is good enough.
+        Maps the current reduced model to the points (n, n_parameters) at which it is too inaccurate for the
+        caller's purpose, and to the factor by which the errors of frequencies there must decrease. Returns None if
+        the model is accurate enough.
     engine : Engine, optional
-        Solves the full model at several points at once.
+        Solves the full model at several points in parallel.
     region : callable, optional
-        Maps the reduced model, as trained so far, to fresh points (n, n_parameters) of the part of the box that
-        matters. Where a basis for the whole box would not pay, the tolerance is kept in that part, and elsewhere
-        1e-3.
+        Maps the current reduced model to fresh points (n, n_parameters) of the part of the box that matters. If a
+        basis for the whole box would not pay, `tolerance` holds in that part only, and 1e-3 elsewhere.
     wider_box : callable, optional
-        Maps the reduced model to the limits of a larger box, if it shows that much of what matters lies outside;
-        None if it does not.
+        Maps the reduced model to the bounds of a larger box if much of the region that matters lies outside the
+        present one; returns None otherwise.
 
     Returns
     -------
     model : ReducedStructure or PairedStructure
-        The full model, which then says why, where a reduced one is not accurate and would save little.
+        The reduced model. If it is inaccurate and would save little, the full model, which then tells the reason.
     state : dict of str to ndarray
-        What `restore` needs to have the same model again.
+        The arrays from which `restore` makes the same model again.
     """
     with single_thread():
         for left in range(_WIDENED, -1, -1):
@@ -292,7 +294,7 @@ def _narrow(
     tolerance: float,
     region: Callable[[ReducedStructure], FloatArray],
 ) -> ReducedStructure | None:
-    """Continue a training in a region of its box; None if the basis would not pay."""
+    """Return the model after further training in a region of the box; None if that training does not succeed."""
     models: list[ReducedStructure] = []
     for trained in training.narrow(tolerance, lambda: region(models[-1])):
         models.append(ReducedStructure(truth, trained))
@@ -302,9 +304,9 @@ def _narrow(
 def train_at(
     truth: PairedStructure, theta: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> tuple[ReducedStructure, dict[str, FloatArray]]:
-    """Return a reduced model for a box that was trained at points theta (n, n_parameters) of it alone.
+    """Return a reduced model trained only at points theta (n, n_parameters) of a box, and its state for `restore`.
 
-    Its errors elsewhere are for the caller to examine. Also returns what `restore` needs.
+    Its errors at other points are not examined.
     """
     training = Training(truth.blocks, truth.rule, lower, upper, LOOSE)
     with single_thread():

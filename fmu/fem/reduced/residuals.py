@@ -1,23 +1,24 @@
-"""Bounds of the errors of a reduced model's modes, by their residuals.
+"""Bounds of the errors of a reduced model's modes, computed from the residuals.
 
-Let (μ, u) be a Ritz pair, uᵀ M u = 1, and r = K u − μ M u its residual. With A = K + s M, σ = μ + s and T = A⁻¹
-M, which is selfadjoint in the inner product of A, split the space into the Ritz vectors and what is A-orthogonal
-to all trial vectors, on which T ≤ β. The highest eigenvalues 1/σ of T are at most those of
+Let (μ, u) be a Ritz pair, uᵀ M u = 1, and r = K u − μ M u its residual. Let A = K + s M, σ = μ + s and T = A⁻¹ M,
+which is self-adjoint in the inner product of A. Split the space into the span of the Ritz vectors and the
+A-orthogonal complement of all trial vectors, on which T ≤ β. The highest eigenvalues of T are at most those of the
+matrix
 
     diag(1/σ_i) + D G D,    G_ij = r_iᵀ A⁻¹ r_j / (σ_i σ_j)^(3/2),    D_ii = (1/σ_i − β)^(−1/2),
 
-up to terms of second order in G. Of a single mode far from the others that is the relative error ‖r‖²_{A⁻¹} / (σ
-(1 − σ β)) of σ (Horger, Wohlmuth & Dickopf 2017, *ESAIM: Math. Model. Numer. Anal.* 51, 443–465, with β of the
-next mode); the matrix serves close and repeated modes as well.
+up to terms of second order in G. For a single mode far from all other modes, this gives the relative error
+‖r‖²_{A⁻¹} / (σ (1 − σ β)) of σ (Horger, Wohlmuth & Dickopf 2017, *ESAIM: Math. Model. Numer. Anal.* 51, 443–465,
+with β of the next mode). The matrix bound also holds for close and repeated modes.
 
 Proven, for positive semidefinite terms: A ≥ α Ā at an anchor (`fmu.fem.reduced.anchors`), so that the form r_iᵀ
-A⁻¹ r_j is at most 1/α that of Ā⁻¹. Estimated: what T is like on the rest of the space. The error's direction is
-w = Ā⁻¹ r, which is Ā-orthogonal to the trial vectors, as r is orthogonal to them. Its Rayleigh quotient wᵀ M w /
-(α wᵀ Ā w), times σ, is the mean x < 1 of the spectrum there. For its upper end b the larger of √x and σ_i/σ_j is
-taken, where j is the lowest mode that the trial vectors do not know, estimated by the modes at the anchors: a
-convex function of a spectrum in [0, b] with mean x is at most 1/(1 − σ T) → 1 + x/(1 − b) (Edmundson and
-Madansky). Were a mode among those needed unknown to the space, no residual would show it: training counts the
-modes at some points by Sylvester's law of inertia.
+A⁻¹ r_j is at most r_iᵀ Ā⁻¹ r_j / α. Estimated: the spectrum of σ T on the complement. The direction of the error
+is w = Ā⁻¹ r, which is Ā-orthogonal to the trial vectors, as r is orthogonal to them. Its Rayleigh quotient
+wᵀ M w / (α wᵀ Ā w), times σ, is the mean x < 1 of that spectrum. Its upper end b is taken as the larger of √x and
+σ_i/σ_j, where j is the lowest mode that the trial vectors do not represent, estimated by the modes at the anchors.
+The mean of the convex function 1/(1 − σ T) of a spectrum in [0, b] with mean x is at most 1 + x/(1 − b)
+(Edmundson and Madansky). If a needed mode were missing from the space, no residual would show it; therefore
+training counts the modes at some points by Sylvester's law of inertia.
 """
 
 from __future__ import annotations
@@ -37,27 +38,28 @@ from fmu.fem.reduced.space import Space
 from fmu.types import FloatArray
 
 BUDGET = 2**28
-"""Bytes of a dense array of vectors of all degrees of freedom, wherever training needs many."""
+"""Memory in bytes for dense arrays of vectors of all degrees of freedom in training."""
 
 
 AHEAD = 3
-"""Modes above those that are bounded that are looked at."""
-# A mode is in the trial vectors if its λ there is no more than this times the one by the anchors' modes.
+"""Number of modes above the bounded ones that are also computed."""
+# The trial vectors represent a mode if its λ in them is at most this times its λ in the anchors' modes.
 _KNOWN = 1.1
 
 
 class Bounded(NamedTuple):
-    """Modes of a reduced model at n points, and how far off they may be.
+    """Modes of a reduced model at n points, with bounds of their errors.
 
     Attributes
     ----------
     eigenvalues : ndarray, shape (n, m)
+        Eigenvalues λ in (rad/s)².
     y : ndarray, shape (n, r, m)
-        M-normalised, in the trial vectors.
+        M-normalised shapes, as coefficients of the trial vectors.
     error : ndarray, shape (n, m)
         Bound of the relative error of the frequency; infinite where there is none.
     corrections : ndarray, shape (n_dof, n, m)
-        w / √σ: half their energy in Ā is about the error.
+        The vectors w / √σ; half their energy in Ā is about the error.
     """
 
     eigenvalues: FloatArray
@@ -67,7 +69,7 @@ class Bounded(NamedTuple):
 
 
 def bound_errors(space: Space, anchors: Anchors, theta: FloatArray, count: int) -> Bounded:
-    """Return the lowest `count` modes at theta (n, p) and bounds of their errors; NaN where the solver fails."""
+    """Return the lowest `count` modes at theta (n, p) with bounds of their errors; NaN where the solver fails."""
     known = anchors.modes(count)
     wanted = min(known.size, space.size, count + AHEAD)
     lam, y = space.modes(theta, wanted)
@@ -93,9 +95,10 @@ def bound_errors(space: Space, anchors: Anchors, theta: FloatArray, count: int) 
 
 
 def _lowest_of_the_rest(lam: FloatArray, known: FloatArray, count: int) -> FloatArray:
-    """Return the lowest λ (n,) that the trial vectors do not know, for Ritz values in them and in known vectors.
+    """Return the lowest λ (n,) of a mode, after the first `count`, that the trial vectors do not represent.
 
-    Of those after the first `count`, in the order of (n, m); infinite where there is none.
+    The modes are compared by rank: `lam` (n, m) are their Ritz values in the trial vectors, and `known` (n, m)
+    in the anchors' modes. If all but the last are represented, the last is taken; infinite if m = `count`.
     """
     if lam.shape[1] == count:
         return np.full(len(lam), np.inf)
@@ -107,21 +110,22 @@ def _lowest_of_the_rest(lam: FloatArray, known: FloatArray, count: int) -> Float
 def frequency_error(
     lam: FloatArray, shift: float, G: FloatArray, mass: FloatArray, alpha: FloatArray, rest: FloatArray
 ) -> FloatArray:
-    """Return the bound of the relative error of every frequency, shape (n, m).
+    """Return bounds of the relative errors of the frequencies, shape (n, m).
 
     Parameters
     ----------
     lam : ndarray, shape (n, m)
         Ritz values μ.
     shift : float
-        s.
+        The shift s.
     G : ndarray, shape (n, m, m)
-        r_iᵀ Ā⁻¹ r_j.
+        The forms r_iᵀ Ā⁻¹ r_j.
     mass : ndarray, shape (n, m)
-        wᵀ M w.
+        The forms wᵀ M w.
     alpha : ndarray, shape (n,)
+        The factors α in A ≥ α Ā.
     rest : ndarray, shape (n,)
-        The lowest σ of what is not in the trial vectors; infinite where nothing is known of it.
+        The lowest σ of a mode that the trial vectors do not represent; infinite where it is unknown.
     """
     sigma = lam + shift
     with np.errstate(all="ignore"):
@@ -132,7 +136,7 @@ def frequency_error(
         blind = np.where(energy > 0.0, mass / (alpha**2 * energy), 0.0)
         end = np.maximum(np.sqrt(blind), sigma / rest[:, None])
         factor = np.where(end < 1.0, 1.0 + blind / (1.0 - end), np.inf)
-        # an eigenvalue lies no further away than the residual (Weinstein), whatever else is near
+        # the residual bounds the distance to the nearest eigenvalue (Weinstein), even if modes are close
         factor = np.where(energy > 0.0, np.fmin(factor, 1.0 / np.sqrt(energy)), 1.0)
         relative *= np.sqrt(factor[:, :, None] * factor[:, None, :])
         known = np.isfinite(relative).all(axis=(1, 2)) & (sigma > 0.0).all(axis=1)
@@ -146,27 +150,27 @@ def frequency_error(
 
 
 def _gain(nu: FloatArray, relative: FloatArray) -> FloatArray:
-    """Return by what share the eigenvalues ν (n, m), descending, rise with √ν_i ν_j relative_ij added."""
+    """Return the relative increase (n, m) of descending eigenvalues ν (n, m) by adding √(ν_i ν_j) relative_ij."""
     size = np.sqrt(nu)
     B = size[:, :, None] * relative * size[:, None, :]
     added = B.copy()
     added[:, np.arange(nu.shape[1]), np.arange(nu.shape[1])] += nu
     values = np.linalg.eigvalsh(added)[:, ::-1]
-    # a small rise is lost in the digits of ν; for modes apart it is the diagonal
+    # a small increase is lost in rounding; for well-separated modes it is the diagonal of `relative`
     return np.maximum(values / nu - 1.0, np.einsum("nii->ni", relative))
 
 
 @dataclass(eq=False)
 class FrequencyBound:
-    """Bounds of the frequencies of a trained model at any point of its box, a right-hand side a mode.
+    """Error bounds of a trained model's frequencies at any point of its box, at the cost of one solve per mode.
 
     Parameters
     ----------
     full, reduced : BlockModel
     lower, upper : ndarray, shape (n_parameters,)
-        The box.
+        Bounds of the box.
     anchors : mapping of int to Anchors
-        Those of blocks for which they are there already.
+        Existing anchors, by the index of their block; missing ones are made when they are needed.
     """
 
     full: BlockModel[FullBlock]
@@ -179,7 +183,7 @@ class FrequencyBound:
         self._anchors = dict(anchors)
 
     def __call__(self, theta: FloatArray, modes: ModalSolution) -> FloatArray:
-        """Return the bound of the relative error of every frequency, shape (n, m), for modes at theta (n, p)."""
+        """Return bounds of the relative errors of the frequencies, shape (n, m), for modes at theta (n, p)."""
         error = np.full(modes.rank.shape, np.inf)
         for b in np.unique(modes.block):
             row, column = np.nonzero(modes.block == b)
@@ -188,9 +192,10 @@ class FrequencyBound:
         return error
 
     def find_far(self, theta: FloatArray, counts: Mapping[int, int], tolerance: float) -> Far | None:
-        """Return where errors of so many modes of each block are not bounded to a tolerance, of theta (n, p).
+        """Return the point of theta (n, p) farthest from the anchors of a block, if errors are not bounded there.
 
-        There is no anchor near; None if there is no such place.
+        The error bounds of the lowest `counts` modes of each block are compared with `tolerance` at its farthest
+        point. Return None if no point is far, or the bounds are small enough there.
         """
         for b, count in counts.items():
             space, anchors = self.trial(b)
@@ -200,7 +205,7 @@ class FrequencyBound:
         return None
 
     def trial(self, b: int) -> tuple[Space, Anchors]:
-        """Return the space of the reduced block `b`, and its anchors, which are factorised at the first call."""
+        """Return the space of the reduced block of index `b`, and its anchors, factorised at the first call."""
         if b not in self._anchors:
             self._anchors[b] = Anchors(self.full[b], self.lower, self.upper)
         anchors, reduced = self._anchors[b], self.reduced[b]
@@ -218,10 +223,10 @@ class FrequencyBound:
 
 
 def inertia_agrees(K: Matrix, M: Matrix, lam: FloatArray, first: int, last: int | None = None) -> bool | None:
-    """Say whether K − σ M has as many negative eigenvalues as there are λ (m,) below σ; None if it is singular.
+    """Return True if K − σ M has as many negative eigenvalues as there are λ (m,) below σ; None if it is singular.
 
-    By Sylvester's law no mode is then missing among them. σ lies in the widest gap after the λ with the numbers
-    `first`, from 0, to `last`.
+    By Sylvester's law no mode below σ is then missing. σ lies in the relatively widest gap above one of the λ of
+    indices `first` to `last` − 1, or to the end if `last` is None.
     """
     gap = lam[1:] / np.maximum(lam[:-1], RIGID * lam[-1])
     below = first + int(np.argmax(gap[first:last])) + 1
@@ -233,5 +238,5 @@ def inertia_agrees(K: Matrix, M: Matrix, lam: FloatArray, first: int, last: int 
 
 
 def at_once(block: FullBlock, count: int) -> int:
-    """Return at how many points the corrections of `count` modes keep to `BUDGET`."""
+    """Return the number of points, 1 to 16, whose corrections of `count` modes fit within `BUDGET`."""
     return int(np.clip(BUDGET // (8 * 3 * block.size * count), 1, 16))

@@ -1,4 +1,4 @@
-"""A space of trial vectors with every term of K and M projected onto it: what training solves, and lets grow."""
+"""Spaces of trial vectors, onto which every term of K and M is projected; training solves and enlarges them."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from fmu.fem.modes.terms import Term, coefficients
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.types import FloatArray
 
-# From this size on Lanczos iterations on the dense matrices are cheaper than LAPACK.
+# From this size on, Lanczos iterations on the dense matrices are cheaper than LAPACK.
 _LANCZOS = 200
-# Of a mode's residual: what is left of the error of λ is its square.
+# Tolerance of a mode's residual; the relative error of λ is about its square.
 _CONVERGED = 1e-7
-# Numbers in the assembled matrices of a few points: 128 MiB.
+# Largest number of elements of the matrices that are assembled for several points together: 128 MiB.
 _AT_ONCE = 2**24
-# Of unit vectors, directions with less energy than this are in the space already, but for rounding.
+# A direction whose energy outside the space is less than this, relative to a unit vector, is not added.
 _RANK = 1e-12
-# Vectors that join a space together.
+# Number of vectors that are added to a space together.
 _TOGETHER = 64
 
 
@@ -33,11 +33,12 @@ class Space:
     ----------
     block : FullBlock
     shift : float
-        s ≥ 0, which makes K + s M positive definite.
+        The shift s ≥ 0, which makes K + s M positive definite.
     V : ndarray, shape (block.size, r)
+        The trial vectors.
     K, M : sequence of ndarray, each of shape (n_terms, q, width)
-        The lower triangles of the projected terms, q rows at a time up to the end of the last. So a space grows,
-        and is truncated, without moving what is there.
+        The lower triangles of the projected terms, in strips of q rows; `width` is the number of rows up to the
+        end of the strip. Thus the space is enlarged or truncated without copying the existing strips.
     """
 
     def __init__(
@@ -48,25 +49,25 @@ class Space:
 
     @classmethod
     def empty(cls, block: FullBlock, shift: float) -> Space:
-        """Return the space of no vectors."""
+        """Return a space without vectors."""
         return cls(block, shift, np.empty((block.size, 0)), (), ())
 
     @classmethod
     def of(cls, reduced: ReducedBlock, block: FullBlock, shift: float) -> Space:
-        """Return the space of the basis of a reduced block."""
+        """Return the space whose trial vectors are the basis of a reduced block."""
         return cls(block, shift, reduced.basis, *([terms] for terms in reduced.terms))
 
     @property
     def size(self) -> int:
-        """Number of vectors."""
+        """Number of trial vectors."""
         return self.V.shape[1]
 
     def grown(self, X: FloatArray, A: Matrix) -> Space:
-        """Return the space with vectors X (size, q) added, what is new of them orthonormal in A and to V."""
+        """Return the space with the new directions of X (block.size, q) added, see `new_directions`."""
         return self.join(new_directions(self.V, X, A))
 
     def join(self, X: FloatArray) -> Space:
-        """Return the space of the vectors of V and X (size, q)."""
+        """Return the space of the vectors of V and X (block.size, q), in this order."""
         V, K, M = self.V, self.K, self.M
         for first in range(0, X.shape[1], _TOGETHER):
             new = X[:, first : first + _TOGETHER]
@@ -120,7 +121,7 @@ class Space:
 
 
 def new_directions(V: FloatArray, X: FloatArray, A: Matrix) -> FloatArray:
-    """Return a basis, A-orthonormal and normal to V (n, r), of the directions that X (n, q) adds to V."""
+    """Return an A-orthonormal basis of the directions that X (n, q) adds to V (n, r), A-orthogonal to V."""
     X = X / np.sqrt(np.sum(X * (A @ X), axis=0))
     for new in (_RANK, 0.5):  # twice against rounding
         X = X - V @ (V.T @ (A @ X))
@@ -131,7 +132,7 @@ def new_directions(V: FloatArray, X: FloatArray, A: Matrix) -> FloatArray:
 
 
 def _rows(terms: tuple[Term, ...], V: FloatArray, X: FloatArray) -> FloatArray:
-    """Return Xᵀ K [V X] for every term, shape (n_terms, q, r + q)."""
+    """Return Xᵀ K [V X] for the matrix K of every term, shape (n_terms, q, r + q)."""
     r, q = V.shape[1], X.shape[1]
     projected = np.empty((len(terms), q, r + q))
     for term, of in zip(terms, projected, strict=True):
@@ -144,7 +145,7 @@ def _rows(terms: tuple[Term, ...], V: FloatArray, X: FloatArray) -> FloatArray:
 
 
 def _leading(rows: Sequence[FloatArray], size: int) -> list[FloatArray]:
-    """Return the lower triangles of the first `size` rows and columns."""
+    """Return the strips of the lower triangles of the first `size` rows and columns."""
     leading: list[FloatArray] = []
     for part in rows:
         left = size - sum(of.shape[1] for of in leading)
@@ -154,14 +155,17 @@ def _leading(rows: Sequence[FloatArray], size: int) -> list[FloatArray]:
 
 
 def _highest(B: FloatArray, A: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the highest ν of B x = ν A x, descending, and x with xᵀ A x = 1; of A and B the lower triangles."""
+    """Return the highest ν (count,) of B x = ν A x, descending, and x (r, count) with xᵀ A x = 1.
+
+    Only the lower triangles of A and B are read.
+    """
     r = len(A)
     if r < _LANCZOS or 4 * count > r:
         nu, x = sl.eigh(B, A, subset_by_index=[r - count, r - 1], check_finite=False)
         if len(nu) < count:  # LAPACK returns fewer on overflow, without an error
             raise np.linalg.LinAlgError(f"{len(nu)} of {count} eigenvalues found")
         return nu[::-1], x[:, ::-1]
-    # rows of a lower triangle are columns of an upper one, which is how LAPACK sees them
+    # LAPACK stores matrices by columns, and sees the rows of a lower triangle as columns of an upper one
     U, B = np.linalg.cholesky(A).T, B.T
 
     def apply(v: FloatArray) -> FloatArray:

@@ -1,10 +1,10 @@
-"""How a reduced basis is trained: visit points of the box, follow the residuals there, cut, verify.
+"""Training of a reduced basis: points of the box are visited, the space grown, truncated and verified.
 
-K + s M is factorised at one point of the box, or at a few (`fmu.fem.reduced.anchors`). At every point visited
-the reduced problem is solved, and the residuals of its modes say how far off they are
-(`fmu.fem.reduced.residuals`) and what the space lacks (`fmu.fem.reduced.learning`). When a set of fresh points,
-corners and faces among them, is within the tolerance, the space is cut to the basis that is kept, and full
-solves at a few points more confirm it.
+K + s M is factorised at one or a few points of the box (`fmu.fem.reduced.anchors`). At every visited point the
+reduced problem is solved. The residuals of its modes give error bounds (`fmu.fem.reduced.residuals`) and the
+vectors that the space lacks (`fmu.fem.reduced.learning`). When the errors at a set of fresh points, including
+corners and faces, are within the tolerance, the space is truncated to the basis that is kept, and the basis is
+verified by full solves at a few further points.
 """
 
 from __future__ import annotations
@@ -38,46 +38,46 @@ from fmu.fem.reduced.space import Space
 from fmu.progress.phases import count_solves, phase
 from fmu.types import BoolArray, FloatArray
 
-# Below this size a block is kept whole, in a basis that only makes its mass matrix the unit matrix.
+# A block of up to this size is kept whole, in a basis that only makes its mass matrix the identity.
 EXACT_LIMIT = 20
-# The lowest λ of a basis that is kept whole is at least this share of the highest: a solver then keeps nine
+# A basis is kept whole only if its lowest λ is at least this fraction of the highest: a solver then keeps nine
 # digits.
 _HIGHEST = 1e-7
 BUDGET = 400
-"""Solves of the full model that training may cost, counted by what it looks at (`fmu.fem.reduced.cost`)."""
+"""Largest cost of the visits in training, in solves of the full model (`fmu.fem.reduced.cost`)."""
 CHEAP = 0.01
-"""Cost of a full solve up to which the full model answers where a reduced one is not accurate."""
-# Candidates are first told apart with errors of their frequencies up to this; only those that are needed are then
-# improved.
+"""Cost of a full solve up to which the full model is used if the reduced model is inaccurate."""
+# Largest relative error of frequencies while the needed modes are selected from the candidates; only the needed
+# modes are then improved.
 LOOSE = 1e-3
-# Points visited together, points in a row that must be good, and most of them.
+# Number of points that are visited together, of consecutive good points required, and largest number of points.
 _TOGETHER, _ENOUGH, _MOST_POINTS = 16, 48, 2048
-# Points of the Sobol sequence, beside corners and faces, of which fresh points are drawn.
+# Number of points of the Sobol sequence, besides corners and faces, in a set of fresh points.
 _SOBOL = 32
-# Fresh points of full solves, and how often training goes on from them.
+# Number of fresh points with full solves, and largest number of rounds of training.
 _CHECKED, _ROUNDS = 4, 4
-_MOST_ROUNDS = 20  # in a region
-# The share of what the space leaves of the tolerance that the cut may take at the points that it is tuned to; all
-# of it at fresh points, of which this many are looked at.
+_MOST_ROUNDS = 20  # rounds of training in a region
+# The truncation may use the fraction _CUT of the remaining tolerance at the points that determine its size, and
+# all of it at fresh points, up to _FRESH of each kind.
 _CUT, _FRESH = 0.85, 48
-_CHECKS, _CUTS = 1000, 2000  # seeds of theirs
+_CHECKS, _CUTS = 1000, 2000  # first seeds of the points of the checks and of the truncations
 
 
 @dataclass(eq=False, repr=False)
 class Training:
-    """Offline stage of the parametric reduced basis.
+    """The training of a parametric reduced basis and its current state.
 
     Parameters
     ----------
     full : BlockModel
     rule : IndexPairing or ShapePairing
-        Decides which modes of which blocks are needed.
+        Pairing rule, which determines the modes of each block that are needed.
     lower, upper : ndarray, shape (n_parameters,)
-        The box.
+        Bounds of the box.
     tolerance : float
-        Largest relative error of a needed frequency at the points visited.
+        Largest relative error of a needed frequency at the visited points.
     engine : Engine, optional
-        Solves the full model at several points at once. The result does not depend on it.
+        Solves the full model at several points in parallel. The result does not depend on it.
     """
 
     full: BlockModel[FullBlock]
@@ -105,10 +105,10 @@ class Training:
         self._seed, self._cut_seed, self._cut_share = 0, _CUTS, _CUT
 
     def run(self) -> Trained:
-        """Train until fresh points, corners and faces among them, are within the tolerance, and full solves agree.
+        """Train until errors at fresh points, corners and faces included, fit the tolerance and full solves agree.
 
-        Training ends without success after the last round, or when the basis would be larger than `affordable`; it
-        is then cut to that size.
+        Training ends without success after the last round, when it has cost as much as `BUDGET` full solves, or
+        when the basis would be larger than `affordable`; the basis is then truncated to that size.
         """
         counts = self.rule.counts(self.full)
         for b, count in counts.items():
@@ -143,9 +143,9 @@ class Training:
         return self._current()
 
     def refine(self, theta: FloatArray, times: float = 3.0) -> Trained:
-        """Continue with more points (n, n_parameters), where errors are to be smaller by `times` than they are.
+        """Continue training at points theta (n, n_parameters), where errors must decrease by the factor `times`.
 
-        At other points of the box they may be what they were.
+        Errors at other points of the box may stay as they are.
         """
         off = [
             self.learners[b].largest_miss(cut, theta, self.n_trained[b], np.inf) for b, cut in self._cuts.items()
@@ -163,11 +163,11 @@ class Training:
         return self._current()
 
     def narrow(self, tolerance: float, region: Callable[[], FloatArray]) -> Iterator[Trained]:
-        """Continue in a region of the box, where a smaller `tolerance` is to be kept.
+        """Yield reduced models while training continues in a region of the box to a smaller `tolerance`.
 
-        Yields the reduced model so far before each call of `region`, which returns points (n, n_parameters), fresh
-        ones each time. Ends when all of them are good; without success when the basis would be larger than
-        `affordable`, or after some rounds.
+        The current model is yielded before each call of `region`, which returns fresh points (n, n_parameters).
+        Training ends when errors at all of these are small enough. It ends without success, `confirmed` being
+        False, if the basis becomes larger than `affordable`, the budget is spent, or after the last round.
         """
         self.share, self.is_narrow = tolerance / self.tolerance, True
         for _ in range(_MOST_ROUNDS):
@@ -183,9 +183,9 @@ class Training:
         self.confirmed = False
 
     def at(self, theta: FloatArray) -> Trained:
-        """Take modes that are solved for in full at theta (n, n_parameters) as the basis of the large blocks.
+        """Return the model whose large blocks have a basis made from their full modes at theta (n, n_parameters).
 
-        Of as many vectors as pay. How accurate it is away from these points is not examined.
+        The basis has the largest useful number of vectors. Its accuracy away from these points is not examined.
         """
         centre = 0.5 * (self.lower + self.upper)
         for b, count in self.rule.counts(self.full).items():
@@ -199,9 +199,10 @@ class Training:
         return self._current()
 
     def state(self) -> dict[str, FloatArray]:
-        """Return the outcome as arrays; with the tolerance outside the region, if there is one.
+        """Return a dict of arrays from which `restore` makes the trained model again.
 
-        `far` are the parameter, the value and what else is known of where errors are not bounded well.
+        ``elsewhere`` is the tolerance outside the region, if there is one. ``far`` has the fields of `Far` after
+        theta: the parameter and the limit beyond which errors are not bounded well.
         """
         state: dict[str, FloatArray] = {"lower": self.lower, "upper": self.upper}
         if self.is_narrow:
@@ -219,7 +220,7 @@ class Training:
     def restore(
         cls, full: BlockModel[FullBlock], rule: IndexPairing | ShapePairing, state: dict[str, FloatArray]
     ) -> Trained:
-        """Return the outcome that `state` described."""
+        """Return the trained model from the arrays that the method `state` returned."""
         training = cls(full, rule, state["lower"], state["upper"], tolerance=0.0)
         if "elsewhere" in state:
             training.tolerance, training.is_narrow = float(state["elsewhere"]), True
@@ -244,7 +245,7 @@ class Training:
         return FrequencyBound(self.full, trained.model, self.lower, self.upper, trained.anchors)
 
     def _visit(self, enough: int) -> bool:
-        """Visit fresh points until `enough` in a row are good, and say whether there were."""
+        """Visit fresh points until errors at `enough` consecutive points are small; return True on success."""
         good = visited = 0
         with phase("training") as under_way:
             while good < enough and visited < _MOST_POINTS:
@@ -263,19 +264,19 @@ class Training:
                         return True
                     if not was_good and (self.is_spent or any(of.is_stuck for of in self.learners.values())):
                         return False
-                if good < len(points) and self._size() == size:  # where no solve succeeds, or rounding is all
+                if good < len(points) and self._size() == size:  # no solve succeeds, or only rounding remains
                     return False
         return good >= enough
 
     def _fresh(self) -> FloatArray:
-        """Return points that a cut has not seen; half of them near zero where a bound is zero."""
+        """Return fresh points for a check of a truncation, some of them near zero where a lower bound is zero."""
         self._cut_seed += 1
         points = self._shuffled_points(self._cut_seed, self._cut_seed)
         near_zero = points_near_zero(self.lower, self.upper, _SOBOL, self._cut_seed)
         return np.concatenate([points[:_FRESH], near_zero[:_FRESH]])
 
     def _shuffled_points(self, seed: int, order: int) -> FloatArray:
-        """Return points of the box in an order by a seed of its own."""
+        """Return the points of the box for `seed`, in a random order with the seed `order`."""
         points = box_points(self.lower, self.upper, _SOBOL, seed)
         return points[np.random.default_rng(order).permutation(len(points))]
 
@@ -283,19 +284,19 @@ class Training:
         return sum(learner.space.size for learner in self.learners.values())
 
     def _allowed_errors(self, b: int) -> FloatArray:
-        """Return the errors that the modes of block `b` may have: its candidates, or those needed of them."""
+        """Return the allowed errors (m,) of the needed modes of block `b`, or of all candidates at first."""
         n = self.n_trained.get(b, 0)
         return np.full(n, self.tolerance) if n else np.full(self.learners[b].count, max(LOOSE, self.tolerance))
 
     def _cut(self) -> None:
-        """Find a small basis with errors within the tolerance at all points visited."""
+        """Truncate the spaces to small bases with errors within the tolerance at all visited points."""
         self.reduced = {
             b: ReducedBlock(self.full[b], self._choose_cut(b, needed), needed)
             for b, needed in self.n_trained.items()
         }
 
     def is_cut(self) -> bool:
-        """Say whether a basis has reached its largest useful size: more points cannot improve it."""
+        """Return True if a basis has reached its largest useful size, so that more points cannot improve it."""
         return any(
             len(of.basis) > DENSE_LIMIT and of.size >= self._affordable(b) for b, of in self.reduced.items()
         )
@@ -307,27 +308,27 @@ class Training:
 
     @property
     def is_accurate(self) -> bool:
-        """Whether nothing ended training before its time."""
+        """Whether training was stopped neither by the largest basis size nor by its budget."""
         return not (self.is_cut() or self.is_spent)
 
     def prefers_full(self) -> bool:
-        """Say whether the full model should answer, as the reduced one is not accurate and saves too little.
+        """Return True if the full model should be used: the reduced model is inaccurate and saves too little.
 
-        A run of 20 000 full solves then takes minutes.
+        With a full solve of cost `CHEAP`, a run of 20 000 solves takes minutes.
         """
         full = sum(cost.full for cost in self.costs.values())
         reduced = sum(self.costs[b].of_reduced(of.size) for b, of in self.reduced.items() if b in self.costs)
         return not self.is_accurate and bool(self.costs) and (full <= CHEAP or full <= reduced)
 
     def _look(self, b: int, theta: FloatArray, share: float = 1.0) -> BoolArray:
-        """Return where a block's errors are small enough, of theta (n, p); its space grows where they are not."""
+        """Visit theta (n, p) in a block, see `Learner.visit`; return where its errors are small enough, (n,)."""
         allowed = self._allowed_errors(b)
         if b in self.costs:
             self.spent += len(theta) * self.costs[b].visit(self.learners[b].space.size, len(allowed))
         return self.learners[b].visit(theta, allowed, share)
 
     def _affordable(self, b: int) -> int:
-        """Return the largest useful number of basis vectors of a block: a solve costs a third of a full one."""
+        """Return the largest useful number of vectors of a block: a solve costs a third of a full solve."""
         most = affordable(self.full[b].size)
         return min(most, self.costs[b].most_vectors()) if b in self.costs else most
 
@@ -344,7 +345,7 @@ class Training:
         learner, left, share = self.learners[b], (1.0 - SHARE) * self.tolerance, self._cut_share
         for _ in range(_ROUNDS):
             cut, order = learner.cut(needed, share * left, smallest, largest)
-            # points that ask for more than others tell nothing new of the box
+            # with smaller errors required at some points, fresh points of the box need no check
             if cut.size == largest or self.share < 1.0:
                 break
             off = learner.largest_miss(cut, self._fresh(), needed, left)
@@ -355,14 +356,14 @@ class Training:
         return mass_orthonormal(block, cut.V @ order, centre)
 
     def _verify(self, round_: int) -> bool:
-        """Say whether full solves at fresh points agree; if not, their modes join the space.
+        """Return True if full solves at fresh points agree; otherwise add their modes to the space.
 
-        The frequencies agree to the tolerance, the pairing is the same, and so is the number of modes below one
-        that is not needed any more.
+        They agree if the frequencies are within the tolerance, and the pairing and the number of low modes are the
+        same.
         """
         points = self._shuffled_points(_CHECKS + round_, round_)[: 2 * _CHECKED]
         counts = self.rule.counts(self.full)
-        # where that is dear, the modes of the cut are a start, and one process has the factors
+        # if full solves are expensive, they start from the modes of the basis, in the one process with the factors
         full = confirmed_model(self._bound())
         engine = self.engine if self.engine is not None and full is self.full else InProcess()
         tasks = [(b, theta[None], count) for b, count in counts.items() for theta in points[:_CHECKED]]
@@ -382,7 +383,7 @@ class Training:
             found = self.reduced[b].eigenvalues(points[:_CHECKED], n)
             known = np.isfinite(lam).all(axis=1)
             bad = known & ~np.all(apart(found, lam) <= self.tolerance, axis=1)
-            # where the modes of the cut are the start, the eigenvalues have been counted
+            # if the solves started from the modes of the basis, the eigenvalues have already been counted
             agreed &= not bad.any() and (full is not self.full or learner.counts_the_same(points[_CHECKED:], n))
             for row in np.flatnonzero(bad):
                 learner.add(shapes[b][row])

@@ -1,4 +1,4 @@
-"""Surrogates of slow models: Gaussian processes of what is paired, learnt from a few solves.
+"""Surrogates of slow models: Gaussian processes of the paired modes, fitted to a few solves.
 
 Reading order: coordinates, process, close_pairs, feasibility, surrogate_model.
 """

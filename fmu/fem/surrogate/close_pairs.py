@@ -1,14 +1,15 @@
-"""Two modes that come close: smooth are not their eigenvalues but the mean and the square of the distance.
+"""Pairs of close modes, whose eigenvalues are replaced by two smooth functions of the parameters.
 
-Modes that are taken by number, in the order of their frequencies, change places where they cross: their
-eigenvalues have a kink there, and where they veer a bend that is nearly one. Of the two by two problem that the
-pair obeys, the trace and the determinant are smooth functions of stiffness and mass (Kato 1995, *Perturbation
-Theory for Linear Operators*, II §1), and so are, with z = log λ,
+Modes that are numbered in the order of their frequencies swap where they cross: the eigenvalues as functions of
+the parameters have a kink there, and nearly a kink where the modes veer. A pair of modes obeys a 2 × 2
+eigenproblem, whose trace and determinant are smooth functions of stiffness and mass (Kato 1995, *Perturbation
+Theory for Linear Operators*, II §1). So are the mean s and the squared half-distance d of z = log λ:
 
 s = ½ (z₁ + z₂),  d = ¼ (z₂ − z₁)²,  from which  z = s ∓ √d.
 
-Where d is uncertain, with the expectation d̂ and the variance v, √d is taken to have the square ½ (d̂ + h) and the
-variance v/(4h), h² = d̂² + v: to first order where d̂ is large, and of the right size where it is zero.
+If d is uncertain, with expectation d̂ and variance v, the expectation of √d is taken as the root of ½ (d̂ + h),
+and its variance as v/(4h), with h² = d̂² + v. This is correct to first order for large d̂, and of the right size
+for d̂ = 0.
 """
 
 from __future__ import annotations
@@ -20,27 +21,28 @@ import numpy as np
 from fmu.types import FloatArray
 
 _CLOSE = 0.2
-"""Modes are close whose least distance in log λ is such a part of the median."""
-_LEAST = 1e-14  # h, of d: that of frequencies that agree to seven digits
+"""Two modes are close if their smallest distance in log λ is less than this fraction of the median distance."""
+_LEAST = 1e-14  # smallest h, which is the d of two frequencies that agree to seven digits
 
 
 @dataclass(frozen=True)
 class ClosePairs:
-    """Which modes are close to the next one, and what is learnt instead of their eigenvalues.
+    """The pairs of close modes, and the map between their z = log λ and the smooth quantities s and d.
 
     Attributes
     ----------
     first : tuple of int
-        The lower mode of each pair; no mode is in two of them.
+        Index of the lower mode of each pair; no mode is in two pairs.
     """
 
     first: tuple[int, ...] = ()
 
     @classmethod
     def of(cls, z: FloatArray) -> ClosePairs:
-        """Return the pairs of modes with log λ z (N, n_modes): those in order at all points that come close.
+        """Return the pairs of adjacent modes that come close at some point, for z = log λ of shape (N, n_modes).
 
-        Of two pairs that share a mode the one that comes closer counts.
+        The modes of a pair must be in ascending order at all N points. Of two pairs that share a mode, the closer
+        pair is taken.
         """
         gap = np.diff(z, axis=1)
         closeness = np.min(gap, axis=0) / np.median(gap, axis=0)
@@ -52,7 +54,7 @@ class ClosePairs:
         return cls(tuple(sorted(found)))
 
     def learnt(self, z: FloatArray) -> FloatArray:
-        """Return what is learnt, (N, n_modes): s and d in the places of a pair, and z of all others."""
+        """Return the quantities to be fitted, (N, n_modes): s and d in the columns of a pair, z of other modes."""
         found = z.copy()
         for i in self.first:
             found[:, i] = 0.5 * (z[:, i] + z[:, i + 1])
@@ -60,7 +62,7 @@ class ClosePairs:
         return found
 
     def values(self, y: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return z and its variance, from what was learnt and its variance, (n, n_modes) each."""
+        """Return z and its variance from the fitted quantities y and their variances v, (n, n_modes) each."""
         z, z_variance = y.copy(), v.copy()
         for i in self.first:
             root, h = _root(y[:, i + 1], v[:, i + 1])
@@ -71,7 +73,10 @@ class ClosePairs:
     def slopes(
         self, y: FloatArray, v: FloatArray, dy: FloatArray, dv: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of `values`, (n, n_modes, n_parameters) each, from the learnt derivatives."""
+        """Return the derivatives of z and of its variance, (n, n_modes, n_parameters) each, see `values`.
+
+        dy and dv are the derivatives of y and v by the parameters, of the same shape.
+        """
         dz, dz_variance = dy.copy(), dv.copy()
         for i in self.first:
             d, s2 = y[:, i + 1, None], v[:, i + 1, None]
@@ -84,11 +89,11 @@ class ClosePairs:
         return dz, dz_variance
 
     def of_eigenvalues(self, learnt: FloatArray) -> FloatArray:
-        """Return the numbers (n_modes,) of learnt quantities that are in the unit of z."""
+        """Return the elements of an array (n_modes,) for the quantities in the unit of z: all except the d."""
         return np.delete(learnt, [i + 1 for i in self.first])
 
     def weights(self, y: FloatArray, v: FloatArray, by_z: FloatArray) -> FloatArray:
-        """Return the weights of the learnt variances, (n, n_modes), for weights of the variances of z."""
+        """Return the weights (n, n_modes) of the variances v, for given weights `by_z` of the variances of z."""
         found = by_z.copy()
         for i in self.first:
             both = by_z[:, i] + by_z[:, i + 1]
@@ -97,8 +102,8 @@ class ClosePairs:
 
 
 def _root(d: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return √d and h."""
+    """Return the expectation of √d, and h, for expectation d and variance v; all arrays have the same shape."""
     h = np.sqrt(d**2 + v + _LEAST**2)
-    # of a negative d without loss of digits
+    # the second form is for negative d, without cancellation
     square = 0.5 * np.where(d >= 0.0, d + h, (v + _LEAST**2) / (h - np.minimum(d, 0.0)))
     return np.sqrt(square), h

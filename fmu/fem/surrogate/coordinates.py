@@ -9,23 +9,24 @@ import numpy as np
 from fmu.types import BoolArray, FloatArray
 
 FARTHEST = 9.0
-"""|x| beyond which a parameter has no further effect, four widths of the box away: zero has no logarithm, and far
-out a polynomial has no meaning."""
+"""Value of |x| beyond which a parameter has no further effect, four widths of the box away from its edge: the
+logarithm of zero is infinite, and an extrapolation so far out is meaningless."""
 
 
 @dataclass(frozen=True, eq=False)
 class Coordinates:
-    """A map from theta to x, a parameter at a time: x = (g(θ) − centre)/half, with g the logarithm or θ itself.
+    """The map from theta to scaled coordinates x of a box, parameter by parameter.
 
-    An eigenvalue is the ratio of a linear form in stiffnesses and one in masses (Rayleigh's quotient), so that its
-    logarithm is nearly linear in the logarithms of both.
+    The map is x = (g(θ) − centre)/half, where g(θ) is log θ or θ. An eigenvalue is the ratio of a linear form in
+    the stiffnesses to a linear form in the masses (Rayleigh's quotient), so that its logarithm is nearly linear in
+    the logarithms of both.
 
     Attributes
     ----------
     lower, upper : ndarray, shape (n_parameters,)
-        The box that becomes −1 … 1; theta outside it are mapped too.
+        Bounds of the box, which are mapped to −1 and 1; theta outside the box are mapped too.
     is_log : ndarray of bool, shape (n_parameters,)
-        By default where the box is positive.
+        Whether g is the logarithm, for each parameter.
     """
 
     lower: FloatArray
@@ -34,22 +35,22 @@ class Coordinates:
 
     @classmethod
     def of_box(cls, lower: FloatArray, upper: FloatArray, positive: BoolArray) -> Coordinates:
-        """Return the coordinates of a box; `positive` says which parameters are never zero or negative."""
+        """Return the coordinates of a box, logarithmic in `positive` parameters with a lower bound above zero."""
         return cls(lower, upper, positive & (lower > 0.0))
 
     def to_x(self, theta: FloatArray) -> FloatArray:
-        """Return x, shape (n, n_parameters), at theta of that shape; at most `FARTHEST` away from the centre."""
+        """Return x for theta, both of shape (n, n_parameters); |x| is limited to `FARTHEST`."""
         return np.clip(self._map_without_limit(theta), -FARTHEST, FARTHEST)
 
     def to_theta(self, x: FloatArray) -> FloatArray:
-        """Return theta at x, both of shape (n, n_parameters); −1 and 1 are the ends of the box exactly."""
+        """Return theta for x, both of shape (n, n_parameters); −1 and 1 give the bounds of the box exactly."""
         low, high = self._g(self.lower), self._g(self.upper)
         g = 0.5 * (high + low) + 0.5 * x * (high - low)
         theta = np.where(self.is_log, np.exp(np.where(self.is_log, g, 0.0)), g)
         return np.where(x == -1.0, self.lower, np.where(x == 1.0, self.upper, theta))
 
     def slope(self, theta: FloatArray) -> FloatArray:
-        """Return ∂x/∂θ of each parameter, shape (n, n_parameters)."""
+        """Return ∂x/∂θ for each parameter at theta, both of shape (n, n_parameters); 0 beyond `FARTHEST`."""
         half = 0.5 * (self._g(self.upper) - self._g(self.lower))
         goes_on = np.abs(self._map_without_limit(theta)) < FARTHEST
         return np.where(goes_on, 1.0, 0.0) / np.where(self.is_log & goes_on, theta, 1.0) / half

@@ -1,4 +1,4 @@
-"""Where in the box a slow model can be solved, learnt from where it failed."""
+"""Classification of the box into regions where a slow model can be solved and where it fails."""
 
 from __future__ import annotations
 
@@ -14,22 +14,23 @@ from fmu.types import BoolArray, FloatArray
 if TYPE_CHECKING:
     from sklearn.tree import DecisionTreeClassifier
 
-_STRICT = 1e6  # penalty of a point on the wrong side: failures of a solver are no noise
+_STRICT = 1e6  # penalty of a misclassified point: failures of a solver are not noise
 _WORDS_DEPTH = 3
 _NAMED = 0.2
-"""Failures of a region that is named, over those of the region with the most."""
+"""Smallest number of failures of a region that is described, relative to the region with the most failures."""
 EDGE = 0.9
-"""Largest |margin| of points that may be on either side: at those solved and failed next to the edge it is 1."""
+"""Largest |margin| of an undecided point; it is 1 at the solved and failed points nearest to the boundary."""
 
 
 class Feasibility:
-    """Which points can be solved: a support-vector machine where some failed, otherwise all of them.
+    """A classifier of points that can be solved: a support-vector machine; without failures, True for all points.
 
     Parameters
     ----------
     x : ndarray, shape (N, d)
-        Points that were solved or failed, in scaled coordinates.
+        Points at which the model was called, in scaled coordinates.
     failed : ndarray of bool, shape (N,)
+        Whether the solve at each point failed.
     """
 
     def __init__(self, x: FloatArray, failed: BoolArray) -> None:
@@ -43,15 +44,18 @@ class Feasibility:
         self._gamma, self._offset = 1.0 / x.shape[1], float(machine.intercept_[0])
 
     def __call__(self, x: FloatArray) -> BoolArray:
-        """Return whether points (n, d) may be solved, (n,): all but those beyond the nearest failures.
+        """Return a bool array (n,): False for the points x (n, d) with a margin of −`EDGE` or less.
 
-        A point that is wrongly taken for one that can be solved is found out when it is solved. One that is
-        wrongly taken for a failure would never be solved.
+        Undecided points count as feasible: a wrong classification is discovered when the point is solved, whereas
+        a point that was wrongly classified as infeasible would never be solved.
         """
         return self.margin(x) > -EDGE
 
     def margin(self, x: FloatArray) -> FloatArray:
-        """Return how far points (n, d) are on the side of those solved, (n,); 1 at the nearest of these."""
+        """Return the margin (n,) of points x (n, d), which is infinite if no solve has failed.
+
+        It is 1 at the solved points nearest to the boundary, and −1 at the nearest failures.
+        """
         if not self.n_failed:
             return np.full(len(x), np.inf)
         squares = np.zeros((len(x), len(self._support)))
@@ -61,16 +65,19 @@ class Feasibility:
 
 
 def failed_region(theta: FloatArray, failed: BoolArray, names: Sequence[str]) -> str:
-    """Return in words where a model failed: bounds that hold for failed points and for few others.
+    """Return a phrase that describes where a model failed, by bounds that few solved points satisfy.
 
-    They are the leaves of a decision tree of depth three with a fifth as many failures as the one with the most,
-    or more.
+    The regions are leaves of a decision tree of depth three: those with at least a fifth as many failures as the
+    leaf with the most failures.
 
     Parameters
     ----------
     theta : ndarray, shape (N, d)
+        Points at which the model was called.
     failed : ndarray of bool, shape (N,)
-    names : sequence of str, d
+        Whether the solve at each point failed.
+    names : sequence of str
+        Names of the d parameters.
     """
     from sklearn.tree import DecisionTreeClassifier
 
@@ -94,7 +101,7 @@ def failed_region(theta: FloatArray, failed: BoolArray, names: Sequence[str]) ->
 def _bounds_of(
     tree: DecisionTreeClassifier, inside: BoolArray, theta: FloatArray, scale: FloatArray, names: Sequence[str]
 ) -> str:
-    """Return in words the bounds of a leaf, given which points are in it."""
+    """Return a phrase with the bounds of the leaf that contains the points `inside` (N,)."""
     path = np.flatnonzero(tree.decision_path(theta[inside][:1] / scale).toarray()[0])
     lowest: dict[int, float] = {}
     highest: dict[int, float] = {}

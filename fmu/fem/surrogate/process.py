@@ -1,16 +1,17 @@
-"""A Gaussian process with a linear trend, fitted by scikit-learn; a row of a batch has the same bits as alone.
+"""Gaussian processes with a linear trend, fitted by scikit-learn; results are independent of the batch to the bit.
 
-With x the `Coordinates` of theta the prior of a quantity y, scaled to zero mean and unit variance, has the
+With x the `Coordinates` of theta, the prior of a quantity y, scaled to zero mean and unit variance, has the
 covariance
 
-k(x, x′) = a (1 + xᵀx′) + c exp(−½ Σ_j (x_j − x′_j)²/ℓ_j²) + s² [x = x′]:
+k(x, x′) = a (1 + xᵀx′) + c exp(−½ Σ_j (x_j − x′_j)²/ℓ_j²) + s² [x = x′].
 
-a trend that is linear with coefficients of variance a, a smooth remainder whose length ℓ_j says how soon parameter
-j is felt (one without effect has a long one, and costs nothing), and the scatter s² of the solver's answers
-(Rasmussen & Williams 2006, *Gaussian Processes for Machine Learning*, chapters 2 and 5). The data choose a, c, ℓ
-and s² by the marginal likelihood; but what the smooth part has not yet learnt looks like scatter, so that there
-is none unless it makes the likelihood exp(`_TELLING`) times as large. Kriging with a polynomial of fixed degree is
-the limit of large a, or of long ℓ.
+The first term is a linear trend whose coefficients have variance a. The second is a smooth remainder with length
+scales ℓ_j: a parameter without effect has a long one, and does not make the fit harder. The third is the variance
+s² of the solver's scatter (Rasmussen & Williams 2006, *Gaussian Processes for Machine Learning*, chapters 2, 5).
+The hyper-parameters a, c, ℓ and s² maximise the marginal likelihood. With few points, variation that the smooth
+part does not yet represent resembles scatter; therefore s² stays at its minimum unless a larger value makes the
+likelihood exp(`_TELLING`) times as large. Kriging with a polynomial trend of fixed degree is the limit of large a,
+or of long ℓ.
 """
 
 from __future__ import annotations
@@ -27,42 +28,45 @@ if TYPE_CHECKING:
     from sklearn.gaussian_process.kernels import Kernel
 
 LEAST_SCATTER = 1e-10
-"""Least s², of a quantity of unit variance: the matrix of covariances stays well-conditioned."""
+"""Smallest s² of a quantity of unit variance, which keeps the covariance matrix well-conditioned."""
 _TELLING = 12.0
-"""Least gain in log-likelihood by a scatter: exact functions reach 9 with few points, a scatter of 1e-4 has 30."""
-_CHUNK = 16  # rows of a matrix product: always as many, so that its sums have one order
-_STARTS = 1.0, 4.0, 15.0  # lengths
+"""Smallest gain in log-likelihood for which scatter is assumed: few points of an exact function give up to 9, and
+a scatter of 1e-4 gives 30."""
+_CHUNK = 16  # rows of every matrix product: a fixed number, so that the order of summation is always the same
+_STARTS = 1.0, 4.0, 15.0  # length scales at which searches start
 _BOUNDS = {"trend": (1e-4, 1e3), "smooth": (1e-6, 1e3), "length": (0.1, 1e3), "scatter": (LEAST_SCATTER, 0.1)}
 
 
 class Process:
-    """Quantities that share a covariance, conditioned on their values at N points.
+    """A Gaussian process of q quantities with a common covariance function, conditioned on values at N points.
 
     Parameters
     ----------
     x : ndarray, shape (N, d)
+        The points, in scaled coordinates.
     y : ndarray, shape (N, q)
+        The values of the quantities at the points.
     before : Process, optional
-        Its hyper-parameters are where the search for new ones begins.
+        A process at whose hyper-parameters the search for new ones begins.
     search : bool
-        Whether hyper-parameters are searched for; otherwise those of `before` are kept.
+        Whether hyper-parameters are searched for; otherwise the values of `before` are kept.
 
     Attributes
     ----------
     log_likelihood : float
-        Of the scaled quantities, and `n_hyper` the number of hyper-parameters that maximise it.
+        Log marginal likelihood of the scaled quantities; `n_hyper` is the number of hyper-parameters.
     caution : float
-        Factor of the variances, at least 1: the mean square of the standardised errors where each point is left
-        out (Rasmussen & Williams, eq. 5.12).
+        Factor of the variances, at least 1: the mean square of the standardised leave-one-out errors (Rasmussen &
+        Williams, eq. 5.12).
     left_out_error : float
-        Root mean square of these errors, in units of y.
+        Root mean square of the leave-one-out errors, in units of y.
     unit : ndarray, shape (q,)
         Standard deviations by which the quantities were scaled.
     scatter : ndarray, shape (q,)
-        Standard deviations s of the solver's answers, in units of y; `relative_scatter` of the scaled y.
+        Standard deviations s of the solver's scatter, in units of y; `relative_scatter` is s of the scaled y.
     most : float
-        Largest variance that `predict` gives, scaled and without caution: see `limit`. At first the median of the
-        squared errors where each point is left out.
+        Largest variance that `predict` gives, scaled and without the factor `caution`, see `limit`. Its initial
+        value is the median of the squared leave-one-out errors, divided by `caution`.
     """
 
     def __init__(self, x: FloatArray, y: FloatArray, before: Process | None = None, search: bool = True) -> None:
@@ -81,7 +85,7 @@ class Process:
         self._s2 = p["k2__noise_level"]
         from scipy.linalg import cho_solve, solve_triangular
 
-        # of the factor L of K, as K⁻¹ itself would have lost twice as many digits
+        # the inverse of the factor L of K is used, as K⁻¹ would lose twice as many digits
         self._root = np.ascontiguousarray(solve_triangular(fitted.L_, np.eye(len(x)), lower=True))
         self._alpha = cho_solve((fitted.L_, True), z)
         variance = 1.0 / np.sum(self._root**2, axis=0)
@@ -93,27 +97,27 @@ class Process:
         self.most = float(np.median(errors**2)) / self.caution
 
     def values(self, x: FloatArray) -> FloatArray:
-        """Return the expected y, shape (n, q), at x (n, d)."""
+        """Return the expected y, shape (n, q), at points x (n, d)."""
         k, _ = self._covariances(x)
         return self._expect(k)
 
     def limit(self, x: FloatArray) -> None:
-        """Let no variance that `predict` gives be larger than those at points (n, d): draws of the posterior.
+        """Limit the variances of `predict` to the largest one at points x (n, d), which are posterior draws.
 
-        Where the data contradict the model, a likelihood with the surrogate's variance would otherwise prefer
-        theta of which nothing is known to the best that there is.
+        If the data contradict the model, a likelihood with the surrogate's variance would otherwise prefer theta
+        far from all solves to the theta of the best fit.
         """
         k, _ = self._covariances(x)
         self.most = float(np.max(self._remaining_variance(x, _product(k, self._root.T))))
 
     def predict(self, x: FloatArray, limited: bool = True) -> tuple[FloatArray, FloatArray]:
-        """Return the expected y and its variance, without the solver's scatter, (n, q) each."""
+        """Return the expected y at x (n, d) and its variance without the solver's scatter, (n, q) each."""
         k, _ = self._covariances(x)
         left = self._remaining_variance(x, _product(k, self._root.T))
         return self._expect(k), self._variance(np.minimum(left, self.most) if limited else left)
 
     def predict_with_slopes(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return `predict`, and the derivatives of both by x, shape (n, q, d) each."""
+        """Return the two arrays of `predict`, and their derivatives by x, (n, q, d) each."""
         k, smooth = self._covariances(x)
         u = _product(k, self._root.T)
         w = _product(u, self._root)
@@ -134,14 +138,17 @@ class Process:
         )
 
     def covariance(self, x: FloatArray) -> tuple[FloatArray, float]:
-        """Return the covariance of y between points (n, d), over the square of `unit`, shape (n, n), and s²."""
+        """Return the posterior covariance of the scaled y between points x (n, d), shape (n, n), and s².
+
+        Both are multiplied by `caution`; times the square of `unit` they are in units of y².
+        """
         k, _ = self._covariances(x)
         prior = self._trend * (1.0 + x @ x.T) + self._smooth * np.exp(-0.5 * _squares(x, x, self._by_length))
         u = k @ self._root.T
         return self.caution * (prior - u @ u.T), self.caution * self._s2
 
     def _covariances(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the covariances with the N points, (n, N), and the smooth part of them."""
+        """Return the prior covariances of x with the N points, and their smooth part, (n, N) each."""
         smooth = self._smooth * np.exp(-0.5 * _squares(x, self.x, self._by_length))
         trend = np.ones_like(smooth)
         for j in range(x.shape[1]):
@@ -152,21 +159,24 @@ class Process:
         return self._mean + self.unit * np.sum(k[:, None, :] * self._alpha.T, axis=2)
 
     def _remaining_variance(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the variance that is left, k(x, x) − uᵀu with u = L⁻¹k, scaled, (n,)."""
+        """Return the posterior variance (n,) of the scaled y, k(x, x) − uᵀu with u = L⁻¹k (n, N)."""
         own = np.ones(len(x))
         for j in range(x.shape[1]):
             own += x[:, j] ** 2
         return self._trend * own + self._smooth - np.sum(u**2, axis=1)
 
     def _variance(self, scaled: FloatArray) -> FloatArray:
-        """Return variances in units of y², (n, q, …), of scaled ones; rounding makes none of them negative."""
+        """Return scaled variances (n,), or their derivatives, in units of y², (n, q, …), multiplied by `caution`.
+
+        Variances that are negative by rounding are set to zero.
+        """
         if scaled.ndim == 1:
             return self.caution * self.unit**2 * np.maximum(scaled, 0.0)[:, None]
         return self.caution * (self.unit**2)[:, None] * scaled
 
 
 def _product(k: FloatArray, matrix: FloatArray) -> FloatArray:
-    """Return k (n, N) times a matrix (N, N), in chunks of one shape: no row depends on the others."""
+    """Return k (n, N) times a matrix (N, N), computed in chunks of equal shape: no row depends on another row."""
     n, N = k.shape
     padded = np.zeros((-(-n // _CHUNK) * _CHUNK, N))
     padded[:n] = k
@@ -174,7 +184,7 @@ def _product(k: FloatArray, matrix: FloatArray) -> FloatArray:
 
 
 def _squares(x: FloatArray, other: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return Σ_j w_j (x_j − x′_j)², shape (n, N), summed in one order."""
+    """Return Σ_j w_j (x_j − x′_j)² of all pairs of points, shape (n, N), always summed in the same order."""
     total = np.zeros((len(x), len(other)))
     for j, weight in enumerate(weights):
         total += weight * (x[:, j, None] - other[:, j]) ** 2
@@ -182,7 +192,7 @@ def _squares(x: FloatArray, other: FloatArray, weights: FloatArray) -> FloatArra
 
 
 def _fit(x: FloatArray, z: FloatArray, kernel: Kernel | None, search: bool) -> GaussianProcessRegressor:
-    """Return scikit-learn's regressor, fitted to z (N, q) at x (N, d)."""
+    """Return the regressor of scikit-learn, fitted to z (N, q) at x (N, d)."""
     from sklearn.base import clone
     from sklearn.exceptions import ConvergenceWarning
     from sklearn.gaussian_process import GaussianProcessRegressor
@@ -202,8 +212,8 @@ def _fit(x: FloatArray, z: FloatArray, kernel: Kernel | None, search: bool) -> G
         return fit_process(kernel, None)
     starts = [*map(start, _STARTS)] if kernel is None else [kernel, start(_STARTS[-1])]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # a parameter without effect has the longest length
-        # the likelihood may have several maxima: one of them explains everything by scatter
+        warnings.simplefilter("ignore", ConvergenceWarning)  # parameters without effect reach the length's bound
+        # the likelihood may have several maxima: one of them explains all variation by scatter
         best = max(
             (fit_process(one, "fmin_l_bfgs_b") for one in starts),
             key=lambda one: one.log_marginal_likelihood_value_,

@@ -1,4 +1,4 @@
-"""Gaussian processes that replace a slow model: they predict its paired modes."""
+"""Surrogate models: Gaussian processes that predict the paired modes of a slow model."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from fmu.fem.surrogate.process import Process
 from fmu.types import BoolArray, FloatArray
 
 _GROWN = 1.15
-"""Hyper-parameters are searched for again when the design is so many times as large as when they were found."""
+"""Growth factor of the design since the last search at which hyper-parameters are searched for again."""
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """What was solved: theta and the paired modes there.
+    """The design of a surrogate: points theta and the paired modes that the slow model gives there.
 
     Attributes
     ----------
     theta : ndarray, shape (N, n_parameters)
     frequencies : ndarray, shape (N, n_modes), Hz
-        NaN where a solve failed.
+        Frequencies; NaN where a solve failed.
     shapes : ndarray, shape (N, n_sensors, n_modes)
-        At the sensors, empty where they are not needed: n_sensors = 0.
+        Shapes at the sensors; n_sensors = 0 if shapes are not needed.
     """
 
     theta: FloatArray
@@ -41,11 +41,11 @@ class Design:
 
     @property
     def failed(self) -> BoolArray:
-        """Where no frequencies were found, shape (N,): a mode without frequency has no logarithm either."""
+        """Whether each solve failed, bool, shape (N,): a frequency is not finite, or zero and has no logarithm."""
         return ~(np.isfinite(self.frequencies) & (self.frequencies > 0.0)).all(axis=1)
 
     def join(self, other: Design) -> Design:
-        """Return this design and another."""
+        """Return the design of this design's points followed by another's."""
         return Design(
             np.concatenate([self.theta, other.theta]),
             np.concatenate([self.frequencies, other.frequencies]),
@@ -56,25 +56,26 @@ class Design:
 class SurrogateModel(ModalModel):
     """Gaussian processes of the logarithms of a slow model's paired eigenvalues, and of its shapes if needed.
 
-    The modes are paired before the processes are fitted, at each theta that was solved: a process follows its mode
-    across others. Shapes have unit length at the sensors, and the sign of the reference.
+    The modes are paired at each point of the design before the processes are fitted, so that a process follows its
+    mode even where modes cross. Shapes have unit length at the sensors, and the sign of the reference.
 
     Parameters
     ----------
     truth : ModalModel
-        The slow model, paired.
+        The slow model, with paired modes.
     design : Design
-        At least two theta that were solved.
+        The solves to which the processes are fitted; at least two have succeeded.
     coordinates : Coordinates
+        The map from theta to the inputs of the processes.
     reference : ndarray, shape (n_sensors, n_modes), optional
-        Shapes that give the sign: the measured ones. Without them shapes are not learnt.
+        The measured shapes, which determine the signs. Without them shapes are not predicted.
     before : SurrogateModel, optional
-        One with a smaller design: its hyper-parameters are where the search begins.
+        A surrogate with a smaller design; the search for hyper-parameters begins at its values.
 
     Attributes
     ----------
     is_uncertain : bool
-        True: `observed` gives variances.
+        True: `observed` returns variances.
     """
 
     is_uncertain = True
@@ -97,7 +98,7 @@ class SurrogateModel(ModalModel):
         log = 2.0 * np.log(design.frequencies[good])
         self.pairs = ClosePairs() if truth.by_shape else ClosePairs.of(log)
         if before is not None and before.pairs != self.pairs:
-            before = None  # its hyper-parameters are of other quantities
+            before = None  # its hyper-parameters belong to other quantities
         shapes = None if reference is None else orient_shapes(design.shapes[good], reference)
         n_searched: int = 0 if before is None else before._n_searched
         search = np.sum(good) >= _GROWN * n_searched
@@ -115,9 +116,9 @@ class SurrogateModel(ModalModel):
         return f"{self.name}, {len(self.design.theta)} solves"
 
     def frequencies(self, theta: FloatArray) -> FloatArray:
-        """Return expected frequencies in Hz, shape (n, n_modes); NaN where solves fail, as far as is known."""
+        """Return expected frequencies in Hz, shape (n, n_modes); NaN where solves are expected to fail."""
         x = self.coordinates.to_x(theta)
-        if self.pairs.first:  # they are uncertain by what is uncertain
+        if self.pairs.first:  # the expected frequencies of a close pair depend on the variances
             z, _ = self.pairs.values(*self._learnt(x))
         else:
             with single_thread():
@@ -125,13 +126,13 @@ class SurrogateModel(ModalModel):
         return self._where_feasible(x, np.exp(0.5 * z))
 
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters), exact."""
+        """Return expected frequencies (n, n_modes) in Hz and their exact gradients (n, n_modes, n_parameters)."""
         seen = self.observed(theta, gradient=True)
         assert seen.frequency_slopes is not None  # narrowed for the type checker: asked for above
         return seen.frequencies, seen.frequency_slopes
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return frequencies, and shapes if they were learnt, with their variances, and derivatives if wanted."""
+        """Return frequencies, and shapes if predicted, with their variances, and derivatives if `gradient`."""
         x = self.coordinates.to_x(theta)
         by_theta = self.coordinates.slope(theta)[:, None] if gradient else None
         with single_thread():
@@ -153,14 +154,17 @@ class SurrogateModel(ModalModel):
         return ModalPrediction(f_hz, s, df, ds, v_hz2, sv, dv_hz2, ds if dsv is None else dsv)
 
     def limit_variance(self, theta: FloatArray) -> None:
-        """Let no variance be larger than those at draws theta (n, n_parameters), see `Process.limit`."""
+        """Limit all variances to the largest ones at draws theta (n, n_parameters), see `Process.limit`."""
         x = self.coordinates.to_x(theta)
         with single_thread():
             for process in (*self.of_frequencies, *self.of_shapes):
                 process.limit(x)
 
     def variances(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the variances of frequencies, Hz², and of shapes at theta, as in `observed` but without limit."""
+        """Return the variances of frequencies (n, n_modes) in Hz², and of shapes (n, n_sensors, n_modes).
+
+        These are the variances of `observed` without the limit of `limit_variance`.
+        """
         x = self.coordinates.to_x(theta)
         z, v = self.pairs.values(*self._learnt(x, limited=False))
         with single_thread():
@@ -169,9 +173,9 @@ class SurrogateModel(ModalModel):
         return 0.25 * np.exp(z) * v, np.stack(of_shapes, axis=2) if of_shapes else empty
 
     def weights_of_learnt(self, theta: FloatArray, of_frequency: FloatArray) -> FloatArray:
-        """Return the weights of the learnt variances, from the weights of the variances of frequencies.
+        """Return weights of the variances of the processes, from weights of the variances of frequencies.
 
-        Both have the shape (n, n_modes); the weights that are given are in 1/Hz².
+        Both have the shape (n, n_modes); the given weights are in 1/Hz². The weighted sums of variances agree.
         """
         y, v = self._learnt(self.coordinates.to_x(theta))
         z, _ = self.pairs.values(y, v)
@@ -179,18 +183,18 @@ class SurrogateModel(ModalModel):
 
     @property
     def scatter(self) -> FloatArray:
-        """Standard deviations of the scatter of what was learnt of frequencies, shape (n_modes,)."""
+        """Standard deviations of the solver's scatter in the quantities of the frequency processes, (n_modes,)."""
         return np.concatenate([p.scatter for p in self.of_frequencies])
 
     def configuration(self) -> dict[str, object]:
-        """Return a hash of what was solved."""
+        """Return a dict with a hash of the design."""
         digest = hashlib.sha256()
         for part in (self.design.theta, self.design.frequencies, self.design.shapes):
             digest.update(np.ascontiguousarray(part).tobytes())
         return {"design": digest.hexdigest()}
 
     def _learnt(self, x: FloatArray, limited: bool = True) -> tuple[FloatArray, FloatArray]:
-        """Return the learnt quantities of frequencies and their variances, (n, n_modes) each."""
+        """Return expected values and variances of the frequency processes at x, (n, n_modes) each."""
         with single_thread():
             parts = [p.predict(x, limited) for p in self.of_frequencies]
         y, v = (np.concatenate(one, axis=1) for one in zip(*parts, strict=True))
@@ -201,12 +205,12 @@ class SurrogateModel(ModalModel):
 
 
 def _join_parts(parts: Sequence[Any], join: Any, axis: int) -> Any:
-    """Return arrays joined along an axis, None if they are None."""
+    """Return the arrays joined along an axis by `join`, or None if the first is None."""
     return None if parts[0] is None else join(parts, axis=axis)
 
 
 def _predict(process: Process, x: FloatArray, by_theta: FloatArray | None) -> Any:
-    """Return value and variance at x, and their derivatives by theta, if x has derivatives by theta."""
+    """Return value and variance at x, and their derivatives by theta; None for these if `by_theta` is None."""
     if by_theta is None:
         return *process.predict(x), None, None
     value, variance, slopes, by_variance = process.predict_with_slopes(x)
@@ -214,10 +218,10 @@ def _predict(process: Process, x: FloatArray, by_theta: FloatArray | None) -> An
 
 
 def fitted_together(x: FloatArray, y: FloatArray, before: Sequence[Process] | None, search: bool) -> list[Process]:
-    """Return processes of quantities y (N, q) at x: one that they share, or one each.
+    """Return a list of processes of quantities y (N, q) at x: a single shared process, or one per quantity.
 
-    Few points do not tell the lengths of every quantity, but those of all together. One each is taken where the
-    likelihood gains more by it than the further hyper-parameters cost (Schwarz 1978, *Ann. Stat.* 6, 461–464).
+    Few points determine common length scales, but not the length scales of every quantity. Separate processes are
+    used if they have the better Bayesian information criterion (Schwarz 1978, *Ann. Stat.* 6, 461–464).
     """
     if not search and before is not None:
         if len(before) == 1:
@@ -233,7 +237,7 @@ def fitted_together(x: FloatArray, y: FloatArray, before: Sequence[Process] | No
 
 
 def solve_design(truth: ModalModel, theta: FloatArray, with_shapes: bool) -> Design:
-    """Return the answers of the slow model at theta (n, n_parameters)."""
+    """Return the design of the slow model's modes at theta (n, n_parameters), with shapes if `with_shapes`."""
     if with_shapes:
         seen = truth.observed(theta)
         return Design(theta, seen.frequencies, seen.shapes)
@@ -242,6 +246,6 @@ def solve_design(truth: ModalModel, theta: FloatArray, with_shapes: bool) -> Des
 
 
 def orient_shapes(shapes: FloatArray, reference: FloatArray) -> FloatArray:
-    """Return shapes (n, n_sensors, n_modes) of unit length, with the sign that the reference has."""
+    """Return shapes (n, n_sensors, n_modes) scaled to unit length, with the sign of the reference shapes."""
     along = np.sum(shapes * reference, axis=1, keepdims=True)
     return shapes / np.linalg.norm(shapes, axis=1, keepdims=True) * np.where(along < 0.0, -1.0, 1.0)

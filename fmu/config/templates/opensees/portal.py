@@ -1,10 +1,10 @@
-"""A portal frame in OpenSees: what fmu calls is build(theta), which makes the model and no analysis."""
+"""A portal frame in OpenSees: fmu calls build(theta), which makes the model and defines no analysis."""
 
 import openseespy.opensees as ops
 from numpy.typing import NDArray
 
 SPAN, HEIGHT, PARTS = 6.0, 4.0, 6
-"""m; elements of each member."""
+"""Span and height in m; number of elements of each member."""
 A, I, RHO, E_LEGS = 5.4e-3, 3.9e-5, 7850.0, 2.1e11  # noqa: E741
 
 

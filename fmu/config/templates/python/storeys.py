@@ -1,18 +1,18 @@
-"""A building of three storeys as a function: what stands here may as well call a finite-element program."""
+"""A building of three storeys as a Python function, which could also call a finite-element program."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 MASSES = np.array([2.1e4, 2.1e4, 1.6e4])
-"""Of the floors, kg."""
+"""Masses of the floors, kg."""
 STIFFNESS = np.array([2.4e7, 1.8e7, 1.8e7])
-"""Of the storeys at the start, N/m."""
+"""Stiffnesses of the storeys at the start, N/m."""
 
 
 def modes(theta: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
     """Return the modes at theta, shape (2,): factors on the stiffness of the lowest and of the upper storeys.
 
-    Frequencies in Hz alone would do: shape (n_modes,), or as many of them as the program gives.
+    An array of frequencies in Hz, shape (n_modes,), is also allowed, with as many modes as the program gives.
     """
     k1, k2, k3 = STIFFNESS * [theta[0], theta[1], theta[1]]
     K = np.array([[k1 + k2, -k2, 0.0], [-k2, k2 + k3, -k3], [0.0, -k3, k3]])
