@@ -183,8 +183,7 @@ class Drift(NamedTuple):
     position, momentum : ndarray, shape (n, ndim)
     n_bounces : ndarray of int, shape (n,)
     arrived : ndarray of bool, shape (n,)
-        False if the cap on bounces was reached or the position is not finite. The drift was then interrupted, and
-        its position and momentum must not be used.
+        False if the cap on bounces was reached or the position is not finite; the end must then not be used.
     """
 
     position: FloatArray
@@ -206,8 +205,7 @@ def drift(
 
     A wall with unit normal n changes the momentum to p − 2 (n·v)/(n·M⁻¹n) n. This reverses the normal velocity and
     keeps the kinetic energy; the map is reversible and preserves volume. Under a dense metric a reflection changes
-    the other velocities too. The walls are therefore taken in the order in which the path meets them: reflecting
-    the coordinates one by one would be wrong.
+    the other velocities too. The walls are therefore taken in the order in which the path meets them.
 
     Parameters
     ----------

@@ -53,13 +53,10 @@ GROUP = "leave_one_out"
 """Group of a trace that stores the table."""
 REFIT, WEIGHTS, NOT_USED, NEITHER = "refit", "importance weights", "not used in updating", ""
 INTERVAL = 0.9
-_ENOUGH = 400
-_FREE_S = 5.0
-_SHARE = 0.5
+_ENOUGH, _SHARE, _FREE_S = 400, 0.5, 5.0
 _A_REFIT, _REFITS = 0.5, 3.0
 """Longest refit of one mode with unreliable weights, and of all such modes, as multiples of `_FREE_S`."""
-_TIMED = 64
-_SEED = 1
+_TIMED, _SEED = 64, 1
 
 
 class HeldOut(NamedTuple):
@@ -95,9 +92,8 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
     ----------
     trace : xarray.DataTree
     problem : UpdatingProblem, optional
-        The problem that was sampled. With a problem, the table is computed again, however long this takes. Without
-        a problem, the table stored in the trace is returned; for a trace without a table, only ``elpd`` and
-        ``pareto_k`` are known.
+        The problem that was sampled: the table is computed again, however long this takes. Without a problem, the
+        stored table is returned; for a trace without a table, only ``elpd`` and ``pareto_k`` are known.
 
     Returns
     -------
@@ -110,12 +106,10 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
         - ``p``: two-sided tail probability of the measured frequency in this prediction;
         - ``freedom``: degrees of freedom of its error, infinite unless a few tests gave the size of the error;
         - ``prior_sd``: standard deviation of the measurement predicted from the prior, Hz;
-        - ``elpd``, ``mcse_elpd``: log-density of the measurement of the mode (of frequency and shape, if both have
-          errors) given the other modes, in nats, and its standard error;
+        - ``elpd``, ``mcse_elpd``: log-density of the measured mode given the other modes, and its standard error;
         - ``pareto_k``: Pareto shape parameter of the weights;
-        - ``method``: ``"refit"``, ``"importance weights"``, ``"not used in updating"``, or empty if the draws do
-          not cover the posterior without the mode and the mode was not left out by updating; then the row has no
-          numbers;
+        - ``method``: ``"refit"``, ``"importance weights"``, ``"not used in updating"``, or empty, without numbers,
+          if the draws do not cover the posterior without the mode and there was no refit;
         - ``used``: whether the mode was used in updating.
 
     Raises
@@ -152,9 +146,8 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
         The problem that was sampled.
     most : float, optional
         Largest number of solves for updating without modes. The default is half the solves of the draws or the
-        number that should take five seconds, whichever is larger, and applies only to a run of 400 or more draws
-        of a model with derivatives. If this is not enough for all modes, modes with unreliable weights are still
-        left out if one mode takes at most 2.5 seconds, and all of them together at most 15.
+        number that takes five seconds, whichever is larger, for 400 or more draws of a model with derivatives.
+        Modes with unreliable weights are left out beyond that if each takes 2.5 seconds at most, all of them 15.
     """
     import xarray as xr
 

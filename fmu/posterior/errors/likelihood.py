@@ -17,7 +17,7 @@ from fmu.posterior.errors.base import Chain, ErrorModel, ErrorTerm, Evaluated, L
 from fmu.posterior.errors.frequency import BetaFrequencyErrors, CorrelatedFrequencyTerm, FrequencyTerm
 from fmu.posterior.errors.noise import numbering
 from fmu.posterior.errors.quantities import QuantityTerm
-from fmu.posterior.errors.slopes import chain_prediction, gradient_of_terms, residuals_of_term
+from fmu.posterior.errors.slopes import chain_prediction, gradient_of_terms, residuals_of_term, without_shapes
 from fmu.posterior.errors.surrogate_variance import evaluated_with_variance, sensitivity_to_model
 from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray, IntArray, Plain
@@ -126,7 +126,7 @@ class ModalLikelihood(Likelihood):
     ) -> tuple[FloatArray, FloatArray]:
         """Return the `terms` of the modes and the `misfit` from the same solves, see `Likelihood`."""
         is_enough = self.by_frequencies and frequencies is not None
-        seen = _without_shapes(np.asarray(frequencies)) if is_enough else self.observed(theta)
+        seen = without_shapes(np.asarray(frequencies)) if is_enough else self.observed(theta)
         squares = self.misfit(seen, theta)
         return self.terms_of_observed(seen, theta)[:, : squares.shape[-1]], squares
 
@@ -154,7 +154,7 @@ class ModalLikelihood(Likelihood):
         """Return the terms at theta, given the frequencies of the model there, see `Likelihood`."""
         if not self.by_frequencies:
             return self.terms(theta)
-        return self.terms_of_observed(_without_shapes(frequencies), theta)
+        return self.terms_of_observed(without_shapes(frequencies), theta)
 
     def sensitivity_to_model(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the sensitivity of the log-likelihood to errors of an uncertain model at theta (n, ndim).
@@ -199,7 +199,7 @@ class ModalLikelihood(Likelihood):
         """
         if self.frequency_term is None:
             return np.zeros(len(frequencies))
-        seen = _without_shapes(frequencies[None], np.diag(error)[None])
+        seen = without_shapes(frequencies[None], np.diag(error)[None])
         slopes = self._residuals_and_slopes(seen, theta[None, self.n_structural :])[1]
         return np.asarray(np.linalg.norm(slopes[0], axis=0))
 
@@ -298,8 +298,8 @@ class ModalLikelihood(Likelihood):
         if self.needs_shapes or self.model.is_uncertain:
             return self.model.observed(structural, gradient)
         if gradient:
-            return _without_shapes(*self.model.frequencies_and_gradient(structural))
-        return _without_shapes(self.model.frequencies(structural))
+            return without_shapes(*self.model.frequencies_and_gradient(structural))
+        return without_shapes(self.model.frequencies(structural))
 
     def _parts(
         self, seen: ModalPrediction, theta: FloatArray, gradient: bool
@@ -396,7 +396,3 @@ class ModalLikelihood(Likelihood):
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                 information[:, n:, n:] = sum(term.information(s, self.used) for term in self.terms_of)
         return information
-
-
-def _without_shapes(frequencies: FloatArray, slopes: FloatArray | None = None) -> ModalPrediction:
-    return ModalPrediction(frequencies, np.empty((len(frequencies), 0, frequencies.shape[1])), slopes)

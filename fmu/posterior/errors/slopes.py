@@ -58,3 +58,8 @@ def residuals_of_term(term: ErrorTerm, seen: ModalPrediction, noise: FloatArray)
     if r.by_shape is not None and view.shape_slopes is not None:
         parts.append(np.einsum("nmqs,nsmk->nmqk", r.by_shape, view.shape_slopes))
     return r.values, np.asarray(sum(parts))
+
+
+def without_shapes(frequencies: FloatArray, slopes: FloatArray | None = None) -> ModalPrediction:
+    """Return a prediction of frequencies alone, (n, n_modes), with their derivatives if there are any."""
+    return ModalPrediction(frequencies, np.empty((len(frequencies), 0, frequencies.shape[1])), slopes)
