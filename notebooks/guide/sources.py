@@ -12,6 +12,7 @@ import problem_files
 
 import fmu
 from fmu.cli import main
+from fmu.posterior.density import Posterior
 
 ROOT = Path(__file__).parents[2]
 REPORTS = sorted(ROOT.glob("results/*/report/*.html"))
@@ -141,6 +142,8 @@ def page_of(name: str) -> str:
     thing = getattr(import_module(module), last)
     kind = "class" if isclass(thing) else "function" if isfunction(thing) else "data"
     options = "   :members:\n   :show-inheritance:\n" if kind == "class" else ""
+    if kind == "class" and thing.__base__ is Posterior:  # what it answers is defined there
+        options += "   :inherited-members:\n"
     if kind == "data" and hasattr(thing, "__path__"):
         kind, options = "module", "   :members:\n"
     return f"{title(name, 'index')}.. currentmodule:: {module}\n\n.. auto{kind}:: {name}\n{options}"
