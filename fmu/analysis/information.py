@@ -110,7 +110,7 @@ class Information:
         return said
 
     def sentences(self) -> list[str]:
-        """Return sentences on the directions of the draws, the least informed first."""
+        """Return sentences that say how much the data inform each direction, the least informed one first."""
         n, k = len(self.names), self.n_informed
         said = [
             f"By the draws the data inform {k} of {n} directions of the parameter space, with a contraction of "

@@ -182,7 +182,7 @@ _WITHIN = 2.0
 
 
 class AtBound(NamedTuple):
-    """A parameter whose draws accumulate at a bound, and the shares of posterior and prior next to this bound."""
+    """A parameter whose draws accumulate at a bound, with the posterior and prior probability near the bound."""
 
     name: str
     side: str

@@ -95,7 +95,7 @@ def load(
     beta : float or array_like, shape (n_modes,), optional
         Weight of a squared frequency error, 1/Hz², instead of the trust in the data that the file gives.
     engine : Engine, optional
-        Trains the reduced model with its workers, see `fmu.engine`.
+        Trains the reduced model with its workers; see `fmu.engine`.
 
     Returns
     -------

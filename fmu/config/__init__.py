@@ -60,7 +60,7 @@ def load(
     beta : float or array_like, shape (n_modes,), optional
         Weights 1/(2 sd²) of the frequency errors, in 1/Hz², to use instead of the uncertainty in the file.
     engine : Engine, optional
-        Trains the reduced model with its workers, see `fmu.engine`.
+        Trains the reduced model with its workers; see `fmu.engine`.
 
     Returns
     -------

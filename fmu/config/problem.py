@@ -130,7 +130,7 @@ class ProblemFile(TomlTable):
         folder : Path
             The folder to which file names in the problem file are relative.
         pairing, beta : optional
-            Values to use instead of those in the file, see `fmu.load`.
+            Values to use instead of those in the file; see `fmu.load`.
         engine : Engine, optional
             Trains the reduced model.
 

@@ -122,7 +122,7 @@ class InProcess(Engine):
         follow: Follow[Task, Result] | None = None,
         report: Report | None = None,
     ) -> list[Result]:
-        """Run the tasks, see `Engine.run_tasks`, without copying `shared`."""
+        """Run the tasks; see `Engine.run_tasks`, without copying `shared`."""
         from threadpoolctl import threadpool_limits
 
         results: dict[int, Result] = {}

@@ -75,7 +75,7 @@ class RemoteEngine(Engine):
         follow: Follow[Step, Result] | None = None,
         report: Report | None = None,
     ) -> list[Result]:
-        """Run the tasks, see `fmu.engines.base.Engine.run_tasks`."""
+        """Run the tasks; see `fmu.engines.base.Engine.run_tasks`."""
         if not self._busy.acquire(blocking=False):
             return InProcess().run_tasks(work, shared, tasks, follow, report)
         results: dict[int, Result] = {}

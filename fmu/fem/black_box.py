@@ -140,7 +140,7 @@ class BlackBoxModel:
         return self.solved.reasons
 
     def seconds_at(self, theta: FloatArray) -> float:
-        """Return the duration of a call at theta (n_parameters,) in seconds, see `Solves.seconds_at`."""
+        """Return the duration of a call at theta (n_parameters,) in seconds; see `Solves.seconds_at`."""
         return self.solved.seconds_at(theta)
 
     def solve(self, theta: FloatArray) -> Solve:
@@ -189,7 +189,7 @@ class BlackBoxModel:
 
     @cached_property
     def sha256(self) -> str:
-        """Hash of the user's source code, see `source_digest`; a copy in another process has the same hash."""
+        """Hash of the user's source code; see `source_digest`; a copy in another process has the same hash."""
         return source_digest(self.function)
 
     def _copy_with(self, sensors: tuple[Dof, ...]) -> Self:

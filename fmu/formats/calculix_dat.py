@@ -53,7 +53,7 @@ def read_displacements(path: Path, n_modes: int, nodes: Collection[int] | None =
     ----------
     path : Path
     n_modes : int
-        Number of modes in the step, see `read_frequencies`.
+        Number of modes in the step; see `read_frequencies`.
     nodes : collection of int, optional
         Ids of the nodes; by default all nodes printed in every mode.
 

@@ -187,7 +187,7 @@ def _source(data: Mapping[str, Any]) -> str:
 def _by_mode(
     likelihood: Mapping[str, Any], parameters: Any, data: Mapping[str, Any], inferred: Inferred | None
 ) -> tuple[tuple[str, str, str, str], ...]:
-    """Return the rows of the table of frequency errors, see `Assumptions.errors`."""
+    """Return the rows of the table of frequency errors; see `Assumptions.errors`."""
     measured = np.asarray(data["frequencies_hz"], dtype=float)
     sd = frequency_sd(likelihood, parameters, measured, inferred)
     if sd is None:

@@ -38,7 +38,7 @@ class Parameter:
     unit : str
         SI unit, for labels, in printable characters; empty for a dimensionless factor.
     group : str
-        Name of a group whose parameters may share one α in eq. (6), see `share_alpha`.
+        Name of a group whose parameters may share one α in eq. (6); see `share_alpha`.
 
     Raises
     ------

@@ -82,7 +82,7 @@ class UpdatingProblem(Posterior):
     roles : tuple of Role
         The role of each parameter of theta.
     tolerance : Tolerance or None
-        Errors that the reduced model may have; None if there is no reduced model, see `reduced`.
+        Errors that the reduced model may have; None if there is no reduced model; see `reduced`.
     failures : list of Failure
         ``(theta, reason)`` for the first ten thousand theta inside the bounds at which the solve failed or the
         log-likelihood was not finite.

@@ -32,7 +32,7 @@ def progress_bars() -> Iterator[Report | None]:
 
 
 def json_lines(stream: TextIO) -> JSONLines:
-    """Return a callback that writes JSON lines, see `fmu.progress.displays.JSONLines`.
+    """Return a callback that writes JSON lines; see `fmu.progress.displays.JSONLines`.
 
     Use the callback as a context manager, or close it; otherwise the last line of a phase that ends early is lost.
     """

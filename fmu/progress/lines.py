@@ -59,13 +59,13 @@ class ProgressLines:
         self._thread.join()
 
     def report(self, phase: str, done: int, total: int, info: Info) -> None:
-        """Record a report on a phase, see `fmu.progress.words.Report`."""
+        """Record a report on a phase; see `fmu.progress.words.Report`."""
         with self._lock:
             self._step(bar_name(phase, info), done, total)
             self._words = in_words(info)
 
     def note(self, phase: str, done: int, total: int) -> None:
-        """Record the steps of the present phase, see `fmu.progress.phases.Note`; an empty name ends the phase."""
+        """Record the steps of the present phase; see `fmu.progress.phases.Note`; an empty name ends the phase."""
         with self._lock:
             self._step(phase or self._outer, done, total)
 

@@ -26,7 +26,7 @@ def keep_maxima(directory: Path, maxima: Maxima, problem: UpdatingProblem) -> No
 
 
 def kept_maxima(directory: str | os.PathLike[str], problem: UpdatingProblem | None = None) -> Maxima | None:
-    """Return the saved maxima; None if they are missing, damaged or, given a problem, of another posterior."""
+    """Return the saved maxima; None if the file is missing, damaged, or of another posterior than `problem`."""
     from fmu.analysis.convergence.diagnosis import maxima_of
     from fmu.analysis.trace.netcdf import from_netcdf
 

@@ -108,7 +108,7 @@ class Sampler(ABC):
         For a run that ends when it has converged: the number of warm-up steps, and the number of draws after
         which convergence is first checked.
     is_local : bool
-        Whether the sampler takes local steps, see `LocalSampler`: the mixture and tempering can then use these.
+        Whether the sampler takes local steps; see `LocalSampler`: the mixture and tempering can then use these.
     learns_together : bool
         Whether all chains must be in one group.
     walkers : int

@@ -135,7 +135,7 @@ def sample(
     Returns
     -------
     xarray.DataTree
-        The trace, see `fmu.analysis.trace.conversion.to_trace`. Its attributes include ``after_n_solves``, the
+        The trace; see `fmu.analysis.trace.conversion.to_trace`. Its attributes include ``after_n_solves``, the
         number of solves after the last draw (for example for predictions); ``gradient_cost``, the time of an exact
         gradient relative to that of a log-probability, if the sampler uses exact gradients; the certificate of the
         reduced model, if there is one (`fmu.analysis.certificate.certify`); and ``limit``, the limit in words at

@@ -61,7 +61,7 @@ class Limits(NamedTuple):
         warmup : int
             Planned steps of warm-up.
         costs : tuple of two float
-            Solves per step in warm-up, and after it, see `fmu.samplers.settings.usual_costs`.
+            Solves per step in warm-up, and after it; see `fmu.samplers.settings.usual_costs`.
         """
         planned = warmup * costs[0] + self.first * costs[1]
         if self.solves is None or planned <= self.solves:

@@ -72,7 +72,7 @@ def delayed_acceptance(
     max_solves : int, optional
         Largest number of proposals that are solved.
     engine : Engine, optional
-        Calls the user's function at several theta in parallel, see `fmu.engine`. The draws do not depend on it.
+        Calls the user's function at several theta in parallel; see `fmu.engine`. The draws do not depend on it.
 
     Returns
     -------

@@ -79,7 +79,7 @@ def surrogate(
         Number of solves after which the procedure ends, even if the tolerance is not reached. The default is 100,
         plus 50 for each structural parameter.
     engine : Engine, optional
-        Calls the user's function at several theta in parallel, see `fmu.engine`.
+        Calls the user's function at several theta in parallel; see `fmu.engine`.
 
     Returns
     -------

@@ -88,7 +88,7 @@ def growth_needed(table: pd.DataFrame, required: float, lengths: FloatArray | No
 
 
 def fewest(table: pd.DataFrame) -> float:
-    """Return the smallest bulk or tail ESS of a summary, without scores; NaN if any of them is NaN."""
+    """Return the smallest bulk or tail ESS in a summary, rows of scores excluded; NaN if one of them is NaN."""
     return float(without_scores(table)[["ess_bulk", "ess_tail"]].to_numpy().min())
 
 

@@ -261,7 +261,7 @@ def check_parameters(trace: xr.DataTree, others: Mapping[str, xr.DataTree]) -> N
 def missed_places(
     trace: xr.DataTree, others: Mapping[str, xr.DataTree], maxima: Maxima | None = None
 ) -> list[str]:
-    """Return sentences on the regions with mass that other runs on the same posterior visited, but not this run.
+    """Return a sentence for each region of significant probability that another run visited and this run missed.
 
     A draw of another run is far away if its distance to every draw of this run is three times the distance
     between the chains of this run, in the metric of the covariance within its chains. The mass of the far draws

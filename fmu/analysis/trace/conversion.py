@@ -43,7 +43,7 @@ GIVEN_OTHERS = "frequency_given_others"
 ONE_MORE_TEST = "one_more_test"
 PRIOR_DRAWS = 2000
 PRIOR_STREAM, NOISE_STREAM, START_STREAM, NEXT_TEST_STREAM = 0, 1, 2, 3
-_OUTSIDE_THE_CHAINS = 2**32 - 1  # a task number that no run reaches, see `generator`
+_OUTSIDE_THE_CHAINS = 2**32 - 1  # a task number that no run reaches; see `generator`
 
 
 def to_trace(

@@ -80,7 +80,7 @@ def is_loss(trace: xr.DataTree, name: str) -> bool:
 
 
 def before_and_after(trace: xr.DataTree) -> pd.DataFrame:
-    """Return the means of each parameter with losses in the reference state and in each later state, SI units.
+    """Return the posterior means, in SI units, of every parameter that may have lost a share, before and after.
 
     Returns
     -------

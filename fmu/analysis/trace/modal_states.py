@@ -194,7 +194,7 @@ def _components(
 
 
 def _sketch_variables(found: Sketch) -> dict[str, Any]:
-    """Return the sketch of a structure as variables of a dataset, see `sketch_of`."""
+    """Return the sketch of a structure as variables of a dataset; see `sketch_of`."""
     variables = {
         "coordinates": (("node", "direction"), found.nodes, {"units": "m"}),
         "ends": (("element", "end"), found.elements),

@@ -35,7 +35,7 @@ class Sketch:
     nodes : ndarray, shape (n_nodes, 3), m
     elements : ndarray of int, shape (n_elements, 2)
     changed : ndarray of bool, shape (n_elements, n_parameters)
-        Whether each parameter changes each element, see `changed_elements`.
+        Whether each parameter changes each element; see `changed_elements`.
     kinds : tuple of str
         Kind of each symbol: ``"arm"``, ``"spring"``, ``"support"``, ``"mass"`` or ``"sensor"``.
     places : ndarray, shape (n_symbols, 3), m

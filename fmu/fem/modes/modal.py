@@ -150,7 +150,7 @@ class BlockModel[Part: Block]:
         """Return the lowest `count` modes of the whole structure, sorted over all blocks.
 
         A reduced block gives only the modes that it was trained for. Where a further mode of a reduced block might
-        be among the lowest modes, the row is NaN: the full model is needed there.
+        be among the lowest modes at a theta, the row of that theta is NaN, and the full model is needed there.
 
         Raises
         ------

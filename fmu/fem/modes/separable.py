@@ -316,7 +316,7 @@ class SeparableModel:
         return sp.csr_array((weight, (row, column)), shape=(len(rows), self.n_dof), dtype=float)
 
     def sees(self, sensor: Dof) -> bool:
-        """Return True if a sensor sees a free degree of freedom, see `observation`."""
+        """Return True if a sensor sees a free degree of freedom; see `observation`."""
         try:
             return bool(self._seen_by(sensor))
         except ValueError:

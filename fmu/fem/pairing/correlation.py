@@ -145,7 +145,7 @@ class Correlation:
         Labels of the measured modes.
     measured, computed : ndarray, shape (n_sensors, n_modes)
     groups : tuple of tuple of int
-        Groups of modes, by index (from 0), that are close in frequency, see `close_groups`.
+        Groups of modes, by index (from 0), that are close in frequency; see `close_groups`.
     """
 
     sensors: tuple[str, ...]

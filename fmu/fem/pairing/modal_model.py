@@ -112,7 +112,7 @@ class ModalModel:
         return ()
 
     def sees(self, sensor: Dof) -> bool:
-        """Return True if a sensor (place, direction) is possible: always, unless the model knows its sensors."""
+        """Return True if the model can have a sensor (place, direction); without a list of sensors it can."""
         return True
 
     @contextmanager

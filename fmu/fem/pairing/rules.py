@@ -100,7 +100,7 @@ class IndexPairing:
         return None, {b: min(c, eigenvalues[b].shape[1]) for b, c in zip(sorted(eigenvalues), counts, strict=True)}
 
     def identity(self) -> tuple[bytes, tuple[sp.csr_array, ...]]:
-        """Return the data that, with its name, identify the rule: bytes, and sparse matrices."""
+        """Return the bytes and sparse matrices that identify the rule, together with the name of its class."""
         return repr(self).encode(), ()
 
 
@@ -225,7 +225,7 @@ class ShapePairing:
         return np.array(label)[column, 0], np.array(label)[column, 1], column
 
     def identity(self) -> tuple[bytes, tuple[sp.csr_array, ...]]:
-        """Return the data that, with its name, identify the rule: bytes, and sparse matrices."""
+        """Return the bytes and sparse matrices that identify the rule, together with the name of its class."""
         return repr(self.margin).encode() + np.ascontiguousarray(self.shapes).tobytes(), (self.rows,)
 
 

@@ -35,7 +35,7 @@ def read_answers(given: object, n_parameters: int, n_points: int | None = None) 
     Parameters
     ----------
     given : array_like, mapping or tuple
-        The result of the function, see `fmu.fem.black_box`.
+        The result of the function; see `fmu.fem.black_box`.
     n_parameters : int
     n_points : int, optional
         Number of points of a batched function. If not given, there is one point and no leading axis.

@@ -248,7 +248,7 @@ class OpenSeesModel(BlackBoxModel):
 
     @cached_property
     def sha256(self) -> str:
-        """Hash of the source of `build`, see `source_digest`."""
+        """Hash of the source of `build`; see `source_digest`."""
         return source_digest(self.build)
 
 

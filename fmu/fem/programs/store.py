@@ -96,7 +96,7 @@ class SolveStore:
         return None
 
     def keep(self, solve: Solve) -> None:
-        """Store a solve; raise OSError if its file cannot be written."""
+        """Save the answer of a solve to disk; raise OSError if the file cannot be written."""
         values = solve._asdict()
         lists = {name: None if values[name] is None else values[name].tolist() for name in _ARRAYS}
         payload = json.dumps(values | lists).encode()

@@ -138,7 +138,7 @@ class Learner:
         return lam, y
 
     def observe(self, rows: sp.csr_array, reference: FloatArray) -> Observation:
-        """Return the map from shapes in V to those compared, and the references, see `Block.observe`."""
+        """Return the map from shapes in V to those compared, and the references; see `Block.observe`."""
         seen, reference = compress_rows(rows @ self.space.V, reference)
         return Mapped(seen), reference
 

@@ -84,7 +84,7 @@ class ReducedStructure(Approximation):
         Parameters
         ----------
         share : float
-            The fraction of the vectors that is kept, see `fmu.fem.reduced.basis.ReducedBlock.coarser`.
+            The fraction of the vectors that is kept; see `fmu.fem.reduced.basis.ReducedBlock.coarser`.
 
         Returns
         -------
@@ -140,7 +140,7 @@ class ReducedStructure(Approximation):
         return frequencies_of(self.modes(theta, gradient=True))
 
     def candidates(self, theta: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
-        """Return all modes that could be paired with a measured mode, see `PairedStructure.candidates`."""
+        """Return all modes that could be paired with a measured mode; see `PairedStructure.candidates`."""
         count_solves(len(theta))
         counts, within = self._truth.candidate_counts(), self.within(theta)
         found = np.empty((len(theta), sum(counts.values())))
@@ -150,7 +150,7 @@ class ReducedStructure(Approximation):
         return found, *candidate_numbers(counts)
 
     def confirmed_modes(self, theta: FloatArray) -> ModalSolution:
-        """Return the modes of the full model at theta (n, n_parameters), with the factors from training if large.
+        """Return the modes of the full model at theta (n, n_parameters); large blocks reuse training's factors.
 
         For blocks of `fmu.fem.reduced.confirming.LARGE` degrees of freedom or more, iterations start from the
         modes of the reduced model. They end when the estimated relative errors of the frequencies are below 1e-9,

@@ -321,7 +321,7 @@ class Training:
         return not self.is_accurate and bool(self.costs) and (full <= CHEAP or full <= reduced)
 
     def _look(self, b: int, theta: FloatArray, share: float = 1.0) -> BoolArray:
-        """Visit theta (n, p) in a block, see `Learner.visit`; return where its errors are small enough, (n,)."""
+        """Visit theta (n, p) in a block; see `Learner.visit`; return where its errors are small enough, (n,)."""
         allowed = self._allowed_errors(b)
         if b in self.costs:
             self.spent += len(theta) * self.costs[b].visit(self.learners[b].space.size, len(allowed))

@@ -73,7 +73,7 @@ class ClosePairs:
     def slopes(
         self, y: FloatArray, v: FloatArray, dy: FloatArray, dv: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of z and of its variance, (n, n_modes, n_parameters) each, see `values`.
+        """Return the derivatives of z and of its variance, (n, n_modes, n_parameters) each; see `values`.
 
         dy and dv are the derivatives of y and v by the parameters, of the same shape.
         """

@@ -65,7 +65,7 @@ class Process:
     scatter : ndarray, shape (q,)
         Standard deviations s of the solver's scatter, in units of y; `relative_scatter` is s of the scaled y.
     most : float
-        Largest variance that `predict` gives, scaled and without the factor `caution`, see `limit`. Its initial
+        Largest variance that `predict` gives, scaled and without the factor `caution`; see `limit`. Its initial
         value is the median of the squared leave-one-out errors, divided by `caution`.
     """
 

@@ -154,7 +154,7 @@ class SurrogateModel(ModalModel):
         return ModalPrediction(f_hz, s, df, ds, v_hz2, sv, dv_hz2, ds if dsv is None else dsv)
 
     def limit_variance(self, theta: FloatArray) -> None:
-        """Limit all variances to the largest ones at draws theta (n, n_parameters), see `Process.limit`."""
+        """Limit all variances to the largest ones at draws theta (n, n_parameters); see `Process.limit`."""
         x = self.coordinates.to_x(theta)
         with single_thread():
             for process in (*self.of_frequencies, *self.of_shapes):

@@ -85,7 +85,7 @@ def _outer(faces: IntArray) -> IntArray:
 
 
 def _of_faces(faces: IntArray, coordinates: FloatArray) -> IntArray:
-    """Return all edges of faces (n, 2), or if there are many, the edges that show the shape, see `MOST_EDGES`."""
+    """Return all edges of faces (n, 2), or if there are many, the edges that show the shape; see `MOST_EDGES`."""
     if not len(faces):
         return np.zeros((0, 2), dtype=np.int64)
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)

@@ -79,7 +79,7 @@ def read_f06(
 
 
 def computed_f06(path: Path, sensors: Sensors, deck: Path) -> Computed:
-    """Return all modes of an F06 file, see `fmu.formats.modes.measured_modes.ModesFormat`.
+    """Return all modes of an F06 file; see `fmu.formats.modes.measured_modes.ModesFormat`.
 
     If the deck is bulk data, the axes of the nodes are read from it.
     """

@@ -101,7 +101,7 @@ class ModesFormat:
     result : str
         Name of the file that a program writes, such as ``{job}.f06``, with ``{job}`` for the name of its deck.
     computed : callable
-        ``computed(path, sensors, deck)`` returns all modes that a program wrote, see `Computed`; `deck` is the
+        ``computed(path, sensors, deck)`` returns all modes that a program wrote; see `Computed`; `deck` is the
         program's input file.
     directions : tuple of str
         Directions of sensors that such a file can have.

@@ -60,7 +60,7 @@ def pyoma_modes(
     modes : sequence of int, optional
         Numbers of the modes in the result, from 1; all if not given.
     least_mpc : float
-        Smallest phase collinearity of complex shapes, see `fmu.formats.modes.measured_modes.real_shapes`.
+        Smallest phase collinearity of complex shapes; see `fmu.formats.modes.measured_modes.real_shapes`.
 
     Raises
     ------
@@ -223,7 +223,7 @@ def _attribute(result: object, name: str) -> ArrayLike | None:
 
 
 def computed_pyoma(path: Path, sensors: Sensors, _deck: Path | None = None) -> Computed:
-    """Return all modes of a file, see `fmu.formats.modes.measured_modes.ModesFormat`."""
+    """Return all modes of a file; see `fmu.formats.modes.measured_modes.ModesFormat`."""
     modes = read_pyoma(path, sensors=sensors)
     return modes.frequencies_hz, modes.shapes if len(sensors) else None
 

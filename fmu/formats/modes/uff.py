@@ -361,7 +361,7 @@ def _wrong(one: Dataset) -> list[str]:
 
 
 def computed_uff(path: Path, sensors: Sensors, _deck: Path | None = None) -> Computed:
-    """Return all modes of a file, see `fmu.formats.modes.measured_modes.ModesFormat`."""
+    """Return all modes of a file; see `fmu.formats.modes.measured_modes.ModesFormat`."""
     modes = read_uff(path, sensors=tuple(sensors) or None)
     return modes.frequencies_hz, modes.shapes if len(sensors) else None
 

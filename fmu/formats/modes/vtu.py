@@ -68,7 +68,7 @@ def write_vtu(
     elements : iterable of sequence of int
         Indices of the nodes of each element, counted from 0, corners first.
     kinds : iterable of str
-        Kind of each element, see `CELLS`; elements of other kinds are skipped.
+        Kind of each element; see `CELLS`; elements of other kinds are skipped.
     vectors : mapping of str to ndarray, shape (n_nodes, 3)
         Vectors at the nodes by name, such as the displacements in a mode.
     scalars : mapping of str to ndarray of int, shape (n_nodes,)

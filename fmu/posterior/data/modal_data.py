@@ -279,7 +279,7 @@ class ModalData:
         modes : sequence of int, optional
             Numbers of the modes of the result, from 1; all modes if not given.
         least_mpc : float
-            Smallest modal phase collinearity accepted, see `fmu.formats.modes.measured_modes.real_shapes`.
+            Smallest modal phase collinearity accepted; see `fmu.formats.modes.measured_modes.real_shapes`.
         **options
             Other arguments of the class, such as ``numbers``; ``sd_hz`` or ``covariance_hz2`` replace the standard
             deviations of the result.

@@ -240,7 +240,7 @@ class Likelihood:
     terms_of : tuple of ErrorTerm
         The error models; empty if the errors are not those of measured quantities.
     chi_square : tuple of ErrorTerm
-        The error models whose squared residuals measure the fit of the model, see `ErrorTerm.is_chi_square`.
+        The error models whose squared residuals measure the fit of the model; see `ErrorTerm.is_chi_square`.
     quantities : tuple of QuantityTerm
         Measured quantities other than modes (`fmu.posterior.errors.quantities`).
     used : ndarray of int, shape (n_used,), or None

@@ -58,7 +58,7 @@ class FrequencyErrors:
         require_sizes(self.sd, self.weights)
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
-        """Return the error model bound to `data`, see `ErrorModel`.
+        """Return the error model bound to `data`; see `ErrorModel`.
 
         Raises
         ------
@@ -106,7 +106,7 @@ class BetaFrequencyErrors:
     beta: ArrayLike | None = None
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
-        """Return the error model bound to `data`, see `ErrorModel`.
+        """Return the error model bound to `data`; see `ErrorModel`.
 
         Raises
         ------
@@ -174,7 +174,7 @@ class FrequencyTerm(ErrorTerm):
             return self._known_terms(self._errors(frequencies)[0])
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
-        """Return the terms, see `ErrorTerm`."""
+        """Return the terms; see `ErrorTerm`."""
         error, slope = self._errors(seen.frequencies)
         if self._rows is not None:
             beta = self._rows[1]
@@ -188,7 +188,7 @@ class FrequencyTerm(ErrorTerm):
         return Evaluated(terms, -error / V * slope, None, by_noise)
 
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
-        """Return the residuals, see `ErrorTerm`."""
+        """Return the residuals; see `ErrorTerm`."""
         error, slope = self._errors(seen.frequencies)
         root = np.sqrt(2.0 * self.beta)[None] if self.is_known else 1.0 / np.sqrt(self.spread.variance(noise))
         return Residuals((root * error)[..., None], np.broadcast_to(root * slope, error.shape)[..., None])
@@ -203,7 +203,7 @@ class FrequencyTerm(ErrorTerm):
         return np.asarray(frequencies + error)
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the mean and standard deviation of each measured frequency, see `ErrorTerm`.
+        """Return the mean and standard deviation of each measured frequency; see `ErrorTerm`.
 
         Errors of eigenvalues, ε = (f/f^m)² − 1, are not Gaussian in f^m. Their standard deviation is converted to
         Hz such that (f − f^m) divided by it equals ε divided by the standard deviation of ε.
@@ -223,7 +223,7 @@ class FrequencyTerm(ErrorTerm):
         return FrequencyTerm(self.kind, self.measured, inferred).simulate(rng, frequencies, noise)
 
     def labels(self, modes: Sequence[str]) -> list[str]:
-        """Return the list of names of the residuals, see `ErrorTerm`."""
+        """Return the list of names of the residuals; see `ErrorTerm`."""
         return [f"{mode}, frequency" for mode in modes]
 
     def as_dict(self) -> dict[str, Plain]:
@@ -308,7 +308,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         return np.asarray(0.5 / np.diag(self.covariance_hz2))
 
     def among(self, used: IntArray | None) -> CorrelatedFrequencyTerm:
-        """Return the term of the marginal density of the `used` modes, see `ErrorTerm`."""
+        """Return the term of the marginal density of the `used` modes; see `ErrorTerm`."""
         return CorrelatedFrequencyTerm(self.measured, self.covariance_hz2, used)
 
     def project(self, seen: ModalPrediction) -> ModalPrediction:
@@ -328,7 +328,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         )
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
-        """Return the terms, see `ErrorTerm`. Where a frequency is infinite, they may be NaN."""
+        """Return the terms; see `ErrorTerm`. Where a frequency is infinite, they may be NaN."""
         z = seen.frequencies
         return Evaluated(self._normaliser - 0.5 * z**2, -z if gradient else None)
 
@@ -350,13 +350,13 @@ class CorrelatedFrequencyTerm(ErrorTerm):
             return np.asarray(0.5 * np.log(c / (2.0 * np.pi)) - 0.5 * g**2 / c)
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the mean and standard deviation of each measured frequency given the others, see `ErrorTerm`."""
+        """Return the mean and standard deviation of each measured frequency given the others; see `ErrorTerm`."""
         c = np.sum(self._inverse_root**2, axis=0)
         g = _times(self._inverse_root.T, self._standardise(frequencies))
         return self.measured + g / c, np.broadcast_to(1.0 / np.sqrt(c), frequencies.shape)
 
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
-        """Return the residuals z, see `ErrorTerm`."""
+        """Return the residuals z; see `ErrorTerm`."""
         return Residuals(seen.frequencies[..., None], np.ones_like(seen.frequencies)[..., None])
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
@@ -364,7 +364,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
         return np.asarray(frequencies + _times(self._root_of_all, rng.standard_normal(np.shape(frequencies))))
 
     def labels(self, modes: Sequence[str]) -> list[str]:
-        """Return the list of names of the residuals, see `ErrorTerm`."""
+        """Return the list of names of the residuals; see `ErrorTerm`."""
         return [f"{mode}, frequency" for mode in modes]
 
     def as_dict(self) -> dict[str, Plain]:

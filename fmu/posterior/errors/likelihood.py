@@ -124,7 +124,7 @@ class ModalLikelihood(Likelihood):
     def terms_and_misfit(
         self, theta: FloatArray, frequencies: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the `terms` of the modes and the `misfit` from the same solves, see `Likelihood`."""
+        """Return the `terms` of the modes and the `misfit` from the same solves; see `Likelihood`."""
         is_enough = self.by_frequencies and frequencies is not None
         seen = without_shapes(np.asarray(frequencies)) if is_enough else self.observed(theta)
         squares = self.misfit(seen, theta)
@@ -151,7 +151,7 @@ class ModalLikelihood(Likelihood):
         return self._with_quantities_and_slopes(self.of_used(part.terms), self.of_used(slopes, 1), theta)
 
     def terms_of_frequencies(self, frequencies: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return the terms at theta, given the frequencies of the model there, see `Likelihood`."""
+        """Return the terms at theta, given the frequencies of the model there; see `Likelihood`."""
         if not self.by_frequencies:
             return self.terms(theta)
         return self.terms_of_observed(without_shapes(frequencies), theta)
@@ -317,7 +317,7 @@ class ModalLikelihood(Likelihood):
         return views, parts
 
     def _observed_slopes(self, theta: FloatArray, chain: Chain | None) -> ModalPrediction:
-        """Return the prediction with derivatives, by the parameters of all tests if `chain` is given."""
+        """Return the predicted modes with derivatives: by theta with a `chain`, else by each test's parameters."""
         seen = self.observed(theta, True)
         return seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
 

@@ -52,7 +52,7 @@ class MACErrors:
         require_sizes(self.sd, self.weights)
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
-        """Return the error model bound to `data`, see `ErrorModel`.
+        """Return the error model bound to `data`; see `ErrorModel`.
 
         Raises
         ------
@@ -91,11 +91,11 @@ class MACTerm(ErrorTerm):
         return bool(self.groups)
 
     def project(self, seen: ModalPrediction) -> ModalPrediction:
-        """Return the prediction with the shapes of grouped modes projected, see `in_span`."""
+        """Return the prediction with the shapes of grouped modes projected; see `in_span`."""
         return in_span(seen, self.unit, self.groups) if self.groups else seen
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
-        """Return the terms, see `ErrorTerm`."""
+        """Return the terms; see `ErrorTerm`."""
         error, slope = self._errors(seen.shapes)
         V = self.spread.variance(noise)
         z = 1.0 / np.sqrt(2.0 * V)
@@ -107,13 +107,13 @@ class MACTerm(ErrorTerm):
         return Evaluated(terms, None, (-error / V)[:, None] * slope, by_noise)
 
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
-        """Return the residuals, see `ErrorTerm`."""
+        """Return the residuals; see `ErrorTerm`."""
         error, slope = self._errors(seen.shapes)
         sd = np.sqrt(self.spread.variance(noise))
         return Residuals((error / sd)[..., None], None, np.swapaxes(slope / sd[:, None], 1, 2)[:, :, None])
 
     def labels(self, modes: Sequence[str]) -> list[str]:
-        """Return the list of names of the residuals, see `ErrorTerm`."""
+        """Return the list of names of the residuals; see `ErrorTerm`."""
         return [f"{mode}, MAC" for mode in modes]
 
     def as_dict(self) -> dict[str, Plain]:

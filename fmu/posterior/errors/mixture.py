@@ -109,7 +109,7 @@ class MixtureLikelihood(ModalLikelihood):
         return self._mix(self._pairs(candidates, theta, True), candidates, theta)
 
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals and their derivatives for the candidates of the highest MAC, see `ModalLikelihood`.
+        """Return the residuals and their derivatives for the candidates of the highest MAC; see `ModalLikelihood`.
 
         These candidates correspond to the measured modes even where the frequencies are still so inaccurate that
         other candidates contribute more to the likelihood.

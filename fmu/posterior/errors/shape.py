@@ -51,7 +51,7 @@ class ShapeErrors:
         require_sizes(self.sd, self.weights)
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
-        """Return the error model bound to `data`, see `ErrorModel`.
+        """Return the error model bound to `data`; see `ErrorModel`.
 
         Raises
         ------
@@ -94,7 +94,7 @@ class ShapeTerm(ErrorTerm):
         return len(self.unit) - 1
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
-        """Return the terms, see `ErrorTerm`."""
+        """Return the terms; see `ErrorTerm`."""
         s, u = seen.shapes, self.unit
         Lam = 1.0 / self.spread.variance(noise)
         weighted, size = np.sum(Lam * s**2, axis=1), np.sum(s**2, axis=1)
@@ -110,7 +110,7 @@ class ShapeTerm(ErrorTerm):
         return Evaluated(terms, None, by_shape, by_noise)
 
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
-        """Return the residuals, see `ErrorTerm`."""
+        """Return the residuals; see `ErrorTerm`."""
         s, u = seen.shapes, self.unit
         root = 1.0 / np.sqrt(self.spread.variance(noise))
         Lam = root**2
@@ -123,11 +123,11 @@ class ShapeTerm(ErrorTerm):
         return Residuals(values, None, by_shape)
 
     def labels(self, modes: Sequence[str]) -> list[str]:
-        """Return the list of names of the residuals, see `ErrorTerm`."""
+        """Return the list of names of the residuals; see `ErrorTerm`."""
         return [f"{mode}, sensor {k + 1}" for mode in modes for k in range(len(self.unit))]
 
     def information(self, noise: FloatArray, used: IntArray | None = None) -> FloatArray:
-        """Return Fisher's information, see `ErrorTerm`."""
+        """Return Fisher's information; see `ErrorTerm`."""
         return (1.0 - 1.0 / len(self.unit)) * self.spread.information(noise, used)
 
     def as_dict(self) -> dict[str, Plain]:

@@ -50,7 +50,7 @@ class StudentErrors(FrequencyErrors):
             require("freedom", self.freedom, Annotated[float, Ge(LEAST_FREEDOM)])
 
     def bind(self, data: ModalData, index: NoiseIndex) -> ErrorTerm:
-        """Return the error model bound to `data`, see `ErrorModel`.
+        """Return the error model bound to `data`; see `ErrorModel`.
 
         Raises
         ------
@@ -99,7 +99,7 @@ class StudentTerm(FrequencyTerm):
         return np.asarray(-np.sign(z) * ndtri(stdtr(self._freedom, -np.abs(z))))
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
-        """Return the terms, see `ErrorTerm`."""
+        """Return the terms; see `ErrorTerm`."""
         error, slope = self._errors(seen.frequencies)
         V, nu = self.spread.variance(noise), self._nu(noise)
         square = error**2 / V
@@ -117,7 +117,7 @@ class StudentTerm(FrequencyTerm):
         return Evaluated(terms, -weight * error / V * slope, None, by_noise)
 
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
-        """Return the residuals, see `ErrorTerm`, with slopes whose squares give Fisher's information."""
+        """Return the residuals; see `ErrorTerm`, with slopes whose squares give Fisher's information."""
         error, slope = self._errors(seen.frequencies)
         root, nu = 1.0 / np.sqrt(self.spread.variance(noise)), self._nu(noise)
         slopes = np.sqrt((nu + 1.0) / (nu + 3.0)) * root * slope

@@ -27,7 +27,7 @@ _STEP = 1e-5  # of an inferred standard deviation, relative
 def evaluated_with_variance(
     term: ErrorTerm, seen: ModalPrediction, noise: FloatArray, gradient: bool
 ) -> Evaluated:
-    """Return the terms of an error model for a prediction with variances, see `ErrorTerm.evaluate`.
+    """Return the terms of an error model for a prediction with variances; see `ErrorTerm.evaluate`.
 
     The derivatives by the predicted frequencies and shapes use ∂g/∂x = −(∂r/∂x)ᵀ(∂r/∂x) and a constant h
     (Gauss–Newton). For the derivatives by inferred standard deviations, the correction is differentiated by

@@ -31,7 +31,7 @@ class TestsError(ValueError):
 @check_arguments
 @dataclass(frozen=True, eq=False)
 class Test:
-    """One modal test of a structure that was tested several times, see `fmu.JointProblem`.
+    """One modal test of a structure that was tested several times; see `fmu.JointProblem`.
 
     Attributes
     ----------

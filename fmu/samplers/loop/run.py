@@ -59,7 +59,7 @@ class Run:
     ----------
     density : LogDensity
         Density to sample. If it has attributes `offset` and `scale`, shape (ndim,), these define the scaled
-        coordinates, see `ScaledDensity`.
+        coordinates; see `ScaledDensity`.
     sampler : Sampler
         Settings of the sampler, in scaled units.
     warmup : int

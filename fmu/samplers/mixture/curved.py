@@ -1,4 +1,4 @@
-"""A mixture of bent Gaussians in curved coordinates, for densities that are bent or hollow."""
+"""A mixture of Gaussians in curvilinear coordinates, for banana-shaped and ring-shaped densities."""
 
 from __future__ import annotations
 

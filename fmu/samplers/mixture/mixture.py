@@ -49,7 +49,7 @@ class MixtureSampler(Sampler):
     weights : vector, optional
         Weights of the components; equal if not given.
     bent : vector of bool, optional
-        Mask of the coordinates that the components use as log(1 + 10 (u − lower)) instead of u, see `Warp`; learnt
+        Mask of the coordinates that the components use as log(1 + 10 (u − lower)) instead of u; see `Warp`; learnt
         if not given.
     wide : float, optional
         Share of every component's weight that its wider copies have, so that w stays bounded. If it is not given,
@@ -59,7 +59,7 @@ class MixtureSampler(Sampler):
     local_steps, jumps : int
         Numbers of local steps and of candidates of the mixture, which are taken in turn. If `jumps` is not given,
         it is 39, or 79 where `wide` is below 0.1. If `local` is given and at least half of the steps are local,
-        the sampler is called by the name of `local`, see `with_jumps`.
+        the sampler is called by the name of `local`; see `with_jumps`.
     adapt : bool
         Whether warm-up fits the mixture.
 

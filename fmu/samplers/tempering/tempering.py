@@ -45,7 +45,7 @@ class Tempering(Sampler):
     swaps between neighbouring replicas are proposed, for the even and the odd pairs in turn: a replica that finds
     another mode near the prior carries this mode to the posterior. Warm-up learns the ladder on which all swaps
     are rejected equally often, and the kernel's settings for every rung. The log-likelihoods at all rungs give the
-    evidence, see `fmu.evidence`.
+    evidence; see `fmu.evidence`.
 
     Parameters
     ----------

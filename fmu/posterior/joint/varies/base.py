@@ -78,7 +78,7 @@ class InTests:
     def refer_to(self, references: Mapping[int, tuple[FloatArray, tuple[float, float]]]) -> InTests:
         """Return the parameter with another centring and reference of its scores; itself if it has no scores.
 
-        `references` maps the index of the centre in theta to the centring and the reference, see `Drawn`.
+        `references` maps the index of the centre in theta to the centring and the reference; see `Drawn`.
         """
         return self
 
@@ -129,7 +129,7 @@ class Theta:
         self.roles_of_scores: list[Role] = []
 
     def add(self, parameter: Parameter, kind: str, of: int | None, where: str = "") -> int:
-        """Add a parameter and its role, see `Role`; return the index of the parameter in theta."""
+        """Add a parameter and its role; see `Role`; return the index of the parameter in theta."""
         self.main.append(parameter)
         self.roles.append(Role(kind, of, where))
         return len(self.main) - 1
