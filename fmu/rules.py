@@ -62,7 +62,7 @@ class Rule:
 
     @cached_property
     def parts(self) -> list[Rule]:
-        """The rules of the type parameters, such as that of the entries of a sequence."""
+        """The rules of the type parameters, such as the rule of the entries of a sequence."""
         return [Rule.of(one) for one in get_args(self.form)]
 
     def pick[Mark](self, *kinds: type[Mark]) -> list[Mark]:

@@ -191,7 +191,7 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
         raise ArgumentError("theta", f"must be {problem.ndim} numbers within the bounds", point.tolist())
     roles = problem.layout.roles
     if problem.is_hierarchical:  # at the population mean, where values follow the mean
-        problem = problem.with_layout(problem.layout.uncentred())
+        problem = problem.with_layout(problem.layout.remove_centring())
         point = np.where([role.kind == "score" for role in problem.roles], 0.0, point)
     prior_sd = np.array([truncated_sd(parameter) for parameter in problem.parameters[: len(roles)]])
     sensitivity = problem.sensitivity(point[None])[0] * prior_sd

@@ -13,11 +13,11 @@ _AT_ONCE = 1_000_000
 """Number of array entries that are permuted at a time."""
 
 type Statistics = Callable[[FloatArray, BoolArray], FloatArray]
-"""Function from sequences (n_orders, n, m) and the mask of their present values to statistics (n_orders, k)."""
+"""Function from sequences (n_orders, n, m) and the mask of their present values to statistics (n_orders, …)."""
 
 
 def in_random_orders(z: FloatArray, present: BoolArray, statistics: Statistics) -> FloatArray:
-    """Return the statistics of a sequence, followed by those in random orders, shape (1 + n_orders, k).
+    """Return the statistics of a sequence, followed by those in random orders, shape (1 + n_orders, …).
 
     The same sequence always gives the same result.
 

@@ -131,17 +131,17 @@ class MeasurementTable(TomlTable):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        given = self._given(_SOURCES)
+        given = self._find_given(_SOURCES)
         if len(given) != 1:
             raise ArgumentError("", f"must have one of {', '.join(_SOURCES)}", quote(given))
-        trust = self._given(_TRUST)
+        trust = self._find_given(_TRUST)
         if len(trust) > 1:
             raise ArgumentError("", _ONE_TRUST, quote(trust))
         if trust and given[0] in _TESTS:
             raise ValueError(
                 f"{trust[0]} must not be given together with {given[0]}, whose scatter gives the error"
             )
-        shapes = self._given(_SHAPES)
+        shapes = self._find_given(_SHAPES)
         if len(shapes) > 1:
             raise ValueError(f"must have either {' or '.join(shapes)}")
         if self.test_shapes is not None and given[0] not in _TESTS:
@@ -167,14 +167,14 @@ class MeasurementTable(TomlTable):
             if n not in (0, len(rows[0])):
                 raise ValueError(f"{key} must be {len(rows[0])}, one per mode (got {n})")
 
-    def _given(self, keys: Sequence[str]) -> list[str]:
+    def _find_given(self, keys: Sequence[str]) -> list[str]:
         """Return the list of those `keys` that the file gives in this table."""
         return [key for key in keys if key in self.model_fields_set]
 
     @property
     def _source(self) -> str:
         """The key that gives the frequencies."""
-        return self._given(_SOURCES)[0]
+        return self._find_given(_SOURCES)[0]
 
     @property
     def _reads_shapes(self) -> bool:
@@ -183,7 +183,7 @@ class MeasurementTable(TomlTable):
 
     def mistakes(self, needs_trust: bool) -> list[ArgumentError]:
         """Return a list of errors: one if the uncertainty of the frequencies is needed but not given."""
-        if self._given(_TRUST) or not needs_trust or self.frequencies is None:
+        if self._find_given(_TRUST) or not needs_trust or self.frequencies is None:
             return []
         return [ArgumentError("measurement", _ONE_TRUST, "[]")]
 
@@ -210,7 +210,7 @@ class MeasurementTable(TomlTable):
             raise BrokenError(ArgumentError("measurement", rule, n))
         sd_hz: ArrayLike | None = modes.sd_hz
         covariance: ArrayLike | None = given.covariance_hz2
-        if self._given(_TRUST):
+        if self._find_given(_TRUST):
             sd_hz, covariance = self.sd, self._covariance(folder)
         elif needs_trust and sd_hz is None and covariance is None:
             rule = f"{_ONE_TRUST}, as the file has no standard deviations"

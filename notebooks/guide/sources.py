@@ -12,7 +12,6 @@ import problem_files
 
 import fmu
 from fmu.cli import main
-from fmu.posterior.density import Posterior
 
 ROOT = Path(__file__).parents[2]
 REPORTS = sorted(ROOT.glob("results/*/report/*.html"))
@@ -142,11 +141,18 @@ def page_of(name: str) -> str:
     thing = getattr(import_module(module), last)
     kind = "class" if isclass(thing) else "function" if isfunction(thing) else "data"
     options = "   :members:\n   :show-inheritance:\n" if kind == "class" else ""
-    if kind == "class" and thing.__base__ is Posterior:  # what it answers is defined there
+    if kind == "class" and has_hidden_base(thing):
         options += "   :inherited-members:\n"
     if kind == "data" and hasattr(thing, "__path__"):
         kind, options = "module", "   :members:\n"
     return f"{title(name, 'index')}.. currentmodule:: {module}\n\n.. auto{kind}:: {name}\n{options}"
+
+
+def has_hidden_base(thing: type) -> bool:
+    """Return True if a class derives from a class of fmu without a page, so that its page has the members of both."""
+    base = thing.__base__
+    pages = {name.rpartition(".")[2] for name in public_names()}
+    return base is not None and base.__module__.startswith("fmu.") and base.__name__ not in pages
 
 
 def index() -> str:

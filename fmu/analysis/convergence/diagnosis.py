@@ -202,7 +202,7 @@ def diagnose(
     for name, other in named.items():
         check_trace(other, f"others.{name}")
     check_parameters(trace, named)
-    return judge(trace, _kept_maxima(trace, named) + _searched(problem), named)
+    return judge(trace, _kept_maxima(trace, named) + _search(problem), named)
 
 
 def _kept_maxima(trace: xr.DataTree, others: Mapping[str, xr.DataTree]) -> list[Maxima]:
@@ -301,7 +301,7 @@ def diagnose_all(
     summaries : mapping of str to pandas.DataFrame, optional
         ``summary(trace)`` of each trace, if already computed.
     """
-    searched, found = _searched(problem), {}
+    searched, found = _search(problem), {}
     for name, trace in traces.items():
         others = {key: other for key, other in traces.items() if key != name and _same_posterior(trace, other)}
         known = searched + _kept_maxima(trace, others)
@@ -309,7 +309,7 @@ def diagnose_all(
     return found
 
 
-def _searched(problem: LogDensity | None) -> list[Maxima]:
+def _search(problem: LogDensity | None) -> list[Maxima]:
     """Return the maxima of a problem, as a list; empty for a population, whose maximum is far from its mass."""
     return [search.find_map(problem)] if problem is not None and search.is_searchable(problem) else []
 

@@ -37,7 +37,7 @@ from fmu.analysis.trace.reading import (
     parameter_draws,
     parameter_names,
     parameter_units,
-    roles_of,
+    score_names,
     walkers_of,
 )
 from fmu.arguments import ArgumentError, check_arguments
@@ -116,7 +116,7 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
         times = trace["emcee"]["autocorrelation_time"].to_numpy()
         table["ess_emcee"] = np.sum(draws.shape[1] / times, axis=0)
     table.attrs["units"] = dict(zip(names, parameter_units(trace), strict=True))
-    table.attrs["scores"] = [name for name, (kind, *_) in roles_of(trace).items() if kind == "score"]
+    table.attrs["scores"] = score_names(trace)
     return table
 
 

@@ -30,7 +30,7 @@ from fmu.analysis.permutation import (
     in_random_orders,
     lag_one,
 )
-from fmu.analysis.trace.reading import has, parameter_names, problem_of, roles_of
+from fmu.analysis.trace.reading import has, parameter_names, problem_of, roles_of, score_names
 from fmu.numbers import fixed, share, significant
 from fmu.types import BoolArray, FloatArray
 
@@ -178,11 +178,14 @@ def effective_parameters(trace: xr.DataTree) -> int:
 
     A score counts as the share of its prior variance that the data remove; every other parameter counts as one.
     """
-    roles, names = roles_of(trace), parameter_names(trace)
-    free = sum(1 for name in names if name not in roles or roles[name][0] != "score")
+    n = len(parameter_names(trace))
     if not has(trace, GROUP, "score_sd"):
-        return len(names)
-    return free + round(float(np.nansum(np.clip(1.0 - trace[GROUP]["score_sd"].to_numpy() ** 2, 0.0, 1.0))))
+        return n
+    return (
+        n
+        - len(score_names(trace))
+        + round(float(np.nansum(np.clip(1.0 - trace[GROUP]["score_sd"].to_numpy() ** 2, 0.0, 1.0))))
+    )
 
 
 class _Farthest(NamedTuple):
@@ -230,9 +233,12 @@ def _causes(
     if 1 < of_group.shape[1] < len(z):
         found.append((False, _between, partial(between_groups, of_group)))
     two_sided, words, statistics = zip(*found, strict=True)
+
+    def of_all(z: FloatArray, present: BoolArray) -> FloatArray:
+        return np.stack([statistic(z, present) for statistic in statistics], axis=2)
+
     with np.errstate(invalid="ignore", divide="ignore"):
-        each = [np.nan_to_num(in_random_orders(z, present, statistic)) for statistic in statistics]
-    return Causes(np.stack(each, axis=2), two_sided, words)
+        return Causes(np.nan_to_num(in_random_orders(z, present, of_all)), two_sided, words)
 
 
 def _correlation(x: FloatArray, free: FloatArray, z: FloatArray, present: BoolArray) -> FloatArray:

@@ -210,7 +210,7 @@ class Check:
 
     def __str__(self) -> str:
         parts = [_lines(self.model)]
-        for title, sentences, table in map(_shortened, self._blocks()):
+        for title, sentences, table in map(_shorten, self._blocks()):
             if table is None:
                 parts.append(f"{title}\n{_lines(sentences)}")
             else:
@@ -228,7 +228,7 @@ class Check:
             return f"<h4>{html.escape(title)}</h4>" + "".join(f"<p>{html.escape(said)}</p>" for said in sentences)
 
         parts = [words(self.name, self.model), self.drawing]
-        for title, sentences, table in map(_shortened, self._blocks()):
+        for title, sentences, table in map(_shorten, self._blocks()):
             parts.append(words(title, sentences) + ("" if table is None else table.to_html(index=False)))
         doubts = "".join(f"<li>{html.escape(doubt)}</li>" for doubt in self.doubts)
         parts.append(words("Warnings", ()) + f"<ul>{doubts}</ul>" if doubts else words("No warnings.", ()))
@@ -239,7 +239,7 @@ _WORDS = ("", "point", "sensor", "unit", "prior", "changes", "measured mode", "m
 """Columns of text, which are aligned left."""
 
 
-def _shortened(block: Block) -> Block:
+def _shorten(block: Block) -> Block:
     """Return a section with its table cut to the first `_MOST_ROWS` rows."""
     title, sentences, table = block
     if table is None or len(table) <= _MOST_ROWS:

@@ -54,7 +54,7 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
 
     The scores of tests in a population are omitted, because all of them are standard normal.
     """
-    rows, listed = [], _listed(problem)
+    rows, listed = [], _find_listed(problem)
     for k in listed:
         parameter = problem.parameters[k]
         found, unit = problem.matrices_of(k), customary_unit(parameter.unit)
@@ -80,7 +80,7 @@ def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
 
     Without a drawing, the SVG is empty and each colour is None.
     """
-    listed, structure = _listed(problem), problem.model.parts[0].structure
+    listed, structure = _find_listed(problem), problem.model.parts[0].structure
     if structure is None or not is_drawable(structure, _MOST_ELEMENTS):
         return "", [None] * len(listed)
     found = sketch(structure, problem.data.sensors)
@@ -89,7 +89,7 @@ def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:
     return draw_svg(found), [None if of is None or of[0] is not structure else colours[of[1]] for of in changed]
 
 
-def _listed(problem: UpdatingProblem) -> list[int]:
+def _find_listed(problem: UpdatingProblem) -> list[int]:
     """Return the indices of all parameters except the scores of tests."""
     return [k for k, role in enumerate(problem.roles) if role.kind != "score"]
 

@@ -70,8 +70,8 @@ def parameter_names(trace: xr.DataTree) -> tuple[str, ...]:
 def told_names(trace: xr.DataTree) -> tuple[str, ...]:
     """Return the parameters shown in tables and figures: all, or all but the scores of tests if there are many."""
     names = parameter_names(trace)
-    roles = roles_of(trace)
-    chosen = tuple(name for name in names if name not in roles or roles[name][0] != "score")
+    scores = set(score_names(trace))
+    chosen = tuple(name for name in names if name not in scores)
     return chosen if len(names) > MANY and chosen else names
 
 
@@ -86,6 +86,11 @@ def roles_of(trace: xr.DataTree) -> dict[str, tuple[str, str, str]]:
     columns = (trace["constant_data"][name].to_numpy().astype(str) for name in ("role", "role_of", "role_where"))
     rows = zip(*(column.tolist() for column in columns), strict=True)
     return dict(zip(trace["constant_data"]["parameter"].to_numpy().astype(str).tolist(), rows, strict=True))
+
+
+def score_names(trace: xr.DataTree) -> list[str]:
+    """Return the names of the parameters that are scores of tests in a population."""
+    return [name for name, (kind, *_) in roles_of(trace).items() if kind == "score"]
 
 
 def without_scores(trace: xr.DataTree) -> xr.DataTree:

@@ -90,7 +90,7 @@ class Learner:
         return self.is_full and not self.is_whole
 
     def visit(self, theta: FloatArray, allowed: FloatArray, share: float = 1.0) -> BoolArray:
-        """Visit points theta (n, p): return where errors are small enough, (n,), and grow the space elsewhere.
+        """Grow the space at theta (n, p) where needed; return a mask (n,) of the points with small enough errors.
 
         The errors of the lowest m modes are compared with `SHARE` times `share` times `allowed` (m,). Where an
         error exceeds `GROWN` times `share` times `allowed`, its corrections are added to the space.

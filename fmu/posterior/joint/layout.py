@@ -132,7 +132,7 @@ class Layout:
         factor = self.correlation.factor(theta)
         return np.asarray(np.einsum("nik,njk->nij", factor, factor))
 
-    @property
+    @cached_property
     def drawn(self) -> list[Drawn]:
         """The structural parameters that scatter over the tests, without their trends."""
         return [one.base for one in self.values_of if isinstance(one.base, Drawn)]
@@ -143,7 +143,7 @@ class Layout:
         found = [k for one in self.drawn for k in (one.centre, one.width)]
         return sorted([*found, *(self.correlation.columns if self.correlation else ())])
 
-    def uncentred(self) -> Layout:
+    def remove_centring(self) -> Layout:
         """Return the layout in the non-centred form, with a centring of zero for all scores."""
         references = {one.centre: (np.zeros_like(one.centring), one.reference) for one in self.drawn}
         return replace(self, values_of=tuple(one.refer_to(references) for one in self.values_of))
@@ -317,6 +317,6 @@ class Layout:
             theta = one.drawn(theta)
         return theta
 
-    @property
+    @cached_property
     def _centred(self) -> list[Drawn]:
         return [one for one in self.drawn if np.any(one.centring > 0.0)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -102,7 +103,7 @@ class ModelInTests(ModalModel):
         """The model of each configuration."""
         return tuple(part.model for part in self.configurations)
 
-    @property
+    @cached_property
     def test_of_modes(self) -> IntArray:
         """For each measured mode, the index of its test, shape (n_modes,)."""
         found = np.empty(self.n_modes, dtype=np.int64)

@@ -21,7 +21,7 @@ from fmu.types import FloatArray, IntArray
 
 
 class Errors(NamedTuple):
-    """The error models of several tests, divided into those of modes and those of other quantities.
+    """The error models of several tests: error models of modes, and error models of other quantities.
 
     Attributes
     ----------

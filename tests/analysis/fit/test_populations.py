@@ -6,7 +6,7 @@ from fmu.analysis.convergence.diagnostics import convergence_failures, summary
 from fmu.analysis.convergence.remedies import fewest, without_scores
 from fmu.analysis.fit.check import POPULATION
 from fmu.analysis.fit.populations import checks_of_scores, effective_parameters
-from fmu.analysis.trace.reading import parameter_names, roles_of
+from fmu.analysis.trace.reading import parameter_names, score_names
 
 N = 30
 NAMES = ("k1", "k2", "k3", "k4")
@@ -136,8 +136,8 @@ def test_a_single_score_does_not_hold_up_a_run(springs):
     table = summary(trace).assign(
         rhat=1.001, ess_bulk=900.0, ess_tail=900.0, mcse_mean=0.0, mcse_eti90_lb=0.0, mcse_eti90_ub=0.0
     )
-    score = next(name for name, (kind, *_) in roles_of(trace).items() if kind == "score")
-    table.attrs["scores"] = [name for name, (kind, *_) in roles_of(trace).items() if kind == "score"]
+    score = score_names(trace)[0]
+    table.attrs["scores"] = score_names(trace)
 
     def reasons(name, column, value):
         changed = table.copy()
