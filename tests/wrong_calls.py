@@ -129,6 +129,7 @@ def calls(folder: Path) -> Iterator[Call]:
     section = fmu.Section.rectangle(0.02, 0.04)
     nodes, group = [[0.0, 0, 0], [1.0, 0, 0]], fmu.ElementGroup("beam", [[0, 1]], section, steel)
     frame = fmu.Frame(nodes, [group], {0: ("x", "y", "z", "rx", "ry", "rz")})
+    (folder / "tests.csv").write_text("name,a,b\nx,10.0,24.0\n")
     (folder / "f.csv").write_text("frequency\n10.0\n24.0\n")
     deck = folder / "beam.inp.in"
     deck.write_text("{k}\n")
@@ -403,6 +404,9 @@ def calls(folder: Path) -> Iterator[Call]:
             "known": {"k": 1.0},
         },
     )
+    yield Call("Test.from_csv", fmu.Test.from_csv, {
+        "path": folder / "tests.csv", "labels": ["a", "b"], "masses": {1: 0.1}, "springs": {(1, "x"): 10.0},
+        "known": {"k": 1.0}})  # fmt: skip
     posed = {
         "model": model,
         "data": data,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple, Self
+from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -80,6 +80,7 @@ class MeasurementTable(TomlTable):
     table, and ``test_shapes`` has the shapes of each test.
     """
 
+    sources: ClassVar[tuple[str, ...]] = _SOURCES
     frequencies: Annotated[list[Positive], Field(min_length=1, max_length=MOST_MODES)] | None = None
     """Natural frequencies, Hz."""
     tests: Annotated[list[Test], Field(min_length=2), one_length("mode")] | None = None
@@ -131,9 +132,9 @@ class MeasurementTable(TomlTable):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        given = self._find_given(_SOURCES)
+        given = self._find_given(self.sources)
         if len(given) != 1:
-            raise ArgumentError("", f"must have one of {', '.join(_SOURCES)}", quote(given))
+            raise ArgumentError("", f"must have one of {', '.join(self.sources)}", quote(given))
         trust = self._find_given(_TRUST)
         if len(trust) > 1:
             raise ArgumentError("", _ONE_TRUST, quote(trust))
@@ -156,16 +157,21 @@ class MeasurementTable(TomlTable):
         return self
 
     def _check_lengths(self) -> None:
-        rows = [self.frequencies] if self.frequencies is not None else self.tests or []
-        if not rows:
+        n_modes = self._count_modes()
+        if n_modes is None:
             return
         values: dict[str, ArrayLike | None] = {"sd": self.sd, "beta": self.beta, "covariance": self.covariance}
         values |= {"numbers": self.numbers, "counterparts": self.counterparts, "labels": self.labels}
         values |= {"use": self.use, "shapes": self.shapes}
         for key, value in values.items():
             n = 0 if value is None else sum(np.shape(value)[:1])
-            if n not in (0, len(rows[0])):
-                raise ValueError(f"{key} must be {len(rows[0])}, one per mode (got {n})")
+            if n not in (0, n_modes):
+                raise ValueError(f"{key} must be {n_modes}, one per mode (got {n})")
+
+    def _count_modes(self) -> int | None:
+        """Return the number of modes; None if only a file has it."""
+        rows = [self.frequencies] if self.frequencies is not None else self.tests or []
+        return len(rows[0]) if rows else None
 
     def _find_given(self, keys: Sequence[str]) -> list[str]:
         """Return the list of those `keys` that the file gives in this table."""
@@ -174,7 +180,7 @@ class MeasurementTable(TomlTable):
     @property
     def _source(self) -> str:
         """The key that gives the frequencies."""
-        return self._find_given(_SOURCES)[0]
+        return self._find_given(self.sources)[0]
 
     @property
     def _reads_shapes(self) -> bool:
@@ -289,10 +295,10 @@ class MeasurementTable(TomlTable):
             raise BrokenError(*found)
         return tuple(sensors)
 
-    def _read(self, folder: Path) -> _Given:
+    def _read(self, folder: Path) -> ModesGiven:
         """Return the modes, tests and covariance from the source of the frequencies, with shapes and sensors."""
         sensors = tuple((place, str(direction)) for place, direction in self.sensors)
-        given = self._frequencies(folder, {"sensors": sensors} if sensors and self._reads_shapes else {})
+        given = self._read_frequencies(folder, {"sensors": sensors} if sensors and self._reads_shapes else {})
         if self._reads_shapes:
             return given
         modes = replace(given.modes, sensors=sensors)
@@ -309,10 +315,10 @@ class MeasurementTable(TomlTable):
             modes = replace(modes, sensors=read.sensors, shapes=read.shapes)
         return given._replace(modes=modes)
 
-    def _frequencies(self, folder: Path, options: Mapping[str, Sensors]) -> _Given:
+    def _read_frequencies(self, folder: Path, options: Mapping[str, Sensors]) -> ModesGiven:
         """Return the frequencies with their uncertainty in the source, and its labels, numbers and tests."""
         if self.frequencies is not None:
-            return _Given(MeasuredModes(np.array(self.frequencies), ()))
+            return ModesGiven(MeasuredModes(np.array(self.frequencies), ()))
         if self.tests is not None:
             return _mean("tests", self.tests, self.scatter)
         with reading(f"measurement.{self._source}"):
@@ -321,14 +327,14 @@ class MeasurementTable(TomlTable):
                 files = {
                     key: folder / str(given) for key, given in table.given_arguments().items() if key in _FILES
                 }
-                return _Given(table.build(**files, **options))
+                return ModesGiven(table.build(**files, **options))
             if self.file is not None:
-                return _Given(read_frequencies(folder / self.file))
+                return ModesGiven(read_frequencies(folder / self.file))
             values, labels = read_tests(folder / str(self.tests_file))
         return _mean("tests_file", values, self.scatter, labels)
 
 
-class _Given(NamedTuple):
+class ModesGiven(NamedTuple):
     """The data of a source: modes, the repeated tests that were averaged, and the covariance of their mean."""
 
     modes: MeasuredModes
@@ -336,14 +342,14 @@ class _Given(NamedTuple):
     covariance_hz2: ArrayLike | None = None
 
 
-def _mean(key: str, values: ArrayLike, scatter: str, labels: tuple[str, ...] = ()) -> _Given:
+def _mean(key: str, values: ArrayLike, scatter: str, labels: tuple[str, ...] = ()) -> ModesGiven:
     """Return the mean of repeated tests with its uncertainty; BrokenError at `key` if the tests are invalid."""
     try:
         tests = RepeatedTests(values, scatter)
     except ValueError as error:
         raise BrokenError(ArgumentError.of(error).replace_key("frequencies", f"measurement.{key}")) from None
     mean = tests.mean()
-    return _Given(MeasuredModes(mean.frequencies_hz, labels, mean.sd_hz), tests, mean.covariance_hz2)
+    return ModesGiven(MeasuredModes(mean.frequencies_hz, labels, mean.sd_hz), tests, mean.covariance_hz2)
 
 
 def _repeated_shapes(

@@ -101,7 +101,7 @@ class ProblemFile(TomlTable):
     """The structure: type "frame", "matrices", "exports", "command", "opensees" or "python"."""
     measurement: MeasurementTable | None = None
     """The modes of a test."""
-    tests: Annotated[list[TestTable], Field(min_length=2, max_length=MOST_TESTS)] | None = None
+    tests: Annotated[list[TestTable], Field(min_length=1, max_length=MOST_TESTS)] | None = None
     """Several tests of the structure, instead of one measurement."""
     reference: str | None = None
     """The group of tests that losses refer to; that of the first one if not given."""
@@ -231,7 +231,7 @@ class ProblemFile(TomlTable):
         try:
             return JointProblem(
                 structure.model,
-                tests,
+                [placed.test for placed in tests],
                 list(parameters.values()),
                 varies=varies,
                 slopes=slopes,
@@ -244,7 +244,7 @@ class ProblemFile(TomlTable):
                 name=f"{self.name}, by {pairing or self.pairing}",
             )
         except TestsError as error:
-            raise BrokenError(*in_the_file(error, self.parameters)) from None
+            raise BrokenError(*in_the_file(error, self.parameters, tests)) from None
 
     def _data(self, folder: Path, built: Built, beta: ArrayLike | None, errors: Sequence[ErrorModel]) -> ModalData:
         """Return the measured data; if `beta` is given, without the uncertainty in the file, which it replaces."""

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar, NamedTuple, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from fmu.arguments import ArgumentError
-from fmu.config.measurement import MeasurementTable
+from fmu.config.measurement import MeasurementTable, ModesGiven
 from fmu.config.mistakes import BrokenError, Mistakes
 from fmu.config.parameters import ParameterTable
-from fmu.config.tables import Built, Name, ParameterName, TomlTable
+from fmu.config.tables import Built, FileName, Name, ParameterName, TomlTable, reading
+from fmu.formats.modes.csv import Campaign, read_campaign
+from fmu.formats.modes.measured_modes import MeasuredModes, ModesError, Place, Sensors
+from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.joint.modal_test import Test, TestsError
 from fmu.posterior.joint.varies import Variation
 from fmu.posterior.priors.base import Prior
 from fmu.types import Direction
 
 MOST_TESTS = 2000
+_OF_TEST = re.compile(r"\btests\.(\d+)\b")
 
 
 class AddedMass(TomlTable):
@@ -42,12 +48,20 @@ class AddedSpring(TomlTable):
 
 
 class TestTable(MeasurementTable):
-    """One of several tests: its modes, as in ``[measurement]``, and what is known to differ in it."""
+    """One of several tests: its modes, as in ``[measurement]``, and what is known to differ in it.
+
+    With ``campaign``, the table stands for all tests in a file; its other keys apply to each of them.
+    """
 
     __test__ = False
 
-    name: ParameterName
+    sources: ClassVar[tuple[str, ...]] = (*MeasurementTable.sources, "campaign")
+    name: ParameterName = ""
     """For tables and figures."""
+    campaign: FileName | None = None
+    """CSV table of several tests, relative to this file: one row per test, with its name, its group (may be
+    omitted), a column per mode with its label as header, in Hz, empty or nan where the test missed the mode, and a
+    column per covariate, such as the temperature. ``labels`` lists the columns with modes."""
     group: Annotated[str, Field(max_length=100)] = ""
     """State, place or season that several tests share."""
     covariates: dict[Name, float] = {}
@@ -57,40 +71,122 @@ class TestTable(MeasurementTable):
     known: dict[Name, float] = {}
     """Parameters whose values are known in this test."""
 
-    def test(self, number: int, folder: Path, built: Built, needs_trust: bool) -> Test:
-        """Return the test; BrokenError, with locations in the file, if it cannot be built."""
+    @model_validator(mode="after")
+    def _is_test_or_campaign(self) -> Self:
+        if self.campaign is None and not self.name:
+            raise ArgumentError("name", "is missing")
+        if self.campaign is not None and self.name:
+            raise ArgumentError("name", "must not be given with campaign, whose table has the names", self.name)
+        if self.campaign is not None and not self.labels:
+            rule = "must be given with campaign, the headers of its columns with frequencies in the order of modes"
+            raise ArgumentError("labels", rule, "none")
+        return self
+
+    def _count_modes(self) -> int | None:
+        return len(self.labels) or None if self.campaign is not None else super()._count_modes()
+
+    def _read_frequencies(self, folder: Path, options: Mapping[str, Sensors]) -> ModesGiven:
+        if self.campaign is None:
+            return super()._read_frequencies(folder, options)
+        mean = np.nanmean(self._read_campaign(folder).frequencies_hz, axis=0)
+        return ModesGiven(MeasuredModes(mean, tuple(self.labels)))
+
+    def _read_campaign(self, folder: Path) -> Campaign:
+        """Return the tests in the file of the campaign; BrokenError if there are errors in it."""
+        wrong: list[str] = []
+        with reading("measurement.campaign"):
+            try:
+                found = read_campaign(folder / str(self.campaign), self.labels)
+            except ModesError as error:
+                wrong += error.mistakes
+            else:
+                wrong += self._find_mistakes(found)
+        if wrong:
+            raise BrokenError(*(ArgumentError("measurement.campaign", f"{self.campaign}, {one}") for one in wrong))
+        return found
+
+    def _find_mistakes(self, found: Campaign) -> list[str]:
+        """Return a list of messages on a readable table that contradicts this one, or cannot be measured."""
+        missed = np.isnan(found.frequencies_hz).all(axis=0)
+        rule = "must have a frequency in one line at least (got none); delete it here and in labels"
+        wrong = [f"column {label}: {rule}" for label, none in zip(self.labels, missed, strict=True) if none]
+        twice = [name for name in found.covariates[0] if name in self.covariates]
+        twice += ["group"] if self.group and any(found.groups) else []
+        wrong += [f"column {name}: must not be a key of [[tests]] too; delete one of them" for name in twice]
+        rows = zip(found.frequencies_hz.tolist(), found.covariates, found.groups, strict=True)
+        if len(found.lines) > 1 and len({str(row) for row in rows}) == 1:
+            rule = "must differ (got the same numbers in all lines); give what was measured in each test"
+            wrong.append(f"lines {found.lines[0]} to {found.lines[-1]}: {rule}")
+        return wrong
+
+    def build_all(self, number: int, folder: Path, built: Built, needs_trust: bool) -> list[PlacedTest]:
+        """Return a list of the tests that the table describes; BrokenError if they cannot be built.
+
+        Parameters
+        ----------
+        number : int
+            The number of this table in the file, from 0.
+        folder, built, needs_trust
+            See `MeasurementTable.build`.
+        """
         where = f"tests.{number}"
         try:
             data = self.build(folder, built, needs_trust)
+            if self.beta is not None:
+                data = replace(data, sd_hz=np.sqrt(0.5 / np.asarray(self.beta)))
+            if self.campaign is not None:
+                return self._build_campaign(where, self._read_campaign(folder), data, built)
+            return [PlacedTest(self._test(self.name, data, self.group, self.covariates, built), where)]
         except BrokenError as error:
             raise BrokenError(*(mistake.replace_key("measurement", where) for mistake in error.mistakes)) from None
-        if self.beta is not None:
-            data = type(data)(**{**vars(data), "sd_hz": np.sqrt(0.5 / np.asarray(self.beta))})
-        try:
-            return Test(
-                self.name,
-                data,
-                self.group,
-                dict(self.covariates),
-                {built.at(one.place): one.mass for one in self.masses},
-                {(built.at(one.place), one.direction): one.stiffness for one in self.springs},
-                dict(self.known),
-            )
         except ValueError as error:
             raise BrokenError(ArgumentError.of(error).under(where)) from None
+
+    def _build_campaign(self, where: str, campaign: Campaign, data: ModalData, built: Built) -> list[PlacedTest]:
+        """Return a list of the tests of a campaign; `data` has all modes, with other frequencies."""
+        tests, wrong = [], Mistakes()
+        for name, group, covariates, frequencies, number in zip(*campaign, strict=True):
+            line = f"{self.campaign}, line {number}"
+            try:
+                own = data.with_frequencies(frequencies)
+                one = self._test(name, own, group or self.group, self.covariates | covariates, built)
+            except ValueError as error:
+                wrong.add(f"{where}.campaign", f"{line}, {error}")
+            else:
+                tests.append(PlacedTest(one, f"{where}.campaign", line))
+        if wrong:
+            raise BrokenError(*wrong)
+        return tests
+
+    def _test(self, name: str, data: ModalData, group: str, covariates: Mapping[str, float], built: Built) -> Test:
+        masses = {built.at(one.place): one.mass for one in self.masses}
+        springs: dict[tuple[Place, str], float] = {
+            (built.at(one.place), one.direction): one.stiffness for one in self.springs
+        }
+        return Test(name, data, group, dict(covariates), masses, springs, dict(self.known))
+
+
+class PlacedTest(NamedTuple):
+    """A test, the key of the problem file that gives it and, of a campaign, the file and line."""
+
+    test: Test
+    where: str
+    line: str = ""
 
 
 def build_tests(
     tables: Sequence[TestTable], folder: Path, built: Built, needs_trust: bool
-) -> tuple[list[Test], list[ArgumentError]]:
+) -> tuple[list[PlacedTest], list[ArgumentError]]:
     """Return the list of tests, and the list of errors in their tables."""
-    tests: list[Test] = []
+    tests: list[PlacedTest] = []
     found: list[ArgumentError] = []
     for number, table in enumerate(tables):
         try:
-            tests.append(table.test(number, folder, built, needs_trust))
+            tests += table.build_all(number, folder, built, needs_trust)
         except BrokenError as error:
             found += error.mistakes
+    if len(tests) > MOST_TESTS:
+        found.append(ArgumentError("tests", f"must be at most {MOST_TESTS}", len(tests)))
     return tests, found
 
 
@@ -103,13 +199,31 @@ def variations(
     return varies, slopes
 
 
-def in_the_file(error: TestsError, tables: Sequence[ParameterTable]) -> list[ArgumentError]:
-    """Return the list of errors of inconsistent tests, with their locations in the file."""
+def in_the_file(
+    error: TestsError, tables: Sequence[ParameterTable], tests: Sequence[PlacedTest]
+) -> list[ArgumentError]:
+    """Return the list of errors of inconsistent tests, with their locations in the file.
+
+    Of the lines of a campaign that break one rule, the first is named.
+    """
     number = {table.name: i for i, table in enumerate(tables)}
-    found = Mistakes()
+    found: dict[tuple[str, str], ArgumentError] = {}
     for said in error.mistakes:
         where, _, rule = said.partition(": ")
         key, _, name = where.partition(".")
         at = f"parameters.{number[name]}.{key}" if key in ("varies", "slopes") and name in number else where
-        found.add(at, rule)
-    return found
+        rule = _OF_TEST.sub(lambda match: _place(tests[int(match[1])]), rule)
+        of_test = _OF_TEST.match(where)
+        mistake = ArgumentError(at, rule)
+        if of_test:
+            placed, rest = tests[int(of_test[1])], where[of_test.end() + 1 :]
+            mistake = ArgumentError(f"{placed.where}.{rest}".rstrip("."), rule)
+            if placed.line:
+                mistake = ArgumentError(placed.where, f"{placed.line}, {rest}: {rule}")
+            at = f"{placed.where}.{rest}"
+        found.setdefault((at, rule), mistake)
+    return list(found.values())
+
+
+def _place(placed: PlacedTest) -> str:
+    return placed.line or placed.where

@@ -20,6 +20,13 @@ Frequencies in Hz of repeated tests in chronological order, one row per test and
     Monday 9:00,31.9,197.9
     Monday 9:30,31.8,
 
+Frequencies in Hz of the tests of a campaign, one row per test: its name, its group (may be omitted), and one
+column per mode and per covariate, such as the temperature. A cell is empty or ``nan`` where a test missed a mode::
+
+    name,group,temperature,first bending,second bending
+    2024-03-04,before,4.5,31.9,197.9
+    2024-07-12,after,21.0,31.8,
+
 Coordinates of the points of a test, one row per point, in any unit of length::
 
     point,x,y,z
@@ -34,20 +41,21 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from fmu.formats.modes.measured_modes import MOST_MODES, MeasuredModes, ModesError, checked_file
-from fmu.formats.shown import quote
+from fmu.formats.shown import names_shown, quote
 from fmu.types import FloatArray
 
 MOST_ROWS = 10_000
 """Largest number of rows of a table."""
 _FREQUENCY_COLUMNS = ("mode", "number", "frequency", "sd", "use")
 _YES_OR_NO = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
-_TEST = "test"
+_TEST, _NAME, _GROUP = "test", "name", "group"
 _MISSED = ("", "nan")
 _DIRECTION = re.compile(r"-?(r?[xyz])")
 
@@ -57,6 +65,28 @@ class _Row(NamedTuple):
 
     line: int
     values: dict[str, str]
+
+
+class Campaign(NamedTuple):
+    """The tests in a table of a campaign.
+
+    Attributes
+    ----------
+    names, groups : tuple of str
+        For each test, its name and its group. A group is empty if the table has no column of groups.
+    covariates : tuple of dict of str to float
+        For each test, the values of the covariates.
+    frequencies_hz : ndarray, shape (n_tests, n_modes)
+        NaN where a test missed a mode.
+    lines : tuple of int
+        For each test, the number of its line in the file, from 1.
+    """
+
+    names: tuple[str, ...]
+    groups: tuple[str, ...]
+    covariates: tuple[dict[str, float], ...]
+    frequencies_hz: FloatArray
+    lines: tuple[int, ...]
 
 
 def read_frequencies(path: Path) -> MeasuredModes:
@@ -170,6 +200,65 @@ def read_tests(path: Path) -> tuple[FloatArray, tuple[str, ...]]:
     if "" in labels:
         found.append("every column must have a name, that of its mode")
     _refuse(path, found)
+    values = _frequencies(rows, labels, found)
+    _refuse(path, found)
+    return values, labels
+
+
+def read_campaign(path: Path, labels: Sequence[str], covariates: Collection[str] | None = None) -> Campaign:
+    """Return the tests in a table of a campaign.
+
+    Parameters
+    ----------
+    path : Path
+    labels : sequence of str
+        The names of the columns with frequencies, in the order of the modes.
+    covariates : collection of str, optional
+        The columns with covariates that the table may have. By default every other column is a covariate.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ModesError
+        If the table is invalid; the message lists every error with its line and column.
+    """
+    header, rows = _table(path)
+    name = _TEST if _TEST in header and _NAME not in header else _NAME
+    known = (name, _GROUP, *labels)
+    others = [column for column in header if column not in known]
+    found = [
+        f"column {column}: is missing; the table has {names_shown(header)}"
+        for column in (name, *labels)
+        if column not in header
+    ]
+    if "" in header:
+        found.append("every column must have a name, in the first line")
+    elif covariates is not None:
+        rule = f"must be one of {names_shown([*known, *covariates])}; correct its name or delete it"
+        found += [f"column {column}: {rule}" for column in others if column not in covariates]
+    _refuse(path, found)
+    values = _frequencies(rows, labels, found)
+    advice = "; every test needs each covariate: fill the cell, or delete the column"
+    of_rows = [{column: _number(row, column, found, advice=advice) for column in others} for row in rows]
+    names = [row.values[name] for row in rows]
+    first = {one: row.line for one, row in reversed(list(zip(names, rows, strict=True)))}
+    for row, one in zip(rows, names, strict=True):
+        if not one:
+            found.append(f"line {row.line}, column {name}: must not be empty; give the test a name")
+        elif first[one] < row.line:
+            rule = f"must not be the name in line {first[one]} (got {quote(one)}); rename one of the two tests"
+            found.append(f"line {row.line}, column {name}: {rule}")
+        if all(row.values[label].lower() in _MISSED for label in labels):
+            rule = f"must have a frequency in a column of {names_shown(labels)} (got none); delete the line"
+            found.append(f"line {row.line}: {rule}")
+    _refuse(path, found)
+    groups = tuple(row.values.get(_GROUP, "") for row in rows)
+    return Campaign(tuple(names), groups, tuple(of_rows), values, tuple(row.line for row in rows))
+
+
+def _frequencies(rows: Sequence[_Row], labels: Sequence[str], found: list[str]) -> FloatArray:
+    """Return the frequencies in the columns `labels`, NaN where a cell says that the mode was missed."""
     values = [
         [
             np.nan if row.values[label].lower() in _MISSED else _number(row, label, found, positive=True)
@@ -177,8 +266,7 @@ def read_tests(path: Path) -> tuple[FloatArray, tuple[str, ...]]:
         ]
         for row in rows
     ]
-    _refuse(path, found)
-    return np.array(values), labels
+    return np.array(values)
 
 
 def _table(path: Path) -> tuple[list[str], list[_Row]]:
@@ -241,7 +329,7 @@ def _cells(line: str, separator: str) -> list[str]:
     return cells
 
 
-def _number(row: _Row, column: str, found: list[str], *, positive: bool = False) -> float:
+def _number(row: _Row, column: str, found: list[str], *, positive: bool = False, advice: str = "") -> float:
     """Return the number in a column of a row; if it is invalid, add an error to `found` and return NaN."""
     text = row.values[column]
     try:
@@ -250,7 +338,7 @@ def _number(row: _Row, column: str, found: list[str], *, positive: bool = False)
         value = np.nan
     if not np.isfinite(value) or (positive and value <= 0):
         rule = "a positive number" if positive else "a number"
-        found.append(f"line {row.line}, column {column}: must be {rule} (got {quote(text)})")
+        found.append(f"line {row.line}, column {column}: must be {rule} (got {quote(text)}){advice}")
         return np.nan
     return value
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -328,6 +328,31 @@ class ModalData:
         """
         own = {} if "covariance_hz2" not in options else {"sd_hz": None}
         return cls(**(vars(modes) | own | options))
+
+    def with_frequencies(self, frequencies_hz: FloatArray) -> Self:
+        """Return the same modes with other frequencies (n_modes,), without the modes whose frequencies are NaN."""
+        at = np.flatnonzero(~np.isnan(frequencies_hz))
+
+        def of[Part: (int, str, bool)](values: Sequence[Part]) -> tuple[Part, ...]:
+            return tuple(values[int(k)] for k in at) if values else ()
+
+        def along_modes(values: ArrayLike | None) -> FloatArray | None:
+            return None if values is None else np.asarray(values)[..., at]
+
+        covariance = along_modes(self.covariance_hz2)
+        return replace(
+            self,
+            frequencies_hz=frequencies_hz[at],
+            numbers=of(self.numbers),
+            labels=of(self.labels),
+            shapes=along_modes(self.shapes),
+            sd_hz=along_modes(self.sd_hz),
+            covariance_hz2=None if covariance is None else covariance[at],
+            shapes_sd=along_modes(self.shapes_sd),
+            counterparts=of(self.counterparts),
+            use=of(self.use),
+            mpc=along_modes(self.mpc),
+        )
 
     @property
     def n_modes(self) -> int:

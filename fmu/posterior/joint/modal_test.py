@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
 
 from fmu.arguments import check_arguments
+from fmu.formats.modes.csv import read_campaign
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import require_name
 from fmu.types import Plain
@@ -71,6 +76,46 @@ class Test:
         require_name(self.name)
         if self.group:
             require_name(self.group, "group")
+
+    @classmethod
+    @check_arguments
+    def from_csv(
+        cls,
+        path: str | os.PathLike[str],
+        labels: Sequence[str],
+        *,
+        masses: Mapping[Any, float] | None = None,
+        springs: Mapping[tuple[Any, str], float] | None = None,
+        known: Mapping[str, float] | None = None,
+        **options: Any,
+    ) -> list[Self]:
+        """Return the tests of a campaign in a CSV table, one row per test, as a list.
+
+        Parameters
+        ----------
+        path : path-like
+            Table with the columns ``name``, ``group`` (may be omitted), one column per mode, Hz, empty or ``nan``
+            where a test missed the mode, and one column per covariate; see `fmu.formats.modes.csv`. Missed modes
+            are left out of a test.
+        labels : sequence of str
+            Names of the columns with frequencies, in the order of the modes.
+        masses, springs, known
+            The attributes of the class with these names, the same for all tests.
+        **options
+            Other arguments of `fmu.ModalData` for all modes, such as ``sd_hz`` or ``sensors``.
+
+        Raises
+        ------
+        ValueError
+            If the table is invalid; the message lists every error with its line and column.
+        FileNotFoundError
+            If the file does not exist.
+        """
+        campaign = read_campaign(Path(path), labels)
+        modes = ModalData(np.ones(len(labels)), labels=tuple(labels), **options)
+        given = masses or {}, springs or {}, known or {}
+        rows = zip(campaign.names, campaign.groups, campaign.covariates, campaign.frequencies_hz, strict=True)
+        return [cls(name, modes.with_frequencies(f), group, by, *given) for name, group, by, f in rows]
 
     @property
     def configuration(self) -> tuple[Any, ...]:
