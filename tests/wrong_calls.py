@@ -563,6 +563,7 @@ _RULE = re.compile(r"\b(must|needs?|has no|no such file|takes|contains no|is not
 _ALIASES = {
     "match_points": {"known": "nodes"},
     "cases": {"name": "case"},
+    "Test": {"labels": "tests"},  # tests.csv, which lacks the column
     "SeparableModel": {"stiffness": "K_terms", "mass": "M_terms"},
 }
 _REASONS: dict[str, str] = {}

@@ -10,7 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.formats.modes.csv import read_campaign
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import require_name
@@ -111,6 +111,8 @@ class Test:
         FileNotFoundError
             If the file does not exist.
         """
+        if len(labels) == 0:
+            raise ArgumentError("labels", "must name the columns with frequencies, one at least", "none")
         campaign = read_campaign(Path(path), labels)
         modes = ModalData(np.ones(len(labels)), labels=tuple(labels), **options)
         given = masses or {}, springs or {}, known or {}
