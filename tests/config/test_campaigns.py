@@ -78,7 +78,9 @@ def test_python_reads_the_same_tests(tmp_path):
     ]
     assert (dict(laden.masses), dict(laden.known)) == ({"roof": 3.0}, {"k2": 1.0})
     assert dict(laden.covariates)["temperature"] == 7.5
-    with pytest.raises(ValueError, match=r"winter\.csv: column twist: is missing; the table has name, group, "):
+    with pytest.raises(
+        ValueError, match=r"winter\.csv: column twist: must be in the table, which has name, group, "
+    ):
         fmu.Test.from_csv(tmp_path / "winter.csv", ["twist"])
 
 
@@ -100,8 +102,11 @@ def test_covariance_shapes_and_numbers_of_a_row_are_of_its_modes(tmp_path):
 
 FIRST = "tests.0.campaign: winter.csv, "
 WRONG = {
-    "a missing column": (TABLE.replace("sway", "swag"), ["column sway: is missing; the table has name, group, "]),
-    "no names": (TABLE.replace("name", "who"), ["column name: is missing; the table has who, group, "]),
+    "a missing column": (
+        TABLE.replace("sway", "swag"),
+        ["column sway: must be in the table, which has name, group, "],
+    ),
+    "no names": (TABLE.replace("name", "who"), ["column name: must be in the table, which has who, group, "]),
     "doubled names": (
         TABLE.replace("wednesday", "monday"),
         ["line 6, column name: must not be the name in line 3 (got 'monday'); rename one of the two tests"],

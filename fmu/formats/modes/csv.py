@@ -228,7 +228,7 @@ def read_campaign(path: Path, labels: Sequence[str], covariates: Collection[str]
     known = (name, _GROUP, *labels)
     others = [column for column in header if column not in known]
     found = [
-        f"column {column}: is missing; the table has {names_shown(header)}"
+        f"column {column}: must be in the table, which has {names_shown(header)}"
         for column in (name, *labels)
         if column not in header
     ]
