@@ -56,6 +56,11 @@ SAMPLER = click.option(
     "--sampler",
     help="Sampler whose draws are used.  [default: of those that converged, the one with most effective draws]",
 )
+MODEL = click.option(
+    "--model",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="Problem file to use instead of the saved copy, if files it refers to have moved.",
+)
 
 
 @click.command()

@@ -15,8 +15,8 @@ import click
 from fmu.config import ConfigurationError
 from fmu.engines.base import RunFailedError
 
-FAILED, BAD_INPUT = 1, 2
-"""Exit codes: the run failed or fell short; the input is wrong."""
+FAILED, BAD_INPUT, DEPARTED = 1, 2, 3
+"""Exit codes: the run failed or fell short; the input is wrong; a new test is not like the earlier ones."""
 STOPPED = 130  # what a shell reports for a command that Ctrl-C ended
 
 

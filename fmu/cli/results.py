@@ -1,4 +1,4 @@
-"""Commands on the results of a run (``fmu report``, ``damage``, ``export``), and ``fmu paper``."""
+"""Commands on the results of a run (``fmu report``, ``damage``, ``predict``, ``export``), and ``fmu paper``."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from fmu.cli import damage
+from fmu.cli.predict import predict
 from fmu.progress import progress_bars
 
 _UPDATED = "updated.toml"
@@ -27,8 +28,7 @@ def report(directory: Path) -> None:
 @click.option("--at", type=click.Choice(("mean", "map")), default="mean", show_default=True,
               help="Values to export: the posterior mean, or the highest maximum found.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), help="Output directory.  [default: DIRECTORY/export]")
-@click.option("--model", type=click.Path(path_type=Path, exists=True, dir_okay=False),
-              help="Problem file to use instead of the saved copy, if files it refers to have moved.")  # fmt: skip
+@damage.MODEL
 def export(directory: Path, sampler: str | None, at: str, out: Path | None, model: Path | None) -> None:
     """Write the updated model of the run in DIRECTORY.
 
@@ -59,4 +59,4 @@ def paper(out: Path) -> None:
     click.echo(f"Written to {out}")
 
 
-COMMANDS = (report, *damage.COMMANDS, export, paper)
+COMMANDS = (report, *damage.COMMANDS, predict, export, paper)

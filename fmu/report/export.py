@@ -208,6 +208,26 @@ def read_choice(directory: Path, sampler: str | None) -> tuple[str, xr.DataTree,
     return name, traces[name], verdicts[name]
 
 
+def read_problem(directory: Path, trace: xr.DataTree, model: Path | None = None) -> UpdatingProblem:
+    """Return the problem of a run, built again with its reduced model.
+
+    Raises
+    ------
+    ValueError
+        If it is not the problem that was sampled, because a file has changed.
+    """
+    source = read_saved(directory, model)
+    problem = source.load()
+    try:
+        _check_same(problem, trace)
+    except ValueError as error:
+        raise ValueError(
+            f"{error}. A file that {source.file.name} names, such as a table of tests, has changed since the run: "
+            "restore it, and put new tests into a table of their own"
+        ) from None
+    return problem
+
+
 def _theta(trace: xr.DataTree, at: str) -> FloatArray:
     if at == "mean":
         return np.asarray(parameter_draws(trace).mean(axis=(0, 1)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -161,12 +161,41 @@ def simulate_next_test(
     unknown = [name for name in covariates or {} if name not in tests[t].covariates]
     if unknown:
         raise ValueError(f"covariates: must be among {', '.join(tests[t].covariates)} (got {unknown[0]!r})")
-    values = problem.layout.of_next_test(theta[:, : problem.n_structural], rng, t, covariates or {})
+    found = draw_next_test(problem, rng, theta, t, covariates or {})
+    return found.computed, found.measured
+
+
+class NextTest(NamedTuple):
+    """Draws of one further test of the structure, in the configuration of one of the tests.
+
+    Attributes
+    ----------
+    scores : ndarray, shape (n, n_populations)
+        Its standard normal scores in the populations, in the order of ``layout.drawn``.
+    values : ndarray, shape (n, n_structural)
+        Its structural parameters.
+    computed, measured : ndarray, shape (n, n_modes)
+        Its frequencies without and with errors, Hz.
+    """
+
+    scores: FloatArray
+    values: FloatArray
+    computed: FloatArray
+    measured: FloatArray
+
+
+def draw_next_test(
+    problem: UpdatingProblem, rng: np.random.Generator, theta: FloatArray, t: int, covariates: Mapping[str, float]
+) -> NextTest:
+    """Return draws of one further test like test number `t`; see `simulate_next_test`."""
+    structural = theta[:, : problem.n_structural]
+    scores = problem.layout.draw_scores(structural, rng, 1)[:, 0]
+    values = problem.layout.of_next_test(structural, rng, scores, t, covariates)
     computed = problem.model.frequencies_of_test(t, values)
     columns = problem.model.test_of_modes == t
     every = np.tile(np.asarray(problem.data.frequencies_hz), (len(theta), 1))
     every[:, columns] = computed
-    return computed, problem.simulate_data(rng, every, theta)[:, columns]
+    return NextTest(scores, values, computed, problem.simulate_data(rng, every, theta)[:, columns])
 
 
 def find_mistakes(

@@ -176,7 +176,12 @@ class Layout:
         return np.array(tests)[np.unique(row, return_index=True)[1]], row
 
     def of_next_test(
-        self, theta: FloatArray, rng: np.random.Generator, like: int, covariates: Mapping[str, float]
+        self,
+        theta: FloatArray,
+        rng: np.random.Generator,
+        scores: FloatArray,
+        like: int,
+        covariates: Mapping[str, float],
     ) -> FloatArray:
         """Return draws of the structural parameters in a further test, shape (n, n_structural).
 
@@ -184,13 +189,14 @@ class Layout:
         ----------
         theta : ndarray, shape (n, n_parameters)
         rng : Generator
+        scores : ndarray, shape (n, n_populations)
+            The scores of the further test, drawn by `draw_scores`.
         like : int
             Index of the test whose group the further test belongs to.
         covariates : mapping of str to float
             Values of the covariates. Covariates without an entry have their means over the tests.
         """
-        scores = np.moveaxis(self.draw_scores(theta, rng, 1), 2, 0)[:, :, 0]
-        future = Future(rng, {one.centre: z for one, z in zip(self.drawn, scores, strict=True)}, covariates)
+        future = Future(rng, {one.centre: z for one, z in zip(self.drawn, scores.T, strict=True)}, covariates)
         return np.stack([value_of.next_test(theta, like, future) for value_of in self.values_of], axis=1)
 
     def draw_scores(self, theta: FloatArray, rng: np.random.Generator, n_tests: int) -> FloatArray:
