@@ -53,9 +53,9 @@ def predict_tests(
 
     If only the score of parameter j departs, the frequencies change in the direction aⱼ, the regression of the
     simulated frequencies on the scores. With the residual r = y − ȳ, the shift that fits best is
-    aⱼᵀS⁻¹r / aⱼᵀS⁻¹aⱼ. It explains the part tⱼ² = (aⱼᵀS⁻¹r)² / aⱼᵀS⁻¹aⱼ of D², the generalised likelihood ratio
-    (Kay 1998, *Fundamentals of Statistical Signal Processing: Detection Theory*, sec. 6.4). If no score departs, tⱼ
-    has the mean 0 and the standard deviation 1.
+    aⱼᵀS⁻¹r / aⱼᵀS⁻¹aⱼ. It explains the part tⱼ² = (aⱼᵀS⁻¹r)² / aⱼᵀS⁻¹aⱼ of D², a generalised likelihood ratio
+    (Kay 1998, *Fundamentals of Statistical Signal Processing: Detection Theory*, sec. 6.4). If no score departs,
+    tⱼ has the mean 0 and the standard deviation 1.
 
     Parameters
     ----------

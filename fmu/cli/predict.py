@@ -53,9 +53,9 @@ def predict(
 ) -> int:
     """Compare the new tests in CSV with the population of the earlier tests of the run in DIRECTORY.
 
-    CSV has a row per test with its name, group, covariates and frequencies, like a table for campaign in [[tests]].
-    A test departs if its p-value is at most --false-alarms. Results are added to DIRECTORY/predictions.csv. Tests
-    that are there already are not predicted again.
+    CSV has a row per test with its name, group, covariates and frequencies, like a table for campaign in
+    [[tests]]. A test departs if its p-value is at most --false-alarms. Results are added to
+    DIRECTORY/predictions.csv. Tests that are there already are not predicted again.
 
     The exit status is 0 if no new test departs, 3 if one does, 2 if the input is wrong, and 1 if the prediction
     failed.

@@ -58,9 +58,9 @@ class Predictions:
             for column in self._measured:
                 if before[column] != test[column]:
                     raise ValueError(
-                        f"{test[NAME]}: was predicted with another {column} ({quote(before[column])} in "
-                        f"{self.path}, now {quote(test[column])}). If it is another test, give it another name; if the numbers "
-                        "were corrected, delete its line there"
+                        f"{test[NAME]}: was predicted with another {column} (now {quote(test[column])}, but "
+                        f"{quote(before[column])} in {self.path}). If it is another test, give it another name; if "
+                        "the numbers were corrected, delete its line there"
                     )
         return [i for i, test in enumerate(tests) if test[NAME] not in known]
 
