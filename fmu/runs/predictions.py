@@ -59,8 +59,8 @@ class Predictions:
                 if before[column] != test[column]:
                     raise ValueError(
                         f"{test[NAME]}: was predicted with another {column} (now {quote(test[column])}, but "
-                        f"{quote(before[column])} in {self.path}). If it is another test, give it another name; if "
-                        "the numbers were corrected, delete its line there"
+                        f"{quote(before[column])} in {self.path}). If it is another test, give it another name; "
+                        "if the numbers were corrected, delete its line there"
                     )
         return [i for i, test in enumerate(tests) if test[NAME] not in known]
 

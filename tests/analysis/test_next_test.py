@@ -1,0 +1,196 @@
+"""New tests beside the prediction of the next test: p-values, and the parameter that has departed."""
+
+import numpy as np
+import pytest
+import scipy.stats
+import xarray as xr
+from numpy.testing import assert_allclose
+
+import fmu
+from fmu.analysis.next_test import rank_p_value
+from fmu.posterior.joint.modal_test import TestsError
+from tests.shear_building import frequencies_hz, shear_building
+
+NAMES, LABELS = ("k1", "k2", "k3", "k4"), ("a", "b", "c", "d")
+MODEL = shear_building(NAMES, 4e6, 1000.0)
+NOMINAL = frequencies_hz(MODEL, np.ones(4))[0]
+SD_HZ = 1e-3 * NOMINAL
+SCATTER, PER_DEGREE, DRAWS = 0.01, -0.002, 1500
+NORMAL = fmu.Population(sd=fmu.HalfNormal(0.02))
+
+
+def measured(name, rng, factors=(1.0, 1.0, 1.0, 1.0), missed=(), temperature=None, scatter=SCATTER, **options):
+    """Return a new test of the building, whose stiffnesses scatter and fall with the temperature."""
+    k = (1.0 + scatter * rng.standard_normal(4)) * np.array(factors)
+    k *= 1.0 if temperature is None else 1.0 + PER_DEGREE * temperature
+    f = frequencies_hz(MODEL, k)[0] + SD_HZ * rng.standard_normal(4)
+    f[list(missed)] = np.nan
+    covariates = {} if temperature is None else {"temperature": temperature}
+    data = fmu.ModalData(NOMINAL, labels=LABELS, sd_hz=SD_HZ).with_frequencies(f)
+    return fmu.Test(name, data, covariates=covariates, **options)
+
+
+def posed(tests, **options):
+    parameters = [fmu.Parameter(name, 1.0, 0.5, 1.5) for name in NAMES]
+    varies = dict.fromkeys(NAMES, NORMAL)
+    return fmu.JointProblem(MODEL, tests, parameters, varies=varies, pairing="index", **options)
+
+
+def trace_of(problem, **values):
+    """Return a trace in which the populations are known: all means are 1, all standard deviations 1 %."""
+    theta = np.tile(problem.start, (DRAWS, 1))
+    for role, name, column in zip(problem.roles, problem.names, theta.T, strict=True):
+        column[:] = {"mean": 1.0, "sd": SCATTER, "slope": PER_DEGREE}.get(role.kind, values.get(name, 0.0))
+    draws = {name: (("chain", "draw"), x[None]) for name, x in zip(problem.names, theta.T, strict=True)}
+    groups = {"posterior": xr.Dataset(draws), "sample_stats": xr.Dataset()}
+    trace = xr.DataTree.from_dict(groups)
+    trace.attrs = {"sampler": "none", "walkers": 1, "wall_s": 0.0, "seed": 1}
+    return trace
+
+
+@pytest.fixture(scope="module")
+def problem():
+    rng = np.random.default_rng(0)
+    return posed([measured(f"t{i}", rng, missed=(2,) if i == 0 else ()) for i in range(4)])
+
+
+@pytest.fixture(scope="module")
+def trace(problem):
+    return trace_of(problem)
+
+
+def test_the_rank_is_uniform_whatever_the_distribution():
+    """Of 19 skewed draws and a measurement like them, each of the 20 ranks has the same probability."""
+    rng = np.random.default_rng(2)
+    p = [rank_p_value(x[1:], x[0]) for x in np.exp(rng.standard_normal((2000, 20, 2)))]
+    counts = np.bincount(np.round(20 * np.array(p)).astype(int), minlength=21)[1:]
+    assert counts.sum() == 2000
+    assert scipy.stats.chisquare(counts).pvalue > 1e-3
+
+
+def test_the_rank_is_no_smaller_than_the_draws_allow():
+    draws = np.random.default_rng(3).standard_normal((99, 2))
+    assert rank_p_value(draws, np.array([50.0, -50.0])) == pytest.approx(0.01)
+    assert rank_p_value(draws, draws.mean(axis=0)) == 1.0
+    turned = draws @ [[2.0, 1.0], [0.3, 5.0]]
+    x = np.array([1.0, 1.3])
+    assert rank_p_value(turned, x @ [[2.0, 1.0], [0.3, 5.0]]) == rank_p_value(draws, x)
+
+
+def test_p_values_of_tests_from_the_population_are_uniform(problem, trace):
+    rng = np.random.default_rng(4)
+    missed = [(), (), (1,), (0, 3)]
+    new = [measured(f"n{i}", rng, missed=missed[i % 4]) for i in range(200)]
+    found = fmu.predict_tests(trace, problem, new)
+    assert scipy.stats.kstest(found["p_value"], "uniform").pvalue > 1e-3
+    whole = found.iloc[0::4]
+    for name in NAMES:
+        assert scipy.stats.kstest(whole[f"score {name}"], "norm").pvalue > 1e-3
+    assert (found["draws"] == DRAWS).all()
+
+
+@pytest.mark.parametrize("storey", range(4))
+def test_a_loss_of_8_percent_is_told_with_its_storey(storey, problem, trace):
+    """The scatter of 1 % is 8 times smaller; another storey's own scatter may add to what the loss looks like."""
+    rng = np.random.default_rng(5 + storey)
+    factors = np.where(np.arange(4) == storey, 0.92, 1.0)
+    found = fmu.predict_tests(trace, problem, [measured(f"n{i}", rng, factors) for i in range(40)])
+    assert (found["p_value"] <= 0.01).all()
+    assert (found["parameter"] == NAMES[storey]).all()
+    assert_allclose(found["change"].mean(), -0.08, atol=5 * SCATTER / np.sqrt(40))
+
+
+def test_parameters_that_one_mode_cannot_tell_apart_are_all_named(problem, trace):
+    rng = np.random.default_rng(6)
+    new = measured("n", rng, (0.7, 1.0, 1.0, 1.0), missed=(1, 2, 3))
+    row = fmu.predict_tests(trace, problem, [new]).iloc[0]
+    assert row["p_value"] < 0.01
+    assert {row["parameter"], *row["or_parameters"].split(", ")} == set(NAMES)
+
+
+def test_the_covariate_of_the_new_test_is_taken_into_account():
+    rng = np.random.default_rng(7)
+    tests = [measured(f"t{i}", rng, temperature=t) for i, t in enumerate((-5.0, 0.0, 5.0))]
+    slopes = {name: {"temperature": fmu.Normal(0.01)} for name in NAMES}
+    problem = posed(tests, slopes=slopes)
+    warm = measured("warm", rng, temperature=40.0)
+    cold = fmu.Test("cold", warm.data, covariates={"temperature": 0.0})
+    found = fmu.predict_tests(trace_of(problem), problem, [warm, cold])
+    assert found["p_value"]["warm"] > 0.01
+    assert found["p_value"]["cold"] < 0.01
+    with pytest.raises(
+        TestsError, match=r"^tests\.0\.covariates: must have temperature, on which k1 depends \(got "
+    ):
+        fmu.predict_tests(trace_of(problem), problem, [measured("no", rng)])
+
+
+def test_the_configuration_of_the_new_test_is_that_of_the_test_it_is_like():
+    rng = np.random.default_rng(8)
+    tests = [measured(f"t{i}", rng) for i in range(2)]
+    known = {"k4": 0.5}
+    soft = [measured(f"s{i}", rng, (1.0, 1.0, 1.0, 0.5), known=known) for i in range(2)]
+    problem = posed([*tests, *soft])
+    trace = trace_of(problem)
+    new = measured("new", rng, (1.0, 1.0, 1.0, 0.5))
+    with pytest.raises(TestsError, match=r"^tests\.0\.like: must name the test whose masses, springs and known "):
+        fmu.predict_tests(trace, problem, [new])
+    assert fmu.predict_tests(trace, problem, [new], like="t1")["parameter"]["new"] == "k4"
+    found = fmu.predict_tests(trace, problem, [new], like="s1").loc["new"]
+    assert np.isnan(found["score k4"])
+    assert "k4" not in (found["parameter"], found["or_parameters"])
+    own = measured("own", rng, known={"k4": 0.6})
+    with pytest.raises(
+        TestsError, match=r"like: must have no masses, springs and known parameters, or those of 's1'"
+    ):
+        fmu.predict_tests(trace, problem, [own], like="s1")
+
+
+def test_groups_matter_where_a_parameter_varies_by_group():
+    rng = np.random.default_rng(9)
+    tests = [measured(f"t{i}", rng, group="old" if i < 2 else "new") for i in range(4)]
+    parameters = [fmu.Parameter(name, 1.0, 0.5, 1.5) for name in NAMES]
+    varies = dict.fromkeys(NAMES[1:], NORMAL) | {"k1": "group"}
+    problem = fmu.JointProblem(MODEL, tests, parameters, varies=varies, pairing="index")
+    trace = trace_of(problem, **{"k1 [old]": 1.0, "k1 [new]": 0.8})
+    weak = measured("weak", rng, (0.8, 1.0, 1.0, 1.0), group="new", scatter=0.0)
+    p = fmu.predict_tests(trace, problem, [weak, fmu.Test("old one", weak.data, "old")])["p_value"]
+    assert p["weak"] > 0.01 > p["old one"]
+    with pytest.raises(
+        TestsError, match=r"group: must be one of old, new, as a parameter varies by group \(got ''\)"
+    ):
+        fmu.predict_tests(trace, problem, [measured("x", rng)])
+    with pytest.raises(TestsError, match=r"like: must be a test of the group new \(got 't0', of old\)"):
+        fmu.predict_tests(trace, problem, [weak], like="t0")
+
+
+def test_every_fault_of_new_tests_is_listed(problem, trace):
+    rng = np.random.default_rng(10)
+    other = fmu.Test("n1", fmu.ModalData([1.0, 2.0], labels=("a", "e")))
+    with pytest.raises(TestsError) as raised:
+        fmu.predict_tests(trace, problem, [measured("t1", rng), other], like="t9")
+    assert list(raised.value.mistakes) == [
+        "tests.0.name: must not be that of a test that was updated with; rename it (got 't1')",
+        "tests.0.like: must be one of t0, t1, t2, t3 (got 't9')",
+        "tests.1.labels: must be modes among a, b, d, c (got 'e')",
+        "tests.1.like: must be one of t0, t1, t2, t3 (got 't9')",
+    ]
+    with pytest.raises(
+        TestsError, match=r"labels: must be modes that one of the earlier tests has all \(got a, b"
+    ):
+        fmu.predict_tests(trace, problem, [measured("n", rng)], like="t0")
+
+
+def test_what_has_no_population_is_refused(trace):
+    rng = np.random.default_rng(11)
+    tests = [measured(f"t{i}", rng) for i in range(2)]
+    parameters = [fmu.Parameter(name, 1.0, 0.5, 1.5) for name in NAMES]
+    shared = fmu.JointProblem(MODEL, tests, parameters, pairing="index")
+    with pytest.raises(ValueError, match=r'^problem: must have a parameter with varies = "population"'):
+        fmu.predict_tests(trace_of(shared), shared, [measured("n", rng)])
+    with pytest.raises(ValueError, match=r"^trace: must be of the problem"):
+        fmu.predict_tests(trace, shared, [measured("n", rng)])
+
+
+def test_few_draws_are_refused(problem, trace):
+    with pytest.raises(ValueError, match=r"^trace: must have 40 draws at least for 4 modes \(got 20\)"):
+        fmu.predict_tests(trace, problem, [measured("n", np.random.default_rng(12))], draws=20)
