@@ -20,6 +20,7 @@ import scipy.stats
 import fmu
 from fmu.formats.models.exported import ExportedModel
 from fmu.formats.modes.measured_modes import MeasuredModes
+from tests.plain_traces import trace_of
 
 WRONG = {
     "None": None,
@@ -443,6 +444,13 @@ def calls(folder: Path) -> Iterator[Call]:
     yield Call("diagnose", fmu.diagnose, {"trace": trace, "problem": watched, "others": ()})
     yield Call("engine", fmu.engine, {"workers": 1, "cluster": None})
     yield Call("evidence", fmu.evidence, {"trace": trace, "method": None})
+    varied = fmu.JointProblem(
+        model, states, [parameter], varies={"k": fmu.Population()}, pairing="index", error=made["errors"]
+    )
+    known = trace_of(varied, np.tile([1.0, 0.1, 0.0, 0.0], (50, 1)))
+    yield Call("predict_tests", fmu.predict_tests, {
+        "trace": known, "problem": varied, "tests": [fmu.Test("next", data)], "like": "before",
+        "draws": 40})  # fmt: skip
     yield Call("expectation", fmu.expectation, {"trace": trace, "G": "k"})
     yield Call(
         "export", fmu.export, {"run_directory": folder, "sampler": None, "at": "mean", "out": None, "model": None}

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import numpy as np
 
 from fmu.arguments import ArgumentError
 from fmu.cli.damage import DIRECTORY, MODEL, SAMPLER
 from fmu.cli.messages import DEPARTED
 from fmu.config.mistakes import ConfigurationError
-from fmu.formats.modes.csv import Campaign, read_campaign
-from fmu.formats.modes.measured_modes import ModesError
 from fmu.formats.shown import names_shown
 from fmu.numbers import fixed, names_in_words, significant
 from fmu.tables import text_table, wrap_text
@@ -23,6 +21,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from fmu.analysis.convergence.diagnosis import Diagnosis
+    from fmu.formats.modes.csv import Campaign
     from fmu.posterior.joint.modal_test import Test, TestsError
     from fmu.posterior.problem import UpdatingProblem
     from fmu.runs.predictions import Predictions, Row
@@ -61,6 +60,8 @@ def predict(
     failed.
     """
     from fmu.analysis.next_test import predict_tests, require_population
+    from fmu.formats.modes.csv import read_campaign
+    from fmu.formats.modes.measured_modes import ModesError
     from fmu.posterior.joint.modal_test import TestsError
     from fmu.report.export import read_choice, read_problem
     from fmu.runs.predictions import open_predictions
@@ -117,7 +118,7 @@ def _tests(campaign: Campaign, labels: Sequence[str], table: Path) -> list[Test]
     from fmu.posterior.data.modal_data import ModalData
     from fmu.posterior.joint.modal_test import Test
 
-    modes, tests, wrong = ModalData(np.ones(len(labels)), labels=tuple(labels)), [], []
+    modes, tests, wrong = ModalData([1.0] * len(labels), labels=tuple(labels)), [], []
     for name, group, covariates, frequencies, line in zip(*campaign, strict=True):
         try:
             tests.append(Test(name, modes.with_frequencies(frequencies), group, covariates))
@@ -130,9 +131,11 @@ def _tests(campaign: Campaign, labels: Sequence[str], table: Path) -> list[Test]
 
 def _row(test: Test, covariates: Sequence[str], labels: Sequence[str]) -> Row:
     """Return the cells of what was measured in a test, by column."""
-    frequencies = dict(zip(test.data.labels, np.asarray(test.data.frequencies_hz).tolist(), strict=True))
-    numbers = {name: test.covariates.get(name) for name in covariates}
-    numbers |= {label: frequencies.get(label) for label in labels}
+    import numpy as np
+
+    frequencies = np.asarray(test.data.frequencies_hz).tolist()
+    numbers = {name: test.covariates.get(name) for name in covariates} | dict.fromkeys(labels)
+    numbers |= zip(test.data.labels, frequencies, strict=True)
     cells = {name: "" if value is None else repr(value) for name, value in numbers.items()}
     return {"name": test.name, "group": test.group} | cells
 
@@ -163,7 +166,7 @@ def _echo_new(found: pd.DataFrame) -> None:
         if not row["departs"]:
             rows.append([*cells, "as expected", "", "", ""])
             continue
-        change = "" if np.isnan(row["change"]) else f"{fixed(100.0 * row['change'], 1)} %"
+        change = "" if math.isnan(row["change"]) else f"{fixed(100.0 * row['change'], 1)} %"
         rows.append([*cells, "DEPARTS", row["parameter"], change, row["or_parameters"]])
     click.echo(text_table(header, rows, words=(0, 2, 3, 5), width=_WIDTH))
 

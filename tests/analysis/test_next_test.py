@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 import scipy.stats
-import xarray as xr
 from numpy.testing import assert_allclose
 
 import fmu
 from fmu.analysis.next_test import rank_p_value
 from fmu.posterior.joint.modal_test import TestsError
+from tests import plain_traces
 from tests.shear_building import frequencies_hz, shear_building
 
 NAMES, LABELS = ("k1", "k2", "k3", "k4"), ("a", "b", "c", "d")
@@ -41,11 +41,7 @@ def trace_of(problem, **values):
     theta = np.tile(problem.start, (DRAWS, 1))
     for role, name, column in zip(problem.roles, problem.names, theta.T, strict=True):
         column[:] = {"mean": 1.0, "sd": SCATTER, "slope": PER_DEGREE}.get(role.kind, values.get(name, 0.0))
-    draws = {name: (("chain", "draw"), x[None]) for name, x in zip(problem.names, theta.T, strict=True)}
-    groups = {"posterior": xr.Dataset(draws), "sample_stats": xr.Dataset()}
-    trace = xr.DataTree.from_dict(groups)
-    trace.attrs = {"sampler": "none", "walkers": 1, "wall_s": 0.0, "seed": 1}
-    return trace
+    return plain_traces.trace_of(problem, theta)
 
 
 @pytest.fixture(scope="module")
