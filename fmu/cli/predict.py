@@ -82,7 +82,7 @@ def predict(
     tests = _tests(campaign, labels, table)
     measured = [_row(test, known, labels) for test in tests]
     found = [*_FOUND, *(f"score {one}" for one in populations), "draws"]
-    draws_of = f"{name} {str(trace.attrs['configuration_hash'])[:12]}"
+    draws_of = f"{name} {str(trace.attrs.get('configuration_hash', ''))[:12]}"
     with open_predictions(directory, list(measured[0]), found, draws_of) as predictions:
         new, departs = predictions.find_new(measured), False
         if new:

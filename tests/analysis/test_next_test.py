@@ -85,6 +85,50 @@ def test_p_values_of_tests_from_the_population_are_uniform(problem, trace):
     assert (found["draws"] == DRAWS).all()
 
 
+def exact_draws(rng, estimates, sd):
+    """Return 300 draws of mean and sd of a population from their posterior on a grid, given one value per test.
+
+    The priors are N(1, 0.05²) and half-normal with 0.02; `sd` is that of the errors of the values.
+    """
+    mean, width = np.meshgrid(np.linspace(0.8, 1.2, 801), np.linspace(1e-5, 0.1, 400), indexing="ij")
+    log_density = -0.5 * ((mean - 1.0) / 0.05) ** 2 - 0.5 * (width / 0.02) ** 2
+    spread = width**2 + sd**2
+    squares = np.sum(estimates**2) - 2.0 * mean * np.sum(estimates) + len(estimates) * mean**2
+    log_density -= 0.5 * len(estimates) * np.log(spread) + 0.5 * squares / spread
+    density = np.exp(log_density - log_density.max()).ravel()
+    picked = rng.choice(density.size, 300, p=density / density.sum())
+    return mean.ravel()[picked], width.ravel()[picked]
+
+
+def test_p_values_are_uniform_over_campaigns_of_six_tests_from_which_the_population_is_inferred():
+    """All storeys share k, so that f² is proportional to it, and the posterior of its population is known."""
+    model = shear_building(["k"] * 4, 4e6, 1000.0)
+    sd_hz = 2e-3 * NOMINAL
+    data = fmu.ModalData(NOMINAL, labels=LABELS, sd_hz=sd_hz)
+    alike = [fmu.Test(f"t{i}", data) for i in range(2)]
+    parameter = fmu.Parameter("k", 1.0, 0.5, 1.5)
+    problem = fmu.JointProblem(model, alike, [parameter], varies={"k": NORMAL}, pairing="index")
+    rng, found = np.random.default_rng(14), []
+    for _ in range(300):
+        k = rng.normal(1.0, 0.05) + np.abs(rng.normal(0.0, 0.02)) * rng.standard_normal(7)
+        f = NOMINAL * np.sqrt(k)[:, None] + sd_hz * rng.standard_normal((7, 4))
+        mean, width = exact_draws(rng, ((f[:6] / NOMINAL) ** 2).mean(axis=1), 2.0 * 2e-3 / np.sqrt(4))
+        theta = np.column_stack([mean, width, np.zeros((300, 2))])
+        trace = plain_traces.trace_of(problem, theta)
+        trace.attrs["seed"] = len(found)
+        new = fmu.Test("new", data.with_frequencies(f[6]))
+        found.append(fmu.predict_tests(trace, problem, [new])["p_value"]["new"])
+    assert scipy.stats.kstest(found, "uniform").pvalue > 1e-3
+    assert scipy.stats.binomtest(int(np.sum(np.array(found) <= 0.05)), 300, 0.05).pvalue > 1e-3
+    print(
+        scipy.stats.kstest(found, "uniform").pvalue,
+        np.mean(np.array(found) <= 0.05),
+        np.mean(np.array(found) <= 0.1),
+        np.mean(np.array(found) <= 0.01),
+        np.mean(found),
+    )
+
+
 @pytest.mark.parametrize("storey", range(4))
 def test_a_loss_of_8_percent_is_told_with_its_storey(storey, problem, trace):
     """The scatter of 1 % is 8 times smaller; another storey's own scatter may add to what the loss looks like."""
@@ -139,6 +183,25 @@ def test_the_configuration_of_the_new_test_is_that_of_the_test_it_is_like():
         TestsError, match=r"like: must have no masses, springs and known parameters, or those of 's1'"
     ):
         fmu.predict_tests(trace, problem, [own], like="s1")
+
+
+def test_a_correlation_of_the_populations_is_taken_into_account():
+    """Together, two stiffnesses may be 2.5 sd high; one alone that is lower by 5 sd is the one that is named."""
+    rng = np.random.default_rng(13)
+    tests = [measured(f"t{i}", rng, scatter=0.0) for i in range(3)]
+    parameters = [fmu.Parameter(name, 1.0, 0.5, 1.5) for name in NAMES]
+    varies = dict.fromkeys(("k1", "k2"), NORMAL)
+    problem = fmu.JointProblem(MODEL, tests, parameters, varies=varies, correlation=1.0, pairing="index")
+    correlation = next(
+        n for n, role in zip(problem.names, problem.roles, strict=True) if role.kind == "correlation"
+    )
+    trace = trace_of(problem, **{correlation: 0.9, "k3": 1.0, "k4": 1.0})
+    factors = {"high": (1.025, 1.025, 1.0, 1.0), "k1": (0.95, 1.0, 1.0, 1.0), "k2": (1.0, 0.95, 1.0, 1.0)}
+    new = [measured(name, rng, of, scatter=0.0) for name, of in factors.items()]
+    found = fmu.predict_tests(trace, problem, new)
+    assert found["p_value"]["high"] > 0.01 > found["p_value"][["k1", "k2"]].max()
+    assert found["parameter"][["k1", "k2"]].tolist() == ["k1", "k2"]
+    assert_allclose(found["change"][["k1", "k2"]], -0.05, atol=0.01)
 
 
 def test_groups_matter_where_a_parameter_varies_by_group():
