@@ -134,6 +134,39 @@ def test_a_loss_of_8_percent_is_told_with_its_storey(storey, problem, trace):
     assert_allclose(found["change"].mean(), -0.08, atol=5 * SCATTER / np.sqrt(40))
 
 
+@pytest.mark.validate
+def test_campaigns_of_twelve_tests_that_are_sampled():
+    """Of 80 new tests of 8 campaigns, as many are alarms as asked for; of 16 with a loss of 8 %, at least 15, by name."""
+    model, names = shear_building(["k1", "k1", "k2", "k2"], 4e6, 1000.0), ("k1", "k2")
+    nominal = frequencies_hz(model, np.ones(2))[0]
+    data = fmu.ModalData(nominal, labels=LABELS, sd_hz=1e-3 * nominal)
+    parameters = [fmu.Parameter(name, 1.0, 0.5, 1.5) for name in names]
+    p, lost = [], []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        mean = rng.uniform(0.9, 1.1, 2)
+
+        def measure(name, factors=(1.0, 1.0), rng=rng, mean=mean):
+            k = mean * (1.0 + SCATTER * rng.standard_normal(2)) * factors
+            f = frequencies_hz(model, k)[0] * (1.0 + 1e-3 * rng.standard_normal(4))
+            return fmu.Test(name, data.with_frequencies(f))
+
+        tests = [measure(f"t{i}") for i in range(12)]
+        varies = dict.fromkeys(names, NORMAL)
+        problem = fmu.JointProblem(model, tests, parameters, varies=varies, pairing="index")
+        trace = fmu.sample(problem, "hmc", draws=300, warmup=300, seed=seed)
+        new = [measure(f"n{i}") for i in range(10)]
+        damaged = [measure("k1", (0.92, 1.0)), measure("k2", (1.0, 0.92))]
+        found = fmu.predict_tests(trace, problem, [*new, *damaged])
+        p += found["p_value"].tolist()[:10]
+        lost += [(name, *found.loc[name, ["p_value", "parameter"]]) for name in names]
+    for level in (0.05, 0.2, 0.5):
+        assert scipy.stats.binomtest(int(np.sum(np.array(p) <= level)), len(p), level).pvalue > 1e-3
+    told = [parameter == name for name, p_value, parameter in lost if p_value <= 0.01]
+    assert len(told) >= 15
+    assert sum(told) >= 15
+
+
 def test_parameters_that_one_mode_cannot_tell_apart_are_all_named(problem, trace):
     rng = np.random.default_rng(6)
     new = measured("n", rng, (0.7, 1.0, 1.0, 1.0), missed=(1, 2, 3))
