@@ -91,7 +91,7 @@ def exact_draws(rng, estimates, sd):
 
     The priors are N(1, 0.05²) and half-normal with 0.02; `sd` is that of the errors of the values.
     """
-    mean, width = np.meshgrid(np.linspace(0.8, 1.2, 401), np.linspace(1e-5, 0.1, 80), indexing="ij")
+    mean, width = np.meshgrid(np.linspace(0.8, 1.2, 401), np.linspace(0.000625, 0.099375, 80), indexing="ij")
     log_density = -0.5 * ((mean - 1.0) / 0.05) ** 2 - 0.5 * (width / 0.02) ** 2
     spread = width**2 + sd**2
     squares = np.sum(estimates**2) - 2.0 * mean * np.sum(estimates) + len(estimates) * mean**2
@@ -136,7 +136,7 @@ def test_a_loss_of_8_percent_is_told_with_its_storey(storey, problem, trace):
 
 @pytest.mark.validate
 def test_campaigns_of_twelve_tests_that_are_sampled():
-    """Of 80 new tests of 8 campaigns, as many are alarms as asked for; of 16 with a loss of 8 %, at least 15, by name."""
+    """Of 80 new tests, as many are alarms as asked for; of 16 with a loss of 8 %, at least 15, by name."""
     model, names = shear_building(["k1", "k1", "k2", "k2"], 4e6, 1000.0), ("k1", "k2")
     nominal = frequencies_hz(model, np.ones(2))[0]
     data = fmu.ModalData(nominal, labels=LABELS, sd_hz=1e-3 * nominal)
