@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,19 +12,19 @@ import click
 from fmu.arguments import ArgumentError
 from fmu.cli.damage import DIRECTORY, MODEL, SAMPLER
 from fmu.cli.messages import DEPARTED
-from fmu.config.mistakes import ConfigurationError
+from fmu.config.mistakes import ConfigurationError, Mistakes
 from fmu.formats.shown import names_shown
-from fmu.numbers import fixed, names_in_words, significant
+from fmu.numbers import fixed, significant
 from fmu.tables import text_table, wrap_text
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
 
     from fmu.analysis.convergence.diagnosis import Diagnosis
-    from fmu.formats.modes.csv import Campaign
     from fmu.posterior.joint.modal_test import Test, TestsError
     from fmu.posterior.problem import UpdatingProblem
-    from fmu.runs.predictions import Predictions, Row
+    from fmu.runs.predictions import Predictions
 
 _WIDTH = 80
 _FOUND = ("p_value", "false_alarms", "departs", "parameter", "or_parameters", "change")
@@ -59,10 +59,7 @@ def predict(
     The exit status is 0 if no new test departs, 3 if one does, 2 if the input is wrong, and 1 if the prediction
     failed.
     """
-    from fmu.analysis.next_test import predict_tests, require_population
-    from fmu.formats.modes.csv import read_campaign
-    from fmu.formats.modes.measured_modes import ModesError
-    from fmu.posterior.joint.modal_test import TestsError
+    from fmu.analysis.next_test import require_population
     from fmu.report.export import read_choice, read_problem
     from fmu.runs.predictions import open_predictions
     from fmu.runs.run_directory import folder_of_order
@@ -73,63 +70,83 @@ def predict(
     problem = read_problem(directory, trace, model)
     require_population(problem)
     labels = list(dict.fromkeys(label for test in problem.tests for label in test.data.labels))
-    known = list(dict.fromkeys(covariate for test in problem.tests for covariate in test.covariates))
+    covariates = list(dict.fromkeys(covariate for test in problem.tests for covariate in test.covariates))
+    tests = _read_tests(table, labels, covariates)
+    rows = [_row(test, covariates, labels) for test in tests.values()]
     populations = [p.name for p in problem.layout.structural if p.name in problem.layout.populations]
-    try:
-        campaign = read_campaign(table, labels, known)
-    except ModesError as error:
-        raise ConfigurationError(table.name, [ArgumentError("", one) for one in error.mistakes]) from None
-    tests = _tests(campaign, labels, table)
-    measured = [_row(test, known, labels) for test in tests]
     found = [*_FOUND, *(f"score {one}" for one in populations), "draws"]
     draws_of = f"{name} {str(trace.attrs.get('configuration_hash', ''))[:12]}"
-    with open_predictions(directory, list(measured[0]), found, draws_of) as predictions:
-        new, departs = predictions.find_new(measured), False
+    departs = False
+    with open_predictions(directory, list(rows[0]), found, draws_of) as predictions:
+        numbers = predictions.find_new(rows)
+        new = {line: test for i, (line, test) in enumerate(tests.items()) if i in numbers}
         if new:
-            try:
-                table_of_new = predict_tests(trace, problem, [tests[i] for i in new], like=like, draws=draws)
-            except TestsError as error:
-                raise _at_lines(error, [campaign.lines[i] for i in new], table) from None
-            least = 1.0 / (1 + int(table_of_new["draws"].min()))
-            if false_alarms < least:
-                raise ValueError(
-                    f"--false-alarms: must be at least {significant(least, 2)}, the smallest p-value of "
-                    f"{table_of_new['draws'].min()} draws (got {false_alarms:g}); sample more draws, or allow "
-                    "more false alarms"
-                )
-            table_of_new.insert(1, "false_alarms", false_alarms)
-            table_of_new.insert(2, "departs", table_of_new["p_value"] <= false_alarms)
-            answers = table_of_new.to_dict("records")
-            predictions.add(
-                [
-                    {**measured[i], **{str(column): _text(value) for column, value in answer.items()}}
-                    for i, answer in zip(new, answers, strict=True)
-                ]
-            )
-            _echo_new(table_of_new)
-            departs = bool(table_of_new["departs"].any())
-    _echo_remarks(problem, [tests[i] for i in new], known, diagnosis)
-    _echo_all(predictions, [test.name for test in tests], [tests[i].name for i in new], false_alarms)
+            answers = _predict(trace, problem, new, table, like, draws, false_alarms)
+            cells = [
+                {str(column): _text(value) for column, value in answer.items()}
+                for answer in answers.to_dict("records")
+            ]
+            predictions.add([rows[i] | answer for i, answer in zip(numbers, cells, strict=True)])
+            _echo_new(answers)
+            departs = bool(answers["departs"].any())
+    _echo_remarks(problem, list(new.values()), diagnosis)
+    _echo_all(predictions, [test.name for test in tests.values() if test not in new.values()], false_alarms)
     return DEPARTED if departs else 0
 
 
-def _tests(campaign: Campaign, labels: Sequence[str], table: Path) -> list[Test]:
-    """Return the list of new tests; ConfigurationError if one has a name that is not allowed."""
+def _predict(
+    trace: xr.DataTree,
+    problem: UpdatingProblem,
+    tests: Mapping[int, Test],
+    table: Path,
+    like: str | None,
+    draws: int,
+    false_alarms: float,
+) -> pd.DataFrame:
+    """Return the table of `fmu.predict_tests`, and whether each test departs; `tests` are by their lines."""
+    from fmu.analysis.next_test import predict_tests
+    from fmu.posterior.joint.modal_test import TestsError
+
+    try:
+        found = predict_tests(trace, problem, list(tests.values()), like=like, draws=draws)
+    except TestsError as error:
+        raise _at_lines(error, list(tests), table) from None
+    n = int(found["draws"].min())
+    least = 1.0 / (1 + n)
+    if false_alarms < least:
+        raise ValueError(
+            f"--false-alarms: must be at least {significant(least, 2)}, the smallest p-value of {n} draws "
+            f"(got {false_alarms:g}); sample more draws, or allow more false alarms"
+        )
+    found.insert(1, "false_alarms", false_alarms)
+    found.insert(2, "departs", found["p_value"] <= false_alarms)
+    return found
+
+
+def _read_tests(table: Path, labels: Sequence[str], covariates: Sequence[str]) -> dict[int, Test]:
+    """Return a dict of the tests in a table by their lines; ConfigurationError if the table is wrong."""
+    from fmu.formats.modes.csv import read_campaign
+    from fmu.formats.modes.measured_modes import ModesError
     from fmu.posterior.data.modal_data import ModalData
     from fmu.posterior.joint.modal_test import Test
 
-    modes, tests, wrong = ModalData([1.0] * len(labels), labels=tuple(labels)), [], []
-    for name, group, covariates, frequencies, line in zip(*campaign, strict=True):
+    try:
+        campaign = read_campaign(table, labels, covariates)
+    except ModesError as error:
+        raise ConfigurationError(table.name, [ArgumentError("", one) for one in error.mistakes]) from None
+    modes, wrong = ModalData([1.0] * len(labels), labels=tuple(labels)), Mistakes()
+    tests: dict[int, Test] = {}
+    for name, group, values, frequencies, line in zip(*campaign, strict=True):
         try:
-            tests.append(Test(name, modes.with_frequencies(frequencies), group, covariates))
+            tests[line] = Test(name, modes.with_frequencies(frequencies), group, values)
         except ValueError as error:
-            wrong.append(ArgumentError(f"line {line}", str(error)))
+            wrong.add(f"line {line}", str(error))
     if wrong:
         raise ConfigurationError(table.name, wrong)
     return tests
 
 
-def _row(test: Test, covariates: Sequence[str], labels: Sequence[str]) -> Row:
+def _row(test: Test, covariates: Sequence[str], labels: Sequence[str]) -> dict[str, str]:
     """Return the cells of what was measured in a test, by column."""
     import numpy as np
 
@@ -141,9 +158,9 @@ def _row(test: Test, covariates: Sequence[str], labels: Sequence[str]) -> Row:
 
 
 def _text(value: object) -> str:
-    return (
-        repr(value) if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)
-    )
+    """Return a value as text from which the same value can be read."""
+    text = repr(value) if isinstance(value, float) else str(value)
+    return text.lower() if isinstance(value, bool) else text
 
 
 def _at_lines(error: TestsError, lines: Sequence[int], table: Path) -> ConfigurationError:
@@ -171,30 +188,30 @@ def _echo_new(found: pd.DataFrame) -> None:
     click.echo(text_table(header, rows, words=(0, 2, 3, 5), width=_WIDTH))
 
 
-def _echo_remarks(
-    problem: UpdatingProblem, tests: Sequence[Test], covariates: Sequence[str], diagnosis: Diagnosis
-) -> None:
-    """Print a warning if covariates are beyond those of the run, and if its draws are not to be relied on."""
-    for name in covariates:
-        known = [test.covariates[name] for test in problem.tests if name in test.covariates]
-        low, high = min(known), max(known)
-        beyond = [test for test in tests if not low <= test.covariates.get(name, low) <= high]
+def _echo_remarks(problem: UpdatingProblem, tests: Sequence[Test], diagnosis: Diagnosis) -> None:
+    """Print a warning if slopes are extrapolated, and if the draws are not to be relied on."""
+    for name in dict.fromkeys(role.where for role in problem.roles if role.kind == "slope"):
+        earlier = [test.covariates[name] for test in problem.tests]
+        low, high = min(earlier), max(earlier)
+        beyond = [test.name for test in tests if not low <= test.covariates[name] <= high]
         if beyond:
             rule = f"{name} is beyond {low:g} to {high:g}, the range of the earlier tests, in"
-            click.echo(wrap_text(f"Warning: {rule} {names_in_words([one.name for one in beyond])}.", width=_WIDTH))
+            click.echo(wrap_text(f"Warning: {rule} {names_shown(beyond)}.", width=_WIDTH))
     if diagnosis.doubts:
         click.echo(wrap_text(f"Do not rely on p: {' and '.join(diagnosis.doubts)}.", width=_WIDTH))
 
 
-def _echo_all(predictions: Predictions, asked: Sequence[str], new: Sequence[str], false_alarms: float) -> None:
-    """Print how many tests have departed since the first prediction, and how many would by chance."""
+def _echo_all(predictions: Predictions, before: Sequence[str], false_alarms: float) -> None:
+    """Print how many tests have departed since the first prediction, and how many would by chance.
+
+    `before` are the names of tests in the table that had been predicted before.
+    """
     rows = predictions.rows
     departed = [row["name"] for row in rows if row["departs"] == "true"]
-    before = [name for name in asked if name not in new]
     if before:
         again = [name for name in before if name in departed]
         of_them = f"; of them, {names_shown(again)} departed" if again else ""
-        click.echo(wrap_text(f"{len(before)} tests had been predicted before{of_them}.", width=_WIDTH))
+        click.echo(wrap_text(f"Predicted before: {names_shown(before)}{of_them}.", width=_WIDTH))
     chance = sum(float(row["false_alarms"]) for row in rows)
     click.echo(
         wrap_text(

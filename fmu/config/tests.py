@@ -219,7 +219,7 @@ def in_the_file(
             placed, rest = tests[int(of_test[1])], where[of_test.end() + 1 :]
             mistake = ArgumentError(f"{placed.where}.{rest}".rstrip("."), rule)
             if placed.line:
-                mistake = ArgumentError(placed.where, f"{placed.line}, {rest}: {rule}")
+                mistake = ArgumentError(placed.where, f"{', '.join(filter(None, (placed.line, rest)))}: {rule}")
             at = f"{placed.where}.{rest}"
         found.setdefault((at, rule), mistake)
     return list(found.values())

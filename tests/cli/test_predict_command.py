@@ -99,7 +99,7 @@ def test_the_next_day_is_added_and_the_earlier_ones_are_not_doubled(run, days):
     before = (run / FILE).read_text(encoding="utf-8")
     again = invoke("predict", run, days)
     assert again.exit_code == 0, again.output
-    assert "2 tests had been predicted before; of them, Tuesday departed." in again.stdout
+    assert "Predicted before: Monday, Tuesday; of them, Tuesday departed." in again.stdout
     assert (run / FILE).read_text(encoding="utf-8") == before
     with days.open("a", encoding="utf-8") as file:
         file.write(row("Wednesday", np.random.default_rng(3)) + "\n")
