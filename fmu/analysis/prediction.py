@@ -11,7 +11,6 @@ from fmu.analysis.convergence.diagnostics import interval_columns
 from fmu.analysis.convergence.effective import mcse_mean
 from fmu.analysis.trace.conversion import ONE_MORE_TEST
 from fmu.analysis.trace.damage import is_loss
-from fmu.analysis.trace.modal_states import GROUP, MEAN, MEASURED, START
 from fmu.analysis.trace.reading import (
     array_of,
     check_trace,
@@ -22,8 +21,7 @@ from fmu.analysis.trace.reading import (
     walkers_of,
 )
 from fmu.arguments import check_arguments
-from fmu.fem.pairing.correlation import ALIKE
-from fmu.numbers import apart, fixed, share, with_unit
+from fmu.numbers import apart, share, with_unit
 from fmu.tables import data_frame
 from fmu.types import FloatArray
 
@@ -236,37 +234,6 @@ def _prior_share(trace: xr.DataTree, name: str, bound: float, sign: float, margi
     if not has(trace, "prior"):
         return NEAR_A_BOUND
     return float(np.mean(sign * (trace["prior"][name].to_numpy() - bound) < margin))
-
-
-def shape_warnings(trace: xr.DataTree) -> list[str]:
-    """Return a sentence for each mode whose MAC with its measured shape is below `ALIKE` after updating.
-
-    If the size of the shape errors is inferred, it grows until any shape is probable, and no prediction shows the
-    misfit.
-    """
-    alike = measured_mac(trace)
-    if alike is None:
-        return []
-    before, after = (np.diag(alike.sel(state=state)) for state in (START, MEAN))
-    return [
-        f"mode {mode} does not match the measured shape: MAC {fixed(b, 2)} before and {_below(a)} after "
-        f"updating, below {ALIKE}"
-        for mode, b, a in zip(alike["mode"].to_numpy(), before, after, strict=True)
-        if a < ALIKE
-    ]
-
-
-def _below(mac: float) -> str:
-    """Return a MAC below `ALIKE` as text, with enough digits to show that it is below."""
-    return apart(mac, ALIKE, sd=0.1)[0]
-
-
-def measured_mac(trace: xr.DataTree) -> xr.DataArray | None:
-    """Return the MAC with the measured shapes (state, reference_mode, mode); None without measured shapes."""
-    if not has(trace, GROUP, "mac"):
-        return None
-    found = trace[GROUP]["mac"].transpose("state", "reference_mode", "mode")
-    return found if found.attrs["reference"] == MEASURED else None
 
 
 def search_warnings(trace: xr.DataTree, highest: float) -> list[str]:

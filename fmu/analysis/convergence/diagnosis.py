@@ -36,8 +36,9 @@ from fmu.analysis.information import information_warnings
 from fmu.analysis.maxima import search
 from fmu.analysis.maxima.missed import Comparison, check_parameters, compare_shares, missed_places
 from fmu.analysis.maxima.results import NEGLIGIBLE, TYPICAL_POINT, Maxima
+from fmu.analysis.measured_shapes import sensor_warnings, shape_warnings
 from fmu.analysis.pairing_changes import jump_warnings
-from fmu.analysis.prediction import bound_warnings, search_warnings, shape_warnings
+from fmu.analysis.prediction import bound_warnings, search_warnings
 from fmu.analysis.repeatability import repeatability_warnings
 from fmu.analysis.trace.densities import names_of
 from fmu.analysis.trace.reading import array_of, check_trace, has, parameter_names, walkers_of, with_group
@@ -234,8 +235,9 @@ def judge(
         warnings += search_warnings(trace, best[0].log_prob)
     fit = model_fit(trace)
     unlike = [warning for warning in shape_warnings(trace) if warning not in fit.against]
-    warnings += [*fit.against, *bound_warnings(trace), *unlike, *jump_warnings(trace), *deviation_warnings(trace)]
-    warnings += information_warnings(trace) + repeatability_warnings(trace) + left_out_warnings(trace)
+    warnings += [*fit.against, *bound_warnings(trace), *unlike, *sensor_warnings(trace), *jump_warnings(trace)]
+    warnings += [*deviation_warnings(trace), *information_warnings(trace), *repeatability_warnings(trace)]
+    warnings += left_out_warnings(trace)
     steps = int(trace.attrs["draws"]) if not trace.attrs.get("complete", 1) else 0
     stopped = f"the run was stopped after {steps} draws and can be resumed" if steps else ""
     if "limit" in trace.attrs:

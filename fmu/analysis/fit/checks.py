@@ -57,7 +57,8 @@ from fmu.analysis.fit.populations import GROUP as POPULATIONS
 from fmu.analysis.fit.populations import effective_parameters, population_checks
 from fmu.analysis.held_out.modes import kept_table
 from fmu.analysis.information import CONTRACTED
-from fmu.analysis.prediction import measured_mac, measured_tests, measurement_in_words, shape_warnings
+from fmu.analysis.measured_shapes import below, correlations_of, paired_mac, shape_warnings
+from fmu.analysis.prediction import measured_tests, measurement_in_words
 from fmu.analysis.trace.misfit import GROUP, QUANTITIES
 from fmu.analysis.trace.modal_states import MEAN
 from fmu.analysis.trace.reading import array_of, has, parameter_units
@@ -234,6 +235,7 @@ def _tests(trace: xr.DataTree, level: float) -> list[Check]:
     squares = group["squares"].sum("quantity")
     of_test, each = every.sel(mode=group["mode"]).to_numpy(), int(group["freedom"].sum())
     names, found = list(dict.fromkeys(of_test.tolist())), []
+    correlations = correlations_of(trace, MEAN)
     limit = level / (2 * len(names))
     for name in names:
         here = squares.isel(mode=of_test == name)
@@ -243,7 +245,9 @@ def _tests(trace: xr.DataTree, level: float) -> list[Check]:
             "residuals r in standard deviations, "
         )
         check, larger = _judge_squares(TEST, f"test {name}", total, n, limit, against)
-        found.append(replace(check, why_not=_follows(trace, larger)))
+        wrong = correlations[name].sensors_in_doubt() if name in correlations else ""
+        sentence = f"{check.sentence}; look at {wrong}" if wrong else check.sentence
+        found.append(replace(check, sentence=sentence, why_not=_follows(trace, larger)))
     return found
 
 
@@ -365,20 +369,19 @@ def _quantities(trace: xr.DataTree, level: float) -> list[Check]:
 
 def _shapes(trace: xr.DataTree) -> list[Check]:
     """Return a list with one check per measured shape; empty if the residuals include the shape errors."""
-    alike = measured_mac(trace)
-    if alike is None or "shapes" in trace[GROUP]["quantity"].to_numpy():
+    if "shapes" in trace[GROUP]["quantity"].to_numpy():
         return []
-    values, sentences = np.diag(alike.sel(state=MEAN)), iter(shape_warnings(trace))
+    sentences = iter(shape_warnings(trace))
     return [
         Check(
             SHAPE,
             f"mode {mode}",
-            f"MAC {apart(float(value), ALIKE, sd=0.1)[0]}",
+            f"MAC {below(value)}",
             f"{ALIKE}",
             np.nan,
-            bool(value < ALIKE),
+            value < ALIKE,
             f"MAC below {ALIKE}",
             next(sentences) if value < ALIKE else "",
         )
-        for mode, value in zip(alike["mode"].to_numpy(), values, strict=True)
+        for mode, _, value in paired_mac(trace)
     ]

@@ -77,6 +77,9 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
           the posterior mean.
         - For a structure without geometry, ``component`` is at all translations if they are few, and the largest
           component of each mode is 1.
+        - For several tests that measured shapes at the same sensors: ``of_test`` (mode), the name of the test, and
+          the shapes at the sensors, ``computed_in_test`` (state, mode, sensor) and ``measured_in_test`` (mode,
+          sensor), and their MAC, ``mac_in_test`` (state, mode).
 
     Raises
     ------
@@ -97,6 +100,8 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
     if model is not None:
         shapes = _align_signs(np.array([_shapes(model, point) for point in theta[:, : problem.n_structural]]))
         variables |= _shape_variables(problem, model.structure, shapes)
+    elif problem.model.n_tests > 1 and problem.data.shapes is not None and problem.model.gives_shapes:
+        variables |= _shapes_in_tests(problem, theta)
     return xr.Dataset(
         variables,
         coords={"state": list(states), "parameter": list(problem.names), "mode": labels, "reference_mode": labels},
@@ -108,6 +113,20 @@ def _shapes(model: PairedStructure, theta: FloatArray) -> FloatArray:
     shapes = model.shapes(theta)
     advance_phase()
     return shapes
+
+
+def _shapes_in_tests(problem: UpdatingProblem, theta: FloatArray) -> dict[str, Any]:
+    """Return the shapes at the sensors in all tests, and their MAC with the measured shapes."""
+    seen = problem.model.observed(problem.model_parameters(theta)).shapes
+    measured = np.asarray(problem.data.shapes)
+    pairs = [mac(seen[:, :, [k]], measured[:, [k]])[:, 0, 0] for k in range(measured.shape[1])]
+    return {
+        "of_test": ("mode", [problem.tests[t].name for t in problem.model.test_of_modes]),
+        "computed_in_test": (("state", "mode", "sensor"), seen.swapaxes(1, 2)),
+        "measured_in_test": (("mode", "sensor"), measured.T),
+        "mac_in_test": (("state", "mode"), np.stack(pairs, axis=1)),
+        "sensor": [f"{place} {direction}" for place, direction in problem.data.sensors],
+    }
 
 
 def _align_signs(shapes: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,6 +42,8 @@ LOOK_AT_SHAPES = (
 )
 _FEWEST_SENSORS, _FEWEST_MODES = 4, 2
 _MOST_NAMED = 5
+_TRIED = 8
+"""Number of sensors, those with the largest ECoMAC, of which every two are tried in each other's place."""
 _DEPENDENT = 1e-8
 """Singular value of shapes of unit length below which the shapes are linearly dependent."""
 
@@ -182,17 +185,54 @@ class Correlation:
     @property
     def suspects(self) -> IntArray:
         """Indices of the sensors that stand out, the worst first, shape (n_suspects,)."""
-        if len(self.sensors) < _FEWEST_SENSORS or len(self.labels) < _FEWEST_MODES:
+        if not self._is_enough:
             return np.zeros(0, dtype=np.int64)
         least = max(SUSPECT, TIMES * float(np.median(self.ecomac)))
         order = np.argsort(-self.ecomac, kind="stable")
-        return order[self.ecomac[order] > least]
+        stands_out = self.ecomac > least
+        stands_out[list(self.exchanged)] = True
+        return order[stands_out[order]]
+
+    @property
+    def _is_enough(self) -> bool:
+        return len(self.sensors) >= _FEWEST_SENSORS and len(self.labels) >= _FEWEST_MODES
+
+    @cached_property
+    def exchanged(self) -> tuple[int, ...]:
+        """Indices of two sensors that would agree with the model in each other's place; empty if there are none.
+
+        Among few sensors, two that are exchanged do not stand out from the median.
+        """
+        worst = np.argsort(-self.ecomac, kind="stable")[:_TRIED].tolist()
+        if not self._is_enough or self.ecomac[worst[0]] <= SUSPECT:
+            return ()
+        errors = {pair: self._ecomac_exchanged(pair) for pair in combinations(worst, 2)}
+        pair = min(errors, key=lambda one: float(errors[one].sum()))
+        before, after = self.ecomac[list(pair)], errors[pair][list(pair)]
+        is_explained = before.min() > SUSPECT > after.max() and TIMES * after.sum() < before.sum()
+        return tuple(sorted(pair)) if is_explained else ()
+
+    def _ecomac_exchanged(self, pair: tuple[int, ...]) -> FloatArray:
+        """Return the ECoMAC of each sensor, (n_sensors,), with two measured sensors exchanged."""
+        order = np.arange(len(self.sensors))
+        order[list(pair)] = pair[::-1]
+        return ecomac(self.measured[order], self.computed)
 
     def doubts_of_sensors(self) -> list[str]:
-        """Return a list of warnings, one for each of the five worst sensors in `suspects`."""
+        """Return a list of warnings on two sensors that are exchanged, and on the five worst other suspects."""
         phi, psi = scale_shapes(self.measured, self.computed)
         middle, found = float(np.median(self.ecomac)), []
-        for j in self.suspects[:_MOST_NAMED]:
+        if self.exchanged:
+            before, after = (
+                names_in_words([fixed(of[j], 2) for j in self.exchanged])
+                for of in (self.ecomac, self._ecomac_exchanged(self.exchanged))
+            )
+            both = names_in_words([self.sensors[j] for j in self.exchanged])
+            found.append(
+                f"Sensors {both}: exchanged, they would agree with the model (ECoMAC {before}; exchanged "
+                f"{after}); look at their cables and places."
+            )
+        for j in [j for j in self.suspects.tolist() if j not in self.exchanged][:_MOST_NAMED]:
             turned = 0.5 * float(np.mean(np.abs(phi[j] + psi[j])))
             look = "look at its place and direction, and at the model there"
             if turned < max(SUSPECT, TIMES * middle):
@@ -202,6 +242,11 @@ class Correlation:
                 f"all sensors {fixed(middle, 2)}; CoMAC {fixed(self.comac[j], 2)}); {look}."
             )
         return found
+
+    def sensors_in_doubt(self) -> str:
+        """Return the five worst suspects in words, ``"sensors 3 x and 6 x"``; an empty string without suspects."""
+        named = [self.sensors[j] for j in sorted(self.suspects[:_MOST_NAMED].tolist())]
+        return f"sensor{'s' * (len(named) > 1)} {names_in_words(named)}" if named else ""
 
     def doubts_of_modes(self) -> list[str]:
         """Return a list of warnings, one for each pair of measured modes that look alike at the sensors."""

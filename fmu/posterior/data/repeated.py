@@ -207,7 +207,7 @@ def _joint(values: FloatArray) -> MeanFrequencies:
     return MeanFrequencies(values.mean(axis=0), None, centred.T @ centred / (n * (n - n_modes - 2)))
 
 
-def mean_shapes(shapes: ArrayLike) -> FloatArray:
+def mean_shapes(shapes: ArrayLike, least_mac: float = LEAST_MAC) -> FloatArray:
     """Return the mean over the tests of shapes with a common scale and sign, shape (n_sensors, n_modes).
 
     Each shape is scaled to unit length, with the sign that makes its scalar product with the common direction
@@ -217,15 +217,17 @@ def mean_shapes(shapes: ArrayLike) -> FloatArray:
     ----------
     shapes : array_like, shape (n_tests, n_sensors, n_modes)
         All NaN where a test missed a mode.
+    least_mac : float
+        Smallest MAC of a shape with the mean; a smaller one indicates another mode.
 
     Raises
     ------
     ValueError
         If a shape is zero or not finite, a mode has no shape in any test, or the MAC of a shape with the mean is
-        below 0.5, which indicates another mode.
+        below `least_mac`.
     """
     values = _checked_shapes(shapes)
-    return np.stack([_align_shapes(values[:, :, k], k + 1)[1] for k in range(values.shape[2])], axis=1)
+    return np.stack([_align_shapes(values[:, :, k], k + 1, least_mac)[1] for k in range(values.shape[2])], axis=1)
 
 
 def shapes_sd(shapes: ArrayLike) -> FloatArray | None:
@@ -266,7 +268,7 @@ def _checked_shapes(shapes: ArrayLike) -> FloatArray:
     return values
 
 
-def _align_shapes(shapes: FloatArray, mode: int) -> tuple[FloatArray, FloatArray]:
+def _align_shapes(shapes: FloatArray, mode: int, least_mac: float = LEAST_MAC) -> tuple[FloatArray, FloatArray]:
     """Return the shapes of one mode that were measured, with unit length and one sign, and the mean shape."""
     tests = np.flatnonzero(~np.isnan(shapes).all(axis=1))
     if not len(tests):
@@ -280,11 +282,11 @@ def _align_shapes(shapes: FloatArray, mode: int) -> tuple[FloatArray, FloatArray
     turned = unit * np.where(unit @ common < 0, -1.0, 1.0)[:, None]
     mean = turned.mean(axis=0) / np.linalg.norm(turned.mean(axis=0))
     mac = (unit @ mean) ** 2
-    if mac.min() < LEAST_MAC:
+    if mac.min() < least_mac:
         at = tests[np.argmin(mac)]
         raise ArgumentError(
             f"shapes.{at}",
-            f"mode {mode} must have a MAC of at least {LEAST_MAC} with the mean of all tests",
+            f"mode {mode} must have a MAC of at least {least_mac} with the mean of all tests",
             fixed(float(mac.min()), 2),
             ": is it the same mode?",
         )

@@ -8,8 +8,7 @@ from fmu.analysis.fit.check import LEVEL, failed_checks
 from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, UNKNOWN, ModelFit
 from fmu.analysis.held_out.modes import left_out_warnings
 from fmu.analysis.information import information_warnings
-from fmu.analysis.prediction import measured_mac, shape_warnings
-from fmu.analysis.trace.modal_states import MEAN
+from fmu.analysis.measured_shapes import paired_mac, shape_warnings
 from fmu.numbers import MISSING, fixed, share, significant
 from fmu.report.document import Omitted, PageSection, PageTable, Text, Verdict
 from fmu.report.run import ReportedRun
@@ -53,10 +52,10 @@ def _strongest_evidence(fit: ModelFit) -> str:
 
 def _shapes(run: ReportedRun) -> tuple[str, ...]:
     """Return a tuple with a sentence if every mode matches its measured shape; otherwise an empty tuple."""
-    alike = measured_mac(run.trace)
-    if alike is None or shape_warnings(run.trace):
+    alike = paired_mac(run.trace)
+    if not alike or shape_warnings(run.trace):
         return ()
-    least = float(np.diag(alike.sel(state=MEAN)).min())
+    least = min(after for *_, after in alike)
     return (f"Every mode matches its measured shape: MAC at least {fixed(least, 2)}.",)
 
 

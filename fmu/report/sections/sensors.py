@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from fmu.analysis.trace.modal_states import GROUP, MEAN, START
-from fmu.analysis.trace.reading import has
+from fmu.analysis.measured_shapes import correlations_of, paired_mac, sensor_warnings
+from fmu.analysis.trace.modal_states import MEAN, START
 from fmu.fem.pairing.correlation import LOOK_AT_SENSORS, Correlation
 from fmu.numbers import fixed
-from fmu.report.document import Details, Items, Omitted, PageSection, PageTable, Part, Pictures, picture
+from fmu.report.document import Details, Items, Omitted, PageSection, PageTable, Part, Pictures, Text, picture
 from fmu.report.plots.correlation import plot_sensors
 from fmu.report.run import ReportedRun
 
@@ -16,18 +18,16 @@ from fmu.report.run import ReportedRun
 def sensors(run: ReportedRun) -> PageSection | Omitted:
     """Return the section with CoMAC and ECoMAC of each sensor, at the start and at the posterior mean."""
     title = "Test and model at the sensors"
-    if not has(run.trace, GROUP, "measured"):
+    before, after = (correlations_of(run.trace, state) for state in (START, MEAN))
+    if not after:
         return Omitted(title, "no shapes were measured")
-    modes = run.trace[GROUP].to_dataset()
-    measured = modes["measured"].transpose("place", "mode").to_numpy()
-    seen = np.isfinite(measured).all(axis=1)
-    places, labels = (tuple(modes[name].to_numpy().astype(str).tolist()) for name in ("place", "mode"))
-    names = tuple(name for name, is_seen in zip(places, seen, strict=True) if is_seen)
-    computed = {
-        state: modes["component"].sel(state=state).transpose("place", "mode").to_numpy()[seen]
-        for state in (START, MEAN)
-    }
-    before, after = (Correlation(names, labels, measured[seen], shapes) for shapes in computed.values())
+    parts = _of_one(before[""], after[""]) if "" in after else _of_several(run, after)
+    return PageSection("sensors", title, tuple(parts))
+
+
+def _of_one(before: Correlation, after: Correlation) -> list[Part]:
+    """Return the sensors of a single test, with a picture."""
+    names = after.sensors
     rows = tuple(
         (names[j], *(fixed(float(x[j]), 2) for x in (before.comac, after.comac, before.ecomac, after.ecomac)))
         for j in np.argsort(-after.ecomac, kind="stable")
@@ -42,4 +42,27 @@ def sensors(run: ReportedRun) -> PageSection | Omitted:
     parts: list[Part] = [Items(tuple(doubts))] if doubts else []
     parts.append(Pictures((picture(plot_sensors(names, states), "sensors", alt, LOOK_AT_SENSORS),)))
     parts.append(Details("Sensor by sensor", (PageTable(caption, header, rows),)))
-    return PageSection("sensors", title, tuple(parts))
+    return parts
+
+
+def _of_several(run: ReportedRun, found: Mapping[str, Correlation]) -> list[Part]:
+    """Return the warnings about the sensors of several tests, and the worst mode and sensor of each test."""
+    alike = {mode: after for mode, _, after in paired_mac(run.trace)}
+    rows = []
+    for test in sorted(found, key=lambda name: -float(found[name].ecomac.max())):
+        one = found[test]
+        mode = min(one.labels, key=lambda label: alike[f"{test}: {label}"])
+        j = int(np.argmax(one.ecomac))
+        values = (fixed(float(of[j]), 2) for of in (one.comac, one.ecomac))
+        rows.append((test, mode, fixed(alike[f"{test}: {mode}"], 2), one.sensors[j], *values))
+    header = ("test", "worst mode", "its MAC", "worst sensor", "its CoMAC", "its ECoMAC")
+    caption = "At the posterior mean, the test with the largest ECoMAC first."
+    doubts = sensor_warnings(run.trace)
+    said: Part = (
+        Items(tuple(doubts)) if doubts else Text(f"No sensor stands out in any of the {len(found)} tests.")
+    )
+    return [
+        said,
+        Text(LOOK_AT_SENSORS),
+        Details("Test by test", (PageTable(caption, header, tuple(rows), (1, 3)),)),
+    ]

@@ -11,8 +11,8 @@ from markupsafe import Markup
 from fmu.analysis.identifiability import Identifiability, kept_identifiability
 from fmu.analysis.information import CRITERION, Information, compared_with_draws, information, left_along
 from fmu.analysis.maxima.results import NEGLIGIBLE
+from fmu.analysis.measured_shapes import measured_mac
 from fmu.analysis.pairing_changes import pairing_changes
-from fmu.analysis.prediction import measured_mac
 from fmu.analysis.trace.modal_states import GROUP, MEAN, MEASURED, START, sketch_of
 from fmu.analysis.trace.reading import has, parameter_names
 from fmu.fem.frame.drawing import UNCHANGED, draw_svg, parameter_colours

@@ -92,7 +92,29 @@ def test_a_sensor_put_at_a_wrong_node_is_named(at, instead):
 def test_two_sensors_exchanged_are_both_named():
     measured = noisy(chain())
     measured[[3, 9]] = measured[[9, 3]]
-    assert set(found(measured, chain()).suspects.tolist()) == {3, 9}
+    told = found(measured, chain())
+    assert set(told.suspects.tolist()) == set(told.exchanged) == {3, 9}
+    (sentence,) = told.doubts_of_sensors()
+    assert sentence.startswith("Sensors 3 x and 9 x: exchanged, they would agree with the model (ECoMAC 0.")
+
+
+@pytest.mark.parametrize("pair", [[0, 1], [0, 3], [1, 2], [2, 3]])
+def test_two_of_four_sensors_exchanged_are_named(pair):
+    """Half of the sensors are wrong, so that neither stands out from the median."""
+    measured = noisy(chain(4, 3))
+    measured[pair] = measured[pair[::-1]]
+    told = found(measured, chain(4, 3))
+    assert list(told.exchanged) == pair
+    assert told.sensors_in_doubt() == f"sensors {pair[0]} x and {pair[1]} x"
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_other_errors_are_no_exchange(seed):
+    for n in (4, 12):
+        measured = noisy(chain(n, 3), 0.05, seed)
+        assert found(measured, chain(n, 3)).exchanged == ()
+        measured[seed % n] *= -1.0
+        assert found(measured, chain(n, 3)).exchanged == ()
 
 
 def test_a_sensor_of_a_wrong_scale_is_named():
