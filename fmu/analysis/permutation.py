@@ -1,14 +1,24 @@
-"""Permutation tests: statistics of a sequence, compared with the same statistics in random orders."""
+"""Permutation tests: statistics of a sequence, compared with the same statistics in random orders.
+
+The sequences are scores of tests. Statistics that differ in kind are put on a common scale by the probability that
+they would have for normal values (`improbability`); the random orders then make the test exact for any values.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 import numpy as np
+from scipy.special import betainc, log_ndtr
 
 from fmu.types import BoolArray, FloatArray
 
 _PERMUTATIONS = 2000
+_TINY = 1e-300
+_PLACES = np.linspace(0.15, 0.85, 15)
+"""Quantiles of a covariate at which a dependence on it may bend."""
+_FEWEST_BESIDE, _STRAIGHT = 3, 1e-6
+"""Fewest tests on either side of a bend; share of a bend below which it is a straight line at the tests."""
 _AT_ONCE = 1_000_000
 """Number of array entries that are permuted at a time."""
 
@@ -52,14 +62,39 @@ def adjusted_probabilities(statistics: FloatArray, two_sided: BoolArray) -> Floa
         large.
     """
     sizes = np.where(two_sided, np.abs(statistics), statistics)
-    given, shuffled = sizes[0], sizes[1:]
+    shuffled = sizes[1:]
     centre = np.where(two_sided, 0.0, shuffled.mean(axis=0))
     spread = np.sqrt(np.mean((shuffled - centre) ** 2, axis=0))
     spread[spread == 0] = np.inf
-    largest = ((shuffled - centre) / spread).max(axis=1)
-    reached = np.mean(largest[:, None] >= ((given - centre) / spread - 1e-9), axis=0)
-    n = len(shuffled)
-    return np.asarray((reached * n + 1.0) / (n + 1.0))
+    return probabilities_of_largest((sizes - centre) / spread)
+
+
+def probabilities_of_largest(sizes: FloatArray) -> FloatArray:
+    """Return the probability that the largest of k statistics reaches each of them under random order, shape (k,).
+
+    Parameters
+    ----------
+    sizes : ndarray, shape (1 + n_orders, k)
+        The statistics in the actual order, then in random orders, on a common scale.
+    """
+    largest, n = sizes[1:].max(axis=1), len(sizes) - 1
+    reached = np.sum(largest[:, None] >= sizes[0] - 1e-9, axis=0)
+    return np.asarray((reached + 1.0) / (n + 1.0))
+
+
+def improbability(r_squared: FloatArray, n: FloatArray, k: int = 1) -> FloatArray:
+    """Return −log P(R² ≥ r²) for the squared multiple correlation R² of n normal values with k quantities.
+
+    It puts different statistics on a common scale, whatever the distribution of the values. R² has the beta
+    distribution with the parameters k/2 and (n − 1 − k)/2.
+    """
+    left = np.maximum(0.5 * (n - 1.0 - k), 0.5)
+    return np.asarray(-np.log(np.maximum(betainc(left, 0.5 * k, np.clip(1.0 - r_squared, 0.0, 1.0)), _TINY)))
+
+
+def improbability_of_lag_one(r: FloatArray, n: FloatArray) -> FloatArray:
+    """Return −log P(R ≥ r) for the lag-1 autocorrelation of n independent values, which is nearly N(−1/n, 1/n)."""
+    return np.asarray(-log_ndtr(-(r + 1.0 / n) * np.sqrt(n)))
 
 
 def lag_one(z: FloatArray, present: BoolArray) -> FloatArray:
@@ -85,3 +120,59 @@ def between_groups(of_group: FloatArray, z: FloatArray, present: BoolArray) -> F
     sums = np.einsum("onm,ng->omg", z, of_group)
     counts = np.einsum("onm,ng->omg", present.astype(float), of_group)
     return np.asarray(np.sum(sums**2 / np.maximum(counts, 1.0), axis=2) / np.sum(z**2, axis=1))
+
+
+def slow_waves(n: int) -> FloatArray:
+    """Return the first two cosine waves over a sequence of n values, of unit length, shape (n, 2)."""
+    waves = np.cos(np.pi * (np.arange(n)[:, None] + 0.5) * np.array([1.0, 2.0]) / n)
+    return np.asarray(waves / np.linalg.norm(waves, axis=0))
+
+
+def share_along(basis: FloatArray, z: FloatArray, present: BoolArray) -> FloatArray:
+    """Return the share of the squares of centred sequences along an orthonormal basis (n, k), (n_orders, m)."""
+    return np.asarray(np.sum(np.einsum("onm,nk->omk", z, basis) ** 2, axis=2) / np.sum(z**2, axis=1))
+
+
+class Bends:
+    """The places at which the dependence of a sequence on x may bend.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+        A covariate; NaN where it is not known.
+
+    Attributes
+    ----------
+    places : ndarray, shape (n_places,)
+        From the 15 % to the 85 % quantile of x; empty if x has too few values.
+    """
+
+    def __init__(self, x: FloatArray) -> None:
+        known = ~np.isnan(x)
+        at = np.unique(np.quantile(x[known], _PLACES)) if known.any() else np.empty(0)
+        enough = [min(np.sum(x < c), np.sum(x > c)) >= _FEWEST_BESIDE for c in at]
+        line = _orthonormal(np.stack([known.astype(float), np.where(known, x, 0.0)], axis=1))
+        hinges = np.where(known[:, None], np.maximum(x[:, None] - at, 0.0), 0.0)
+        bent = hinges - line @ (line.T @ hinges)
+        size = np.linalg.norm(bent, axis=0)
+        kept = np.array(enough, dtype=bool) & (size > _STRAIGHT * np.linalg.norm(hinges, axis=0))
+        self.places, self._line, self._bent, self._known = at[kept], line, bent[:, kept] / size[kept], known
+
+    def shares(self, z: FloatArray) -> FloatArray:
+        """Return the share of what a line in x leaves of sequences (…, n, m) that a bend at each place explains.
+
+        Returns
+        -------
+        ndarray, shape (…, m, n_places)
+        """
+        z = np.where(self._known[:, None], z, 0.0)
+        left = np.sum(z**2, axis=-2) - np.sum(np.einsum("...nm,nk->...mk", z, self._line) ** 2, axis=-1)
+        return np.asarray(np.einsum("...nm,nc->...mc", z, self._bent) ** 2 / left[..., None])
+
+    def largest(self, z: FloatArray, present: BoolArray) -> FloatArray:
+        """Return the largest of `shares` over the places, shape (n_orders, m)."""
+        return np.asarray(self.shares(z).max(axis=-1))
+
+
+def _orthonormal(columns: FloatArray) -> FloatArray:
+    return np.linalg.qr(columns)[0]

@@ -10,11 +10,11 @@ import numpy as np
 from fmu.analysis.convergence.diagnostics import interval_columns
 from fmu.analysis.convergence.effective import mcse_mean
 from fmu.analysis.trace.conversion import ONE_MORE_TEST
-from fmu.analysis.trace.damage import is_loss
 from fmu.analysis.trace.reading import (
     array_of,
     check_trace,
     has,
+    is_loss,
     parameter_draws,
     parameter_names,
     parameter_units,
@@ -131,6 +131,14 @@ def predict_frequencies(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFram
         values = array_of(trace, "posterior_predictive", ONE_MORE_TEST)
         columns[f"test_{lower}"], columns[f"test_{upper}"] = np.quantile(values, ends, axis=(0, 1))
     return data_frame(columns, "mode", predictive["mode"].to_numpy())
+
+
+def noise_sd(trace: xr.DataTree, mode: str) -> float:
+    """Return the standard deviation of a measured frequency's errors over the draws, Hz; 0 if it is unknown."""
+    if not has(trace, "posterior_predictive", "frequency"):
+        return 0.0
+    predicted = trace["posterior_predictive"].to_dataset().sel(mode=mode)
+    return float((predicted["frequency"] - predicted["model_frequency"]).std())
 
 
 def measured_tests(trace: xr.DataTree) -> FloatArray | None:

@@ -23,7 +23,15 @@ BEYOND = (0.05, 0.1)
 
 def echo_losses(trace: xr.DataTree, diagnosis: Diagnosis, beyond: Sequence[float] = BEYOND) -> None:
     """Print losses, with values before and after, for each later state, and a warning if P is unreliable."""
-    from fmu.analysis.trace.damage import ANY, before_and_after, before_in_words, damage, probably, state_in_words
+    from fmu.analysis.trace.damage import (
+        ANY,
+        WITHHELD,
+        before_and_after,
+        before_in_words,
+        damage,
+        probably,
+        state_in_words,
+    )
 
     table, values = damage(trace, beyond), before_and_after(trace)
     header = ["", "before", "after", "loss", "90 % interval", *(f"P > {share(x)}" for x in beyond)]
@@ -47,7 +55,9 @@ def echo_losses(trace: xr.DataTree, diagnosis: Diagnosis, beyond: Sequence[float
     answer = f"The model: {diagnosis.fit.answer}. " if diagnosis.fit.checks else ""
     rests = "P is the probability of a loss beyond that limit, given the model, its errors and its priors."
     click.echo("\n" + wrap_text(answer + rests, width=_WIDTH))
-    if diagnosis.doubts:
+    if table.attrs[WITHHELD]:
+        click.echo(wrap_text(table.attrs[WITHHELD], width=_WIDTH))
+    elif diagnosis.doubts:
         click.echo(wrap_text(f"Do not rely on P: {' and '.join(diagnosis.doubts)}.", width=_WIDTH))
 
 

@@ -223,8 +223,7 @@ def tell(outcome: Sampled, problem: UpdatingProblem, directory: Path, orders: Or
     from fmu.analysis.certificate import exact_in_words
     from fmu.analysis.convergence.diagnosis import choose_run, is_enough
     from fmu.analysis.evidence import found_evidences
-    from fmu.analysis.trace.damage import GROUP as LOSSES
-    from fmu.analysis.trace.reading import has
+    from fmu.analysis.trace.reading import LOSSES, has
     from fmu.cli.damage import echo_losses
     from fmu.surrogates.learning import certificate_of
 

@@ -49,8 +49,7 @@ def echo_summary(name: str, trace: xr.DataTree, table: pd.DataFrame) -> None:
     tests have a separate table (`fmu.cli.damage.echo_losses`).
     """
     from fmu.analysis.information import information
-    from fmu.analysis.trace.damage import is_loss
-    from fmu.analysis.trace.reading import told_names
+    from fmu.analysis.trace.reading import is_loss, told_names
 
     told, attributes = told_names(trace), table.attrs
     n_scores = len(table) - len(told)

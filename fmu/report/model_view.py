@@ -88,7 +88,7 @@ def damage_view(found: Sketch, names: Sequence[str], table: pd.DataFrame, beyond
         for what, column in (("mean loss", 0), (f"P(loss > {beyond})", -1)):
             of_parameter = np.array([each[name][column] if name in each else -1.0 for name in names])
             largest = np.where(found.changed, of_parameter, -1.0).max(axis=1)
-            values = np.where(largest < 0.0, np.nan, largest)
+            values = np.where(largest < 0.0, np.nan, largest)  # NaN too where P is withheld
             if np.isfinite(values).any():
                 colourings.append(colour_scale(f"{state}: {what}", values, False))
     content = _structure(found, names, {name: "; ".join(words) for name, words in said.items()})

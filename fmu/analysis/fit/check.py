@@ -11,9 +11,9 @@ from fmu.numbers import change, significant
 
 LEVEL = 0.01
 """Largest probability that a correct model fails any of the checks."""
-PREDICTED, HELD_OUT, RESIDUALS, TEST, NOISE, SHAPE, QUANTITY, POPULATION = (
+PREDICTED, HELD_OUT, RESIDUALS, TEST, NOISE, SHAPE, QUANTITY, POPULATION, LAW = (
     "from the other modes", "not used in updating", "residuals", "one of the tests", "inferred noise", "shape",
-    "mass or displacement", "population",
+    "mass or displacement", "population", "law over the tests",
 )  # fmt: skip
 
 
@@ -24,7 +24,7 @@ class Check:
     Attributes
     ----------
     kind : str
-        `PREDICTED`, `HELD_OUT`, `RESIDUALS`, `TEST`, `NOISE`, `SHAPE`, `QUANTITY` or `POPULATION`.
+        `PREDICTED`, `HELD_OUT`, `RESIDUALS`, `TEST`, `NOISE`, `SHAPE`, `QUANTITY`, `POPULATION` or `LAW`.
     of : str
         What is checked.
     found, limit : str
@@ -40,6 +40,8 @@ class Check:
         Why the check could not have shown any error; else empty.
     below, above : float
         Relative errors of a frequency, measured over predicted minus one, beyond which the check fails; else NaN.
+    dependence : str
+        A dependence on order, covariate or group that contradicts the law of a parameter; else empty.
     """
 
     kind: str
@@ -53,6 +55,7 @@ class Check:
     why_not: str = ""
     below: float = np.nan
     above: float = np.nan
+    dependence: str = ""
 
     @property
     def could_fail(self) -> bool:

@@ -24,7 +24,7 @@ most `LEVEL`, however the checks depend on each other. The kinds of check are:
   cannot fail.
 - A weighed mass or a static displacement. The p-value is the mean of P(χ²₁ ≥ r²) over the draws, where r is the
   residual of this datum. It is compared with α/2.
-- A population: see `fmu.analysis.fit.populations`.
+- A population, and the law of a parameter over the tests: see `fmu.analysis.fit.populations`.
 - A mode shape that differs from the measured one: its MAC is below `ALIKE` after updating. This check has no
   level, because no error model is stated for the shapes. If the likelihood includes shape errors, they count among
   the residuals instead.
@@ -55,10 +55,11 @@ from fmu.analysis.fit.check import (
 )
 from fmu.analysis.fit.populations import GROUP as POPULATIONS
 from fmu.analysis.fit.populations import effective_parameters, population_checks
+from fmu.analysis.fit.residual_scores import GROUP as RESIDUAL_SCORES
 from fmu.analysis.held_out.modes import kept_table
 from fmu.analysis.information import CONTRACTED
 from fmu.analysis.measured_shapes import below, correlations_of, paired_mac, shape_warnings
-from fmu.analysis.prediction import measured_tests, measurement_in_words
+from fmu.analysis.prediction import measured_tests, measurement_in_words, noise_sd
 from fmu.analysis.trace.misfit import GROUP, QUANTITIES
 from fmu.analysis.trace.modal_states import MEAN
 from fmu.analysis.trace.reading import array_of, has, parameter_units
@@ -83,9 +84,28 @@ _GAUSSIAN = 1e8  # degrees of freedom from which Student's distribution is the G
 
 def checks_of(trace: xr.DataTree) -> list[Check]:
     """Return the list of the checks of a run; empty for the modal residual, which is not a measured quantity."""
-    if not has(trace, GROUP):
+    kinds = _kinds(trace)
+    found = [check for kind in kinds for check in kind(LEVEL / len(kinds))]
+    return [check for check in found if np.isfinite(check.p)] + (_shapes(trace) if has(trace, GROUP) else [])
+
+
+def contradicted_laws(trace: xr.DataTree) -> list[str]:
+    """Return a list of the dependences on order, covariate or group that contradict the law of a parameter."""
+    if not _has_laws(trace):
         return []
+    return [check.dependence for check in population_checks(trace, LEVEL / len(_kinds(trace))) if check.dependence]
+
+
+def _has_laws(trace: xr.DataTree) -> bool:
+    """Return True if the scores of the tests were stored, from which the laws of parameters are tested."""
+    return has(trace, GROUP) and (has(trace, POPULATIONS, "score") or has(trace, RESIDUAL_SCORES, "score"))
+
+
+def _kinds(trace: xr.DataTree) -> list[Callable[[float], list[Check]]]:
+    """Return the kinds of check that apply to a run, each a function of its level."""
     kinds: list[Callable[[float], list[Check]]] = []
+    if not has(trace, GROUP):
+        return kinds
     if has(trace, "observed_data", "of_test") and trace[GROUP].sizes.get("quantity", 0):
         kinds.append(partial(_tests, trace))
     table = _predictions(trace)
@@ -98,10 +118,9 @@ def checks_of(trace: xr.DataTree) -> list[Check]:
         kinds.append(partial(_noise, trace, table))
     if has(trace, QUANTITIES):
         kinds.append(partial(_quantities, trace))
-    if has(trace, POPULATIONS, "score"):
+    if _has_laws(trace):
         kinds.append(partial(population_checks, trace))
-    found = [check for kind in kinds for check in kind(LEVEL / len(kinds))]
-    return [check for check in found if np.isfinite(check.p)] + _shapes(trace)
+    return kinds
 
 
 def _predictions(trace: xr.DataTree) -> pd.DataFrame | None:
@@ -330,14 +349,6 @@ def _free(trace: xr.DataTree, table: pd.DataFrame | None, of: str, beyond: float
     else:
         return ""
     return "the noise was free to grow" if hides else ""
-
-
-def noise_sd(trace: xr.DataTree, mode: str) -> float:
-    """Return the standard deviation of a measured frequency's errors over the draws, Hz; 0 if it is unknown."""
-    if not has(trace, "posterior_predictive", "frequency"):
-        return 0.0
-    predicted = trace["posterior_predictive"].to_dataset().sel(mode=mode)
-    return float((predicted["frequency"] - predicted["model_frequency"]).std())
 
 
 def _quantities(trace: xr.DataTree, level: float) -> list[Check]:

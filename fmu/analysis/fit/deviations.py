@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from fmu.analysis.fit.checks import noise_sd
+from fmu.analysis.prediction import noise_sd
 from fmu.analysis.trace.misfit import GROUP
 from fmu.analysis.trace.reading import has
 from fmu.numbers import names_in_words, share, significant

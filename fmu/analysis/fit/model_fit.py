@@ -10,6 +10,7 @@ import numpy as np
 
 from fmu.analysis.fit.check import (
     HELD_OUT,
+    LAW,
     LEVEL,
     NOISE,
     POPULATION,
@@ -69,7 +70,7 @@ class ModelFit:
             return CONTRADICTED
         if not self.checks:
             return UNKNOWN
-        is_tested = any(check.kind in (HELD_OUT, POPULATION) and check.could_fail for check in self.checks)
+        is_tested = any(check.kind in (HELD_OUT, POPULATION, LAW) and check.could_fail for check in self.checks)
         return NOT_CONTRADICTED if is_tested or (self.able and self.n_data > self.n_parameters) else NOT_TESTABLE
 
     @property

@@ -1,38 +1,30 @@
-"""Checks of populations: whether the tests are independent draws from one distribution.
+"""Checks of the law of each parameter over the tests: populations, and laws in groups and covariates.
 
-The score of a test is the distance of its value from the population mean, in population standard deviations. If
-the model is correct, the scores are independent standard normal draws, whatever the order of the tests, their
-groups and their covariates. The posterior mean m of a score then has the variance 1 − s², where s is the posterior
-standard deviation of the score. The checks use m/√(1 − s²):
+The score of a test in a population is the distance of its value from the population mean, in population standard
+deviations. If the model is correct, the scores are independent standard normal draws, whatever the order of the
+tests, their groups and their covariates. The posterior mean m of a score then has the variance 1 − s², where s is
+the posterior standard deviation of the score. The checks use m/√(1 − s²). A parameter that does not scatter has
+scores from the residuals (`fmu.analysis.fit.residual_scores`). The checks are
 
-- Permutation tests with a common level (`fmu.analysis.permutation`) of four statistics: the correlation with the
-  order of the tests, the correlation with each covariate on which the model does not let the parameter depend, the
-  lag-1 autocorrelation, and the share of the variance between groups. With five tests or fewer nothing can be
-  significant.
-- A test of the score farthest from the mean (Grubbs 1950, *Ann. Math. Statist.* 21, 27–58; Bonferroni's bound).
+- permutation tests of the causes in `fmu.analysis.fit.causes`;
+- for a population a test of the score farthest from the mean (Grubbs 1950, *Ann. Math. Statist.* 21, 27–58;
+  Bonferroni's bound), which gets a tenth of the level.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from functools import partial
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.special import stdtr
 
-from fmu.analysis.fit.check import POPULATION, Check, probability
-from fmu.analysis.permutation import (
-    Statistics,
-    adjusted_probabilities,
-    between_groups,
-    correlation_with,
-    in_random_orders,
-    lag_one,
-)
+from fmu.analysis.fit.causes import find_effects
+from fmu.analysis.fit.check import LAW, POPULATION, Check, probability
+from fmu.analysis.fit.residual_scores import GROUP as RESIDUALS
 from fmu.analysis.trace.reading import has, parameter_names, problem_of, roles_of, score_names
-from fmu.numbers import fixed, share, significant
-from fmu.types import BoolArray, FloatArray
+from fmu.numbers import significant
+from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -44,35 +36,20 @@ GROUP = "populations"
 _INFORMED = 0.05
 """A score is skipped if the data remove less than this share of its prior variance."""
 _FEWEST = 6
+_TO_CAUSES = 0.9
+"""Share of the level for the causes; the rest is for the farthest test, which stands out more."""
+_POPULATION = (
+    "population of",
+    "the tests are not independent draws from one distribution",
+    "values that depend on order, group or covariate, or one test far from the others",
+)
+_LAW = (
+    "residuals of",
+    "the tests contradict its law in the model",
+    "values that depend on order, group or covariate otherwise than in the model",
+)
+"""What is checked, what contradicts the model, and which errors the check would have shown."""
 _FEW_TESTS = f"fewer than {_FEWEST} tests tell their values, so that no order of them is improbable"
-
-
-class Causes(NamedTuple):
-    """Possible causes of differences between tests that the model does not include: order, covariates and groups.
-
-    Attributes
-    ----------
-    statistics : ndarray, shape (1 + n_orders, n_populations, n_causes)
-        The statistic of each cause, first in the actual order of the tests, then in random orders.
-    two_sided : tuple of bool
-        Whether the permutation test of each cause is two-sided.
-    words : tuple of callable
-        One function per cause, which returns the effect in words for a value of the statistic.
-    """
-
-    statistics: FloatArray
-    two_sided: tuple[bool, ...]
-    words: tuple[Callable[[float], str], ...]
-
-    def probabilities(self) -> FloatArray:
-        """Return the p-values of the causes, adjusted for their number, shape (n_populations, n_causes)."""
-        n_orders, n, m = self.statistics.shape
-        found = adjusted_probabilities(self.statistics.reshape(n_orders, n * m), np.tile(self.two_sided, n))
-        return found.reshape(n, m)
-
-    def effect(self, k: int, cause: int) -> str:
-        """Return the sentence part that describes the effect of the cause with index `cause` on population `k`."""
-        return self.words[cause](float(self.statistics[0, k, cause]))
 
 
 def population_group(
@@ -106,63 +83,121 @@ def population_group(
 
 
 def population_checks(trace: xr.DataTree, level: float) -> list[Check]:
-    """Return a list with one check per population; empty if the trace has no population."""
-    if not has(trace, GROUP, "score"):
-        return []
-    group, tests = trace[GROUP].to_dataset(), problem_of(trace)["tests"]
-    names = [str(name) for name in group["population"].to_numpy()]
+    """Return a list with one check per parameter whose law in the tests is tested; empty for a single test.
+
+    A parameter is tested if it scatters, or if its value in every test follows from the law of the model.
+    """
+    tests, columns, names = problem_of(trace)["tests"], [], []
+    populations: list[str] = []
+    if has(trace, GROUP, "score"):
+        group = trace[GROUP].to_dataset()
+        populations = [str(name) for name in group["population"].to_numpy()]
+        columns.append(standard_scores(group))
+    if has(trace, RESIDUALS, "score"):
+        others = trace[RESIDUALS].to_dataset()
+        names = [str(name) for name in others["parameter"].to_numpy()]
+        columns.append(others["score"].transpose("test", "parameter").to_numpy())
     explained = {(of, where) for kind, of, where in roles_of(trace).values() if kind == "slope"}
-    return checks_of_scores(standard_scores(group), names, tests, explained, level)
+    explained |= {(name, where) for name, by in problem_of(trace).get("slopes", {}).items() for where in by}
+    return checks_of_scores(np.concatenate(columns, axis=1), populations, tests, explained, level, names)
 
 
 def checks_of_scores(
     scores: FloatArray,
-    names: Sequence[str],
+    populations: Sequence[str],
     tests: Sequence[Mapping[str, Any]],
     explained: Collection[tuple[str, str]],
     level: float,
+    others: Sequence[str] = (),
 ) -> list[Check]:
-    """Return a list with one check per population.
+    """Return a list with one check per parameter.
 
     Parameters
     ----------
-    scores : ndarray, shape (n_tests, n_populations)
-        Scores that are standard normal if the model is correct; NaN where a test has no value.
-    names : sequence of str
-        Names of the populations.
+    scores : ndarray, shape (n_tests, n_populations + n_others)
+        Scores that are independent of the tests' order, covariates and groups if the model is correct, and
+        standard normal for populations; NaN where a test has no value.
+    populations, others : sequence of str
+        Names of the parameters that scatter, and of those that do not.
     tests : sequence of mapping
         Name, group and covariates of each test (`fmu.posterior.joint.modal_test.Test.as_dict`).
     explained : collection of (str, str)
-        Pairs of a population and a covariate on which it depends in the model.
+        Pairs of a parameter and a covariate on which it depends in the model.
     level : float
-        Largest probability of a false alarm, of all populations together.
+        Largest probability of a false alarm, of all parameters together.
     """
-    causes = _causes(scores, names, tests, explained)
-    of_order, checks = causes.probabilities(), []
+    names, n = [*populations, *others], len(populations)
+    to_causes = _TO_CAUSES if n else 1.0
+    effects = find_effects(scores, names, tests, explained)
+    of_causes = effects.p.min(axis=1)
+    found = [effects.in_words(k, to_causes * level) for k in range(len(names))]
+    nearest = [effects.strongest_in_words(k) for k in range(len(names))]
+    concerned = [k for k in range(n, len(names)) if found[k]]
+    for k in _explained_by_others(scores, names, tests, explained, to_causes * level, concerned):
+        found[k], of_causes[k] = [], 1.0
+        nearest[k] = "what its residuals show is explained by another parameter"
+    checks = []
     for k, name in enumerate(names):
-        far = _farthest(scores[:, k])
-        of_far = min(1.0, len(names) * far.p)
-        said = [causes.effect(k, j) for j in np.argsort(of_order[k], kind="stable") if of_order[k, j] < level / 2]
-        distance = f"{significant(far.distance, 2)} standard deviations from the mean"
-        if of_far < level / 2:
-            said.append(f"test {tests[far.test]['name']} lies {distance}")
+        depends, shown, p = "; ".join(found[k]), nearest[k], of_causes[k] / to_causes
+        said = found[k]
+        if k < n:
+            far = _farthest(scores[:, k])
+            of_far = min(1.0, n * far.p)
+            distance = f"{significant(far.distance, 2)} standard deviations from the mean"
+            shown += f"; the farthest test lies {distance}"
+            p = min(p, of_far / (1.0 - _TO_CAUSES))
+            if of_far < (1.0 - _TO_CAUSES) * level:
+                said = [*said, f"test {tests[far.test]['name']} lies {distance}"]
+        p = min(1.0, float(p))
         enough = bool(np.sum(~np.isnan(scores[:, k])) >= _FEWEST)
-        p = min(1.0, 2.0 * min(float(of_order[k].min()), of_far))
+        of, against, shows = _POPULATION if k < n else _LAW
         checks.append(
             Check(
-                POPULATION,
-                f"population of {name}",
-                f"{causes.effect(k, int(np.argmin(of_order[k])))}; the farthest test lies {distance}",
+                POPULATION if k < n else LAW,
+                f"{of} {name}",
+                shown,
                 f"p {significant(level, 2)}",
                 p,
                 bool(said),
-                "values that depend on order, group or covariate, or one test far from the others",
-                f"population of {name}: the tests are not independent draws from one distribution: "
-                f"{'; '.join(said)} ({probability(p)})",
+                shows,
+                f"{of} {name}: {against}: {'; '.join(said)} ({probability(p)})",
                 "" if enough else _FEW_TESTS,
+                dependence=f"{name}: {depends}" if depends else "",
             )
         )
     return checks
+
+
+def _explained_by_others(
+    scores: FloatArray,
+    names: Sequence[str],
+    tests: Sequence[Mapping[str, Any]],
+    explained: Collection[tuple[str, str]],
+    limit: float,
+    concerned: Sequence[int],
+) -> list[int]:
+    """Return the indices of parameters among `concerned` whose effects others of them explain.
+
+    The residuals of a test move every parameter to which the same modes are sensitive. The parameter with the
+    strongest effect is therefore chosen, its scores are regressed out of the others, and so on while p < `limit`.
+    """
+    left, z = list(concerned), scores
+    while left:
+        effects = find_effects(z[:, left], [names[k] for k in left], tests, explained)
+        best = int(np.argmax(effects.sizes.max(axis=1)))
+        if effects.p[best].min() >= limit:
+            break
+        z = _without(z, left.pop(best))
+    return left
+
+
+def _without(scores: FloatArray, k: int) -> FloatArray:
+    """Return the scores with those of parameter `k` regressed out of all others."""
+    z = scores - np.nanmean(scores, axis=0)
+    by = np.nan_to_num(z[:, k])
+    slopes = np.nansum(z * by[:, None], axis=0) / np.sum(by**2)
+    slopes[k] = 0.0
+    return np.asarray(z - by[:, None] * slopes)
 
 
 def standard_scores(group: xr.Dataset) -> FloatArray:
@@ -206,53 +241,3 @@ def _farthest(scores: FloatArray) -> _Farthest:
     left = (n - 1) ** 2 - n * g**2
     t = np.sqrt(n * (n - 2) * g**2 / left) if left > 0.0 else np.inf
     return _Farthest(test, g, float(min(1.0, 2.0 * n * stdtr(n - 2, -t))))
-
-
-def _causes(
-    scores: FloatArray,
-    names: Sequence[str],
-    tests: Sequence[Mapping[str, Any]],
-    explained: Collection[tuple[str, str]],
-) -> Causes:
-    """Return the possible causes of differences between scores: order, previous test, covariates and groups."""
-    present = ~np.isnan(scores)
-    n = np.maximum(present.sum(axis=0), 1)
-    z = np.where(present, scores - np.nansum(scores, axis=0) / n, 0.0)
-    order = np.arange(float(len(z)))
-    found: list[tuple[bool, Callable[[float], str], Statistics]] = [
-        (True, partial(_in_words, "the order of the tests"), partial(correlation_with, order)),
-        (False, _resemblance, lag_one),
-    ]
-    for name in tests[0]["covariates"]:
-        x = np.array([test["covariates"].get(name, np.nan) for test in tests])
-        if np.ptp(x) > 0.0:  # skipped for a covariate that does not vary
-            free = np.array([(of, name) not in explained for of in names], dtype=float)
-            found.append((True, partial(_in_words, name), partial(_correlation, x, free)))
-    groups = [test["group"] for test in tests]
-    of_group = np.array([[group == one for one in dict.fromkeys(groups)] for group in groups], dtype=float)
-    if 1 < of_group.shape[1] < len(z):
-        found.append((False, _between, partial(between_groups, of_group)))
-    two_sided, words, statistics = zip(*found, strict=True)
-
-    def of_all(z: FloatArray, present: BoolArray) -> FloatArray:
-        return np.stack([statistic(z, present) for statistic in statistics], axis=2)
-
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return Causes(np.nan_to_num(in_random_orders(z, present, of_all)), two_sided, words)
-
-
-def _correlation(x: FloatArray, free: FloatArray, z: FloatArray, present: BoolArray) -> FloatArray:
-    """Return the correlations with a covariate; zero for populations that depend on it in the model."""
-    return free * correlation_with(x, z, present)
-
-
-def _in_words(cause: str, r: float) -> str:
-    return f"values {'rise' if r > 0.0 else 'fall'} with {cause} (correlation {fixed(r, 2)})"
-
-
-def _resemblance(r: float) -> str:
-    return f"consecutive tests have a lag-1 autocorrelation of {fixed(r, 2)}"
-
-
-def _between(ratio: float) -> str:
-    return f"{share(ratio)} of the variance lies between the groups"

@@ -321,6 +321,7 @@ def _groups_of_tests(result: RunResult, problem: UpdatingProblem, predictions: b
     import xarray as xr
 
     from fmu.analysis.fit.populations import GROUP, population_group
+    from fmu.analysis.fit.residual_scores import residual_group
     from fmu.posterior.joint.joint_problem import simulate_next_test
 
     position = result.posterior.position
@@ -342,7 +343,7 @@ def _groups_of_tests(result: RunResult, problem: UpdatingProblem, predictions: b
         lost = {n: (("chain", "draw", "state"), losses[..., j]) for j, n in enumerate(problem.layout.by_state)}
         attributes = {"reference": problem.layout.reference}
         found["loss"] = xr.Dataset(lost, coords=coordinates | {"state": list(states)}, attrs=attributes)
-    found |= drawn_structure(problem)
+    found |= drawn_structure(problem) | (residual_group(problem, theta) if predictions else {})
     if predictions and problem.is_hierarchical and problem.likelihood.simulates:
         computed, measured = simulate_next_test(problem, generator(result.seed, NEXT_TEST_STREAM), theta)
         dims, shape = ("chain", "draw", "mode"), (*position.shape[:2], computed.shape[1])

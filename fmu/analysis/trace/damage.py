@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.analysis.trace.reading import has, problem_of, roles_of
+from fmu.analysis.fit.checks import contradicted_laws
+from fmu.analysis.trace.reading import LOSSES, has, later_states, problem_of
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.numbers import names_in_words, share, whole
 from fmu.tables import data_frame
@@ -16,14 +17,19 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-GROUP = "loss"
-"""Group of a trace with the losses."""
 ANY = "any"
 """Name of the row with the largest loss in a state."""
+WITHHELD = "withheld"
+"""A probability that is not given, and the attribute of a table with the reason."""
 
 
 def probably(p: float) -> str:
-    """Return a probability estimated from draws, in per cent: ``"32 %"``, ``"< 1 %"`` or ``"> 99 %"``."""
+    """Return a probability estimated from draws, in per cent: ``"32 %"``, ``"< 1 %"`` or ``"> 99 %"``.
+
+    NaN, a probability that is not given, is ``"withheld"``.
+    """
+    if np.isnan(p):
+        return WITHHELD
     return "< 1 %" if p < 0.01 else "> 99 %" if p > 0.99 else f"{whole(round(100.0 * p))} %"
 
 
@@ -43,7 +49,9 @@ def damage(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.Data
     pandas.DataFrame
         One row for each state and parameter, and one row per state named ``"any"`` for the largest loss of all
         parameters. The columns are ``mean``, ``sd``, ``eti90_lb`` and ``eti90_ub`` (the central 90 %), and
-        ``P(loss > 5 %)`` and so on for each value of `beyond`.
+        ``P(loss > 5 %)`` and so on for each value of `beyond`. These probabilities are NaN if the tests contradict
+        the law of a parameter, such as its dependence on temperature, because the losses then include what the
+        law leaves out; ``attrs["withheld"]`` of the table has the reason.
 
     Raises
     ------
@@ -53,30 +61,34 @@ def damage(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.Data
     wrong = [x for x in beyond if not 0.0 <= x < 1.0]
     if wrong:
         raise ArgumentError("beyond", "must be between 0 and 1, such as 0.05", wrong[0])
-    if not has(trace, GROUP):
+    if not has(trace, LOSSES):
         raise ArgumentError("trace", "has no losses, as it has no parameter that varies between groups of tests")
-    losses = trace[GROUP].to_dataset()
-    names = [str(name) for name in losses.data_vars]
+    losses = trace[LOSSES].to_dataset()
+    names, reason = [str(name) for name in losses.data_vars], _reason_to_withhold(trace)
     rows: list[list[float]] = []
     index: list[tuple[str, str]] = []
     for state in losses["state"].to_numpy().tolist():
         draws = np.stack([losses[name].sel(state=state).to_numpy().ravel() for name in names])
         for name, values in zip((*names, ANY), (*draws, draws.max(axis=0)), strict=True):
             low, high = np.quantile(values, (0.05, 0.95))
-            rows.append([values.mean(), values.std(ddof=1), low, high, *(np.mean(values > x) for x in beyond)])
+            exceeded = [np.nan if reason else float(np.mean(values > x)) for x in beyond]
+            rows.append([values.mean(), values.std(ddof=1), low, high, *exceeded])
             index.append((state, name))
     columns = ["mean", "sd", "eti90_lb", "eti90_ub", *(f"P(loss > {share(x)})" for x in beyond)]
     found = data_frame(dict(zip(columns, np.array(rows).T, strict=True)), "parameter", np.arange(len(rows)))
     import pandas
 
     found.index = pandas.MultiIndex.from_tuples(index, names=["state", "parameter"])
+    found.attrs[WITHHELD] = reason
     return found
 
 
-def is_loss(trace: xr.DataTree, name: str) -> bool:
-    """Return True if a parameter belongs to a later state: its loss, or its value in this state."""
-    kind, _, where = roles_of(trace).get(name, ("", "", ""))
-    return kind in ("loss", "group") and has(trace, GROUP) and where in _later(trace)
+def _reason_to_withhold(trace: xr.DataTree) -> str:
+    """Return the reason why the probabilities of losses are not given, in a sentence; else an empty string."""
+    contradicted = contradicted_laws(trace)
+    if not contradicted:
+        return ""
+    return f"P is withheld, as losses include what the laws of the model leave out. {'; '.join(contradicted)}."
 
 
 def before_and_after(trace: xr.DataTree) -> pd.DataFrame:
@@ -89,10 +101,10 @@ def before_and_after(trace: xr.DataTree) -> pd.DataFrame:
     """
     import pandas
 
-    losses, tests = trace[GROUP].to_dataset(), trace["tests"].to_dataset()
-    first = tests_in(trace, str(trace[GROUP].attrs["reference"]))[0]
+    losses, tests = trace[LOSSES].to_dataset(), trace["tests"].to_dataset()
+    first = tests_in(trace, str(trace[LOSSES].attrs["reference"]))[0]
     rows: dict[tuple[str, str], tuple[float, float]] = {}
-    for state in _later(trace):
+    for state in later_states(trace):
         for name in map(str, losses.data_vars):
             before = tests[name].sel(test=first)
             after = before * (1.0 - losses[name].sel(state=state))
@@ -108,14 +120,10 @@ def tests_in(trace: xr.DataTree, state: str) -> list[str]:
 
 def before_in_words(trace: xr.DataTree) -> str:
     """Return the reference state and its tests: ``"reference (tests reference 1 and reference 2)"``."""
-    return state_in_words(trace, str(trace[GROUP].attrs["reference"]))
+    return state_in_words(trace, str(trace[LOSSES].attrs["reference"]))
 
 
 def state_in_words(trace: xr.DataTree, state: str) -> str:
     """Return a state and its tests: ``"pattern 1 (test one)"``."""
     tests = tests_in(trace, state)
     return state if tests == [state] else f"{state} (test{'s' * (len(tests) > 1)} {names_in_words(tests)})"
-
-
-def _later(trace: xr.DataTree) -> list[str]:
-    return [str(state) for state in trace[GROUP]["state"].to_numpy().tolist()]

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 MANY = 30
 """Largest number of parameters that a table or a figure shows in full."""
+LOSSES = "loss"
+"""Group of a trace with the losses of parameters between groups of tests."""
 IMPORTED = "imported"
 """Attribute of a trace with the name of the other library that made the draws."""
 
@@ -86,6 +88,17 @@ def roles_of(trace: xr.DataTree) -> dict[str, tuple[str, str, str]]:
     columns = (trace["constant_data"][name].to_numpy().astype(str) for name in ("role", "role_of", "role_where"))
     rows = zip(*(column.tolist() for column in columns), strict=True)
     return dict(zip(trace["constant_data"]["parameter"].to_numpy().astype(str).tolist(), rows, strict=True))
+
+
+def later_states(trace: xr.DataTree) -> list[str]:
+    """Return the states of the structure other than the reference, in a trace with losses."""
+    return [str(state) for state in trace[LOSSES]["state"].to_numpy().tolist()]
+
+
+def is_loss(trace: xr.DataTree, name: str) -> bool:
+    """Return True if a parameter belongs to a later state: its loss, or its value in this state."""
+    kind, _, where = roles_of(trace).get(name, ("", "", ""))
+    return kind in ("loss", "group") and has(trace, LOSSES) and where in later_states(trace)
 
 
 def score_names(trace: xr.DataTree) -> list[str]:

@@ -278,6 +278,10 @@ class Likelihood:
         """Return the log-likelihood of each used mode, shape (n, n_used), at theta (n, ndim)."""
         raise NotImplementedError
 
+    def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
+        """Return the predicted modes at theta (n, ndim) that the error models need."""
+        raise NotImplementedError
+
     @property
     def by_frequencies(self) -> bool:
         """Whether the frequencies of the model are enough for the terms."""

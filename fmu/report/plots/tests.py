@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.analysis.trace.damage import ANY, GROUP, damage, probably
+from fmu.analysis.trace.damage import ANY, damage, probably
+from fmu.analysis.trace.reading import LOSSES
 from fmu.numbers import share
 from fmu.report.plots import style
 from fmu.types import FloatArray
@@ -92,7 +93,7 @@ def plot_losses(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None 
     -------
     ndarray of Axes, one per state
     """
-    table, losses = damage(trace, (beyond,)), trace[GROUP].to_dataset()
+    table, losses = damage(trace, (beyond,)), trace[LOSSES].to_dataset()
     states = losses["state"].to_numpy().astype(str).tolist()
     names = [str(name) for name in losses.data_vars]
     figure = figure or style.new_figure(max(style.NARROW, 1.4 + 0.5 * len(names)), 2.4 * len(states) + 0.6)

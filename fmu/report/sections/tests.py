@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from fmu.analysis.trace.damage import (
     ANY,
-    GROUP,
+    WITHHELD,
     before_and_after,
     before_in_words,
     damage,
@@ -18,7 +18,7 @@ from fmu.analysis.trace.damage import (
     state_in_words,
 )
 from fmu.analysis.trace.modal_states import sketch_of
-from fmu.analysis.trace.reading import has
+from fmu.analysis.trace.reading import LOSSES, has
 from fmu.fem.frame.drawing import UNCHANGED, WIDTH, draw_svg, without_sensors
 from fmu.numbers import MISSING, customary_unit, decimals, fixed, interval, share, with_sd
 from fmu.report.document import (
@@ -137,7 +137,7 @@ def _next_test(run: ReportedRun) -> PageTable:
 def losses(run: ReportedRun) -> PageSection | Omitted:
     """Return the section on the losses of the parameters that vary between groups of tests."""
     title = "Damage"
-    if not has(run.trace, GROUP):
+    if not has(run.trace, LOSSES):
         return Omitted(title, "no parameter varies between groups of tests")
     table, values = damage(run.trace, _BEYOND), before_and_after(run.trace)
     rows = []
@@ -164,11 +164,12 @@ def losses(run: ReportedRun) -> PageSection | Omitted:
     )
     words = Text(
         f"The share of each parameter that was lost since {before_in_words(run.trace)}, from all tests together. "
-        "Two losses can be separated only if they change the modes differently."
+        f"Two losses can be separated only if they change the modes differently. {table.attrs[WITHHELD]}".rstrip()
     )
     worst = table.drop(index=ANY, level=1).iloc[:, 4]
     named = [f"{name} in {state}" for state, name in worst.index[worst > 0.5]]
     said = f"probably beyond {share(_BEYOND[0])}: {', '.join(named)}" if named else "none is probably beyond 5 %"
+    said = f"P is {WITHHELD}" if table.attrs[WITHHELD] else said
     caption = f"Median, 50 % and 90 % of each loss; red where it is probably beyond {share(_BEYOND[0])}."
     picture_of = picture(
         plot_losses(run.trace, _BEYOND[0]), f"{run.name}-loss", f"Losses of stiffness: {said}.", caption
@@ -180,16 +181,33 @@ def losses(run: ReportedRun) -> PageSection | Omitted:
 
 def lost(run: ReportedRun) -> tuple[Verdict, ...]:
     """Return a verdict on the losses in each later state; empty if no parameter varies between groups."""
-    if not has(run.trace, GROUP):
+    if not has(run.trace, LOSSES):
         return ()
     doubts = f" Do not rely on P: {' and '.join(run.diagnosis.doubts)}." if run.diagnosis.doubts else ""
-    table = damage(run.trace, _BEYOND[:1]).drop(index=ANY, level=1)
-    return tuple(_lost_in(run, state, table.loc[state], doubts) for state in table.index.unique("state"))
+    every = damage(run.trace, _BEYOND[:1])
+    table, reason = every.drop(index=ANY, level=1), every.attrs[WITHHELD]
+    states = table.index.unique("state")
+    if reason:
+        return tuple(_withheld_in(run, state, table.loc[state], reason) for state in states)
+    return tuple(_lost_in(run, state, table.loc[state], doubts) for state in states)
+
+
+def _withheld_in(run: ReportedRun, state: str, table: pd.DataFrame, reason: str) -> Verdict:
+    """Return the verdict on one state if the probabilities of losses are withheld."""
+    most = str(table["mean"].idxmax())
+    _, sd, low, high = (100.0 * table.loc[most].to_numpy(dtype=float)[:4]).tolist()
+    within = interval(low, high, decimals(sd))
+    said = f"{reason} In this model the largest loss is that of {most}: 90 % interval {within} %."
+    return Verdict(_question(run, state), "Unknown: P is withheld", False, said=said)
+
+
+def _question(run: ReportedRun, state: str) -> str:
+    return f"What was lost? After: {state_in_words(run.trace, state)}"
 
 
 def _lost_in(run: ReportedRun, state: str, table: pd.DataFrame, doubts: str) -> Verdict:
     """Return the verdict on the losses in one state; `table` has a row for each parameter."""
-    question = f"What was lost? After: {state_in_words(run.trace, state)}"
+    question = _question(run, state)
     p, beyond = table.iloc[:, 4], f"P(loss > {share(_BEYOND[0])})"
     by_size = table["mean"].sort_values(ascending=False).index
     certain = [name for name in by_size if p[name] >= _CERTAIN]
@@ -225,7 +243,7 @@ def _equals(p: float) -> str:
 
 def damage_drawing(trace: xr.DataTree) -> Markup:
     """Return drawings of the structure coloured by its losses in each state; empty without losses or geometry."""
-    if not has(trace, GROUP):
+    if not has(trace, LOSSES):
         return Markup("")
     drawings = _drawings(trace, damage(trace, _BEYOND[:1]))
     each = [Markup("<div>{}<p>{}</p></div>").format(svg, state) for state, (svg, _) in drawings.items()]
@@ -247,11 +265,12 @@ def _drawings(trace: xr.DataTree, table: pd.DataFrame) -> dict[str, tuple[Markup
     sketch = without_sensors(sketch)
     names = trace["structure"]["structural"].to_numpy().tolist()
     found = {}
-    for state in trace[GROUP]["state"].to_numpy().tolist():
+    for state in trace[LOSSES]["state"].to_numpy().tolist():
         lost = table.loc[state].iloc[:, 4].drop(ANY)
         of_parameters = np.array([lost.get(name, -1.0) for name in names])
         colours = [_shade(p) for p in np.where(sketch.changed, of_parameters, -1.0).max(axis=1)]
-        without = [(UNCHANGED, "no parameter with a loss")] if UNCHANGED in colours else []
+        grey = "no parameter with a loss" if np.isfinite(lost).all() else f"P is {WITHHELD}"
+        without = [(UNCHANGED, grey)] if UNCHANGED in colours else []
         said = ", ".join(f"{name} {probably(float(p))}" for name, p in lost.items())
         words = f"P(loss > {share(_BEYOND[0])}) in {state}: {said}"
         svg = draw_svg(sketch, colours, words, [_shade(p) for p in of_parameters]).replace(_ADDRESS, "", 1)
@@ -260,8 +279,8 @@ def _drawings(trace: xr.DataTree, table: pd.DataFrame) -> dict[str, tuple[Markup
 
 
 def _shade(p: float) -> str:
-    """Return the colour of a probability; a negative number gives the colour of elements without a loss."""
-    return UNCHANGED if p < 0 else _SCALE[int(np.searchsorted(_STEPS, p))][0]
+    """Return the colour of a probability; that of elements without a loss for a negative number or NaN."""
+    return UNCHANGED if p < 0 or np.isnan(p) else _SCALE[int(np.searchsorted(_STEPS, p))][0]
 
 
 def _where(run: ReportedRun, table: pd.DataFrame) -> tuple[tuple[Pictures, ...], tuple[View, ...]]:

@@ -12,9 +12,7 @@ from fmu.analysis.convergence.remedies import required_ess
 from fmu.analysis.fit.model_fit import CONTRADICTED
 from fmu.analysis.information import DATA, information
 from fmu.analysis.prediction import at_bounds, pinned_parameters
-from fmu.analysis.trace.damage import GROUP as LOSSES
-from fmu.analysis.trace.damage import is_loss
-from fmu.analysis.trace.reading import constant, has, mode_names
+from fmu.analysis.trace.reading import LOSSES, constant, has, is_loss, mode_names
 from fmu.numbers import change, decimals, fixed, given, interval, names_in_words, share, with_sd
 from fmu.report.document import Verdict
 from fmu.report.plots.frequencies import frequencies_before

@@ -3,8 +3,7 @@
 import numpy as np
 
 import fmu
-from fmu.analysis.trace.damage import is_loss
-from fmu.analysis.trace.reading import roles_of, told_names
+from fmu.analysis.trace.reading import is_loss, roles_of, told_names
 from fmu.posterior.joint.varies.base import Role
 
 HINGE = "hinge score [left]"

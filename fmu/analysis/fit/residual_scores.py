@@ -1,0 +1,73 @@
+"""Scores of the tests from the residuals: in which direction the data of each test would move a parameter.
+
+For a parameter that does not scatter, the model gives the value in every test: one value, a value for each group,
+or a law in the covariates. With the residuals r of test t, in standard deviations, and their derivatives J by the
+parameter in this test, at the posterior mean, the score is s_t = −Jᵀr/|J|. It is the statistic of the score test
+that the value in test t is another one (Rao 1948, *Proc. Camb. Phil. Soc.* 44, 50–57), positive if the data ask
+for a larger value. If the model is correct, the scores are independent of order, groups and covariates, and their
+variance is nearly one, as many tests determine few parameters.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fmu.posterior.errors.slopes import residuals_of_term
+from fmu.types import FloatArray
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from fmu.posterior.problem import UpdatingProblem
+
+
+GROUP = "residual_scores"
+_LEAST = 1e-6
+"""A parameter is not seen by a test if its derivatives are below this share of the largest of all tests."""
+_IN_EACH_TEST = ("mean", "test")
+"""Roles of parameters whose values in the tests are free: those of a population, or of each test."""
+
+
+def residual_group(problem: UpdatingProblem, theta: FloatArray) -> dict[str, xr.Dataset]:
+    """Return a dict with the group ``residual_scores`` of a trace.
+
+    The dict is empty if all parameters scatter or have a value of their own in each test, or if derivatives take
+    further solves of a user's function.
+
+    Parameters
+    ----------
+    problem : UpdatingProblem
+        A problem of several tests.
+    theta : ndarray, shape (n, ndim)
+        Posterior draws.
+    """
+    import xarray as xr
+
+    free = {role.of for role in problem.roles if role.kind in _IN_EACH_TEST}
+    chosen = [j for j in range(len(problem.layout.structural)) if j not in free]
+    if not chosen or problem.model.functions or not problem.likelihood.terms_of:
+        return {}
+    scores = _scores(problem, theta.mean(axis=0))[:, chosen]
+    names = [problem.layout.structural[j].name for j in chosen]
+    coordinates = {"test": [test.name for test in problem.tests], "parameter": names}
+    return {GROUP: xr.Dataset({"score": (("test", "parameter"), scores)}, coords=coordinates)}
+
+
+def _scores(problem: UpdatingProblem, theta: FloatArray) -> FloatArray:
+    """Return the scores at theta (ndim,), (n_tests, n_structural); NaN where a test does not see a parameter."""
+    likelihood, every = problem.likelihood, problem.layout.of_model(theta[None])
+    seen, noise = likelihood.observed(every, True), every[:, problem.model.n_parameters :]
+    gradient = np.zeros((problem.data.n_modes, len(problem.layout.structural)))
+    information = np.zeros_like(gradient)
+    for term in likelihood.terms_of:
+        r, J = (part[0] for part in residuals_of_term(term, seen, noise))
+        gradient -= np.einsum("mq,mqk->mk", r, J)
+        information += np.einsum("mqk,mqk->mk", J, J)
+    used = np.arange(len(gradient)) if likelihood.used is None else likelihood.used
+    tests = problem.model.test_of_modes[used]
+    of_test = (tests == np.arange(len(problem.tests))[:, None]).astype(float)
+    gradient, information = of_test @ gradient[used], of_test @ information[used]
+    known = information > _LEAST * information.max(axis=0)
+    return np.where(known, gradient / np.sqrt(np.where(known, information, 1.0)), np.nan)
