@@ -94,9 +94,9 @@ class Effects(NamedTuple):
             cause = self.causes[j]
             if self.p[k, j] < limit and (cause.of not in best or cause.covers):
                 best[cause.of] = j
-        order = best.pop(ORDER, None)  # last, as covariates often change with the order
-        chosen = [*best.values(), *([] if order is None else [order])]
-        return [self.causes[j].words(k, float(self.values[k, j])) for j in chosen]
+        if len(best) > 1:
+            best.pop(ORDER, None)  # covariates and groups often change with the order
+        return [self.causes[j].words(k, float(self.values[k, j])) for j in best.values()]
 
     def strongest_in_words(self, k: int) -> str:
         """Return the least probable effect on parameter `k` in words."""

@@ -75,5 +75,9 @@ def probability(p: float) -> str:
 
 
 def failed_checks(checks: Sequence[Check]) -> list[Check]:
-    """Return the list of the checks that failed, in ascending order of probability; shapes come last."""
-    return sorted((check for check in checks if check.failed), key=lambda check: np.nan_to_num(check.p, nan=1.0))
+    """Return the list of the checks that failed.
+
+    Checks that name a cause come first, then the others in ascending order of probability; shapes come last.
+    """
+    failed = [check for check in checks if check.failed]
+    return sorted(failed, key=lambda check: (not check.dependence, np.nan_to_num(check.p, nan=1.0)))

@@ -51,7 +51,42 @@ def test_blocks_are_told():
     z = scores(1)
     z[:, 0] += 3.0 * np.repeat([0, 2, 1], N // 3)
     (told,) = (check for check in checks(z) if check.failed)
-    assert "consecutive tests have a lag-1 autocorrelation of 0." in told.sentence
+    assert "values change slowly over the tests (" in told.sentence
+    assert "of the variance in two waves), most after test t9" in told.sentence
+
+
+def test_consecutive_tests_that_resemble_each_other_are_told():
+    """An autoregression wanders without a trend or a slow wave."""
+    z = scores(13)
+    for t in range(1, N):
+        z[t, 3] = 0.8 * z[t - 1, 3] + 0.6 * z[t, 3]
+    (told,) = (check for check in checks(z) if check.failed)
+    assert told.of == "population of k4"
+
+
+@pytest.mark.parametrize("explained", [(), [("k1", "temperature")]])
+def test_a_bend_in_a_covariate_is_named_with_its_place(explained):
+    """The mean over a year is near the kink, so that a line explains little or has been taken out."""
+    temperature = np.random.default_rng(5).uniform(-15.0, 15.0, 2 * N)
+    z = np.random.default_rng(2).standard_normal((2 * N, len(NAMES)))
+    z[:, 0] -= 0.4 * np.minimum(temperature, 0.0)
+    if explained:
+        z[:, 0] -= np.polyval(np.polyfit(temperature, z[:, 0], 1), temperature)
+    (told,) = (check for check in checks(z, {"temperature": temperature}, explained=explained) if check.failed)
+    verb = "rise" if explained else "hardly change"
+    assert "values fall with temperature below " in told.sentence
+    assert f"and {verb} above: add a slope with a kink near " in told.sentence
+    place = float(told.sentence.partition("kink near ")[2].partition(" ")[0])
+    assert abs(place) < 5.0
+
+
+def test_a_covariate_that_some_tests_lack_is_named():
+    temperature = np.random.default_rng(5).uniform(-10.0, 30.0, N)
+    z = scores(3)
+    z[:, 0] -= 0.2 * (temperature - temperature.mean())
+    temperature[::5] = np.nan
+    (told,) = (check for check in checks(z, {"temperature": temperature}) if check.failed)
+    assert "values fall with temperature (correlation -0." in told.sentence
 
 
 def test_one_test_far_from_the_others_is_named():
