@@ -17,7 +17,7 @@ _PERMUTATIONS = 2000
 _TINY = 1e-300
 _PLACES = np.linspace(0.15, 0.85, 15)
 """Quantiles of a covariate at which a dependence on it may bend."""
-_FEWEST_BESIDE, _STRAIGHT = 3, 1e-6
+_FEWEST_BESIDE, _STRAIGHT = 4, 1e-6
 """Fewest tests on either side of a bend; share of a bend below which it is a straight line at the tests."""
 _AT_ONCE = 1_000_000
 """Number of array entries that are permuted at a time."""

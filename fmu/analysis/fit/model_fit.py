@@ -96,7 +96,7 @@ class ModelFit:
 
     @property
     def against(self) -> tuple[str, ...]:
-        """The sentences of the failed checks, in ascending order of probability."""
+        """The sentences of the failed checks: first those that name a cause, then the least probable."""
         return tuple(check.sentence for check in failed_checks(self.checks))
 
     @property

@@ -8,7 +8,7 @@ scores from the residuals (`fmu.analysis.fit.residual_scores`). The checks are
 
 - permutation tests of the causes in `fmu.analysis.fit.causes`;
 - for a population a test of the score farthest from the mean (Grubbs 1950, *Ann. Math. Statist.* 21, 27–58;
-  Bonferroni's bound), which gets a tenth of the level.
+  Bonferroni's bound).
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ GROUP = "populations"
 _INFORMED = 0.05
 """A score is skipped if the data remove less than this share of its prior variance."""
 _FEWEST = 6
-_TO_CAUSES = 0.9
-"""Share of the level for the causes; the rest is for the farthest test, which stands out more."""
+_TO_CAUSES = 0.6
+"""Share of the level for the causes; the rest is for the farthest test."""
 _POPULATION = (
     "population of",
     "the tests are not independent draws from one distribution",
