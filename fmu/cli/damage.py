@@ -54,10 +54,9 @@ def echo_losses(trace: xr.DataTree, diagnosis: Diagnosis, beyond: Sequence[float
         click.echo(text_table(header, rows, width=_WIDTH))
     answer = f"The model: {diagnosis.fit.answer}. " if diagnosis.fit.checks else ""
     rests = "P is the probability of a loss beyond that limit, given the model, its errors and its priors."
-    click.echo("\n" + wrap_text(answer + rests, width=_WIDTH))
-    if table.attrs[WITHHELD]:
-        click.echo(wrap_text(table.attrs[WITHHELD], width=_WIDTH))
-    elif diagnosis.doubts:
+    withheld = table.attrs[WITHHELD]
+    click.echo("\n" + wrap_text(answer + (withheld or rests), width=_WIDTH))
+    if diagnosis.doubts and not withheld:
         click.echo(wrap_text(f"Do not rely on P: {' and '.join(diagnosis.doubts)}.", width=_WIDTH))
 
 
