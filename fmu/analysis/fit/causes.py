@@ -38,7 +38,7 @@ from fmu.numbers import fixed, share, significant
 from fmu.types import BoolArray, FloatArray
 
 ORDER, GROUPS = "the order of the tests", "the groups"
-_SEARCHED = np.log(3.0)
+_SEARCHED = np.log(6.0)
 """Logarithm of the number of independent places of a bend, about, which puts the best one on the common scale."""
 _HARDLY = 0.2
 """A change beside a bend is small below this share of the change on its other side."""
