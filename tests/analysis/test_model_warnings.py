@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from fmu.analysis.convergence.diagnosis import judge
-from fmu.analysis.measured_shapes import shape_warnings
+from fmu.analysis.fit.measured_shapes import shape_warnings
 from fmu.analysis.prediction import bound_warnings, search_warnings
 from fmu.analysis.trace.conversion import to_trace
 from fmu.analysis.trace.modal_states import MEASURED

@@ -30,13 +30,13 @@ from fmu.analysis.convergence.remedies import (
     rhat_excess,
 )
 from fmu.analysis.fit.deviations import deviation_warnings
+from fmu.analysis.fit.measured_shapes import sensor_warnings, shape_warnings
 from fmu.analysis.fit.model_fit import ModelFit, model_fit
 from fmu.analysis.held_out.modes import left_out_warnings
 from fmu.analysis.information import information_warnings
 from fmu.analysis.maxima import search
 from fmu.analysis.maxima.missed import Comparison, check_parameters, compare_shares, missed_places
 from fmu.analysis.maxima.results import NEGLIGIBLE, TYPICAL_POINT, Maxima
-from fmu.analysis.measured_shapes import sensor_warnings, shape_warnings
 from fmu.analysis.pairing_changes import jump_warnings
 from fmu.analysis.prediction import bound_warnings, search_warnings
 from fmu.analysis.repeatability import repeatability_warnings

@@ -53,12 +53,12 @@ from fmu.analysis.fit.check import (
     beyond,
     probability,
 )
+from fmu.analysis.fit.measured_shapes import below, correlations_of, paired_mac, shape_warnings
 from fmu.analysis.fit.populations import GROUP as POPULATIONS
 from fmu.analysis.fit.populations import effective_parameters, population_checks
 from fmu.analysis.fit.residual_scores import GROUP as RESIDUAL_SCORES
 from fmu.analysis.held_out.modes import kept_table
 from fmu.analysis.information import CONTRACTED
-from fmu.analysis.measured_shapes import below, correlations_of, paired_mac, shape_warnings
 from fmu.analysis.prediction import measured_tests, measurement_in_words, noise_sd
 from fmu.analysis.trace.misfit import GROUP, QUANTITIES
 from fmu.analysis.trace.modal_states import MEAN

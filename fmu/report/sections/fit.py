@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from fmu.analysis.fit.check import LEVEL, failed_checks
+from fmu.analysis.fit.measured_shapes import paired_mac, shape_warnings
 from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, UNKNOWN, ModelFit
 from fmu.analysis.held_out.modes import left_out_warnings
 from fmu.analysis.information import information_warnings
-from fmu.analysis.measured_shapes import paired_mac, shape_warnings
 from fmu.numbers import MISSING, fixed, share, significant
 from fmu.report.document import Omitted, PageSection, PageTable, Text, Verdict
 from fmu.report.run import ReportedRun

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fmu.analysis.measured_shapes import correlations_of, paired_mac, sensor_warnings
+from fmu.analysis.fit.measured_shapes import correlations_of, paired_mac, sensor_warnings
 from fmu.analysis.trace.modal_states import MEAN, START
 from fmu.fem.pairing.correlation import LOOK_AT_SENSORS, Correlation
 from fmu.numbers import fixed

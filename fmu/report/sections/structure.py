@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from markupsafe import Markup
 
+from fmu.analysis.fit.measured_shapes import measured_mac
 from fmu.analysis.identifiability import Identifiability, kept_identifiability
 from fmu.analysis.information import CRITERION, Information, compared_with_draws, information, left_along
 from fmu.analysis.maxima.results import NEGLIGIBLE
-from fmu.analysis.measured_shapes import measured_mac
 from fmu.analysis.pairing_changes import pairing_changes
 from fmu.analysis.trace.modal_states import GROUP, MEAN, MEASURED, START, sketch_of
 from fmu.analysis.trace.reading import has, parameter_names

@@ -5,8 +5,8 @@ import pytest
 
 import fmu
 from fmu.analysis.fit.check import SHAPE
+from fmu.analysis.fit.measured_shapes import sensor_warnings
 from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED
-from fmu.analysis.measured_shapes import sensor_warnings
 from fmu.report.run import runs_of
 from fmu.report.sections.sensors import sensors
 from tests.shear_building import shear_building
