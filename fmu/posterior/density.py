@@ -101,6 +101,15 @@ class Posterior:
         terms = self._terms(points)
         return terms[0] if single else terms
 
+    def terms_of_tests(self, theta: FloatArray) -> FloatArray:
+        """Return the log-likelihood of each datum, (n, n_terms), at theta (n, ndim), -inf only where it has failed.
+
+        `log_likelihood_terms` returns -inf for all data of a theta at which one has failed.
+        """
+        terms = self.likelihood.terms(self.layout.of_model(theta))
+        self._record_failures(terms, theta)
+        return np.where(np.isfinite(terms), terms, -np.inf)
+
     def terms_and_misfit(
         self, theta: FloatArray, frequencies: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:

@@ -188,7 +188,7 @@ def default_sampler(problem: LogDensity) -> str:
     """
     from fmu.analysis.maxima.search import is_searchable
 
-    return DEFAULT_SAMPLER if is_searchable(problem) else "hmc"
+    return DEFAULT_SAMPLER if is_searchable(problem) else "gibbs"
 
 
 DEFAULTS: Mapping[str, Any] = {

@@ -49,7 +49,7 @@ class Correlation:
         return self._factors(theta)[0]
 
     def log_density(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the log-density of the copula, summed over the tests, and its derivatives.
+        """Return the log-density of the copula in each test, and its derivatives.
 
         Parameters
         ----------
@@ -58,17 +58,17 @@ class Correlation:
 
         Returns
         -------
-        value : ndarray, shape (n,)
+        value : ndarray, shape (n, n_tests)
         by_score : ndarray, shape (n, n_tests, p)
         by_correlation : ndarray, shape (n, p (p - 1) / 2)
-            Derivatives with respect to the partial correlations.
+            Derivatives of the sum over the tests with respect to the partial correlations.
         """
         L, slopes = self._factors(theta)
-        value, by_score, by_R = np.zeros(len(z)), np.zeros_like(z), np.zeros_like(L)
+        value, by_score, by_R = np.zeros(z.shape[:2]), np.zeros_like(z), np.zeros_like(L)
         for here, tests, block, inverse, log_det in self._blocks(L):
             of = z[:, tests][:, :, here]
             turned = np.einsum("nij,ntj->nti", inverse, of)
-            value += -0.5 * len(tests) * log_det - 0.5 * np.einsum("nti,nti->n", of, turned - of)
+            value[:, tests] = -0.5 * log_det[:, None] - 0.5 * np.einsum("nti,nti->nt", of, turned - of)
             by_score[np.ix_(range(len(z)), tests, here)] = of - turned
             by_R[block] += 0.5 * (np.einsum("nti,ntj->nij", turned, turned) - len(tests) * inverse)
         by_L = 2.0 * np.einsum("nij,njk->nik", by_R, L)

@@ -270,7 +270,7 @@ class Layout:
             value = value + np.einsum("nt->n", one.log_prior(theta)[0])
         if self.correlation is not None:
             z = np.stack([one.population_scores(theta)[0] for one in self.drawn], axis=2)
-            value = value + self.correlation.log_density(theta, z)[0]
+            value = value + np.einsum("nt->n", self.correlation.log_density(theta, z)[0])
         return value
 
     def log_prior_gradient(self, theta: FloatArray, independent: FloatArray) -> FloatArray:

@@ -147,7 +147,7 @@ def _correlate(layout: Layout, theta: FloatArray, variance: FloatArray) -> None:
 
 def _most_probable(problem: UpdatingProblem, one: Drawn, theta: FloatArray, variance: FloatArray) -> float:
     """Set a population's centre and width in `theta` from its values; return the larger change, in widths."""
-    columns = one.columns[one.scored]
+    columns, before = one.columns[one.scored], theta[None].copy()
     value, by_score = one(theta[None])[0][0, one.scored], one(theta[None])[1][0].values[0, one.scored]
     x, spread = (np.log(value), by_score / value) if one.population.of_logarithm else (value, by_score)
     old = theta[[one.centre, one.width]]
@@ -159,6 +159,6 @@ def _most_probable(problem: UpdatingProblem, one: Drawn, theta: FloatArray, vari
     centre = np.exp(middle) if one.population.of_logarithm else middle
     theta[one.centre] = np.clip(centre, low + margin, high - margin)
     theta[one.width] = np.clip(width, problem.lower[one.width], problem.upper[one.width])
-    theta[columns] = one.scores_of(value, theta)
-    before, after = (np.log(c) if one.population.of_logarithm else c for c in (old[0], theta[one.centre]))
-    return float(max(abs(after - before), abs(width - old[1])) / width)
+    theta[columns] = one.scores_at(one(before)[0], theta[None])[0, one.scored]
+    last, new = (np.log(c) if one.population.of_logarithm else c for c in (old[0], theta[one.centre]))
+    return float(max(abs(new - last), abs(width - old[1])) / width)

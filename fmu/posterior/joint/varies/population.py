@@ -148,16 +148,35 @@ class Population(Varies):
             Derivatives of the two log-densities with respect to value, centre and standard deviation.
             ``by_other`` has to be subtracted.
         """
+        (p, by_p), (q, by_q) = (self._log_pdf(value, *of, lower, upper) for of in (one, other))
+        return p - q, by_p, by_q
+
+    def log_pdf(
+        self, value: FloatArray, centre: FloatArray, sd: FloatArray, lower: float, upper: float
+    ) -> tuple[FloatArray, Slopes]:
+        """Return the log-densities of values, and their derivatives by value, centre and standard deviation.
+
+        Parameters
+        ----------
+        value, centre, sd : ndarray, broadcastable
+        lower, upper : float
+            Bounds of the values.
+        """
+        p, (by_value, by_centre, by_sd) = self._log_pdf(value, centre, sd, lower, upper)
         if not self.of_logarithm:
-            (p, by_p), (q, by_q) = (truncated_normal_log_pdf(value, *of, lower, upper) for of in (one, other))
-            return p - q, by_p, by_q
+            return p, (by_value, by_centre, by_sd)
+        return p - np.log(value), (by_value - 1.0 / value, by_centre, by_sd)
+
+    def _log_pdf(
+        self, value: FloatArray, centre: FloatArray, sd: FloatArray, lower: float, upper: float
+    ) -> tuple[FloatArray, Slopes]:
+        """Return the log-density of the value or, for a log-normal population, of its logarithm; see `log_pdf`."""
+        if not self.of_logarithm:
+            return truncated_normal_log_pdf(value, centre, sd, lower, upper)
         with np.errstate(divide="ignore"):
             ends = np.log([max(lower, 0.0), upper])
-        found = []
-        for centre, sd in (one, other):
-            p, (by_x, by_m, by_s) = truncated_normal_log_pdf(np.log(value), np.log(centre), sd, *ends)
-            found.append((p, (by_x / value, by_m / centre, by_s)))
-        return found[0][0] - found[1][0], found[0][1], found[1][1]
+        p, (by_x, by_m, by_s) = truncated_normal_log_pdf(np.log(value), np.log(centre), sd, *ends)
+        return p, (by_x / value, by_m / centre, by_s)
 
     def scores(
         self, value: FloatArray, centre: FloatArray, sd: FloatArray, lower: float, upper: float
@@ -229,7 +248,8 @@ class Drawn(InTests):
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
         """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
-        return self.last.remember("evaluated", theta, self._compute)[0]
+        value, *_, slopes = self._at(theta)
+        return value, self._slopes(*slopes)
 
     def identity(self, test: int) -> Hashable:
         """Return a key that is equal for two tests if the value in them is equal at every theta."""
@@ -240,7 +260,8 @@ class Drawn(InTests):
 
         The log ratio is zero where the centring is zero, because the scores are then standard normal.
         """
-        return self.last.remember("evaluated", theta, self._compute)[1]
+        found: tuple[FloatArray, list[Slope]] = self.last.remember("log ratio", theta, self._log_ratio)
+        return found
 
     def curvature(self, theta: FloatArray) -> FloatArray:
         """Return minus the second derivative of each score's log-density, (n, n_tests), for distant bounds."""
@@ -273,7 +294,7 @@ class Drawn(InTests):
         theta[:, self.columns[self.scored]] = np.where(self.centring > 0.0, scores, z)[:, self.scored]
         return theta
 
-    def _compute(self, theta: FloatArray) -> Any:
+    def _log_ratio(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
         value, (centre, width), blend, (by_z, by_centre, by_width) = self._at(theta)
         bounds = self.lower, self.upper
         ratio, one, other = self.population.log_ratio(value, (centre, width), blend, *bounds)
@@ -284,13 +305,11 @@ class Drawn(InTests):
             of_value * by_width + one[2] - other[2] * off * blend[1] / width,
         )
         is_score = self.scored & (self.centring > 0.0)
-        prior = np.where(is_score, ratio, 0.0), self._slopes(*(np.where(is_score, s, 0.0) for s in slopes))
-        return (value, self._slopes(by_z, by_centre, by_width)), prior
+        return np.where(is_score, ratio, 0.0), self._slopes(*(np.where(is_score, s, 0.0) for s in slopes))
 
-    def scores_of(self, value: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return the scores of the values in the tests with scores, shape (n_scored,), at one theta (ndim,)."""
-        centre, width = (part[0, self.scored] for part in self._parts(theta[None])[2])
-        return self.population.scores(value, centre, width, self.lower, self.upper)
+    def scores_at(self, value: FloatArray, theta: FloatArray) -> FloatArray:
+        """Return the scores of the values (n, n_tests) in all tests, with the populations at theta (n, ndim)."""
+        return self.population.scores(value, *self._parts(theta)[2], self.lower, self.upper)
 
     def _parts(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, FloatArray]:
         """Return the scores, the population, the distribution F, and ∂(centre of F)/∂(population centre)."""

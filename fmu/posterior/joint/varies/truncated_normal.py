@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import log_ndtr, ndtri_exp
 
-from fmu.types import FloatArray
+from fmu.types import BoolArray, FloatArray
 
 Slopes = tuple[FloatArray, FloatArray, FloatArray]
 
+_DISTANT, _CENTRAL = 12.0, 6.0
+"""Bounds this many standard deviations from the mean have no influence on scores up to this size, to rounding."""
 _HALF_LOG_2PI = 0.5 * float(np.log(2.0 * np.pi))
 
 
@@ -24,9 +26,29 @@ def truncated_normal_values(
     z, mean, sd : ndarray, broadcastable
     lower, upper : float
     """
-    if np.isneginf(lower) and np.isposinf(upper):
-        shape = np.broadcast_shapes(z.shape, mean.shape, sd.shape)
-        return mean + sd * z, tuple(np.broadcast_to(x, shape) for x in (sd, np.ones(1), z))  # type: ignore[return-value]
+    z, mean, sd = np.broadcast_arrays(z, mean, sd)
+    value, slopes = mean + sd * z, (sd.copy(), np.ones(z.shape), z.copy())
+    near = _find_near(z, mean, sd, lower, upper)
+    if near.any():
+        value[near], of_near = _values_near_bounds(z[near], mean[near], sd[near], lower, upper)
+        for slope, one in zip(slopes, of_near, strict=True):
+            slope[near] = one
+    return value, slopes
+
+
+def _find_near(z: FloatArray, mean: FloatArray, sd: FloatArray, lower: float, upper: float) -> BoolArray:
+    """Return a mask of the values on which the bounds have an influence."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        room = np.minimum(mean - lower, upper - mean)
+        return np.asarray(
+            ~((room >= _DISTANT * sd) & (np.abs(z) <= _CENTRAL)) & (np.isfinite(lower) | np.isfinite(upper))
+        )
+
+
+def _values_near_bounds(
+    z: FloatArray, mean: FloatArray, sd: FloatArray, lower: float, upper: float
+) -> tuple[FloatArray, Slopes]:
+    """Return the values and derivatives of `truncated_normal_values`, with the influence of the bounds."""
     with np.errstate(over="ignore", divide="ignore", invalid="ignore", under="ignore"):
         alpha, beta = (lower - mean) / sd, (upper - mean) / sd
         # computed in the nearer tail, where the probability is not rounded to 1
@@ -56,11 +78,21 @@ def truncated_normal_log_pdf(
     mean, sd : ndarray, broadcastable
     lower, upper : float
     """
+    x, mean, sd = np.broadcast_arrays(x, mean, sd)
     a = (x - mean) / sd
     value = -0.5 * a**2 - np.log(sd) - _HALF_LOG_2PI
-    by_x, by_mean, by_sd = -a / sd, a / sd, (a**2 - 1.0) / sd
-    if np.isneginf(lower) and np.isposinf(upper):
-        return value, (by_x, by_mean, by_sd)
+    slopes = -a / sd, a / sd, (a**2 - 1.0) / sd
+    near = _find_near(np.zeros(()), mean, sd, lower, upper)
+    if near.any():
+        log_mass, by_mean, by_sd = _mass_between(mean[near], sd[near], lower, upper)
+        value[near] -= log_mass
+        slopes[1][near] += by_mean
+        slopes[2][near] += by_sd
+    return value, slopes
+
+
+def _mass_between(mean: FloatArray, sd: FloatArray, lower: float, upper: float) -> Slopes:
+    """Return the log-probability of the values within the bounds, and minus its derivatives by mean and sd."""
     with np.errstate(over="ignore", invalid="ignore", under="ignore", divide="ignore"):
         alpha, beta = (lower - mean) / sd, (upper - mean) / sd
         log_mass = _log_mass(alpha, beta)
@@ -69,15 +101,24 @@ def truncated_normal_log_pdf(
         moved = np.where(np.isfinite(beta), at_upper * beta, 0.0) - np.where(
             np.isfinite(alpha), at_lower * alpha, 0.0
         )
-        return value - log_mass, (by_x, by_mean + (at_upper - at_lower) / sd, by_sd + moved / sd)
+        return log_mass, (at_upper - at_lower) / sd, moved / sd
 
 
 def truncated_normal_scores(
     x: FloatArray, mean: FloatArray, sd: FloatArray, lower: float, upper: float
 ) -> FloatArray:
     """Return z = Φ⁻¹(F(x)) for the truncated normal distribution F, the inverse of `truncated_normal_values`."""
+    x, mean, sd = np.broadcast_arrays(x, mean, sd)
+    z = (x - mean) / sd
+    near = _find_near(z, mean, sd, lower, upper)
+    if near.any():
+        z[near] = _scores_near_bounds(z[near], (lower - mean[near]) / sd[near], (upper - mean[near]) / sd[near])
+    return z
+
+
+def _scores_near_bounds(a: FloatArray, alpha: FloatArray, beta: FloatArray) -> FloatArray:
+    """Return the scores of standardised values `a` between standardised bounds."""
     with np.errstate(over="ignore", invalid="ignore", under="ignore", divide="ignore"):
-        a, alpha, beta = (x - mean) / sd, (lower - mean) / sd, (upper - mean) / sd
         total = _log_mass(alpha, beta)
         below, above = _log_mass(alpha, a) - total, _log_mass(a, beta) - total
         return np.where(below < above, ndtri_exp(np.minimum(below, 0.0)), -ndtri_exp(np.minimum(above, 0.0)))
