@@ -16,7 +16,6 @@ import numpy as np
 
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.joint.layout import Layout
-from fmu.posterior.joint.varies.base import Slope
 from fmu.posterior.joint.varies.population import Drawn
 from fmu.types import BoolArray, FloatArray, IntArray
 
@@ -77,7 +76,7 @@ class Expansion(NamedTuple):
 def expand(layout: Layout, likelihood: ModalLikelihood, theta: FloatArray) -> Expansion:
     """Return the log-likelihoods of the tests to second order about theta (n, ndim)."""
     at = layout.of_model(theta)
-    terms, slopes = likelihood.terms_and_gradient(at)
+    slopes = likelihood.terms_and_gradient(at)[1]
     _, J = likelihood.residuals_and_slopes(at)
     P, n_tests = len(layout.structural), len(layout.tests)
     slope = sum_by_test(slopes[..., :P], likelihood.test_of_terms, n_tests)
@@ -98,7 +97,7 @@ def sum_by_test(terms: FloatArray, test: IntArray, n_tests: int) -> FloatArray:
 def score_precision(layout: Layout, theta: FloatArray) -> FloatArray:
     """Return minus the second derivatives of the log-prior by the scores of each test, (n, n_tests, p, p).
 
-    The bounds of the parameters are taken as distant. Rows and columns of missing scores are those of the identity.
+    The bounds of the parameters are taken as distant. Missing scores have the rows and columns of the identity.
     """
     size = np.stack([np.sqrt(one.curvature(theta)) for one in layout.drawn], axis=2)
     scored = np.stack([one.scored for one in layout.drawn], axis=1)
@@ -116,11 +115,6 @@ def slopes_by_score(layout: Layout, theta: FloatArray) -> FloatArray:
         if isinstance(one.base, Drawn)
     ]
     return np.stack(found, axis=2)
-
-
-def split_slopes(layout: Layout, theta: FloatArray) -> list[tuple[int, Slope]]:
-    """Return the derivatives of the values in the tests by theta, each with the index of its parameter."""
-    return [(j, slope) for j, one in enumerate(layout.values_of) for slope in one(theta)[1]]
 
 
 def _tests_of_residuals(likelihood: ModalLikelihood) -> IntArray:

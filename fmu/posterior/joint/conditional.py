@@ -8,7 +8,7 @@ scatter, then have a density that needs no solve of the model. Gibbs steps alter
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
@@ -33,6 +33,8 @@ _INSIDE = 1e-9
 """Smallest distance of an expansion from the bounds of a value, relative to their distance."""
 _STEP = 1e-4
 _INFORMED = 0.5
+_SCORES = 400
+"""Number of draws of the scores of a test over which second derivatives are averaged."""
 
 
 class Normal(NamedTuple):
@@ -232,6 +234,64 @@ def _nearest_scores(one: InTests, theta: FloatArray, values: FloatArray) -> Floa
     return drawn.scores_at(base, theta)
 
 
+class MainGivenScores:
+    """An approximate density of the main parameters given the scores relative to the populations.
+
+    It includes all main parameters but the correlations of populations, whose density given the scores contains no
+    data. In place of the likelihood of each test it has the expansion, a quadratic in the values of the structural
+    parameters, and needs no solve of the model.
+
+    Parameters
+    ----------
+    problem : UpdatingProblem
+    expansion : Expansion
+        The log-likelihoods of the tests about `theta`.
+    theta : ndarray, shape (1, ndim)
+        The typical point, about which the density of inferred standard deviations of errors is normal.
+    """
+
+    def __init__(self, problem: UpdatingProblem, expansion: Expansion, theta: FloatArray) -> None:
+        self.layout, self.scores = problem.layout, Scores.of(problem.layout)
+        self.plain = self.layout.remove_centring()
+        self.expansion = Expansion(*(part[0] for part in expansion))
+        correlated = [] if self.layout.correlation is None else list(self.layout.correlation.columns)
+        held = np.concatenate([self.scores.columns[self.scores.scored], np.array(correlated, dtype=np.int64)])
+        self.columns: IntArray = np.setdiff1d(np.arange(problem.ndim), held)
+        self.prior = JointPrior([problem.parameters[k] for k in self.columns])
+        self._noise = theta[:, problem.n_structural :]
+        self._information = sum(
+            (term.information(self._noise)[0] for term in problem.likelihood.terms_of),
+            np.zeros((self._noise.shape[1], self._noise.shape[1])),
+        )
+
+    def hold(self, theta: FloatArray) -> FloatArray:
+        """Return theta (n, ndim) with scores relative to the populations in place of its own."""
+        z = np.stack([one.population_scores(theta)[0] for one in self.layout.drawn], axis=2)
+        return self.scores.put(theta, z)
+
+    def release(self, held: FloatArray) -> FloatArray:
+        """Return theta (n, ndim) with its own scores in place of those relative to the populations."""
+        for one in self.layout.drawn:
+            if np.any(one.centring > 0.0):
+                held = one.drawn(held)
+        return held
+
+    def log_prob_and_grad(self, held: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the log-density (n,) and its gradient by the `columns`, (n, n_columns), at `held` (n, ndim)."""
+        known, n = self.expansion, len(self.layout.parameters)
+        away = self.plain.values(held[:, :n]) - known.values
+        turned = np.einsum("tij,ntj->nti", known.information, away)
+        value = np.einsum("nti,nti->n", away, known.slope - 0.5 * turned)
+        noise = np.zeros((*away.shape[:2], self._noise.shape[1]))
+        slopes = np.concatenate([known.slope - turned, noise], axis=2)
+        gradient = self.plain.gradient(held, slopes, np.arange(away.shape[1]))
+        by_noise = (held[:, n:] - self._noise) @ self._information
+        gradient[:, n:] -= by_noise
+        value -= 0.5 * np.einsum("nk,nk->n", by_noise, held[:, n:] - self._noise)
+        main = held[:, self.columns]
+        return value + self.prior.log_pdf(main), gradient[:, self.columns] + self.prior.log_pdf_gradient(main)
+
+
 class Conditionals(NamedTuple):
     """The conditional densities of a hierarchical problem.
 
@@ -239,8 +299,9 @@ class Conditionals(NamedTuple):
     ----------
     scores : ScoresGivenMain
     main : MainGivenValues
-    curvature : ndarray, shape (n_columns, n_columns)
-        Minus the second derivatives of the density `main` at the typical point, in scaled units.
+    shift : MainGivenScores
+    curvatures : tuple of two ndarray
+        Minus the second derivatives of the densities `main` and `shift` at the typical point, in scaled units.
     informed : float
         The smallest mean over the tests, of all populations, of the share of a value's precision that comes from
         the test itself rather than from the population; between 0 and 1.
@@ -248,12 +309,13 @@ class Conditionals(NamedTuple):
 
     scores: ScoresGivenMain
     main: MainGivenValues
-    curvature: FloatArray
+    shift: MainGivenScores
+    curvatures: tuple[FloatArray, FloatArray]
     informed: float
 
     @property
     def is_enough(self) -> bool:
-        """Whether Gibbs steps by the two densities alone reach all parameters, and mix well."""
+        """Whether Gibbs steps by `scores` and `main` alone reach all parameters, and mix well."""
         return self.main.others == 0 and self.informed > _INFORMED
 
 
@@ -266,9 +328,21 @@ def conditionals(problem: UpdatingProblem) -> Conditionals:
         scaled, layout = ScaledDensity(problem), problem.layout
         theta = scaled.to_theta(typical_point(problem)[0])[None]
         assert isinstance(problem.likelihood, ModalLikelihood)  # of several tests
-        scores = ScoresGivenMain(layout, expand(layout, problem.likelihood, theta), problem.prior)
-        main = MainGivenValues(layout, problem.parameters)
-        _KNOWN[problem] = Conditionals(scores, main, _curvature(main, scaled, theta), _informed(scores, theta))
+        expansion = expand(layout, problem.likelihood, theta)
+        scores, shift = (
+            ScoresGivenMain(layout, expansion, problem.prior),
+            MainGivenScores(problem, expansion, theta),
+        )
+        main, n = MainGivenValues(layout, problem.parameters), int(np.ceil(_SCORES / len(layout.tests)))
+        normal, rng = scores.approximate(theta), np.random.default_rng(0)
+        noise = rng.standard_normal((n, *normal.mean.shape[1:]))
+        typical = scores.scores.put(np.repeat(theta, n, axis=0), normal.draw(normal.mean, 0.0, noise))
+        values, held = main.values(typical), shift.hold(typical)
+        curvatures = (
+            _curvature(lambda at, k: main.log_prob_and_grad(at, values[k]), main.columns, scaled, typical),
+            _curvature(lambda at, k: shift.log_prob_and_grad(at), shift.columns, scaled, held),
+        )
+        _KNOWN[problem] = Conditionals(scores, main, shift, curvatures, _informed(scores, theta))
     return _KNOWN[problem]
 
 
@@ -282,14 +356,20 @@ def _informed(scores: ScoresGivenMain, theta: FloatArray) -> float:
     return float(np.min(np.sum(np.where(scored, 1.0 - left, 0.0), axis=0) / np.sum(scored, axis=0)))
 
 
-def _curvature(main: MainGivenValues, scaled: ScaledDensity, theta: FloatArray) -> FloatArray:
-    """Return minus the second derivatives of a density at theta (1, ndim) by differences of its gradient."""
-    columns, values = main.columns, main.values(theta)
-    u, scale, n = scaled.to_scaled(theta)[0], scaled.scale[main.columns], len(main.columns)
-    room = np.minimum(u - scaled.lower, scaled.upper - u)[columns]
-    h = _STEP * np.minimum(1.0, room)
-    moves = np.zeros((2 * n, scaled.ndim))
-    moves[np.arange(n), columns], moves[n + np.arange(n), columns] = -h, h
-    found = main.log_prob_and_grad(scaled.to_theta(u + moves), np.repeat(values, 2 * n, axis=0))[1] * scale
-    hessian = (found[:n] - found[n:]) / (2.0 * h[:, None])
+def _curvature(
+    density: Callable[[FloatArray, IntArray], tuple[FloatArray, FloatArray]],
+    columns: IntArray,
+    scaled: ScaledDensity,
+    theta: FloatArray,
+) -> FloatArray:
+    """Return minus the second derivatives of a density by differences of its gradient; their mean over theta (n, ndim)."""
+    k, d = np.arange(len(theta)), len(columns)
+    u = scaled.to_scaled(theta)
+    room = np.minimum(u[0] - scaled.lower, scaled.upper - u[0])
+    hessian = np.empty((d, d))
+    for i, column in enumerate(columns):
+        h = np.zeros(scaled.ndim)
+        h[column] = _STEP * min(1.0, room[column])
+        behind, ahead = (density(scaled.to_theta(u + side * h), k)[1].mean(axis=0) for side in (-1.0, 1.0))
+        hessian[i] = (behind - ahead) * scaled.scale[columns] / (2.0 * h[column])
     return 0.5 * (hessian + hessian.T)
