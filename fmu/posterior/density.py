@@ -102,7 +102,7 @@ class Posterior:
         return terms[0] if single else terms
 
     def terms_of_tests(self, theta: FloatArray) -> FloatArray:
-        """Return the log-likelihood of each datum, (n, n_terms), at theta (n, ndim), -inf only where it has failed.
+        """Return the log-likelihood of each datum, (n, n_terms), at theta (n, ndim); -inf where it has failed.
 
         `log_likelihood_terms` returns -inf for all data of a theta at which one has failed.
         """

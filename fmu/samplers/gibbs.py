@@ -1,4 +1,4 @@
-"""Gibbs sampling of hierarchical posteriors: the scores of all tests, and the parameters of the populations, in turn.
+"""Gibbs sampling of hierarchical posteriors: the scores of all tests and the parameters of populations in turn.
 
 One step consists of
 
@@ -7,8 +7,8 @@ One step consists of
 2. proposals for the scores of all tests at once from normal distributions (`ScoresGivenMain`), one solve of all
    tests; the proposal of each test is accepted or rejected by itself, as the tests are independent given the main
    parameters;
-3. where some main parameters act otherwise, or the tests say little about their own values, a proposal for the main
-   parameters given the scores, the end of a trajectory in an approximate density (`MainGivenScores`), another
+3. where some main parameters act otherwise, or the tests say little about their own values, a proposal for the
+   main parameters given the scores, the end of a trajectory in an approximate density (`MainGivenScores`), another
    solve of all tests.
 
 The acceptance rate of the second part does not depend on the number of tests. The first part holds the values, the
@@ -27,8 +27,8 @@ from typing import ClassVar
 import numpy as np
 
 from fmu.arguments import check_arguments
-from fmu.posterior.joint.by_test import sum_by_test
-from fmu.posterior.joint.conditional import Conditionals, conditionals
+from fmu.posterior.joint.conditional.both import Conditionals, conditionals, remove_centring, restore_centring
+from fmu.posterior.joint.conditional.expansion import sum_by_test
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers.adaptation import DualAveraging
@@ -37,10 +37,10 @@ from fmu.samplers.local import accept
 from fmu.samplers.mixture.quadratic import definite
 from fmu.samplers.settings import positive_number
 from fmu.samplers.trajectory import ExactGradient, HamiltonianKernel, Metric
-from fmu.types import BoolArray, FloatArray, IntArray, LogDensity, Positive
+from fmu.types import AnyArray, BoolArray, FloatArray, LogDensity, Positive
 
 _FIRST_STEP = 0.5
-_LENGTH, _MOST_STEPS = 2.0, 16
+_LENGTH, _MOST_STEPS = 1.6, 16
 _JITTER, _MOST_BOUNCES = 0.2, 200
 _ACCEPT = 0.8
 _SHARES = (0.0, 0.0, 0.0, 0.8)
@@ -92,48 +92,28 @@ class Gibbs(Sampler):
 
 
 class _Target(ExactGradient):
-    """A density of main parameters, which differs from chain to chain by the other parameters of theta.
+    """A density of coordinates of the main parameters, which differs from chain to chain.
 
     Parameters
     ----------
-    scaled : ScaledDensity
-    columns : ndarray of int
-        Indices of the main parameters in theta.
-    theta : ndarray, shape (chains, ndim)
-        Supplies the other parameters.
+    lower, upper : ndarray, shape (n_coordinates,)
     density : callable
-        Returns log-densities and gradients by the `columns` at theta (n, ndim) of the chains of an index.
+        Returns log-densities and gradients at coordinates (n, n_coordinates) for the chains of an index.
     """
 
     solves_per_gradient = 0
 
     def __init__(
         self,
-        scaled: ScaledDensity,
-        columns: IntArray,
-        theta: FloatArray,
+        lower: FloatArray,
+        upper: FloatArray,
         density: Callable[[FloatArray, Index], tuple[FloatArray, FloatArray]],
     ) -> None:
-        self.scaled, self.columns, self.theta, self.of_chains = scaled, columns, theta, density
-        self.ndim, self.lower, self.upper = len(columns), scaled.lower[columns], scaled.upper[columns]
-
-    @property
-    def begin(self) -> FloatArray:
-        """The main parameters of theta, in scaled units."""
-        return self.scaled.to_scaled(self.theta)[:, self.columns]
-
-    def put(self, position: FloatArray, chain: Index = slice(None)) -> FloatArray:
-        """Return theta of the chains with other main parameters, scaled, (n, n_columns)."""
-        u = self.scaled.to_scaled(self.theta[chain])
-        u[:, self.columns] = position
-        theta = self.theta[chain].copy()
-        theta[:, self.columns] = self.scaled.to_theta(u)[:, self.columns]
-        return theta
+        self.lower, self.upper, self.ndim, self.of_chains = lower, upper, len(lower), density
 
     def log_prob_and_grad(self, position: FloatArray, chain: Index) -> tuple[FloatArray, FloatArray]:
         """Return the log-densities and their gradients; `chain` is as in `Target.log_prob`."""
-        log_prob, gradient = self.of_chains(self.put(position, chain), chain)
-        return log_prob, gradient * self.scaled.scale[self.columns]
+        return self.of_chains(position, chain)
 
 
 @dataclass(frozen=True)
@@ -169,15 +149,16 @@ class GibbsKernel:
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Move the main parameters, then the scores, then all parameters together if this is needed."""
-        theta = self.scaled.to_theta(state.position)
+        theta = remove_centring(self.problem, self.scaled.to_theta(state.position))
         theta, main = self._move_main(rng, theta)
         share = _SHARES[int(state.extra["turn"][0]) % len(_SHARES)]
         theta, terms, moved = self._move_scores(rng, theta, state.extra["terms"], share)
         solves = np.ones(len(theta), dtype=np.int64)
-        extra = {"acceptance_rate": moved, "main_acceptance": main}
+        extra: dict[str, AnyArray] = {"acceptance_rate": moved, "main_acceptance": main}
         if not self.conditionals.is_enough:
             theta, terms, extra["shift_accepted"] = self._shift(rng, theta, terms)
             solves += 1
+        theta = restore_centring(self.problem, theta)
         log_prob = terms.sum(axis=1) + self.problem.log_prior(theta)
         info = Info(moved > 0.0, log_prob, solves, np.zeros_like(solves), extra)
         position = self.scaled.to_scaled(theta)
@@ -188,11 +169,13 @@ class GibbsKernel:
         main = self.conditionals.main
         values = main.values(theta)
         target = _Target(
-            self.scaled, main.columns, theta, lambda at, chain: main.log_prob_and_grad(at, values[chain])
+            main.lower,
+            main.upper,
+            lambda w, chain: main.log_prob_and_grad(w, theta[chain], values[chain]),
         )
-        begun, _ = target.start(target.begin)
+        begun, _ = target.start(main.coordinates(theta, values))
         moved, info = self._trajectory(target, self.metric).step(rng, begun)
-        after = main.with_values(target.put(moved.position), values)
+        after = main.with_values(main.theta_at(moved.position, theta, values), values)
         usable = info.accepted & np.all(np.isfinite(after), axis=1)
         return np.where(usable[:, None], after, theta), info.extra["acceptance_rate"]
 
@@ -208,7 +191,7 @@ class GibbsKernel:
         z, normal = of.scores.take(theta), of.approximate(theta)
         noise = rng.standard_normal(z.shape)
         candidate = of.scores.put(theta, normal.draw(z, share, noise))
-        new_terms = self.problem.terms_of_tests(candidate)
+        new_terms = self._terms(candidate)
         n_tests = z.shape[1]
         with np.errstate(invalid="ignore"):
             gain = sum_by_test(new_terms - terms, test, n_tests) + of.log_prior(candidate) - of.log_prior(theta)
@@ -217,6 +200,10 @@ class GibbsKernel:
         chosen = np.where(accepted[..., None], of.scores.take(candidate), z)
         terms = np.where(accepted[:, test], new_terms, terms)
         return of.scores.put(theta, chosen), terms, accepted.mean(axis=1)
+
+    def _terms(self, theta: FloatArray) -> FloatArray:
+        """Return the log-likelihood of each datum, (chains, n_terms), at theta with standard normal scores."""
+        return self.problem.terms_of_tests(restore_centring(self.problem, theta))
 
     def _shift(
         self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray
@@ -227,11 +214,11 @@ class GibbsKernel:
         2001, *Monte Carlo Strategies in Scientific Computing*, section 9.4.3).
         """
         of = self.conditionals.shift
-        target = _Target(self.scaled, of.columns, of.hold(theta), lambda at, chain: of.log_prob_and_grad(at))
-        begun, _ = target.start(target.begin)
+        target = _Target(of.lower, of.upper, lambda w, chain: of.log_prob_and_grad(w, theta[chain]))
+        begun, _ = target.start(of.coordinates(theta))
         moved, info = self._trajectory(target, self.shift_metric).step(rng, begun)
-        candidate = of.release(target.put(moved.position))
-        new_terms = self.problem.terms_of_tests(candidate)
+        candidate = of.theta_at(moved.position, theta)
+        new_terms = self._terms(candidate)
         with np.errstate(invalid="ignore"):
             gain = (new_terms - terms).sum(axis=1)
             gain += of.prior.log_pdf(candidate[:, of.columns]) - of.prior.log_pdf(theta[:, of.columns])
@@ -257,7 +244,7 @@ class GibbsTuner:
 
     def update(self, state: State, info: Info) -> None:
         """Learn from one step."""
-        self.averaging.update(np.mean(info.extra["main_acceptance"]))
+        self.averaging.update(np.asarray(np.mean(info.extra["main_acceptance"])))
         self._take()
 
     def finish_learning(self) -> Gibbs:

@@ -1,0 +1,118 @@
+"""The conditional densities of a hierarchical problem, which Gibbs steps alternate between."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from fmu.posterior.errors.likelihood import ModalLikelihood
+from fmu.posterior.joint.conditional.expansion import expand
+from fmu.posterior.joint.conditional.main import MainGivenValues
+from fmu.posterior.joint.conditional.scores import ScoresGivenMain
+from fmu.posterior.joint.conditional.shift import MainGivenScores
+from fmu.posterior.joint.typical import typical_point
+from fmu.posterior.problem import UpdatingProblem
+from fmu.posterior.scaled import ScaledDensity
+from fmu.types import FloatArray
+
+_STEP = 1e-4
+_INFORMED = 0.5
+_SCORES = 400
+"""Number of draws of the scores of a test over which second derivatives are averaged."""
+
+
+class Conditionals(NamedTuple):
+    """The conditional densities of a hierarchical problem, in which all scores are standard normal a priori.
+
+    Attributes
+    ----------
+    scores : ScoresGivenMain
+    main : MainGivenValues
+    shift : MainGivenScores
+    curvatures : tuple of two ndarray
+        Minus the second derivatives of `main` and `shift` at the typical point, by their coordinates.
+    is_enough : bool
+        Whether steps by `scores` and `main` alone reach all parameters, and mix well.
+    """
+
+    scores: ScoresGivenMain
+    main: MainGivenValues
+    shift: MainGivenScores
+    curvatures: tuple[FloatArray, FloatArray]
+    is_enough: bool
+
+
+_KNOWN: WeakKeyDictionary[UpdatingProblem, Conditionals] = WeakKeyDictionary()
+
+
+def conditionals(problem: UpdatingProblem) -> Conditionals:
+    """Return the conditional densities of a problem with populations; they are computed once per problem."""
+    if problem not in _KNOWN:
+        _KNOWN[problem] = _compute(problem)
+    return _KNOWN[problem]
+
+
+def remove_centring(problem: UpdatingProblem, theta: FloatArray) -> FloatArray:
+    """Return a copy of theta (n, ndim) with standard normal scores in place of the problem's own."""
+    found = theta.copy()
+    for one in problem.layout.drawn:
+        found[:, one.columns[one.scored]] = one.population_scores(theta)[0][:, one.scored]
+    return found
+
+
+def restore_centring(problem: UpdatingProblem, theta: FloatArray) -> FloatArray:
+    """Return theta (n, ndim) with the problem's own scores in place of standard normal ones."""
+    for one in problem.layout.drawn:
+        if np.any(one.centring > 0.0):
+            theta = one.drawn(theta)
+    return theta
+
+
+def _compute(problem: UpdatingProblem) -> Conditionals:
+    assert isinstance(problem.likelihood, ModalLikelihood)  # of several tests
+    plain = problem.with_layout(problem.layout.remove_centring())
+    own = ScaledDensity(problem).to_theta(typical_point(problem)[0])[None]
+    theta = remove_centring(problem, own)
+    expansion = expand(plain.layout, problem.likelihood, theta[0])
+    scores, main = ScoresGivenMain(plain.layout, expansion), MainGivenValues(plain)
+    shift = MainGivenScores(plain, expansion, theta)
+    n, rng, normal = (
+        int(np.ceil(_SCORES / len(problem.tests))),
+        np.random.default_rng(0),
+        scores.approximate(theta),
+    )
+    draws = normal.draw(normal.mean, 0.0, rng.standard_normal((n, *normal.mean.shape[1:])))
+    typical = scores.scores.put(np.repeat(theta, n, axis=0), draws)
+    values = main.values(typical)
+    curvatures = (
+        _curvature(
+            lambda w: main.log_prob_and_grad(w, typical, values)[1],
+            main.coordinates(typical, values),
+            main.lower,
+            main.upper,
+        ),
+        _curvature(
+            lambda w: shift.log_prob_and_grad(w, typical)[1], shift.coordinates(typical), shift.lower, shift.upper
+        ),
+    )
+    is_enough = main.others == 0 and scores.informed(theta) > _INFORMED
+    return Conditionals(scores, main, shift, curvatures, is_enough)
+
+
+def _curvature(
+    gradient: Callable[[FloatArray], FloatArray], w: FloatArray, lower: FloatArray, upper: FloatArray
+) -> FloatArray:
+    """Return minus the second derivatives of a log-density of w by differences of its `gradient`, (d, d).
+
+    They are averaged over the points w, shape (n, d).
+    """
+    d = w.shape[1]
+    hessian = np.empty((d, d))
+    h = _STEP * np.minimum(1.0, np.minimum(w - lower, upper - w).min(axis=0))
+    for k in range(d):
+        move = h[k] * (np.arange(d) == k)
+        hessian[k] = (gradient(w - move) - gradient(w + move)).mean(axis=0) / (2.0 * h[k])
+    return 0.5 * (hessian + hessian.T)

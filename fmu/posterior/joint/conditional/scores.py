@@ -1,0 +1,186 @@
+"""The scores of each test given the main parameters, which are independent of the scores of other tests.
+
+The posterior density of the scores z_t of a test, given the main parameters, is proportional to
+
+    L_t(θ_t(main, z_t)) p(z_t | main),
+
+in which L_t is the likelihood of the data of the test and θ_t are the parameters of the structure in it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fmu.posterior.joint.conditional.expansion import Expansion
+from fmu.posterior.joint.layout import Layout
+from fmu.posterior.joint.varies.base import InTests, Slope
+from fmu.posterior.joint.varies.population import Drawn
+from fmu.types import BoolArray, FloatArray, IntArray
+
+_FAR = 6.0
+"""Largest absolute score of an expansion, in standard deviations of the population."""
+_INSIDE = 1e-9
+"""Smallest distance of an expansion from the bounds of a value, relative to their distance."""
+
+
+class Scattering(NamedTuple):
+    """A structural parameter that scatters over the tests: its values are those of a population, times a factor.
+
+    Attributes
+    ----------
+    value_of : InTests
+        The values in the tests.
+    drawn : Drawn
+        The values before the factor.
+    """
+
+    value_of: InTests
+    drawn: Drawn
+
+    def factor(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
+        """Return the factor (n, n_tests) from main parameters, and the derivatives of its logarithm."""
+        drawn = self.drawn
+        if self.value_of is drawn:
+            return np.ones((1, 1)), []
+        value, slopes = self.value_of(theta)
+        own = {drawn.centre, drawn.width}
+        others = [s for s in slopes if s.columns is not drawn.columns and not own & set(s.columns.tolist())]
+        return value / drawn(theta)[0], [Slope(s.columns, s.values / value) for s in others]
+
+    def scores(self, theta: FloatArray, values: FloatArray) -> FloatArray:
+        """Return the scores of values, both (n, n_tests), at the main parameters of theta (n, n_parameters)."""
+        return self.drawn.scores_at(values / self.factor(theta)[0], theta)
+
+    def nearest_scores(self, theta: FloatArray, values: FloatArray) -> FloatArray:
+        """Return the scores, (n, n_tests), of values (n_tests,), or of the nearest values within the bounds."""
+        low, high = self.drawn.lower, self.drawn.upper
+        margin = _INSIDE * (high - low) if np.isfinite(high - low) else 0.0
+        base = np.clip(values / self.factor(theta)[0], low + margin, high - margin)
+        return self.drawn.scores_at(np.broadcast_to(base, (len(theta), len(values))), theta)
+
+    def slope(self, theta: FloatArray) -> FloatArray:
+        """Return the derivatives of the values by the scores, (n, n_tests), at theta (n, n_parameters)."""
+        return next(s.values for s in self.value_of(theta)[1] if s.columns is self.drawn.columns)
+
+
+class Scores(NamedTuple):
+    """The scores of a layout by test and population; p is the number of populations.
+
+    Attributes
+    ----------
+    every : tuple of Scattering
+        The parameters that scatter.
+    parameters : ndarray of int, shape (p,)
+        The index of each of them among the structural parameters.
+    columns : ndarray of int, shape (n_tests, p)
+        The index of each score in theta; meaningless where there is no score.
+    scored : ndarray of bool, shape (n_tests, p)
+        Whether the test has the score.
+    """
+
+    every: tuple[Scattering, ...]
+    parameters: IntArray
+    columns: IntArray
+    scored: BoolArray
+
+    @classmethod
+    def of(cls, layout: Layout) -> Scores:
+        """Return the scores of a layout with populations."""
+        numbers = [j for j, one in enumerate(layout.values_of) if isinstance(one.base, Drawn)]
+        every = tuple(Scattering(layout.values_of[j], of) for j, of in zip(numbers, layout.drawn, strict=True))
+        columns = np.stack([one.columns for one in layout.drawn], axis=1)
+        return cls(every, np.array(numbers), columns, np.stack([one.scored for one in layout.drawn], axis=1))
+
+    def take(self, theta: FloatArray) -> FloatArray:
+        """Return the scores, (n, n_tests, p), at theta (n, ndim); zero where there is no score."""
+        return np.where(self.scored, theta[:, self.columns], 0.0)
+
+    def put(self, theta: FloatArray, z: FloatArray) -> FloatArray:
+        """Return a copy of theta (n, ndim) with the scores z, (n, n_tests, p)."""
+        found = theta.copy()
+        found[:, self.columns[self.scored]] = z[:, self.scored]
+        return found
+
+
+class Normal(NamedTuple):
+    """Normal distributions of the scores of each test.
+
+    Attributes
+    ----------
+    mean : ndarray, shape (n, n_tests, p)
+    factor : ndarray, shape (n, n_tests, p, p)
+        The Cholesky factor of the precision matrix.
+    """
+
+    mean: FloatArray
+    factor: FloatArray
+
+    def draw(self, z: FloatArray, share: float, noise: FloatArray) -> FloatArray:
+        """Return draws that keep a share of the distance of z from the mean; `noise` is standard normal."""
+        fresh = np.linalg.solve(np.swapaxes(self.factor, 2, 3), noise[..., None])[..., 0]
+        return np.asarray(self.mean + share * (z - self.mean) + np.sqrt(1.0 - share**2) * fresh)
+
+    def log_density(self, z: FloatArray) -> FloatArray:
+        """Return the log-densities of z, (n, n_tests, p), up to a constant of each test, shape (n, n_tests)."""
+        turned = np.einsum("ntji,ntj->nti", self.factor, z - self.mean)
+        return -0.5 * np.einsum("nti,nti->nt", turned, turned)
+
+
+class ScoresGivenMain:
+    """The density of the scores given the main parameters, and a normal approximation of it.
+
+    Parameters
+    ----------
+    layout : Layout
+        A layout with populations and standard normal scores (`Layout.remove_centring`), in which the scores of
+        different tests are independent.
+    expansion : Expansion
+    """
+
+    def __init__(self, layout: Layout, expansion: Expansion) -> None:
+        self.layout, self.expansion, self.scores = layout, expansion, Scores.of(layout)
+
+    def log_prior(self, theta: FloatArray) -> FloatArray:
+        """Return the log-density of the scores of each test, given the main parameters, shape (n, n_tests)."""
+        z = self.scores.take(theta)
+        found = -0.5 * np.einsum("ntp,ntp->nt", z, z)
+        if self.layout.correlation is not None:
+            found += self.layout.correlation.log_density(theta, z)[0]
+        return found
+
+    def approximate(self, theta: FloatArray) -> Normal:
+        """Return the normal approximation of the scores' density at the main parameters of theta (n, ndim).
+
+        The likelihood of each test is that of the expansion, and the values are linear in the scores there.
+        """
+        known, numbers, scored = self.expansion, self.scores.parameters, self.scores.scored
+        of = theta[:, : len(self.layout.parameters)]
+        pairs = zip(self.scores.every, known.values.T[numbers], strict=True)
+        z = np.stack([one.nearest_scores(of, values) for one, values in pairs], axis=2)
+        z = np.where(scored, np.clip(z, -_FAR, _FAR), 0.0)
+        at = self.scores.put(of, z)
+        slopes = np.where(scored, np.stack([one.slope(at) for one in self.scores.every], axis=2), 0.0)
+        away = self.layout.values(at) - known.values
+        gradient = known.slope - np.einsum("tij,ntj->nti", known.information, away)
+        precision = known.information[:, numbers[:, None], numbers] * slopes[..., :, None] * slopes[..., None, :]
+        of_prior = np.broadcast_to(np.eye(z.shape[2]), precision.shape)
+        if self.layout.correlation is not None:
+            of_prior = of_prior + self.layout.correlation.precision(of)
+        total = slopes * gradient[:, :, numbers] - np.einsum("ntij,ntj->nti", of_prior, z)
+        precision = precision + of_prior
+        mean = z + np.linalg.solve(precision, total[..., None])[..., 0]
+        return Normal(mean, np.linalg.cholesky(precision))
+
+    def informed(self, theta: FloatArray) -> float:
+        """Return how much the tests say about their own values beside the population, between 0 and 1.
+
+        For each population the share of a score's variance that the data of the test remove is averaged over the
+        tests, at theta (1, ndim); the smallest mean is returned.
+        """
+        factor = self.approximate(theta).factor[0]
+        left = np.einsum("tii->ti", np.linalg.inv(factor @ np.swapaxes(factor, 1, 2)))
+        scored = self.scores.scored
+        removed = np.where(scored, 1.0 - left, 0.0)
+        return float(np.min(removed.sum(axis=0) / scored.sum(axis=0)))

@@ -1,0 +1,73 @@
+"""The main parameters given the scores of all tests, by an approximation that needs no solve of the model."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fmu.posterior.joint.conditional.expansion import Expansion
+from fmu.posterior.joint.conditional.scores import Scores
+from fmu.posterior.priors.joint import JointPrior
+from fmu.posterior.problem import UpdatingProblem
+from fmu.posterior.scaled import ScaledDensity
+from fmu.types import FloatArray, IntArray
+
+
+class MainGivenScores:
+    """An approximate density of the main parameters given the scores.
+
+    It includes all main parameters but the correlations of populations, whose density given the scores contains no
+    data. In place of the likelihood of each test it has the expansion, a quadratic in the values of the structural
+    parameters, and needs no solve of the model.
+
+    Parameters
+    ----------
+    problem : UpdatingProblem
+        A problem with populations and standard normal scores.
+    expansion : Expansion
+        The log-likelihoods of the tests about `theta`.
+    theta : ndarray, shape (1, ndim)
+        The typical point, about which the density of inferred standard deviations of errors is normal.
+    """
+
+    def __init__(self, problem: UpdatingProblem, expansion: Expansion, theta: FloatArray) -> None:
+        self.layout, self.expansion, scores = problem.layout, expansion, Scores.of(problem.layout)
+        correlated = [] if self.layout.correlation is None else list(self.layout.correlation.columns)
+        held = np.concatenate([scores.columns[scores.scored], np.array(correlated, dtype=np.int64)])
+        self.columns: IntArray = np.setdiff1d(np.arange(problem.ndim), held)
+        self.prior = JointPrior([problem.parameters[k] for k in self.columns])
+        scaled = ScaledDensity(problem)
+        self._offset, self._scale = scaled.offset[self.columns], scaled.scale[self.columns]
+        self._low, self._high = scaled.theta_lower[self.columns], scaled.theta_upper[self.columns]
+        self.lower, self.upper = scaled.lower[self.columns], scaled.upper[self.columns]
+        self._noise = theta[:, problem.n_structural :]
+        self._information = sum(
+            (term.information(self._noise)[0] for term in problem.likelihood.terms_of),
+            np.zeros((self._noise.shape[1], self._noise.shape[1])),
+        )
+
+    def coordinates(self, theta: FloatArray) -> FloatArray:
+        """Return the main parameters of theta (n, ndim), scaled, shape (n, n_columns)."""
+        return (theta[:, self.columns] - self._offset) / self._scale
+
+    def theta_at(self, w: FloatArray, theta: FloatArray) -> FloatArray:
+        """Return a copy of theta with the scaled main parameters w; the inverse of `coordinates`."""
+        found = theta.copy()
+        found[:, self.columns] = np.clip(self._offset + self._scale * w, self._low, self._high)
+        return found
+
+    def log_prob_and_grad(self, w: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the log-density (n,) of w, (n, n_columns), and its gradient; theta has the scores."""
+        at = self.theta_at(w, theta)
+        known, n = self.expansion, len(self.layout.parameters)
+        away = self.layout.values(at[:, :n]) - known.values
+        turned = np.einsum("tij,ntj->nti", known.information, away)
+        value = np.einsum("nti,nti->n", away, known.slope - 0.5 * turned)
+        noise = np.zeros((*away.shape[:2], self._noise.shape[1]))
+        slopes = np.concatenate([known.slope - turned, noise], axis=2)
+        gradient = self.layout.gradient(at, slopes, np.arange(away.shape[1]))
+        by_noise = (at[:, n:] - self._noise) @ self._information
+        gradient[:, n:] -= by_noise
+        value -= 0.5 * np.einsum("nk,nk->n", by_noise, at[:, n:] - self._noise)
+        main = at[:, self.columns]
+        slope = gradient[:, self.columns] + self.prior.log_pdf_gradient(main)
+        return value + self.prior.log_pdf(main), slope * self._scale
