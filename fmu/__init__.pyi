@@ -67,6 +67,7 @@ from .report.export import export as export
 from .report.pages import write_report as write_report
 from .runs import Checkpoint as Checkpoint
 from .samplers.ensemble import Ensemble as Ensemble
+from .samplers.gibbs import GibbsSampler as GibbsSampler
 from .samplers.hmc import HamiltonianMonteCarlo as HamiltonianMonteCarlo
 from .samplers.metropolis import MetropolisHastings as MetropolisHastings
 from .samplers.metropolis import RandomWalk as RandomWalk

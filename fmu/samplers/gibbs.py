@@ -49,7 +49,7 @@ _SHARES = (0.0, 0.0, 0.0, 0.8)
 
 @check_arguments
 @dataclass(frozen=True)
-class Gibbs(Sampler):
+class GibbsSampler(Sampler):
     """Gibbs sampling of a posterior with populations over several tests (`fmu.JointProblem`).
 
     Parameters
@@ -67,7 +67,7 @@ class Gibbs(Sampler):
 
     name: ClassVar[str] = "gibbs"
     title: ClassVar[str] = "Gibbs sampling by tests"
-    colour: ClassVar[str] = "#CC79A7"
+    colour: ClassVar[str] = "#117733"
     cost: ClassVar[tuple[float, float, float]] = (1.0, 1.0, 0.9)
     first: ClassVar[tuple[int, int]] = (300, 500)
 
@@ -233,11 +233,11 @@ class GibbsTuner:
 
     Parameters
     ----------
-    sampler : Gibbs
+    sampler : GibbsSampler
     density : LogDensity
     """
 
-    def __init__(self, sampler: Gibbs, density: LogDensity) -> None:
+    def __init__(self, sampler: GibbsSampler, density: LogDensity) -> None:
         self.sampler, self.kernel = sampler, sampler.bind(density)
         self.averaging = DualAveraging(np.log(_FIRST_STEP), _ACCEPT)
         self._take()
@@ -247,7 +247,7 @@ class GibbsTuner:
         self.averaging.update(np.asarray(np.mean(info.extra["main_acceptance"])))
         self._take()
 
-    def finish_learning(self) -> Gibbs:
+    def finish_learning(self) -> GibbsSampler:
         """Return the settings learnt."""
         return replace(self.sampler, step_size=float(np.exp(self.averaging.averaged)))
 

@@ -74,10 +74,10 @@ def sample(
         An `UpdatingProblem`, or any object with ``ndim``, ``lower``, ``upper``, ``log_prob`` and
         ``log_prob_and_grad``.
     sampler : str or Sampler, optional
-        ``"mh"``, ``"slice"``, ``"hmc"``, ``"emcee"``, ``"mixture"`` or ``"tempering"`` with default settings,
-        or a settings object such as ``fmu.HamiltonianMonteCarlo(gradient="central-difference")``. The default is
-        the mixture, which gave the most effective draws per evaluation on all posteriors and densities compared.
-        For a hierarchical posterior (`fmu.JointProblem`) the default is HMC.
+        ``"mh"``, ``"slice"``, ``"hmc"``, ``"emcee"``, ``"mixture"``, ``"gibbs"`` or ``"tempering"`` with default
+        settings, or a settings object such as ``fmu.HamiltonianMonteCarlo(gradient="central-difference")``. The
+        default is the mixture, which gave the most effective draws per evaluation on all posteriors and densities compared.
+        For a hierarchical posterior (`fmu.JointProblem`) the default is Gibbs sampling by tests.
     draws, warmup : int
         Number of steps kept, and number of warm-up steps before them. At each step kept, an ensemble gives as many
         draws as it has walkers.
@@ -183,8 +183,8 @@ def sample(
 def default_sampler(problem: LogDensity) -> str:
     """Return the name of the default sampler for a problem.
 
-    For a hierarchical posterior the name is ``"hmc"``: such a posterior has a parameter for every test, too many
-    parameters for fitting a mixture.
+    For a hierarchical posterior the name is ``"gibbs"``: such a posterior has parameters for every test, too
+    many for fitting a mixture.
     """
     from fmu.analysis.maxima.search import is_searchable
 

@@ -57,6 +57,10 @@ class MainGivenValues:
         self.lower, self.upper = scaled.lower[self.columns], scaled.upper[self.columns]
         place = {int(column): k for k, column in enumerate(self.columns)}
         self._pairs = [(place[one.drawn.centre], place[one.drawn.width]) for one in self.scores.every]
+        is_log = [one.drawn.population.of_logarithm for one in self.scores.every]
+        self._positive = [
+            k for pair, log in zip(self._pairs, is_log, strict=True) for k in pair[0 if log else 1 :]
+        ]
         for pair in self._pairs:
             self.lower[list(pair)], self.upper[list(pair)] = -np.inf, np.inf
 
@@ -83,7 +87,7 @@ class MainGivenValues:
     def theta_at(self, w: FloatArray, theta: FloatArray, values: FloatArray) -> FloatArray:
         """Return a copy of theta with the main parameters at w; the inverse of `coordinates`."""
         main = np.clip(self._offset + self._scale * w, self._low, self._high)
-        with np.errstate(over="ignore"):
+        with np.errstate(over="ignore", under="ignore"):
             for k, (centre, width) in enumerate(self._pairs):
                 main[:, width] = np.exp(w[:, width])
                 m = self._middle(k, values) + main[:, width] * w[:, centre]
@@ -114,8 +118,9 @@ class MainGivenValues:
         """
         at = self.theta_at(w, theta, values)
         main = at[:, self.columns]
-        inside = find_inside(main, self._low, self._high)[0]
+        inside = find_inside(main, self._low, self._high)[0] & np.all(main[:, self._positive] > 0.0, axis=1)
         at[~inside] = theta[~inside]
+        main = at[:, self.columns]
         total, gradient = self._at_theta(at, values)
         by_w = gradient * self._scale
         for k, (centre, width) in enumerate(self._pairs):

@@ -71,7 +71,7 @@ def test_centring_is_a_change_of_coordinates(distribution, centring):
     values = free.values(theta)[:, :, 0]
     moved = theta.copy()
     for i, point in enumerate(theta):
-        moved[i, one.columns] = one.scores_of(values[i], point)
+        moved[i, one.columns] = one.scores_at(values[i][None], point[None])[0]
     assert_allclose(centred.values(moved)[:, :, 0], values, rtol=1e-9)
 
     def log_jacobian(problem, points):  # log |∂ values / ∂ scores|
