@@ -27,8 +27,9 @@ from typing import ClassVar
 import numpy as np
 
 from fmu.arguments import check_arguments
-from fmu.posterior.joint.conditional.both import Conditionals, conditionals, remove_centring, restore_centring
+from fmu.posterior.joint.conditional.both import Conditionals, conditionals
 from fmu.posterior.joint.conditional.expansion import sum_by_test
+from fmu.posterior.joint.conditional.scores import remove_centring, restore_centring
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers.adaptation import DualAveraging
@@ -149,7 +150,7 @@ class GibbsKernel:
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Move the main parameters, then the scores, then all parameters together if this is needed."""
-        theta = remove_centring(self.problem, self.scaled.to_theta(state.position))
+        theta = remove_centring(self.problem.layout, self.scaled.to_theta(state.position))
         theta, main = self._move_main(rng, theta)
         share = _SHARES[int(state.extra["turn"][0]) % len(_SHARES)]
         theta, terms, moved = self._move_scores(rng, theta, state.extra["terms"], share)
@@ -158,7 +159,7 @@ class GibbsKernel:
         if not self.conditionals.is_enough:
             theta, terms, extra["shift_accepted"] = self._shift(rng, theta, terms)
             solves += 1
-        theta = restore_centring(self.problem, theta)
+        theta = restore_centring(self.problem.layout, theta)
         log_prob = terms.sum(axis=1) + self.problem.log_prior(theta)
         info = Info(moved > 0.0, log_prob, solves, np.zeros_like(solves), extra)
         position = self.scaled.to_scaled(theta)
@@ -203,7 +204,7 @@ class GibbsKernel:
 
     def _terms(self, theta: FloatArray) -> FloatArray:
         """Return the log-likelihood of each datum, (chains, n_terms), at theta with standard normal scores."""
-        return self.problem.terms_of_tests(restore_centring(self.problem, theta))
+        return self.problem.terms_of_tests(restore_centring(self.problem.layout, theta))
 
     def _shift(
         self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray

@@ -76,8 +76,8 @@ def sample(
     sampler : str or Sampler, optional
         ``"mh"``, ``"slice"``, ``"hmc"``, ``"emcee"``, ``"mixture"``, ``"gibbs"`` or ``"tempering"`` with default
         settings, or a settings object such as ``fmu.HamiltonianMonteCarlo(gradient="central-difference")``. The
-        default is the mixture, which gave the most effective draws per evaluation on all posteriors and densities compared.
-        For a hierarchical posterior (`fmu.JointProblem`) the default is Gibbs sampling by tests.
+        default is the mixture, which gave the most effective draws per evaluation on all posteriors and densities
+        compared. For a hierarchical posterior (`fmu.JointProblem`) the default is Gibbs sampling by tests.
     draws, warmup : int
         Number of steps kept, and number of warm-up steps before them. At each step kept, an ensemble gives as many
         draws as it has walkers.

@@ -118,10 +118,10 @@ def worth_starting_from(density: LogDensity, maxima: Maxima) -> Maxima | None:
 
 def middle(problem: Any) -> Quadratic:
     """Return the quadratic model at the typical point of a hierarchical posterior, in scaled units."""
-    from fmu.posterior.joint.typical import typical_point
+    from fmu.posterior.joint.typical import curvature_at, typical_point
 
-    position, hessian = typical_point(problem)
-    scaled = ScaledDensity(problem)
+    position = typical_point(problem)
+    hessian, scaled = curvature_at(problem, position), ScaledDensity(problem)
     log_prob = float(scaled.log_prob(position))
     return Quadratic(position, log_prob, np.zeros(len(position)), hessian)
 

@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from fmu.posterior.joint.blocks import BlockForm
+from fmu.posterior.joint.conditional.scores import Scores, restore_centring
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.varies.population import Drawn
-from fmu.posterior.maxima import GaussNewton, ascend
+from fmu.posterior.maxima import GaussNewton
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.scaled import ScaledDensity
-from fmu.types import FloatArray, IntArray
+from fmu.types import FloatArray
 
 _MOST_ROUNDS, _SETTLED = 50, 0.01
 _ROUGH = 0.01
@@ -23,8 +25,8 @@ _LEAST_SD = 1e-3
 """Smallest standard deviation of a population in the search, relative to its start value."""
 
 
-def typical_point(problem: UpdatingProblem) -> tuple[FloatArray, FloatArray]:
-    """Return a point in the bulk of a hierarchical posterior, and −∇² log P there, both in scaled coordinates.
+def typical_point(problem: UpdatingProblem) -> FloatArray:
+    """Return a point in the bulk of a hierarchical posterior, in scaled coordinates, shape (ndim,).
 
     The maximum of a hierarchical posterior density is not meaningful: it depends on the coordinates, and lies
     where the populations are far too wide or too narrow. At the typical point, the means, standard deviations and
@@ -36,15 +38,18 @@ def typical_point(problem: UpdatingProblem) -> tuple[FloatArray, FloatArray]:
     ----------
     problem : UpdatingProblem
         A problem with at least one population.
-
-    Returns
-    -------
-    position : ndarray, shape (ndim,)
-    hessian : ndarray, shape (ndim, ndim)
-        Gauss–Newton Hessian. The rows and columns of the populations' means, standard deviations and correlations
-        are computed by finite differences of the gradient.
     """
-    u, _ = _search(problem)
+    plain = problem.with_layout(problem.layout.remove_centring())
+    theta = restore_centring(problem.layout, _search(plain)[0][None])[0]
+    return ScaledDensity(problem).to_scaled(theta)
+
+
+def curvature_at(problem: UpdatingProblem, u: FloatArray) -> FloatArray:
+    """Return −∇² log P at a typical point u (ndim,), in scaled coordinates, (ndim, ndim).
+
+    It is the Gauss–Newton Hessian. The rows and columns of the populations' means, standard deviations and
+    correlations are computed by finite differences of the gradient.
+    """
     scaled = ScaledDensity(problem)
     hessian = GaussNewton(problem)(u[None])[2][0]
     for k in problem.layout.scales:
@@ -52,7 +57,7 @@ def typical_point(problem: UpdatingProblem) -> tuple[FloatArray, FloatArray]:
         h[k] = _STEP * min(1.0, u[k] - scaled.lower[k], scaled.upper[k] - u[k])
         behind, ahead = scaled.log_prob_and_grad(np.stack([u - h, u + h]))[1]
         hessian[k] = hessian[:, k] = (behind - ahead) / (2.0 * h[k])
-    return u, hessian
+    return hessian
 
 
 def centre_scores(problem: UpdatingProblem) -> Layout:
@@ -68,8 +73,7 @@ def centre_scores(problem: UpdatingProblem) -> Layout:
     problem : UpdatingProblem
         A problem whose scores are not centred yet.
     """
-    u, variance = _search(problem)
-    theta = ScaledDensity(problem).to_theta(u)
+    theta, variance = _search(problem)
     weights = {}
     for one in problem.layout.drawn:
         # a standard normal score keeps the variance C/(σ² + C) after the measurement
@@ -85,50 +89,25 @@ def centre_scores(problem: UpdatingProblem) -> Layout:
 
 
 def _search(problem: UpdatingProblem) -> tuple[FloatArray, FloatArray]:
-    """Return the typical point in scaled coordinates, (ndim,), and the variances of theta around it, (ndim,).
+    """Return the typical point (ndim,) of a problem without centring, and the variances of the scores around it.
 
-    The variances hold for fixed means, standard deviations and correlations of the populations.
+    The variances, (ndim,), hold for fixed means, standard deviations and correlations of the populations; for
+    parameters other than scores they are zero.
     """
-    quadratic, scaled = GaussNewton(problem), ScaledDensity(problem)
-    held = np.array(problem.layout.scales)
-    theta = problem.start.copy()
-    variance = np.ones(problem.ndim)
+    layout, scores = problem.layout, Scores.of(problem.layout)
+    held = np.union1d(scores.columns[scores.scored], layout.scales).astype(np.int64)
+    form = BlockForm(problem, np.setdiff1d(np.arange(problem.ndim), held))
+    theta, variance = problem.start.copy(), np.zeros(problem.ndim)
     for _ in range(_MOST_ROUNDS):
-        end = ascend(
-            lambda u: _holding(quadratic(u), held),
-            scaled.to_scaled(theta)[None],
-            scaled.lower,
-            scaled.upper,
-            tolerance=_ROUGH,
-        )
-        theta = scaled.to_theta(end.position[0])
-        variance = _variances(end.hessian[0]) * scaled.scale**2
-        moved = [_most_probable(problem, one, theta, variance) for one in problem.layout.drawn]
-        if problem.layout.correlation is not None:
-            _correlate(problem.layout, theta, variance)
+        theta, hessian = form.climb(theta, _ROUGH)
+        columns = scores.columns[scores.scored]
+        variance[columns] = hessian.score_variances()[scores.scored] * form.scaled.scale[columns] ** 2
+        moved = [_most_probable(problem, one, theta, variance) for one in layout.drawn]
+        if layout.correlation is not None:
+            _correlate(layout, theta, variance)
         if max(moved, default=0.0) < _SETTLED:
             break
-    return scaled.to_scaled(theta), variance
-
-
-def _variances(hessian: FloatArray) -> FloatArray:
-    """Return the variances of a Gaussian with this Hessian, (ndim,); if singular, of Hessian plus identity."""
-    try:
-        return np.diag(np.linalg.inv(hessian))
-    except np.linalg.LinAlgError:
-        return np.diag(np.linalg.inv(hessian + np.eye(len(hessian))))
-
-
-def _holding(
-    found: tuple[FloatArray, FloatArray, FloatArray], columns: IntArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return value, gradient and Hessian with the coordinates `columns` held fixed."""
-    value, gradient, hessian = found
-    gradient[:, columns] = 0.0
-    hessian[:, columns] = 0.0
-    hessian[:, :, columns] = 0.0
-    hessian[:, columns, columns] = 1.0
-    return value, gradient, hessian
+    return theta, variance
 
 
 def _correlate(layout: Layout, theta: FloatArray, variance: FloatArray) -> None:

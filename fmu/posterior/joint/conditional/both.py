@@ -11,7 +11,7 @@ import numpy as np
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.joint.conditional.expansion import expand
 from fmu.posterior.joint.conditional.main import MainGivenValues
-from fmu.posterior.joint.conditional.scores import ScoresGivenMain
+from fmu.posterior.joint.conditional.scores import ScoresGivenMain, remove_centring
 from fmu.posterior.joint.conditional.shift import MainGivenScores
 from fmu.posterior.joint.typical import typical_point
 from fmu.posterior.problem import UpdatingProblem
@@ -55,27 +55,11 @@ def conditionals(problem: UpdatingProblem) -> Conditionals:
     return _KNOWN[problem]
 
 
-def remove_centring(problem: UpdatingProblem, theta: FloatArray) -> FloatArray:
-    """Return a copy of theta (n, ndim) with standard normal scores in place of the problem's own."""
-    found = theta.copy()
-    for one in problem.layout.drawn:
-        found[:, one.columns[one.scored]] = one.population_scores(theta)[0][:, one.scored]
-    return found
-
-
-def restore_centring(problem: UpdatingProblem, theta: FloatArray) -> FloatArray:
-    """Return theta (n, ndim) with the problem's own scores in place of standard normal ones."""
-    for one in problem.layout.drawn:
-        if np.any(one.centring > 0.0):
-            theta = one.drawn(theta)
-    return theta
-
-
 def _compute(problem: UpdatingProblem) -> Conditionals:
     assert isinstance(problem.likelihood, ModalLikelihood)  # of several tests
     plain = problem.with_layout(problem.layout.remove_centring())
-    own = ScaledDensity(problem).to_theta(typical_point(problem)[0])[None]
-    theta = remove_centring(problem, own)
+    own = ScaledDensity(problem).to_theta(typical_point(problem))[None]
+    theta = remove_centring(problem.layout, own)
     expansion = expand(plain.layout, problem.likelihood, theta[0])
     scores, main = ScoresGivenMain(plain.layout, expansion), MainGivenValues(plain)
     shift = MainGivenScores(plain, expansion, theta)

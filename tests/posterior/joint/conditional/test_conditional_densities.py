@@ -5,8 +5,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import fmu
-from fmu.posterior.joint.conditional.both import conditionals, remove_centring, restore_centring
+from fmu.posterior.joint.conditional.both import conditionals
 from fmu.posterior.joint.conditional.expansion import sum_by_test
+from fmu.posterior.joint.conditional.scores import remove_centring, restore_centring
 from fmu.posterior.joint.typical import typical_point
 from fmu.posterior.scaled import ScaledDensity
 from tests.gradients import assert_gradient
@@ -53,7 +54,7 @@ def campaign_points(request):
     problem = campaign(**CAMPAIGNS[request.param])
     plain = problem.with_layout(problem.layout.remove_centring())
     rng, found = np.random.default_rng(3), conditionals(problem)
-    own = np.repeat(ScaledDensity(problem).to_theta(typical_point(problem)[0])[None], 3, axis=0)
+    own = np.repeat(ScaledDensity(problem).to_theta(typical_point(problem))[None], 3, axis=0)
     own[:, found.main.columns] *= 1.0 + 0.02 * rng.standard_normal((3, len(found.main.columns)))
     if problem.layout.correlation is not None:
         own[:, list(problem.layout.correlation.columns)] += np.array([[0.1], [0.2], [-0.1]])
@@ -62,16 +63,16 @@ def campaign_points(request):
 
 def test_scores_without_centring_give_the_same_values(campaign_points):
     problem, _, plain, own = campaign_points
-    theta = remove_centring(problem, own)
+    theta = remove_centring(problem.layout, own)
     assert_allclose(plain.values(theta), problem.values(own), rtol=1e-12)
-    assert_allclose(restore_centring(problem, theta), own, rtol=1e-8, atol=1e-9)
+    assert_allclose(restore_centring(problem.layout, theta), own, rtol=1e-8, atol=1e-9)
 
 
 def test_main_given_values_is_the_joint_density_at_these_values(campaign_points):
     """By the change of variables p(main, values) = p(main, scores) / |∂values/∂scores|."""
     problem, found, plain, own = campaign_points
     main, scores = found.main, found.scores.scores
-    before = remove_centring(problem, own)
+    before = remove_centring(problem.layout, own)
     values, w = main.values(before), main.coordinates(before, main.values(before))
     assert_allclose(main.theta_at(w, before, values), before, rtol=1e-12)
 
@@ -94,7 +95,7 @@ def test_main_given_values_is_the_joint_density_at_these_values(campaign_points)
 
 def test_gradients_of_main_parameters(campaign_points):
     problem, found, _, own = campaign_points
-    theta = remove_centring(problem, own)[:1]
+    theta = remove_centring(problem.layout, own)[:1]
     values = found.main.values(theta)
     w = found.main.coordinates(theta, values)
     of_main = lambda w: found.main.log_prob_and_grad(w, *(np.repeat(x, len(w), axis=0) for x in (theta, values)))  # noqa: E731
@@ -106,7 +107,7 @@ def test_gradients_of_main_parameters(campaign_points):
 
 def test_scores_given_main_are_close_to_their_normal_approximation(campaign_points):
     problem, found, plain, own = campaign_points
-    theta, of = remove_centring(problem, own), found.scores
+    theta, of = remove_centring(problem.layout, own), found.scores
     z = np.random.default_rng(5).standard_normal((*theta.shape[:1], N, len(of.scores.every)))
     assert_allclose(
         (of.log_prior(of.scores.put(theta, z)) - of.log_prior(theta)).sum(axis=1),

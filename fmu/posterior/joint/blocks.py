@@ -1,0 +1,182 @@
+"""A hierarchical posterior to second order in block form: the scores of different tests have no common terms.
+
+With main parameters m and the scores z_t of test t, minus the second derivatives of the log-density have the
+blocks
+
+    H_mm,  H_zm,t  and  H_zz,t,
+
+and nothing between the scores of two tests. Systems with this matrix are solved by the Schur complement of the
+scores, H_mm − Σ H_zm,tᵀ H_zz,t⁻¹ H_zm,t: the cost is proportional to the number of tests.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmu.posterior.errors.likelihood import ModalLikelihood
+from fmu.posterior.joint.conditional.expansion import expand
+from fmu.posterior.joint.conditional.scores import Scores
+from fmu.posterior.problem import UpdatingProblem
+from fmu.posterior.scaled import ScaledDensity
+from fmu.types import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class BlockHessian:
+    """Minus the second derivatives of a log-density of main parameters and scores, in scaled units.
+
+    Attributes
+    ----------
+    main : ndarray, shape (d, d)
+    cross : ndarray, shape (n_tests, p, d)
+    scores : ndarray, shape (n_tests, p, p)
+        A score that a test does not have has the row and the column of the identity, and zeros in `cross`.
+    """
+
+    main: FloatArray
+    cross: FloatArray
+    scores: FloatArray
+
+    def damp(self, damping: float, held: BoolArray) -> BlockHessian:
+        """Return the matrix with its diagonal multiplied by 1 + damping, and the identity for `held`, (d,)."""
+        main, cross, scores = self.main.copy(), np.where(held, 0.0, self.cross), self.scores.copy()
+        k, i = np.arange(len(main)), np.arange(scores.shape[1])
+        main[k, k] *= 1.0 + damping
+        scores[:, i, i] *= 1.0 + damping
+        main[held], main[:, held] = 0.0, 0.0
+        main[held, held] = 1.0
+        return BlockHessian(main, cross, scores)
+
+    def solve(self, of_main: FloatArray, of_scores: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the solution of a system with the right-hand sides (d,) and (n_tests, p)."""
+        reduced = np.linalg.solve(self.scores, np.concatenate([self.cross, of_scores[..., None]], axis=2))
+        schur = self._complement(reduced[..., :-1])
+        right = of_main - np.einsum("tik,ti->k", self.cross, reduced[..., -1])
+        main = np.linalg.solve(schur, right) if len(right) else right
+        return main, reduced[..., -1] - reduced[..., :-1] @ main
+
+    def _complement(self, left: FloatArray) -> FloatArray:
+        """Return the Schur complement with a small multiple of the identity, as some directions may be free."""
+        schur = self.main - np.einsum("tik,til->kl", self.cross, left)
+        return schur + 1e-12 * (1.0 + np.trace(self.main)) * np.eye(len(schur))
+
+    def score_variances(self) -> FloatArray:
+        """Return the variances of the scores, (n_tests, p)."""
+        inverse = np.linalg.inv(self.scores)
+        left = inverse @ self.cross
+        schur = self._complement(left)
+        shared = np.einsum("tik,kl,til->ti", left, np.linalg.inv(schur), left) if len(schur) else 0.0
+        return np.asarray(np.einsum("tii->ti", inverse) + shared)
+
+
+class BlockForm:
+    """The posterior of a problem with populations and standard normal scores, to second order in block form.
+
+    Parameters
+    ----------
+    problem : UpdatingProblem
+        A problem whose scores are not centred.
+    columns : ndarray of int, shape (d,)
+        The main parameters that may move; the other main parameters are held.
+    """
+
+    def __init__(self, problem: UpdatingProblem, columns: IntArray) -> None:
+        self.problem, self.columns = problem, columns
+        self.scores, self.scaled = Scores.of(problem.layout), ScaledDensity(problem)
+
+    def gradient(self, theta: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Return the log-density at theta (ndim,) and its scaled gradients by main parameters and scores."""
+        value, gradient = self.problem.log_prob_and_grad(theta)
+        gradient = gradient * self.scaled.scale
+        of_scores = np.where(self.scores.scored, gradient[self.scores.columns], 0.0)
+        return float(value), gradient[self.columns], of_scores
+
+    def hessian(self, theta: FloatArray) -> BlockHessian:
+        """Return the Gauss–Newton Hessian at theta (ndim,), with Fisher's information on inferred deviations."""
+        problem, layout = self.problem, self.problem.layout
+        n, d = len(layout.parameters), len(self.columns)
+        n_tests, p = self.scores.scored.shape
+        assert isinstance(problem.likelihood, ModalLikelihood)  # of several tests
+        information = expand(layout, problem.likelihood, theta).information
+        by_main = np.zeros((n_tests, len(layout.structural), d))
+        by_score = np.zeros((n_tests, p))
+        place = np.full(problem.ndim, -1)
+        place[self.columns] = np.arange(d)
+        tests = np.arange(n_tests)
+        for j, value_of in enumerate(layout.values_of):
+            for slope in value_of(theta[None, :n])[1]:
+                at = place[slope.columns]
+                here = at >= 0
+                by_main[tests[here], j, at[here]] += slope.values[0, here]
+        scale = self.scaled.scale
+        for k, one in enumerate(self.scores.every):
+            by_score[:, k] = one.slope(theta[None, :n])[0]
+        by_score = np.where(self.scores.scored, by_score * scale[self.scores.columns], 0.0)
+        by_main *= scale[self.columns]
+        numbers = self.scores.parameters
+        turned = np.einsum("tij,tjk->tik", information, by_main)
+        main = np.einsum("tik,til->kl", by_main, turned) + self._of_prior(theta)
+        cross = by_score[..., None] * turned[:, numbers]
+        scores = by_score[..., None] * information[:, numbers[:, None], numbers] * by_score[:, None]
+        scores = scores + np.eye(p)
+        if layout.correlation is not None:
+            scores = scores + layout.correlation.precision(theta[None, :n])[0]
+        return BlockHessian(main, cross, scores)
+
+    def _of_prior(self, theta: FloatArray) -> FloatArray:
+        """Return minus the second derivatives of the prior of main parameters, and the information on noise."""
+        problem, scale = self.problem, self.scaled.scale
+        found = np.zeros((len(self.columns), len(self.columns)))
+        for i, k in enumerate(self.columns):
+            parameter, h = problem.parameters[k], 1e-4 * scale[k]
+            low, high = parameter.prior.support
+            near = np.clip(theta[None, k], low + 2.0 * h, high - 2.0 * h)
+            ahead, behind = (parameter.prior.log_pdf_gradient(near + step)[0] for step in (h, -h))
+            found[i, i] = max(0.0, (behind - ahead) / (2.0 * h)) * scale[k] ** 2
+        noise = np.flatnonzero(self.columns >= problem.n_structural)
+        if len(noise):
+            s = theta[None, problem.n_structural :]
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                of_noise = sum(term.information(s)[0] for term in problem.likelihood.terms_of)
+            size = scale[self.columns[noise]]
+            found[np.ix_(noise, noise)] += of_noise * size[:, None] * size
+        return found
+
+    def climb(self, theta: FloatArray, tolerance: float, most_steps: int = 100) -> tuple[FloatArray, BlockHessian]:
+        """Return the maximum over scores and `columns` that Levenberg–Marquardt steps reach, and its Hessian.
+
+        The damping of the diagonal follows the ratio of actual and predicted increase, as in
+        `fmu.posterior.maxima.ascend`.
+        """
+        damping = 1e-2
+        value, of_main, of_scores = self.gradient(theta)
+        hessian = self.hessian(theta)
+        low, high = self.scaled.theta_lower[self.columns], self.scaled.theta_upper[self.columns]
+        for _ in range(most_steps):
+            at = theta[self.columns]
+            held = ((at <= low) & (of_main < 0.0)) | ((at >= high) & (of_main > 0.0))
+            free = np.where(held, 0.0, of_main)
+            main, scores = hessian.damp(0.0, held).solve(free, of_scores)
+            if 0.5 * (free @ main + np.sum(of_scores * scores)) < tolerance or damping > 1e12:
+                break
+            main, scores = hessian.damp(damping, held).solve(free, of_scores)
+            moved = self._move(theta, main, scores)
+            new_value, *new = self.gradient(moved)
+            predicted = max(0.5 * float(free @ main + np.sum(of_scores * scores)), float(np.finfo(float).tiny))
+            ratio = (new_value - value) / predicted if np.isfinite(new_value) else -np.inf
+            damping = max(
+                1e-10, damping * (5.0 if ratio <= 1e-4 else 0.2 if ratio > 0.75 else 3.0 if ratio < 0.25 else 1.0)
+            )
+            if ratio > 1e-4:
+                theta, value, (of_main, of_scores) = moved, new_value, new
+                hessian = self.hessian(theta)
+        return theta, hessian
+
+    def _move(self, theta: FloatArray, main: FloatArray, scores: FloatArray) -> FloatArray:
+        """Return theta after a scaled step of the main parameters, clipped to their bounds, and of the scores."""
+        found, scored = theta.copy(), self.scores.scored
+        found[self.columns] += main * self.scaled.scale[self.columns]
+        found[self.scores.columns[scored]] += (scores * self.scaled.scale[self.scores.columns])[scored]
+        return np.clip(found, self.scaled.theta_lower, self.scaled.theta_upper)
