@@ -53,6 +53,8 @@ from .posterior.errors.student import StudentErrors as StudentErrors
 from .posterior.joint.joint_problem import JointProblem as JointProblem
 from .posterior.joint.modal_test import Test as Test
 from .posterior.joint.varies.damage import Damage as Damage
+from .posterior.joint.varies.laws import PiecewiseLinear as PiecewiseLinear
+from .posterior.joint.varies.laws import Polynomial as Polynomial
 from .posterior.joint.varies.population import Population as Population
 from .posterior.parameters import Parameter as Parameter
 from .posterior.priors.base import Normal as Normal

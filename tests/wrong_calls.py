@@ -337,7 +337,9 @@ def calls(folder: Path) -> Iterator[Call]:
         fmu.Parameter,
         {"name": "k", "start": 1.0, "lower": 0.5, "upper": 2.0, "prior": prior, "unit": "N/m", "group": "g"},
     )
+    yield Call("PiecewiseLinear", fmu.PiecewiseLinear, {"prior": prior, "kinks": [0.0]})
     yield Call("PointMass", fmu.PointMass, {"node": 0, "mass": 1.0, "inertia": (0.0, 0.0, 0.1), "name": "m"})
+    yield Call("Polynomial", fmu.Polynomial, {"priors": [prior]})
     yield Call("Population", fmu.Population, {"distribution": "normal", "sd": fmu.HalfNormal(1.0)})
     yield Call("RandomWalk", fmu.RandomWalk, {"scale": [[0.1]]})
     yield Call("RigidArm", fmu.RigidArm, {"node": 1, "offset": (0.0, 0.0, 0.1)})
@@ -650,6 +652,8 @@ def may_be_accepted(call: Call, name: str, key: str) -> bool:
         )
     if key == "[None]":  # a place where nothing is
         return "Sequence" in kinds and "None" in kinds and name == "spring_parameters"
+    if key == "{'x': None}":  # a covariate that was not measured
+        return "Mapping" in kinds and "None" in kinds and name == "covariates"
     if key == "class":
         return "Callable" in kinds or name == "build"
     return key == "[nan]" and name == "theta"

@@ -121,15 +121,19 @@ def _in_the_file(where: tuple[int | str, ...]) -> list[int | str]:
     """Return a location without the parts that pydantic inserts after a key: kinds of values and of tables."""
     parts = [part for part in where if not str(part).startswith("<") and part != "[key]"]
     number = parts[1:2]
-    of_parameter = (["prior"], ["loss"], ["population", "sd"], ["slopes", *parts[3:4]])
-    several = (
+    of_slope = ["slopes", *parts[3:4]]
+    of_law: list[list[int | str]] = [["prior"], ["kinks"], ["priors", *parts[6:7]]]
+    of_parameter: list[list[int | str]] = [["prior"], ["loss"], ["population", "sd"], of_slope]
+    of_parameter += [[*of_slope, *keys] for keys in of_law]
+    several: list[list[int | str]] = [
         ["model"],
-        *(["parameters", *number, *keys] for keys in of_parameter),
+        *[["parameters", *number, *keys] for keys in of_parameter],
         ["noise", *number, "prior"],
         ["error", *number],
-    )
+        ["tests", *number, "covariates", *parts[3:4]],
+    ]
     for parent in several:
         kind = len(parent)
         if parts[:kind] == parent:
-            return parts[:kind] + parts[kind + 1 :]
+            parts = parts[:kind] + parts[kind + 1 :]
     return parts

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from fmu.arguments import ArgumentError
 from fmu.config.mistakes import Mistakes
@@ -15,9 +15,11 @@ from fmu.fem.frame.updates import PROPERTIES
 from fmu.formats.shown import quote
 from fmu.posterior.joint.varies import Variation
 from fmu.posterior.joint.varies.damage import Damage
+from fmu.posterior.joint.varies.laws import Law, PiecewiseLinear, Polynomial
 from fmu.posterior.joint.varies.population import Population
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors import PRIORS
+from fmu.posterior.priors.base import Prior
 from fmu.types import Direction
 
 LEAST_LOG_MASS = -200.0
@@ -100,6 +102,60 @@ class PopulationTable(TomlTable):
         return Population(self.distribution, None if self.sd is None else self.sd.build())
 
 
+class PolynomialTable(TomlTable):
+    """A polynomial in a covariate, about its mean over the tests."""
+
+    law: Literal["polynomial"]
+    priors: list[PriorTable]
+    """Of the coefficients of x, x², …, in the units of 1/x, 1/x², …"""
+
+    def build(self) -> Polynomial:
+        """Return the law that the table describes."""
+        return Polynomial([prior.build() for prior in self.priors])
+
+    @model_validator(mode="after")
+    def _can_be_built(self) -> Self:
+        self.build()
+        return self
+
+
+class PiecewiseLinearTable(TomlTable):
+    """Straight lines that meet in kinks."""
+
+    law: Literal["piecewise-linear"]
+    prior: PriorTable
+    """Of the relative slope of each piece."""
+    kinks: Annotated[
+        Annotated[list[float], Tag("<list>")] | Annotated[PriorTable, Tag("<table>")],
+        Discriminator(lambda value: "<list>" if isinstance(value, list) else "<table>"),
+    ]
+    """The covariate at the kinks, in ascending order; or a prior of one kink whose place is inferred."""
+
+    def build(self) -> PiecewiseLinear:
+        """Return the law that the table describes."""
+        kinks = self.kinks if isinstance(self.kinks, list) else self.kinks.build()
+        return PiecewiseLinear(self.prior.build(), kinks)
+
+    @model_validator(mode="after")
+    def _can_be_built(self) -> Self:
+        self.build()
+        return self
+
+
+LawTable = Annotated[PolynomialTable | PiecewiseLinearTable, Field(discriminator="law")]
+
+
+def _kind_of_slope(value: object) -> str:
+    if isinstance(value, str):
+        return "<text>"
+    return "<law>" if isinstance(value, dict) and "law" in value else "<prior>"
+
+
+SlopeTable = Annotated[
+    Annotated[PriorTable, Tag("<prior>")] | Annotated[LawTable, Tag("<law>")] | Annotated[Name, Tag("<text>")],
+    Discriminator(_kind_of_slope),
+]
+"""A prior of a relative slope, a law, or the name of another parameter with the same law."""
 SETTINGS = {"population": "population", "damage": "loss"}
 """For each value of ``varies`` with settings, the key of the settings."""
 
@@ -111,8 +167,9 @@ class ParameterTable(Uncertain, Target):
     """With [[tests]]: one value for all, one per test or group, values that scatter, or losses of later groups."""
     population: PopulationTable | None = None
     """With varies = "population"."""
-    slopes: dict[Name, PriorTable] = {}
-    """With [[tests]]: priors of relative slopes with covariates, such as { temperature = … } in 1/°C."""
+    slopes: dict[Name, SlopeTable] = {}
+    """With [[tests]]: priors of relative slopes with covariates, such as { temperature = … } in 1/°C; or a law
+    with kinks or powers; or the name of a parameter that has the same slopes."""
     loss: PriorTable | None = None
     """With varies = "damage": prior of each loss; normal about 0, sd 0.3, if not given. Where few parameters are
     expected to be damaged, distribution = "spike-and-slab"."""
@@ -131,6 +188,10 @@ class ParameterTable(Uncertain, Target):
         if self.varies == "damage":
             return Damage(None if self.loss is None else self.loss.build())
         return self.varies
+
+    def laws(self) -> dict[str, Prior | Law | str]:
+        """Return a dict from each covariate to the law by which the parameter depends on it."""
+        return {name: how if isinstance(how, str) else how.build() for name, how in self.slopes.items()}
 
     def is_positive(self) -> bool:
         """Return True if the bounds or the prior keep the parameter positive."""

@@ -6,21 +6,22 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, ClassVar, NamedTuple, Self
+from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from fmu.arguments import ArgumentError
 from fmu.config.measurement import MeasurementTable, ModesGiven
 from fmu.config.mistakes import BrokenError, Mistakes
-from fmu.config.parameters import ParameterTable
-from fmu.config.tables import Built, FileName, Name, ParameterName, TomlTable, reading
+from fmu.config.parameters import ParameterTable, PriorTable
+from fmu.config.tables import Built, Declared, FileName, Name, ParameterName, TomlTable, kind_of, reading
 from fmu.formats.modes.csv import Campaign, read_campaign
 from fmu.formats.modes.measured_modes import MeasuredModes, ModesError, Place, Sensors
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.joint.modal_test import Test, TestsError
 from fmu.posterior.joint.varies import Variation
+from fmu.posterior.joint.varies.laws import Law
 from fmu.posterior.priors.base import Prior
 from fmu.types import Direction
 
@@ -47,6 +48,22 @@ class AddedSpring(TomlTable):
     """N/m or N·m/rad"""
 
 
+CovariateValue = Annotated[
+    Annotated[float, Tag("<number>")]
+    | Annotated[Literal["missing"], Tag("<text>")]
+    | Annotated[PriorTable, Tag("<table>")],
+    Discriminator(lambda value: "<table>" if isinstance(value, dict) else kind_of(value)),
+]
+
+
+def _known_or_inferred(given: CovariateValue) -> float | Prior | None:
+    """Return a covariate as `fmu.Test` takes it."""
+    if isinstance(given, Declared):
+        prior: Prior = given.build()
+        return prior
+    return None if isinstance(given, str) else given
+
+
 class TestTable(MeasurementTable):
     """One of several tests: its modes, as in ``[measurement]``, and what is known to differ in it.
 
@@ -64,8 +81,9 @@ class TestTable(MeasurementTable):
     column per covariate, such as the temperature. ``labels`` lists the columns with modes."""
     group: Annotated[str, Field(max_length=100)] = ""
     """State, place or season that several tests share."""
-    covariates: dict[Name, float] = {}
-    """What may have changed the structure, such as the temperature."""
+    covariates: dict[Name, CovariateValue] = {}
+    """What may have changed the structure, such as the temperature: a number, a distribution such as
+    { distribution = "normal", mean = 12.5, sd = 0.5 } if it is known with an error, or "missing"."""
     masses: list[AddedMass] = []
     springs: list[AddedSpring] = []
     known: dict[Name, float] = {}
@@ -158,12 +176,15 @@ class TestTable(MeasurementTable):
             raise BrokenError(*wrong)
         return tests
 
-    def _test(self, name: str, data: ModalData, group: str, covariates: Mapping[str, float], built: Built) -> Test:
+    def _test(
+        self, name: str, data: ModalData, group: str, covariates: Mapping[str, CovariateValue], built: Built
+    ) -> Test:
         masses = {built.at(one.place): one.mass for one in self.masses}
         springs: dict[tuple[Place, str], float] = {
             (built.at(one.place), one.direction): one.stiffness for one in self.springs
         }
-        return Test(name, data, group, dict(covariates), masses, springs, dict(self.known))
+        known = {name: _known_or_inferred(x) for name, x in covariates.items()}
+        return Test(name, data, group, known, masses, springs, dict(self.known))
 
 
 class PlacedTest(NamedTuple):
@@ -192,10 +213,10 @@ def build_tests(
 
 def variations(
     tables: Sequence[ParameterTable],
-) -> tuple[dict[str, str | Variation], dict[str, dict[str, Prior]]]:
+) -> tuple[dict[str, str | Variation], dict[str, dict[str, Prior | Law | str]]]:
     """Return the dicts `varies` and `slopes` that `fmu.JointProblem` takes as arguments."""
     varies = {table.name: how for table in tables if (how := table.variation()) is not None}
-    slopes = {t.name: {name: prior.build() for name, prior in t.slopes.items()} for t in tables if t.slopes}
+    slopes = {table.name: table.laws() for table in tables if table.slopes}
     return varies, slopes
 
 

@@ -167,3 +167,74 @@ def test_check_run_and_damage(tmp_path):
     assert not (out / "map.csv").exists()
     assert set(fmu.load_trace(out / "hmc.nc").children) >= {"tests", "next_test"}
     assert tomllib.loads((out / "problem.toml").read_text())["tests"][2]["name"] == "again"
+
+
+AT = "covariates = {{ temperature = {} }}\n"
+NORMAL = '{ distribution = "normal", sd = 0.002 }'
+WRONG = '{ distribution = "normal", sd = -1.0 }'
+
+
+def campaign(tmp_path, slopes, *temperatures, k2=""):
+    """Return the file of a campaign in which `k1` has the `slopes`."""
+    tests = [
+        PLAIN.replace('"plain"', f'"t{t}"') + AT.format(temperature) for t, temperature in enumerate(temperatures)
+    ]
+    return written(tmp_path, K1 + f"slopes = {{ {slopes} }}\n", K2 + k2, *tests)
+
+
+def test_laws_of_covariates(tmp_path):
+    kinks = f'temperature = {{ law = "piecewise-linear", prior = {NORMAL}, kinks = [0.0] }}'
+    problem = fmu.load(campaign(tmp_path, kinks, -5.0, 5.0, 20.0, k2='slopes = { temperature = "k1" }\n'))
+    assert problem.names == (
+        "k1", "k1 and k2 per temperature below 0", "k1 and k2 per temperature above 0", "k2",
+    )  # fmt: skip
+    inferred = (
+        f'temperature = {{ law = "piecewise-linear", prior = {NORMAL}, kinks = {{ distribution = "uniform" }} }}'
+    )
+    assert fmu.load(campaign(tmp_path, inferred, -5.0, 5.0, 20.0)).names[3] == "k1 kink in temperature"
+    square = '{ distribution = "normal", sd = 1e-5 }'
+    powers = f'temperature = {{ law = "polynomial", priors = [{NORMAL}, {square}] }}'
+    problem = fmu.load(campaign(tmp_path, powers, -5.0, 5.0, 20.0))
+    assert problem.names == ("k1", "k1 per temperature", "k1 per temperature^2", "k2")
+    assert problem.parameters[2].prior == fmu.Normal(1e-5)
+
+
+def test_covariates_that_are_not_known(tmp_path):
+    given = '{ distribution = "normal", mean = 20.0, sd = 0.5 }'
+    problem = fmu.load(campaign(tmp_path, f"temperature = {NORMAL}", -5.0, '"missing"', given))
+    assert problem.names[1:3] == ("temperature [t1]", "temperature [t2]")
+    assert problem.parameters[2].prior == fmu.Normal(0.5, mean=20.0)
+
+
+def test_mistakes_in_laws_and_covariates(tmp_path):
+    at, piecewise = "slopes.temperature", f'law = "piecewise-linear", prior = {NORMAL}'
+    slopes = {
+        '{ law = "cubic" }': f"{at}.law: must be one of polynomial, piecewise-linear (got 'cubic')",
+        '{ law = "polynomial", priors = [] }': f"{at}.priors: must have a prior for each coefficient (got none)",
+        f"{{ {piecewise}, kinks = [2.0, 1.0] }}": f"{at}.kinks: must be one value or several in ascending order "
+        "(got [2.0, 1.0])",
+        f"{{ {piecewise}, kinks = [40.0] }}": "slopes: the kinks in temperature must be between its values in the "
+        "tests, -5 and 20 (got 40)",
+        f"{{ {piecewise}, kinks = {WRONG} }}": f"{at}.kinks.sd: must be greater than 0 (got -1.0)",
+        f'{{ law = "polynomial", priors = [{NORMAL}, {WRONG}] }}': f"{at}.priors.1.sd: must be greater than 0 "
+        "(got -1.0)",
+        f'{{ law = "piecewise-linear", kinks = [0.0], prior = {WRONG} }}': f"{at}.prior.sd: must be greater than "
+        "0 (got -1.0)",
+        WRONG: f"{at}.sd: must be greater than 0 (got -1.0)",
+        '"k3"': "slopes: must name a parameter with a law of temperature of its own (got 'k3')",
+    }
+    found = {given: mistakes(campaign(tmp_path, f"temperature = {given}", -5.0, 5.0, 20.0)) for given in slopes}
+    assert found == {given: [f"parameters.0.{message}"] for given, message in slopes.items()}
+    slope = f"temperature = {NORMAL}"
+    assert mistakes(campaign(tmp_path, slope, -5.0, '"lost"', 20.0)) == [
+        "tests.1.covariates.temperature: must be 'missing' (got 'lost')"
+    ]
+    assert mistakes(campaign(tmp_path, slope, -5.0, WRONG, 20.0)) == [
+        "tests.1.covariates.temperature.sd: must be greater than 0 (got -1.0)"
+    ]
+    assert mistakes(campaign(tmp_path, slope, -5.0, "nan", 20.0)) == [
+        "tests.1.covariates.temperature: must be a finite number (got nan)"
+    ]
+    assert mistakes(campaign(tmp_path, slope, 5.0, 5.0)) == [
+        "parameters.0.slopes: temperature must differ between tests (got one value)"
+    ]

@@ -11,16 +11,15 @@ from fmu.posterior.joint.correlation import Correlation, correlations
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.varies.base import Theta, Varies
-from fmu.posterior.joint.varies.trend import Trend
+from fmu.posterior.joint.varies.trend import Slopes, Trends, as_dicts
 from fmu.posterior.parameters import Parameter
-from fmu.posterior.priors.base import Prior
 
 
 def build_layout(
     structural: Sequence[Parameter],
     tests: Sequence[Test],
     varies: Mapping[str, Varies],
-    slopes: Mapping[str, Mapping[str, Prior]],
+    slopes: Slopes,
     reference: str,
     eta: float | None,
 ) -> Layout:
@@ -29,13 +28,11 @@ def build_layout(
     `varies` has an entry for every structural parameter. `eta` is the argument `correlation`.
     """
     theta, values_of = Theta(tests, reference), []
+    trends = Trends(structural, slopes, theta)
     for j, p in enumerate(structural):
         here = [t for t, test in enumerate(tests) if p.name not in test.known]
         value_of = varies[p.name].in_tests(p, j, theta, here)
-        by = slopes.get(p.name, {})
-        if by:
-            value_of = Trend.of_covariates(value_of, p, j, theta, by)
-        values_of.append(value_of)
+        values_of.append(trends.add_to(value_of, p.name))
     populations = {p.name: varies[p.name] for p in structural if varies[p.name].scatters}
     columns: tuple[int, ...] = ()
     if eta is not None:
@@ -51,6 +48,7 @@ def build_layout(
         None,
         (*theta.roles, *theta.roles_of_scores),
         reference,
+        as_dicts(slopes),
     )
     if eta is None:
         return layout

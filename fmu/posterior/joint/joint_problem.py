@@ -22,7 +22,9 @@ from fmu.posterior.joint.quantities import Errors
 from fmu.posterior.joint.typical import centre_scores
 from fmu.posterior.joint.varies import Variation, way_of
 from fmu.posterior.joint.varies.base import Varies
+from fmu.posterior.joint.varies.laws import Law
 from fmu.posterior.joint.varies.taken import SHARED
+from fmu.posterior.joint.varies.trend import Slopes, find_mistakes_of_slopes
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Prior
 from fmu.posterior.problem import UpdatingProblem
@@ -36,7 +38,7 @@ def JointProblem(  # capitalised because it constructs a problem
     parameters: Sequence[Parameter],
     *,
     varies: Mapping[str, str | Variation] | None = None,
-    slopes: Mapping[str, Mapping[str, Prior]] | None = None,
+    slopes: Mapping[str, Mapping[str, Prior | Law | str]] | None = None,
     reference: str | None = None,
     correlation: float | None = None,
     pairing: str = "shape",
@@ -67,9 +69,11 @@ def JointProblem(  # capitalised because it constructs a problem
         parameter's prior. `Population`: the values in the tests scatter about a common mean (hierarchical
         updating; Behmanesh, Moaveni, Lombaert & Papadimitriou 2015, *Mech. Syst. Signal Process.* 64–65,
         360–376). `Damage`: in groups other than the reference, the parameter is reduced by a relative loss.
-    slopes : mapping of str to mapping of str to Prior
-        Prior of the relative slope b, by the names of the parameter and the covariate. The value in a test is
-        multiplied by 1 + b (x − x₀), where x₀ is the mean of the covariate over the tests.
+    slopes : mapping of str to mapping of str to Prior, Polynomial, PiecewiseLinear or str
+        How a parameter depends on covariates x_k, by the names of the parameter and the covariate. The value in a
+        test is multiplied by 1 + Σ_k g_k(x_k). A prior is that of the relative slope b: g(x) = b (x − x₀), where
+        x₀ is the mean of the covariate over the tests. `Polynomial` and `PiecewiseLinear` are other laws. The name
+        of another parameter gives both parameters the same law with the same slopes.
     reference : str, optional
         The group of tests that losses refer to. Default: the group of the first test.
     correlation : float, optional
@@ -202,7 +206,7 @@ def find_mistakes(
     tests: Sequence[Test],
     parameters: Sequence[Parameter],
     varies: Mapping[str, Varies],
-    slopes: Mapping[str, Mapping[str, Prior]],
+    slopes: Slopes,
     reference: str,
     correlation: float | None = None,
 ) -> list[str]:
@@ -238,17 +242,7 @@ def find_mistakes(
             found.append(f"correlation: needs two parameters or more with a population (got {n})")
         if not 0.0 < correlation < np.inf:
             found.append(f"correlation: must be positive (got {correlation})")
-    for name, by in slopes.items():
-        if name not in names:
-            found.append(f"slopes: must name parameters among {', '.join(names)} (got {name!r})")
-        for covariate in by:
-            missing = [t for t, test in enumerate(tests) if covariate not in test.covariates]
-            found += [
-                f"tests.{t}.covariates: must have {covariate}, on which {name} depends (got none)" for t in missing
-            ]
-            if not missing and len({test.covariates[covariate] for test in tests}) < 2:
-                found.append(f"slopes.{name}: {covariate} must differ between tests (got one value)")
-    return found
+    return found + find_mistakes_of_slopes(slopes, names, tests)
 
 
 def mistakes_of_shapes(tests: Sequence[Test]) -> list[str]:

@@ -45,6 +45,8 @@ class Layout:
         The meaning of each parameter in `parameters`.
     reference : str
         The group of tests that losses refer to.
+    slopes : dict
+        How parameters depend on covariates, in plain Python types.
     """
 
     structural: tuple[Parameter, ...]
@@ -56,6 +58,7 @@ class Layout:
     correlation: Correlation | None = None
     roles: tuple[Role, ...] = ()
     reference: str = ""
+    slopes: Mapping[str, Plain] = field(default_factory=dict)
 
     @classmethod
     def of_one(cls, parameters: Sequence[Parameter], data: ModalData) -> Layout:
@@ -98,6 +101,7 @@ class Layout:
             "populations": {name: one.as_dict() for name, one in self.populations.items()},
             "reference": self.reference,
             "correlated": self.correlation is not None,
+            **({"slopes": dict(self.slopes)} if self.slopes else {}),
         }
 
     def losses(self, theta: FloatArray) -> FloatArray:

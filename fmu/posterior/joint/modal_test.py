@@ -14,6 +14,7 @@ from fmu.arguments import ArgumentError, check_arguments
 from fmu.formats.modes.csv import read_campaign
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import require_name
+from fmu.posterior.priors.base import Prior
 from fmu.types import Plain
 
 
@@ -47,8 +48,10 @@ class Test:
         need not contain every mode.
     group : str
         State, location or season that several tests share, such as ``"before repair"``.
-    covariates : mapping of str to float
-        Quantities that may have changed the structure from test to test, such as ``{"temperature": 12.5}``.
+    covariates : mapping of str to float, Prior or None
+        Quantities that may have changed the structure from test to test, such as ``{"temperature": 12.5}``. A
+        value that is known with an error is given as its distribution, such as ``fmu.Normal(0.5, mean=12.5)``. A
+        value that was not measured is None: it is inferred, with a normal prior of the values in the other tests.
     masses : mapping of node or rigid arm to float, kg
         Point masses that were added for this test. A negative value is a mass that was removed.
     springs : mapping of (node or rigid arm, direction) to float, N/m or N·m/rad
@@ -67,7 +70,7 @@ class Test:
     name: str
     data: ModalData
     group: str = ""
-    covariates: Mapping[str, float] = field(default_factory=dict)
+    covariates: Mapping[str, float | Prior | None] = field(default_factory=dict)
     masses: Mapping[Any, float] = field(default_factory=dict)
     springs: Mapping[tuple[Any, str], float] = field(default_factory=dict)
     known: Mapping[str, float] = field(default_factory=dict)
@@ -130,10 +133,17 @@ class Test:
         springs: list[list[Plain]] = [
             [str(place), direction, float(k)] for (place, direction), k in self.springs.items()
         ]
+        inferred: dict[str, Plain] = {
+            name: None if x is None else x.as_dict()
+            for name, x in self.covariates.items()
+            if x is None or isinstance(x, Prior)
+        }
+        known = {name: x for name, x in self.covariates.items() if not (x is None or isinstance(x, Prior))}
         return {
             "name": self.name,
             "group": self.group,
-            "covariates": {name: float(x) for name, x in self.covariates.items()},
+            "covariates": {name: float(x) for name, x in known.items()},
+            **({"inferred_covariates": inferred} if inferred else {}),
             "masses": {str(place): float(m) for place, m in self.masses.items()},
             "springs": springs,
             "known": {name: float(x) for name, x in self.known.items()},

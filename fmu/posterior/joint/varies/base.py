@@ -12,6 +12,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from fmu.posterior.joint.modal_test import Test
+from fmu.posterior.joint.varies.covariates import Covariate
 from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray, IntArray, Plain
 
@@ -21,12 +22,15 @@ class Role(NamedTuple):
 
     Attributes
     ----------
-    kind : {"shared", "test", "group", "mean", "sd", "score", "loss", "slope", "correlation", "noise"}
-        The value in all tests, in one test or in a group of tests; the mean or standard deviation of a population,
-        or the score of a test in a population; the relative loss of a group; the slope with a covariate; a partial
-        correlation of two populations; an inferred standard deviation of the errors.
+    kind : str
+        ``"shared"``, ``"test"`` or ``"group"``: the value in all tests, in one test or in a group of tests;
+        ``"mean"`` or ``"sd"``: the mean or standard deviation of a population; ``"score"``: the score of a test in
+        a population; ``"loss"``: the relative loss of a group; ``"slope"`` or ``"kink"``: the slope with a
+        covariate, or the place where it changes; ``"covariate"``: the value of a covariate in a test;
+        ``"correlation"``: a partial correlation of two populations; ``"noise"``: an inferred standard deviation of
+        the errors.
     of : int or None
-        Index into ``layout.structural`` of the parameter of the structure; None for correlations.
+        Index into ``layout.structural`` of the parameter of the structure; None for correlations and covariates.
     where : str
         Name of the test, group or covariate, if the role refers to one; otherwise empty.
     """
@@ -127,6 +131,15 @@ class Theta:
         self.scores: list[Parameter] = []
         self.roles: list[Role] = []
         self.roles_of_scores: list[Role] = []
+        self._covariates: dict[str, Covariate] = {}
+
+    def covariate(self, name: str) -> Covariate:
+        """Return a covariate of the tests; its values that are not known are added once to theta."""
+        if name not in self._covariates:
+            self._covariates[name] = Covariate.of_tests(
+                name, self.tests, lambda parameter, test: self.add(parameter, "covariate", None, test)
+            )
+        return self._covariates[name]
 
     def add(self, parameter: Parameter, kind: str, of: int | None, where: str = "") -> int:
         """Add a parameter and its role; see `Role`; return the index of the parameter in theta."""

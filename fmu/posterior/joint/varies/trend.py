@@ -2,68 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from itertools import product
+from typing import NamedTuple, Self
 
 import numpy as np
 
+from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.varies.base import Future, InTests, Slope, Theta
+from fmu.posterior.joint.varies.covariates import Covariate, find_mistakes_of_covariate, known_values
+from fmu.posterior.joint.varies.laws import Effect, Law, law_of
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Prior
-from fmu.types import FloatArray
+from fmu.types import FloatArray, Plain
+
+_FEW = 3
+"""Most parameters that the name of a common slope lists."""
+
+Slopes = Mapping[str, Mapping[str, Prior | Law | str]]
+"""How parameters depend on covariates, by the names of the parameter and the covariate; see `fmu.JointProblem`."""
+
+
+class OnCovariate(NamedTuple):
+    """The effect of one covariate on a parameter."""
+
+    effect: Effect
+    covariate: Covariate
 
 
 @dataclass(frozen=True)
 class Trend(InTests):
-    """A structural parameter that also depends on covariates x: θ = θ₀ Π (1 + b (x − x₀)).
+    """A structural parameter that also depends on covariates x_k: θ = θ₀ (1 + Σ_k g_k(x_k)).
 
     Attributes
     ----------
     of : InTests
         θ₀, the value if every covariate has its mean over the tests.
-    columns : tuple of int
-        For each covariate, the index in theta of the relative slope b.
-    covariates : ndarray, shape (n_covariates, n_tests)
-        The differences x − x₀.
-    names : tuple of str
-        Names of the covariates.
-    means : tuple of float
-        For each covariate, the mean x₀ over the tests.
+    effects : tuple of OnCovariate
+        The effects g_k, each of which is zero at the mean of its covariate.
     """
 
     of: InTests
-    columns: tuple[int, ...]
-    covariates: FloatArray
-    names: tuple[str, ...]
-    means: tuple[float, ...]
-
-    @classmethod
-    def of_covariates(cls, of: InTests, p: Parameter, number: int, theta: Theta, by: Mapping[str, Prior]) -> Trend:
-        """Add one slope per covariate to theta; return the structural parameter with these trends.
-
-        Parameters
-        ----------
-        of : InTests
-            The structural parameter without trends.
-        p : Parameter
-            The same parameter as for a single test.
-        number : int
-            Index of `p` among the parameters of the structure.
-        theta : Theta
-            The slopes are added to it.
-        by : mapping of str to Prior
-            The prior of the slope, by the name of the covariate.
-        """
-        columns, away, means = [], [], []
-        for covariate, prior in by.items():
-            x = np.array([test.covariates[covariate] for test in theta.tests])
-            away.append(x - x.mean())
-            means.append(float(x.mean()))
-            at = float(np.clip(0.0, *prior.support))
-            slope = Parameter(f"{p.name} per {covariate}", at, prior=prior)
-            columns.append(theta.add(slope, "slope", number, covariate))
-        return cls(of, tuple(columns), np.array(away), tuple(by), tuple(means))
+    effects: tuple[OnCovariate, ...]
 
     @property
     def base(self) -> InTests:
@@ -73,34 +54,44 @@ class Trend(InTests):
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
         """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
         value, slopes = self.of(theta)
-        factors = 1.0 + theta[:, self.columns, None] * self.covariates
-        product = np.prod(factors, axis=1)
-        found = [Slope(slope.columns, slope.values * product) for slope in slopes]
-        for k, column in enumerate(self.columns):
-            others = np.prod(np.delete(factors, k, axis=1), axis=1)
-            columns = np.full(self.covariates.shape[1], column)
-            found.append(Slope(columns, value * self.covariates[k] * others))
-        return value * product, found
+        factor, found = np.ones_like(value), []
+        for effect, covariate in self.effects:
+            g, by_parameters, by_x = effect.evaluate(theta[:, effect.columns], covariate.at(theta), covariate.mean)
+            factor = factor + g
+            for k, column in enumerate(effect.columns):
+                found.append(Slope(np.full(value.shape[1], column), value * by_parameters[:, k]))
+            if covariate.is_inferred.any():
+                found.append(Slope(covariate.columns, np.where(covariate.is_inferred, value * by_x, 0.0)))
+        return value * factor, [*(Slope(one.columns, one.values * factor) for one in slopes), *found]
 
     def identity(self, test: int) -> Hashable:
         """Return a key that is equal for two tests if the value in them is equal at every theta."""
-        return self.of.identity(test), *self.covariates[:, test].tolist()
+        return self.of.identity(test), *(covariate.identity(test) for _, covariate in self.effects)
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return lower and upper limits of the values, (n_tests,) each, for limits of theta (n_parameters,)."""
         low, high = self.of.box(lower, upper)
-        for k, x in zip(self.columns, self.covariates, strict=True):
-            factors = 1.0 + np.stack([lower[k] * x, upper[k] * x])
-            corners = np.stack([end * factor for end in (low, high) for factor in factors])
-            low, high = corners.min(axis=0), corners.max(axis=0)
-        return low, high
+        factors = np.ones((2, len(low)))
+        for effect, covariate in self.effects:
+            ends = lower[list(effect.columns)], upper[list(effect.columns)]
+            corners = np.array(list(product(*zip(*ends, strict=True))))
+            x = np.stack([covariate.at(end[None])[0] for end in (lower, upper)])
+            middle, near = x.mean(axis=0), 0.5 * (x + x.mean(axis=0))
+            # two normal variables have rarely a product beyond 8 standard deviations: 4 of one with 2 of the other
+            points = [(corners, near[0]), (corners, near[1]), (corners, middle)]
+            points += [(np.mean(ends, axis=0)[None], one) for one in x]
+            found = np.concatenate([effect.evaluate(b, at[None], covariate.mean).effect for b, at in points])
+            factors = factors + np.stack([found.min(axis=0), found.max(axis=0)])
+        corners = np.stack([end * factor for end in (low, high) for factor in factors])
+        return corners.min(axis=0), corners.max(axis=0)
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
         """Return the values (n,) in a further test, with its covariates."""
-        value = self.of.next_test(theta, like, future)
-        for name, mean, column in zip(self.names, self.means, self.columns, strict=True):
-            value = value * (1.0 + theta[:, column] * (future.covariates.get(name, mean) - mean))
-        return value
+        factor = np.ones(len(theta))
+        for effect, covariate in self.effects:
+            x = np.full((1, 1), future.covariates.get(covariate.name, covariate.mean))
+            factor = factor + effect.evaluate(theta[:, effect.columns], x, covariate.mean).effect[:, 0]
+        return self.of.next_test(theta, like, future) * factor
 
     def after(self, n: int) -> Self:
         """Return the parameter with the indices of its scores increased by `n`."""
@@ -109,3 +100,84 @@ class Trend(InTests):
     def refer_to(self, references: Mapping[int, tuple[FloatArray, tuple[float, float]]]) -> Self:
         """Return the parameter with another centring and reference of its scores."""
         return replace(self, of=self.of.refer_to(references))
+
+
+class Trends:
+    """The trends of the structural parameters, collected while a layout is built.
+
+    Parameters
+    ----------
+    structural : sequence of Parameter
+        The structural parameters.
+    slopes : mapping of str to mapping of str to Prior, Law or str
+        As in `fmu.JointProblem`, which has checked them.
+    theta : Theta
+        The parameters of the laws are added to it.
+    """
+
+    def __init__(self, structural: Sequence[Parameter], slopes: Slopes, theta: Theta) -> None:
+        self._names = [p.name for p in structural]
+        self._slopes, self._theta = slopes, theta
+        self._laws = {
+            (name, covariate): law_of(how)
+            for name, by in slopes.items()
+            for covariate, how in by.items()
+            if not isinstance(how, str)
+        }
+        self._effects: dict[tuple[str, str], OnCovariate] = {}
+
+    def add_to(self, of: InTests, name: str) -> InTests:
+        """Return the structural parameter `name`, given without trends, with its trends; itself if it has none."""
+        by = self._slopes.get(name, {})
+        effects = tuple(self._effect(how if isinstance(how, str) else name, key) for key, how in by.items())
+        return Trend(of, effects) if effects else of
+
+    def _effect(self, owner: str, covariate: str) -> OnCovariate:
+        """Return the effect of a covariate, which the parameter `owner` may have in common with others."""
+        found = self._effects.get((owner, covariate))
+        if found is None:
+            number, x = self._names.index(owner), self._theta.covariate(covariate)
+            both = [name for name in self._names if owner in (name, self._slopes.get(name, {}).get(covariate))]
+            effect = self._laws[owner, covariate].bind(
+                in_common(both), x, lambda p, kind: self._theta.add(p, kind, number, covariate)
+            )
+            found = self._effects[owner, covariate] = OnCovariate(effect, x)
+        return found
+
+
+def in_common(names: Sequence[str]) -> str:
+    """Return the names of parameters as words: ``"k1 and k2"``; of many: ``"k1 and 11 others"``."""
+    if len(names) == 1:
+        return names[0]
+    shown, last = (names[:-1], names[-1]) if len(names) <= _FEW else (names[:1], f"{len(names) - 1} others")
+    return f"{', '.join(shown)} and {last}"
+
+
+def find_mistakes_of_slopes(slopes: Slopes, names: Sequence[str], tests: Sequence[Test]) -> list[str]:
+    """Return a list of messages on slopes that contradict the parameters `names` or the tests."""
+    found = []
+    for name, by in slopes.items():
+        if name not in names:
+            found.append(f"slopes: must name parameters among {', '.join(names)} (got {name!r})")
+        for covariate, how in by.items():
+            if isinstance(how, str):
+                own = [n for n in names if not isinstance(slopes.get(n, {}).get(covariate, ""), str)]
+                if how not in own:
+                    among = f", of {', '.join(own)}" if own else ""
+                    rule = f"must name a parameter with a law of {covariate} of its own{among}"
+                    found.append(f"slopes.{name}: {rule} (got {how!r})")
+                continue
+            wrong = find_mistakes_of_covariate(covariate, name, tests)
+            if not wrong:
+                known = known_values(covariate, tests)
+                wrong = law_of(how).find_mistakes(name, covariate, float(known.min()), float(known.max()))
+            found += wrong
+    return found
+
+
+def as_dicts(slopes: Slopes) -> dict[str, Plain]:
+    """Return the slopes as dicts of plain Python types."""
+    return {
+        name: {key: how if isinstance(how, str) else law_of(how).as_dict() for key, how in by.items()}
+        for name, by in slopes.items()
+    }

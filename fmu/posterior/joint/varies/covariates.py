@@ -1,0 +1,99 @@
+"""Covariates of the tests, such as temperature: known, known with an error, or missing in some tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmu.posterior.joint.modal_test import Test
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors.base import Normal, Prior
+from fmu.types import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Covariate:
+    """A quantity x that may change the structure from test to test.
+
+    Where x is missing, or known with an error only, the true value is a parameter of theta.
+
+    Attributes
+    ----------
+    name : str
+    values : ndarray, shape (n_tests,)
+        The known value in each test. If the value is a parameter of theta: the median of its prior.
+    columns : ndarray of int, shape (n_tests,)
+        For each test, the index in theta of the value; 0 where the value is known.
+    is_inferred : ndarray of bool, shape (n_tests,)
+        Whether the value is a parameter of theta.
+    mean : float
+        x₀, the mean of `values`.
+    """
+
+    name: str
+    values: FloatArray
+    columns: IntArray
+    is_inferred: BoolArray
+    mean: float
+
+    @classmethod
+    def of_tests(cls, name: str, tests: Sequence[Test], add: Callable[[Parameter, str], int]) -> Covariate:
+        """Return the covariate `name` of the tests.
+
+        `add` adds a parameter of a test to theta and returns its index: the true value, where it is not known. A
+        missing value has a normal prior, with the mean and the standard deviation of the values in other tests.
+        """
+        known = known_values(name, tests)
+        mean, n = float(known.mean()), len(tests)
+        values, columns, is_inferred = np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=bool)
+        for t, test in enumerate(tests):
+            given = test.covariates[name]
+            prior = Normal(float(known.std(ddof=1)), mean=mean) if given is None else given
+            is_inferred[t] = isinstance(prior, Prior)
+            values[t] = middle_of(prior)
+            if isinstance(prior, Prior):
+                columns[t] = add(Parameter(f"{name} [{test.name}]", float(values[t]), prior=prior), test.name)
+        # the mean of all tests: a missing value is at the mean of the others
+        return cls(name, values, columns, is_inferred, float(values.mean()))
+
+    def at(self, theta: FloatArray) -> FloatArray:
+        """Return the values in the tests, (n, n_tests) or (1, n_tests), at theta (n, n_parameters)."""
+        if not self.is_inferred.any():
+            return self.values[None]
+        return np.where(self.is_inferred, theta[:, self.columns], self.values)
+
+    def identity(self, test: int) -> Hashable:
+        """Return a key that is equal for two tests if the value in them is equal at every theta."""
+        return (True, int(self.columns[test])) if self.is_inferred[test] else (False, float(self.values[test]))
+
+
+def middle_of(given: float | Prior) -> float:
+    """Return a known value as it is, and the median of a value with a distribution."""
+    return float(given.quantile(np.array([0.5]), *given.support)[0]) if isinstance(given, Prior) else float(given)
+
+
+def known_values(name: str, tests: Sequence[Test]) -> FloatArray:
+    """Return the values of a covariate, or their medians, in the tests where it is not missing."""
+    return np.array([middle_of(given) for test in tests if (given := test.covariates[name]) is not None])
+
+
+def find_mistakes_of_covariate(name: str, of: str, tests: Sequence[Test]) -> list[str]:
+    """Return a list of messages that say what the tests lack for the parameter `of` to depend on a covariate."""
+    absent = [t for t, test in enumerate(tests) if name not in test.covariates]
+    if absent:
+        rule = f"must have {name}, on which {of} depends (got none)"
+        return [f"tests.{t}.covariates: {rule}" for t in absent]
+    uniform = [
+        f"tests.{t}.covariates.{name}: must have a distribution without bounds, as fmu.Normal (got Uniform)"
+        for t, test in enumerate(tests)
+        if isinstance(x := test.covariates[name], Prior) and x.needs_bounds
+    ]
+    if uniform:
+        return uniform
+    known = np.unique(known_values(name, tests))
+    if len(known) < 2:
+        got = "one value" if len(known) else "none"
+        return [f"slopes.{of}: {name} must differ between tests (got {got})"]
+    return []

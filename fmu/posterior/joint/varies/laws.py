@@ -1,0 +1,231 @@
+"""Laws by which a parameter depends on a covariate x: polynomials, and straight lines with kinks.
+
+A law gives the relative effect g(x) on the parameter. It is zero at x₀, the mean of the covariate over the tests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from fmu.arguments import ArgumentError, check_arguments
+from fmu.posterior.joint.varies.covariates import Covariate
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors.base import Prior
+from fmu.types import FloatArray, Plain
+
+Add = Callable[[Parameter, str], int]
+"""Adds a parameter of a kind (see `fmu.posterior.joint.varies.base.Role`) to theta, and returns its index."""
+
+
+class Evaluated(NamedTuple):
+    """The effects in the tests, and their derivatives.
+
+    Attributes
+    ----------
+    effect : ndarray, shape (n, n_tests)
+    by_parameters : ndarray, shape (n, n_columns, n_tests)
+    by_x : ndarray, shape (n, n_tests)
+    """
+
+    effect: FloatArray
+    by_parameters: FloatArray
+    by_x: FloatArray
+
+
+class Effect:
+    """The relative effect g(x) of a covariate on a parameter, as a function of parameters of theta.
+
+    Attributes
+    ----------
+    columns : tuple of int
+        Indices in theta of the parameters of the law.
+    """
+
+    columns: tuple[int, ...]
+
+    def evaluate(self, parameters: FloatArray, x: FloatArray, x0: float) -> Evaluated:
+        """Return the effects at x, with their derivatives.
+
+        Parameters
+        ----------
+        parameters : ndarray, shape (n, n_columns)
+            Values of the parameters of the law.
+        x : ndarray, shape (n, n_tests) or (1, n_tests)
+            Values of the covariate.
+        x0 : float
+            The value of the covariate at which the effect is zero.
+        """
+        raise NotImplementedError
+
+
+class Law:
+    """A law by which a parameter depends on a covariate."""
+
+    def bind(self, of: str, covariate: Covariate, add: Add) -> Effect:
+        """Add the parameters of the law to theta with `add`; return the effect. `of` says what they belong to."""
+        raise NotImplementedError
+
+    def find_mistakes(self, of: str, name: str, low: float, high: float) -> list[str]:
+        """Return a list of messages on what contradicts the range of the covariate `name` in the tests."""
+        return []
+
+    def as_dict(self) -> dict[str, Plain]:
+        """Return a dict of the settings, in plain Python types."""
+        raise NotImplementedError
+
+
+@check_arguments
+@dataclass(frozen=True)
+class Polynomial(Law):
+    """A polynomial in a covariate: g(x) = b₁ (x − x₀) + b₂ (x − x₀)² + ….
+
+    Attributes
+    ----------
+    priors : sequence of Prior
+        Priors of the coefficients b₁, b₂, …; the degree of the polynomial is their number. The unit of b_p is
+        that of 1/x^p. A single prior gives a straight line, as a prior in place of a law does.
+
+    Raises
+    ------
+    ValueError
+        If there is no prior.
+    """
+
+    priors: Sequence[Prior]
+
+    def __post_init__(self) -> None:
+        if not self.priors:
+            raise ArgumentError("priors", "must have a prior for each coefficient", "none")
+        object.__setattr__(self, "priors", tuple(self.priors))
+
+    def bind(self, of: str, covariate: Covariate, add: Add) -> PolynomialEffect:
+        """Add one coefficient per power to theta; return the effect."""
+        powers = ("", *(f"^{p}" for p in range(2, len(self.priors) + 1)))
+        names = (f"{of} per {covariate.name}{power}" for power in powers)
+        return PolynomialEffect(
+            tuple(add(slope(name, prior), "slope") for name, prior in zip(names, self.priors, strict=True))
+        )
+
+    def as_dict(self) -> dict[str, Plain]:
+        """Return a dict of the settings, in plain Python types."""
+        return {"law": "polynomial", "priors": [prior.as_dict() for prior in self.priors]}
+
+
+@dataclass(frozen=True)
+class PolynomialEffect(Effect):
+    """The effect of a polynomial; `columns` are its coefficients."""
+
+    columns: tuple[int, ...]
+
+    def evaluate(self, parameters: FloatArray, x: FloatArray, x0: float) -> Evaluated:
+        """Return the effects at x, with their derivatives."""
+        powers = np.arange(1, len(self.columns) + 1)[:, None]
+        away = (x - x0)[:, None]
+        terms, b = away**powers, parameters[:, :, None]
+        return Evaluated(
+            np.sum(b * terms, axis=1),
+            np.broadcast_to(terms, (len(parameters), *terms.shape[1:])),
+            np.sum(b * powers * away ** (powers - 1), axis=1),
+        )
+
+
+@check_arguments
+@dataclass(frozen=True)
+class PiecewiseLinear(Law):
+    """A law of straight pieces that meet in kinks, such as a stiffness that rises faster below the freezing point.
+
+    g(x) = Σ b_i (clip(x, c_i, c_{i+1}) − clip(x₀, c_i, c_{i+1})), where piece i with the slope b_i is between the
+    kinks c_i and c_{i+1} (Peeters & De Roeck 2001, *Earthq. Eng. Struct. Dyn.* 30, 149–171, find two such pieces
+    at the Z24 bridge).
+
+    Attributes
+    ----------
+    prior : Prior
+        Prior of the relative slope of each piece.
+    kinks : sequence of float or Prior
+        The covariate at the kinks, in ascending order. A prior stands for one kink whose place is inferred,
+        between the smallest and the largest value of the covariate in the tests. The log-density is then
+        continuous, and has a kink of its own where this place passes the covariate of a test.
+
+    Raises
+    ------
+    ValueError
+        If there is no kink, or the kinks do not ascend.
+    """
+
+    prior: Prior
+    kinks: Sequence[float] | Prior
+
+    def __post_init__(self) -> None:
+        if isinstance(self.kinks, Prior):
+            return
+        object.__setattr__(self, "kinks", tuple(map(float, self.kinks)))
+        if not self.kinks or any(b <= a for a, b in pairwise(self.kinks)):
+            raise ArgumentError("kinks", "must be one value or several in ascending order", list(self.kinks))
+
+    def find_mistakes(self, of: str, name: str, low: float, high: float) -> list[str]:
+        """Return a list of messages on kinks that no test can show."""
+        rule = f"the kinks in {name} must be between its values in the tests, {low:g} and {high:g}"
+        if isinstance(self.kinks, Prior):
+            without = not np.isfinite(self.kinks.log_mass(low, high))
+            return [f"slopes.{of}: {rule} (got a prior without probability there)"] if without else []
+        return [f"slopes.{of}: {rule} (got {at:g})" for at in self.kinks if not low < at < high]
+
+    def bind(self, of: str, covariate: Covariate, add: Add) -> PiecewiseEffect:
+        """Add the slope of each piece, and an inferred kink, to theta; return the effect."""
+        ends = ["kink"] if isinstance(self.kinks, Prior) else [f"{at:g}" for at in self.kinks]
+        pieces = [f"below {ends[0]}", *(f"from {a} to {b}" for a, b in pairwise(ends)), f"above {ends[-1]}"]
+        names = (f"{of} per {covariate.name} {piece}" for piece in pieces)
+        columns = [add(slope(name, self.prior), "slope") for name in names]
+        if not isinstance(self.kinks, Prior):
+            return PiecewiseEffect(tuple(columns), tuple(self.kinks))
+        low, high = float(covariate.values.min()), float(covariate.values.max())
+        middle = float(self.kinks.quantile(np.array([0.5]), low, high)[0])
+        columns.append(add(Parameter(f"{of} kink in {covariate.name}", middle, low, high, self.kinks), "kink"))
+        return PiecewiseEffect(tuple(columns), None)
+
+    def as_dict(self) -> dict[str, Plain]:
+        """Return a dict of the settings, in plain Python types."""
+        kinks: Plain = self.kinks.as_dict() if isinstance(self.kinks, Prior) else [float(at) for at in self.kinks]
+        return {"law": "piecewise-linear", "prior": self.prior.as_dict(), "kinks": kinks}
+
+
+@dataclass(frozen=True)
+class PiecewiseEffect(Effect):
+    """The effect of straight pieces; `columns` are their slopes, followed by the kink if `kinks` is None."""
+
+    columns: tuple[int, ...]
+    kinks: tuple[float, ...] | None
+
+    def evaluate(self, parameters: FloatArray, x: FloatArray, x0: float) -> Evaluated:
+        """Return the effects at x, with their derivatives."""
+        if self.kinks is None:
+            b, kinks = parameters[:, :-1, None], parameters[:, -1:, None]
+        else:
+            b, kinks = parameters[:, :, None], np.array(self.kinks)[None, :, None]
+        end = np.full_like(kinks[:, :1], np.inf)
+        lower, upper = np.concatenate([-end, kinks], axis=1), np.concatenate([kinks, end], axis=1)
+        at = x[:, None]
+        terms = np.clip(at, lower, upper) - np.clip(x0, lower, upper)
+        by_slopes = np.broadcast_to(terms, (len(parameters), b.shape[1], x.shape[1]))
+        by_x = np.sum(b * ((at > lower) & (at <= upper)), axis=1)
+        if self.kinks is not None:
+            return Evaluated(np.sum(b * terms, axis=1), by_slopes, by_x)
+        beyond = (at > kinks).astype(float) - (x0 > kinks)
+        by_kink = (b[:, :1] - b[:, 1:]) * beyond
+        return Evaluated(np.sum(b * terms, axis=1), np.concatenate([by_slopes, by_kink], axis=1), by_x)
+
+
+def slope(name: str, prior: Prior) -> Parameter:
+    """Return the parameter of theta that is a relative slope, which starts at zero or at the end of the prior."""
+    return Parameter(name, float(np.clip(0.0, *prior.support)), prior=prior)
+
+
+def law_of(how: Prior | Law) -> Law:
+    """Return the law; a prior stands for a straight line with this prior of its slope."""
+    return Polynomial([how]) if isinstance(how, Prior) else how
