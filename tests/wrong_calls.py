@@ -169,7 +169,7 @@ def calls(folder: Path) -> Iterator[Call]:
             "folder": folder,
         },
     )
-    yield Call("Damage", fmu.Damage, {"prior": fmu.HalfNormal(0.1)})
+    yield Call("Damage", fmu.Damage, {"prior": fmu.HalfNormal(0.1), "scatter": fmu.Population()})
     yield Call(
         "ElementGroup",
         fmu.ElementGroup,

@@ -156,8 +156,8 @@ SlopeTable = Annotated[
     Discriminator(_kind_of_slope),
 ]
 """A prior of a relative slope, a law, or the name of another parameter with the same law."""
-SETTINGS = {"population": "population", "damage": "loss"}
-"""For each value of ``varies`` with settings, the key of the settings."""
+SETTINGS = {"population": ("population", "damage"), "loss": ("damage",)}
+"""For each key with settings of a variation, the values of ``varies`` that it belongs to."""
 
 
 class ParameterTable(Uncertain, Target):
@@ -166,7 +166,7 @@ class ParameterTable(Uncertain, Target):
     varies: Literal["shared", "test", "group", "population", "damage"] | None = None
     """With [[tests]]: one value for all, one per test or group, values that scatter, or losses of later groups."""
     population: PopulationTable | None = None
-    """With varies = "population"."""
+    """With varies = "population"; or with "damage", if the undamaged value scatters from test to test."""
     slopes: dict[Name, SlopeTable] = {}
     """With [[tests]]: priors of relative slopes with covariates, such as { temperature = … } in 1/°C; or a law
     with kinks or powers; or the name of a parameter that has the same slopes."""
@@ -176,9 +176,10 @@ class ParameterTable(Uncertain, Target):
 
     @model_validator(mode="after")
     def _what_varies(self) -> Self:
-        for kind, key in SETTINGS.items():
-            if key in self.model_fields_set and self.varies != kind:
-                raise ArgumentError(key, f'must be given with varies = "{kind}"', self.varies)
+        for key, kinds in SETTINGS.items():
+            if key in self.model_fields_set and self.varies not in kinds:
+                ways = " or ".join(f'"{kind}"' for kind in kinds)
+                raise ArgumentError(key, f"must be given with varies = {ways}", self.varies)
         return self
 
     def variation(self) -> str | Variation | None:
@@ -186,7 +187,8 @@ class ParameterTable(Uncertain, Target):
         if self.varies == "population":
             return (self.population or PopulationTable()).build()
         if self.varies == "damage":
-            return Damage(None if self.loss is None else self.loss.build())
+            scatter = None if self.population is None else self.population.build()
+            return Damage(None if self.loss is None else self.loss.build(), scatter)
         return self.varies
 
     def laws(self) -> dict[str, Prior | Law | str]:

@@ -84,6 +84,19 @@ def test_populations_slopes_and_losses(tmp_path):
     assert problem.parameters[4].prior == fmu.Uniform()
 
 
+def test_a_loss_of_a_parameter_that_scatters(tmp_path):
+    sd = '{ distribution = "half-normal", sd = 0.1 }'
+    scatters = f'varies = "damage"\npopulation = {{ distribution = "log-normal", sd = {sd} }}\n'
+    tests = [PLAIN, PLAIN.replace("plain", "again"), LOADED.replace("beta = 1250.0", "sd = 0.02")]
+    problem = fmu.load(written(tmp_path, K1 + scatters, K2, *tests))
+    assert problem.names[:4] == ("k1 median", "k1 log sd", "k1 loss [new]", "k2")
+    assert problem.parameters[1].prior == fmu.HalfNormal(0.1)
+    shared = 'varies = "group"\npopulation = {}\n'
+    assert mistakes(written(tmp_path, K1 + shared, K2, *tests)) == [
+        'parameters.0.population: must be given with varies = "population" or "damage" (got \'group\')'
+    ]
+
+
 def test_every_mistake_at_its_place(tmp_path):
     wrong = PLAIN.replace("[4.4, 11.5]", "[4.4, 11.5, -1.0]")
     assert mistakes(written(tmp_path, K1, K2, wrong, LOADED)) == [

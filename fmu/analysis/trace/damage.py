@@ -94,6 +94,8 @@ def _reason_to_withhold(trace: xr.DataTree) -> str:
 def before_and_after(trace: xr.DataTree) -> pd.DataFrame:
     """Return the posterior means, in SI units, of every parameter that may have lost a share, before and after.
 
+    The value before is the mean over the tests in the reference.
+
     Returns
     -------
     pandas.DataFrame
@@ -102,11 +104,11 @@ def before_and_after(trace: xr.DataTree) -> pd.DataFrame:
     import pandas
 
     losses, tests = trace[LOSSES].to_dataset(), trace["tests"].to_dataset()
-    first = tests_in(trace, str(trace[LOSSES].attrs["reference"]))[0]
+    undamaged = tests_in(trace, str(trace[LOSSES].attrs["reference"]))
     rows: dict[tuple[str, str], tuple[float, float]] = {}
     for state in later_states(trace):
         for name in map(str, losses.data_vars):
-            before = tests[name].sel(test=first)
+            before = tests[name].sel(test=undamaged).mean("test")
             after = before * (1.0 - losses[name].sel(state=state))
             rows[state, name] = float(before.mean()), float(after.mean())
     index = pandas.MultiIndex.from_tuples(list(rows), names=["state", "parameter"])

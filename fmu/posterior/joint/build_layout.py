@@ -33,7 +33,7 @@ def build_layout(
         here = [t for t, test in enumerate(tests) if p.name not in test.known]
         value_of = varies[p.name].in_tests(p, j, theta, here)
         values_of.append(trends.add_to(value_of, p.name))
-    populations = {p.name: varies[p.name] for p in structural if varies[p.name].scatters}
+    populations = {p.name: one for p in structural if (one := varies[p.name].population) is not None}
     columns: tuple[int, ...] = ()
     if eta is not None:
         of_both = correlations(list(populations), eta)

@@ -237,7 +237,7 @@ def find_mistakes(
     if tests and reference not in groups:
         found.append(f"reference: must be the group of a test (got {reference!r})")
     if correlation is not None:
-        n = sum(varies[name].scatters for name in names)
+        n = sum(varies[name].population is not None for name in names)
         if n < 2:
             found.append(f"correlation: needs two parameters or more with a population (got {n})")
         if not 0.0 < correlation < np.inf:

@@ -107,7 +107,7 @@ class Layout:
     def losses(self, theta: FloatArray) -> FloatArray:
         """Return the losses 1 − θ/θ_reference of the parameters in `by_state`, shape (n, n_states, n_by_state).
 
-        The losses do not include trends with covariates.
+        The losses do not include trends with covariates, nor scatter between tests.
 
         Parameters
         ----------
@@ -125,8 +125,7 @@ class Layout:
         found = []
         for parameter, value_of in zip(self.structural, self.values_of, strict=True):
             if parameter.name in self.by_state:
-                value = value_of.base(theta)[0]
-                found.append(1.0 - value[:, later] / value[:, [reference]])
+                found.append(np.stack([value_of.loss(theta, test, reference) for test in later], axis=1))
         return np.stack(found, axis=2)
 
     def correlations(self, theta: FloatArray) -> FloatArray:

@@ -60,7 +60,7 @@ class InTests:
 
     @property
     def base(self) -> InTests:
-        """The parameter without its trends; the parameter itself if it has no trends."""
+        """The parameter without its trends and losses; the parameter itself if it has none."""
         return self
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
@@ -78,6 +78,11 @@ class InTests:
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
         """Return the values (n,) at theta (n, n_parameters) in a further test that resembles test `like`."""
         return self(theta)[0][:, like]
+
+    def loss(self, theta: FloatArray, test: int, reference: int) -> FloatArray:
+        """Return the relative loss (n,) in a test since a test in the reference, without trends and scatter."""
+        value = self(theta)[0]
+        return np.asarray(1.0 - value[:, test] / value[:, reference])
 
     def refer_to(self, references: Mapping[int, tuple[FloatArray, tuple[float, float]]]) -> InTests:
         """Return the parameter with another centring and reference of its scores; itself if it has no scores.
@@ -159,17 +164,19 @@ class Varies:
 
     Attributes
     ----------
-    scatters : bool
-        Whether the values are draws from a population, which may be correlated with other populations.
     by_test : bool
         Whether the values differ from test to test, so that at least two tests are needed.
     by_group : bool
         Whether the values differ between groups of tests, so that groups other than the reference have losses.
     """
 
-    scatters: ClassVar[bool] = False
     by_test: ClassVar[bool] = False
     by_group: ClassVar[bool] = False
+
+    @property
+    def population(self) -> Varies | None:
+        """The population from which values are drawn, which may be correlated with others; None without one."""
+        return None
 
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
         """Return a list of messages that say what the tests lack for the parameter `name` to vary in this way."""

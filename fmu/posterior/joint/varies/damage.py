@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
-from typing import ClassVar
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
 
 import numpy as np
 
 from fmu.arguments import check_arguments
-from fmu.posterior.joint.varies.base import InTests, Slope, Theta, Varies
+from fmu.posterior.joint.modal_test import Test
+from fmu.posterior.joint.varies.base import Future, InTests, Slope, Theta, Varies
+from fmu.posterior.joint.varies.population import Population
+from fmu.posterior.joint.varies.taken import Taken
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal, Prior
 from fmu.types import BoolArray, FloatArray, IntArray, Plain
@@ -27,6 +30,9 @@ class Damage(Varies):
     gain. Negative losses are allowed because noise produces them where there is no damage; without them the losses
     would be biased upwards.
 
+    Where the undamaged value itself scatters from test to test, θ_t = F⁻¹(Φ(z_t)) (1 − d) with the population F of
+    the undamaged values (`Population`).
+
     Attributes
     ----------
     prior : Prior, optional
@@ -35,19 +41,32 @@ class Damage(Varies):
         that a parameter is damaged: this prior shrinks small losses to zero and hardly changes large losses. (A
         horseshoe prior also does this, with inferred scales. With precise tests the scales depend so strongly on
         the losses that HMC did not converge.)
+    scatter : Population, optional
+        Population of the undamaged values in the tests. By default all tests of a group have the same value.
     """
 
     prior: Prior | None = None
+    scatter: Population | None = None
     by_group: ClassVar[bool] = True
 
+    @property
+    def population(self) -> Population | None:
+        """The distribution of the undamaged values over the tests; None if they are equal."""
+        return self.scatter
+
+    def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
+        """Return a list of messages that say what the tests lack for the parameter `name` to vary in this way."""
+        found = super().find_mistakes(name, tests)
+        return found if self.scatter is None else found + self.scatter.find_mistakes(name, tests)
+
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> Lost:
-        """Add the reference value and one loss per other group to theta; return the values in the tests."""
-        column = theta.add(p, "group", of, theta.reference)
+        """Add the undamaged value and one loss per other group to theta; return the values in the tests."""
         groups = [test.group for test in theta.tests]
+        undamaged = undamaged_in_tests(self.scatter, p, of, theta, here)
         states = dict.fromkeys(group for group in groups if group != theta.reference)
         numbers = {state: theta.add(self.loss(p, state), "loss", of, state) for state in states}
-        losses = np.array([numbers.get(group, column) for group in groups])
-        return Lost(column, losses, np.array([group != theta.reference for group in groups]))
+        losses = np.array([numbers.get(group, 0) for group in groups])
+        return Lost(undamaged, losses, np.array([group != theta.reference for group in groups]))
 
     def loss(self, of: Parameter, state: str) -> Parameter:
         """Return the parameter of theta that is the loss of the parameter `of` in a state."""
@@ -57,7 +76,19 @@ class Damage(Varies):
 
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of the settings, in plain Python types."""
-        return {"prior": None if self.prior is None else self.prior.as_dict()}
+        return {
+            "prior": None if self.prior is None else self.prior.as_dict(),
+            "scatter": None if self.scatter is None else self.scatter.as_dict(),
+        }
+
+
+def undamaged_in_tests(
+    scatter: Population | None, p: Parameter, of: int, theta: Theta, here: Sequence[int]
+) -> InTests:
+    """Add the undamaged value, or its population, to theta; return the undamaged values in the tests."""
+    if scatter is not None:
+        return scatter.in_tests(p, of, theta, here)
+    return Taken(np.full(len(theta.tests), theta.add(p, "group", of, theta.reference)))
 
 
 @dataclass(frozen=True)
@@ -66,33 +97,53 @@ class Lost(InTests):
 
     Attributes
     ----------
-    column : int
-        Index in theta of θ₀, the reference value.
+    of : InTests
+        θ₀, the undamaged value in each test.
     losses : ndarray of int, shape (n_tests,)
-        Index in theta of the loss d in each test; `column` for a test in the reference.
+        Index in theta of the loss d in each test; 0 for a test in the reference.
     is_lost : ndarray of bool, shape (n_tests,)
         Whether the test has a loss; False in the reference.
     """
 
-    column: int
+    of: InTests
     losses: IntArray
     is_lost: BoolArray
 
+    @property
+    def base(self) -> InTests:
+        """The undamaged parameter."""
+        return self.of
+
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
         """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
-        loss = np.where(self.is_lost, theta[:, self.losses], 0.0)
-        columns = np.full_like(self.losses, self.column)
-        base = theta[:, columns]
-        by_loss = np.where(self.is_lost, -base, 0.0)
-        return base * (1.0 - loss), [Slope(columns, 1.0 - loss), Slope(self.losses, by_loss)]
+        undamaged, slopes = self.of(theta)
+        kept = 1.0 - np.where(self.is_lost, theta[:, self.losses], 0.0)
+        by_loss = Slope(self.losses, np.where(self.is_lost, -undamaged, 0.0))
+        return undamaged * kept, [*(Slope(one.columns, one.values * kept) for one in slopes), by_loss]
+
+    def loss(self, theta: FloatArray, test: int, reference: int) -> FloatArray:
+        """Return the relative loss (n,) in a test since a test in the reference."""
+        return theta[:, self.losses[test]]
 
     def identity(self, test: int) -> Hashable:
         """Return a key that is equal for two tests if the value in them is equal at every theta."""
-        return int(self.losses[test])
+        return self.of.identity(test), int(self.losses[test]), bool(self.is_lost[test])
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return lower and upper limits of the values, (n_tests,) each, for limits of theta (n_parameters,)."""
-        ends = np.array([lower[self.column], upper[self.column]])
         kept = np.where(self.is_lost, 1.0 - np.stack([lower[self.losses], upper[self.losses]]), 1.0)
-        corners = ends[:, None, None] * kept
+        corners = np.stack(self.of.box(lower, upper))[:, None] * kept
         return corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+
+    def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
+        """Return the values (n,) in a further test, with the loss of the group of test `like`."""
+        undamaged = self.of.next_test(theta, like, future)
+        return undamaged * (1.0 - theta[:, self.losses[like]]) if self.is_lost[like] else undamaged
+
+    def after(self, n: int) -> Self:
+        """Return the parameter with the indices of its scores increased by `n`."""
+        return replace(self, of=self.of.after(n))
+
+    def refer_to(self, references: Mapping[int, tuple[FloatArray, tuple[float, float]]]) -> Self:
+        """Return the parameter with another centring and reference of its scores."""
+        return replace(self, of=self.of.refer_to(references))

@@ -64,12 +64,16 @@ class Population(Varies):
 
     distribution: Literal["normal", "log-normal"] = "normal"
     sd: Prior | None = None
-    scatters: ClassVar[bool] = True
     by_test: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if self.distribution not in ("normal", "log-normal"):
             raise ValueError(f"distribution: must be normal or log-normal (got {self.distribution!r})")
+
+    @property
+    def population(self) -> Population:
+        """The population itself."""
+        return self
 
     @property
     def of_logarithm(self) -> bool:

@@ -48,8 +48,8 @@ class Trend(InTests):
 
     @property
     def base(self) -> InTests:
-        """The parameter without trends: its value if every covariate has its mean over the tests."""
-        return self.of
+        """The parameter without its trends and losses."""
+        return self.of.base
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
         """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
@@ -63,6 +63,10 @@ class Trend(InTests):
             if covariate.is_inferred.any():
                 found.append(Slope(covariate.columns, np.where(covariate.is_inferred, value * by_x, 0.0)))
         return value * factor, [*(Slope(one.columns, one.values * factor) for one in slopes), *found]
+
+    def loss(self, theta: FloatArray, test: int, reference: int) -> FloatArray:
+        """Return the relative loss (n,) in a test since a test in the reference, without trends and scatter."""
+        return self.of.loss(theta, test, reference)
 
     def identity(self, test: int) -> Hashable:
         """Return a key that is equal for two tests if the value in them is equal at every theta."""

@@ -5,6 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import fmu
+from fmu.analysis.fit.check import POPULATION
+from fmu.analysis.fit.model_fit import model_fit
 from tests.gradients import assert_gradient
 from tests.shear_building import frequencies_hz, shear_building
 
@@ -87,3 +89,65 @@ def test_a_spike_and_slab_pulls_small_losses_to_nothing(building):
     assert (sparse.loc[others, "sd"] < 0.6 * plain.loc[others, "sd"]).all()
     assert abs(sparse.loc["k2", "mean"] - plain.loc["k2", "mean"]) < 0.5 * plain.loc["k2", "sd"]
     assert sparse.loc["k2", "P(loss > 1 %)"] > 0.99
+
+
+def scattering(seed=1, n=16, loss=0.08, scatter=0.02, noise=1e-3):
+    """Return a campaign on two storeys, of which the lower scatters and loses a share in the second half."""
+    rng, tests = np.random.default_rng(seed), []
+    two = shear_building(["k1", "k2"], 2e6, 1000.0)
+    for t in range(n):
+        k1 = (1 + scatter * rng.standard_normal()) * (1 - loss * (t >= n // 2))
+        f = frequencies_hz(two, [k1, 1.0])[0] * (1 + noise * rng.standard_normal(2))
+        tests.append(fmu.Test(f"t{t}", fmu.ModalData(f, sd_hz=noise * f), "old" if t < n // 2 else "new"))
+    parameters = [fmu.Parameter(name, 1.0, 0.5, 1.5) for name in ("k1", "k2")]
+    return two, tests, parameters
+
+
+SCATTERS = {
+    name: fmu.Damage(scatter=fmu.Population(name, sd=fmu.HalfNormal(0.05))) for name in ("normal", "log-normal")
+}
+
+
+@pytest.mark.parametrize("damage", SCATTERS.values(), ids=SCATTERS)
+@pytest.mark.parametrize("noise", [0.001, 0.1], ids=["centred", "not centred"])
+def test_a_loss_of_a_parameter_that_scatters(damage, noise):
+    problem = fmu.JointProblem(
+        *scattering(noise=noise, n=6), varies={"k1": damage}, pairing="index", reduction=False
+    )
+    kind = ("mean", "sd") if damage.scatter.distribution == "normal" else ("median", "log sd")
+    assert problem.names[:4] == (*(f"k1 {one}" for one in kind), "k1 loss [new]", "k2")
+    assert problem.names[4:] == tuple(f"k1 score [t{t}]" for t in range(6))
+    assert np.all(problem.layout.drawn[0].centring > 0.1) == (noise < 0.01)
+    theta = 0.7 * problem.start + 0.3 * problem.sample_prior(np.random.default_rng(1), 5)
+    undamaged = theta.copy()
+    undamaged[:, 2] = 0.0
+    kept = np.repeat([[1.0] * 3 + [0.0] * 3], 5, axis=0) + np.outer(1 - theta[:, 2], [0.0] * 3 + [1.0] * 3)
+    assert_allclose(problem.values(theta)[:, :, 0], problem.values(undamaged)[:, :, 0] * kept, rtol=1e-12)
+    assert_allclose(problem.layout.losses(theta)[:, 0, 0], theta[:, 2], rtol=0)
+    gradient = problem.log_prob_and_grad(theta)[1]
+    assert_gradient(gradient, problem.log_prob, theta, 1e-6 * problem.scale, rtol=1e-4, of_largest=1e-5)
+    rng = np.random.default_rng(3)
+    of_state = [problem.layout.of_next_test(theta, np.random.default_rng(3), t, {})[:, 0] for t in (0, 5)]
+    assert_allclose(of_state[1], of_state[0] * (1 - theta[:, 2]), rtol=1e-12)
+    prior = problem.values(problem.sample_prior(rng, 2000))[:, :, 0]
+    low, high = problem.layout.box()
+    assert np.mean((prior >= low[:, 0]) & (prior <= high[:, 0])) > 0.995
+
+
+def test_the_loss_of_a_parameter_that_scatters_is_recovered():
+    problem = fmu.JointProblem(*scattering(n=10), varies={"k1": SCATTERS["normal"]}, pairing="index")
+    trace = fmu.sample(problem, draws=300, warmup=300, seed=2)
+    loss = trace["loss"]["k1"].to_numpy()
+    assert abs(loss.mean() - 0.08) < 4 * loss.std()
+    assert 0.5 < loss.std() / (0.02 * np.sqrt(1 / 5 + 1 / 5)) < 2.0  # of the difference of two means of 5
+    table = fmu.damage(trace)
+    assert table.loc[("new", "k1"), "P(loss > 5 %)"] > 0.9
+    (of_k1,) = (check for check in model_fit(trace).checks if check.kind == POPULATION)
+    assert not of_k1.failed  # the loss is no dependence of the population on the group
+
+
+def test_a_parameter_that_scatters_needs_two_tests():
+    two, tests, parameters = scattering(n=3)
+    known = [fmu.Test(t.name, t.data, t.group, known={"k1": 1.0} if t.name != "t0" else {}) for t in tests]
+    with pytest.raises(ValueError, match=r"varies\.k1: varies by test, and needs two tests or more"):
+        fmu.JointProblem(two, known, parameters, varies={"k1": SCATTERS["normal"]}, pairing="index")
