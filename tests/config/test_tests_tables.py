@@ -93,7 +93,7 @@ def test_a_loss_of_a_parameter_that_scatters(tmp_path):
     assert problem.parameters[1].prior == fmu.HalfNormal(0.1)
     shared = 'varies = "group"\npopulation = {}\n'
     assert mistakes(written(tmp_path, K1 + shared, K2, *tests)) == [
-        'parameters.0.population: must be given with varies = "population" or "damage" (got \'group\')'
+        'parameters.0.population: must be given with varies = "population" or "damage" (got group)'
     ]
 
 
