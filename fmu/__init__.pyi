@@ -56,6 +56,7 @@ from .posterior.joint.varies.damage import Damage as Damage
 from .posterior.joint.varies.laws import PiecewiseLinear as PiecewiseLinear
 from .posterior.joint.varies.laws import Polynomial as Polynomial
 from .posterior.joint.varies.population import Population as Population
+from .posterior.joint.varies.undated import UndatedDamage as UndatedDamage
 from .posterior.parameters import Parameter as Parameter
 from .posterior.priors.base import Normal as Normal
 from .posterior.priors.base import Uniform as Uniform

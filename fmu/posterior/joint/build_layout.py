@@ -49,6 +49,7 @@ def build_layout(
         (*theta.roles, *theta.roles_of_scores),
         reference,
         as_dicts(slopes),
+        tuple(p.name for p in structural if varies[p.name].by_date),
     )
     if eta is None:
         return layout

@@ -63,12 +63,13 @@ def JointProblem(  # capitalised because it constructs a problem
     tests : sequence of Test
     parameters : sequence of Parameter
         Parameters of the model, in the same order as for a single test.
-    varies : mapping of str to {"shared", "test", "group"}, Population or Damage
+    varies : mapping of str to {"shared", "test", "group"}, Population, Damage or UndatedDamage
         How each parameter varies between the tests, by the parameter's name. Parameters without an entry are
         ``"shared"``. ``"test"`` or ``"group"``: each test, or each group of tests, has its own value, with the
         parameter's prior. `Population`: the values in the tests scatter about a common mean (hierarchical
         updating; Behmanesh, Moaveni, Lombaert & Papadimitriou 2015, *Mech. Syst. Signal Process.* 64–65,
         360–376). `Damage`: in groups other than the reference, the parameter is reduced by a relative loss.
+        `UndatedDamage`: the loss begins at an unknown date.
     slopes : mapping of str to mapping of str to Prior, Polynomial, PiecewiseLinear or str
         How a parameter depends on covariates x_k, by the names of the parameter and the covariate. The value in a
         test is multiplied by 1 + Σ_k g_k(x_k). A prior is that of the relative slope b: g(x) = b (x − x₀), where

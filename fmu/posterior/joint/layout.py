@@ -47,6 +47,8 @@ class Layout:
         The group of tests that losses refer to.
     slopes : dict
         How parameters depend on covariates, in plain Python types.
+    by_date : tuple of str
+        Names of the structural parameters with a loss from an unknown date on.
     """
 
     structural: tuple[Parameter, ...]
@@ -59,6 +61,7 @@ class Layout:
     roles: tuple[Role, ...] = ()
     reference: str = ""
     slopes: Mapping[str, Plain] = field(default_factory=dict)
+    by_date: tuple[str, ...] = ()
 
     @classmethod
     def of_one(cls, parameters: Sequence[Parameter], data: ModalData) -> Layout:
@@ -125,8 +128,17 @@ class Layout:
         found = []
         for parameter, value_of in zip(self.structural, self.values_of, strict=True):
             if parameter.name in self.by_state:
-                found.append(np.stack([value_of.loss(theta, test, reference) for test in later], axis=1))
+                found.append(value_of.losses(theta, reference)[:, later])
         return np.stack(found, axis=2)
+
+    def losses_by_test(self, theta: FloatArray) -> FloatArray:
+        """Return the losses in each test of the parameters in `by_date`, shape (n, n_tests, n_by_date)."""
+        of = [
+            value_of.losses(theta, 0)
+            for parameter, value_of in zip(self.structural, self.values_of, strict=True)
+            if parameter.name in self.by_date
+        ]
+        return np.stack(of, axis=2)
 
     def correlations(self, theta: FloatArray) -> FloatArray:
         """Return the correlation matrices of the populations, (n, n_populations, n_populations), at n theta."""

@@ -167,7 +167,7 @@ def test_every_mistake_is_told_with_its_place(building):
         "tests.2.known: must name parameters among k1, k2 (got 'k9')",
         "tests.2.labels: must have a mode in common with another test (got p, q)",
         "tests.2.group: must be given, as k1 varies by group (got none)",
-        "varies.k2: must be one of shared, test, group, a Population or Damage (got 'tset')",
+        "varies.k2: must be one of shared, test, group, a Population or Damage or UndatedDamage (got 'tset')",
         "tests.1.covariates: must have temperature, on which k2 depends (got none)",
         "tests.2.covariates: must have temperature, on which k2 depends (got none)",
     )

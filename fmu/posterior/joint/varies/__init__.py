@@ -8,10 +8,11 @@ from fmu.posterior.joint.varies.base import Varies
 from fmu.posterior.joint.varies.damage import Damage
 from fmu.posterior.joint.varies.population import Population
 from fmu.posterior.joint.varies.taken import SHARED, ByGroup, ByTest, Shared
+from fmu.posterior.joint.varies.undated import UndatedDamage
 
 VARIES: dict[str, Varies] = {SHARED: Shared(), "test": ByTest(), "group": ByGroup()}
 """Mapping from the name to the kind of variation, for the kinds without settings."""
-Variation = Population | Damage
+Variation = Population | Damage | UndatedDamage
 """The kinds of variation with settings."""
 
 

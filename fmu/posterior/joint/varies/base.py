@@ -25,14 +25,15 @@ class Role(NamedTuple):
     kind : str
         ``"shared"``, ``"test"`` or ``"group"``: the value in all tests, in one test or in a group of tests;
         ``"mean"`` or ``"sd"``: the mean or standard deviation of a population; ``"score"``: the score of a test in
-        a population; ``"loss"``: the relative loss of a group; ``"slope"`` or ``"kink"``: the slope with a
-        covariate, or the place where it changes; ``"covariate"``: the value of a covariate in a test;
-        ``"correlation"``: a partial correlation of two populations; ``"noise"``: an inferred standard deviation of
-        the errors.
+        a population; ``"loss"``: the relative loss of a group, or since an event; ``"date"``: the date of an
+        event; ``"slope"`` or ``"kink"``: the slope with a covariate, or the place where it changes;
+        ``"covariate"``: the value of a covariate in a test; ``"correlation"``: a partial correlation of two
+        populations; ``"noise"``: an inferred standard deviation of the errors.
     of : int or None
-        Index into ``layout.structural`` of the parameter of the structure; None for correlations and covariates.
+        Index into ``layout.structural`` of the parameter of the structure; None for correlations, covariates and
+        dates.
     where : str
-        Name of the test, group or covariate, if the role refers to one; otherwise empty.
+        Name of the test, group, covariate or event, if the role refers to one; otherwise empty.
     """
 
     kind: str
@@ -79,10 +80,10 @@ class InTests:
         """Return the values (n,) at theta (n, n_parameters) in a further test that resembles test `like`."""
         return self(theta)[0][:, like]
 
-    def loss(self, theta: FloatArray, test: int, reference: int) -> FloatArray:
-        """Return the relative loss (n,) in a test since a test in the reference, without trends and scatter."""
+    def losses(self, theta: FloatArray, reference: int) -> FloatArray:
+        """Return the relative losses (n, n_tests) since the test `reference`, without trends and scatter."""
         value = self(theta)[0]
-        return np.asarray(1.0 - value[:, test] / value[:, reference])
+        return np.asarray(1.0 - value / value[:, [reference]])
 
     def refer_to(self, references: Mapping[int, tuple[FloatArray, tuple[float, float]]]) -> InTests:
         """Return the parameter with another centring and reference of its scores; itself if it has no scores.
@@ -152,6 +153,22 @@ class Theta:
         self.roles.append(Role(kind, of, where))
         return len(self.main) - 1
 
+    def add_common(self, parameter: Parameter, kind: str, where: str) -> int:
+        """Add a parameter that several structural parameters may have in common; return its index in theta.
+
+        Raises
+        ------
+        ValueError
+            If another parameter of theta has its name.
+        """
+        same = [k for k, other in enumerate(self.main) if other.name == parameter.name]
+        if not same:
+            return self.add(parameter, kind, None, where)
+        if self.main[same[0]] != parameter or self.roles[same[0]] != Role(kind, None, where):
+            rule = "must have the same prior and growth for all parameters, or another event (got two)"
+            raise ValueError(f"varies: {parameter.name} {rule}")
+        return same[0]
+
     def add_score(self, parameter: Parameter, of: int, where: str) -> int:
         """Add the score of a test; return the index of the score among the scores."""
         self.scores.append(parameter)
@@ -168,10 +185,13 @@ class Varies:
         Whether the values differ from test to test, so that at least two tests are needed.
     by_group : bool
         Whether the values differ between groups of tests, so that groups other than the reference have losses.
+    by_date : bool
+        Whether there is a loss from an unknown date on, so that each test has a loss.
     """
 
     by_test: ClassVar[bool] = False
     by_group: ClassVar[bool] = False
+    by_date: ClassVar[bool] = False
 
     @property
     def population(self) -> Varies | None:

@@ -64,15 +64,12 @@ class Damage(Varies):
         groups = [test.group for test in theta.tests]
         undamaged = undamaged_in_tests(self.scatter, p, of, theta, here)
         states = dict.fromkeys(group for group in groups if group != theta.reference)
-        numbers = {state: theta.add(self.loss(p, state), "loss", of, state) for state in states}
-        losses = np.array([numbers.get(group, 0) for group in groups])
-        return Lost(undamaged, losses, np.array([group != theta.reference for group in groups]))
-
-    def loss(self, of: Parameter, state: str) -> Parameter:
-        """Return the parameter of theta that is the loss of the parameter `of` in a state."""
-        prior = Normal(_SD) if self.prior is None else self.prior
-        start = float(np.clip(0.0, max(_LOWEST, prior.support[0]), min(_HIGHEST, prior.support[1])))
-        return Parameter(f"{of.name} loss [{state}]", start, _LOWEST, _HIGHEST, prior)
+        numbers = {
+            state: theta.add(loss_parameter(f"{p.name} loss [{state}]", self.prior), "loss", of, state)
+            for state in states
+        }
+        columns = np.array([numbers.get(group, 0) for group in groups])
+        return Lost(undamaged, columns, np.array([group != theta.reference for group in groups]))
 
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of the settings, in plain Python types."""
@@ -80,6 +77,13 @@ class Damage(Varies):
             "prior": None if self.prior is None else self.prior.as_dict(),
             "scatter": None if self.scatter is None else self.scatter.as_dict(),
         }
+
+
+def loss_parameter(name: str, prior: Prior | None) -> Parameter:
+    """Return a parameter of theta that is a relative loss; see `Damage` for the default prior."""
+    prior = Normal(_SD) if prior is None else prior
+    start = float(np.clip(0.0, max(_LOWEST, prior.support[0]), min(_HIGHEST, prior.support[1])))
+    return Parameter(name, start, _LOWEST, _HIGHEST, prior)
 
 
 def undamaged_in_tests(
@@ -99,46 +103,46 @@ class Lost(InTests):
     ----------
     of : InTests
         θ₀, the undamaged value in each test.
-    losses : ndarray of int, shape (n_tests,)
+    columns : ndarray of int, shape (n_tests,)
         Index in theta of the loss d in each test; 0 for a test in the reference.
     is_lost : ndarray of bool, shape (n_tests,)
         Whether the test has a loss; False in the reference.
     """
 
     of: InTests
-    losses: IntArray
+    columns: IntArray
     is_lost: BoolArray
 
     @property
     def base(self) -> InTests:
         """The undamaged parameter."""
-        return self.of
+        return self.of.base
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
         """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
         undamaged, slopes = self.of(theta)
-        kept = 1.0 - np.where(self.is_lost, theta[:, self.losses], 0.0)
-        by_loss = Slope(self.losses, np.where(self.is_lost, -undamaged, 0.0))
+        kept = 1.0 - np.where(self.is_lost, theta[:, self.columns], 0.0)
+        by_loss = Slope(self.columns, np.where(self.is_lost, -undamaged, 0.0))
         return undamaged * kept, [*(Slope(one.columns, one.values * kept) for one in slopes), by_loss]
 
-    def loss(self, theta: FloatArray, test: int, reference: int) -> FloatArray:
-        """Return the relative loss (n,) in a test since a test in the reference."""
-        return theta[:, self.losses[test]]
+    def losses(self, theta: FloatArray, reference: int) -> FloatArray:
+        """Return the relative losses (n, n_tests) in the tests, since a test in the reference."""
+        return np.where(self.is_lost, theta[:, self.columns], 0.0)
 
     def identity(self, test: int) -> Hashable:
         """Return a key that is equal for two tests if the value in them is equal at every theta."""
-        return self.of.identity(test), int(self.losses[test]), bool(self.is_lost[test])
+        return self.of.identity(test), int(self.columns[test]), bool(self.is_lost[test])
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return lower and upper limits of the values, (n_tests,) each, for limits of theta (n_parameters,)."""
-        kept = np.where(self.is_lost, 1.0 - np.stack([lower[self.losses], upper[self.losses]]), 1.0)
+        kept = np.where(self.is_lost, 1.0 - np.stack([lower[self.columns], upper[self.columns]]), 1.0)
         corners = np.stack(self.of.box(lower, upper))[:, None] * kept
         return corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
         """Return the values (n,) in a further test, with the loss of the group of test `like`."""
         undamaged = self.of.next_test(theta, like, future)
-        return undamaged * (1.0 - theta[:, self.losses[like]]) if self.is_lost[like] else undamaged
+        return undamaged * (1.0 - theta[:, self.columns[like]]) if self.is_lost[like] else undamaged
 
     def after(self, n: int) -> Self:
         """Return the parameter with the indices of its scores increased by `n`."""

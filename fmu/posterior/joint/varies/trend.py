@@ -64,9 +64,9 @@ class Trend(InTests):
                 found.append(Slope(covariate.columns, np.where(covariate.is_inferred, value * by_x, 0.0)))
         return value * factor, [*(Slope(one.columns, one.values * factor) for one in slopes), *found]
 
-    def loss(self, theta: FloatArray, test: int, reference: int) -> FloatArray:
-        """Return the relative loss (n,) in a test since a test in the reference, without trends and scatter."""
-        return self.of.loss(theta, test, reference)
+    def losses(self, theta: FloatArray, reference: int) -> FloatArray:
+        """Return the relative losses (n, n_tests) since the test `reference`, without trends and scatter."""
+        return self.of.losses(theta, reference)
 
     def identity(self, test: int) -> Hashable:
         """Return a key that is equal for two tests if the value in them is equal at every theta."""

@@ -1,0 +1,224 @@
+"""A loss of a parameter from an unknown date on, at once or growing."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import numpy as np
+
+from fmu.arguments import ArgumentError, check_arguments
+from fmu.posterior.joint.modal_test import Test
+from fmu.posterior.joint.varies.base import Future, InTests, Slope, Theta, Varies
+from fmu.posterior.joint.varies.damage import loss_parameter
+from fmu.posterior.joint.varies.population import Population
+from fmu.posterior.joint.varies.taken import SHARED, Taken
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors.base import Prior, Uniform
+from fmu.types import FloatArray, Plain
+
+_FEWEST = 3
+
+
+@check_arguments
+@dataclass(frozen=True)
+class UndatedDamage(Varies):
+    """A parameter that loses a share d from an unknown date τ on: θ_t = θ₀ (1 − d r_t(τ)).
+
+    Damage at once: r_t(τ) = clip((x_t − τ) / (x_t − x_{t−1}), 0, 1), where x_t is the time of the test and x_{t−1}
+    that of the test before it. Each test before τ has no loss and each test after τ the whole loss, except for the
+    first test after τ. In this test the loss rises from 0 to d while τ falls from x_t to x_{t−1}. With a sharp
+    step the density would be constant in τ between tests, and no gradient would lead to the date. The ramp makes
+    the log-density continuous, with a derivative everywhere but at the times of tests; where τ is the time of a
+    test it is the sharp step.
+
+    Growing damage: r_t(τ) = max(0, x_t − τ) / (x_n − τ), where x_n is the time of the last test. The loss grows
+    linearly from τ on, and d is the loss in the last test.
+
+    The date is uniform a priori between the first test and the last, or the last but one for growing damage. A
+    loss near zero means no damage; the date then has its prior distribution. Change points with a uniform prior:
+    Carlin, Gelfand & Smith 1992, *J. R. Stat. Soc. C* 41, 389–405.
+
+    Attributes
+    ----------
+    prior : Prior, optional
+        Prior of the loss d, as of `Damage`.
+    by : str
+        The covariate that is the time, such as ``"day"``. By default the tests were made at times 1, 2, … in their
+        order.
+    grows : bool
+        Whether the loss grows linearly from the date on.
+    date : Prior, optional
+        Prior of the date, in the unit of the time.
+    event : str
+        Name of the event. Parameters with the same event have the same date, named ``"day of damage"`` after the
+        time and the event, or ``"test of damage"`` in the order of the tests.
+    scatter : Population, optional
+        Population of the undamaged values in the tests. By default all tests have the same undamaged value.
+
+    Raises
+    ------
+    ValueError
+        If the event has no name.
+    """
+
+    prior: Prior | None = None
+    by: str = ""
+    grows: bool = False
+    date: Prior | None = None
+    event: str = "damage"
+    scatter: Population | None = None
+    by_date: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        if not self.event:
+            raise ArgumentError("event", "must not be empty", repr(self.event))
+
+    @property
+    def population(self) -> Population | None:
+        """The distribution of the undamaged values over the tests; None if they are equal."""
+        return self.scatter
+
+    def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
+        """Return a list of messages that say what the tests lack for the parameter `name` to vary in this way."""
+        found = [] if self.scatter is None else self.scatter.find_mistakes(name, tests)
+        if self.by:
+            rule = f"must have {self.by} as a number, which is the time of the damage of {name}"
+            given = [test.covariates.get(self.by) for test in tests]
+            wrong = [t for t, x in enumerate(given) if x is None or isinstance(x, Prior)]
+            if wrong:
+                return found + [f"tests.{t}.covariates: {rule} (got {given[t]})" for t in wrong]
+        times = np.unique(self.times(tests))
+        if len(times) < _FEWEST:
+            rule = f"the date of a damage needs tests at {_FEWEST} times or more"
+            found.append(f"varies.{name}: {rule} (got {len(times)})")
+        elif self.date is not None and not np.isfinite(self.date.log_mass(*self._range(times))):
+            first, last = self._range(times)
+            rule = f"the date must have a probability between {first:g} and {last:g}"
+            found.append(f"varies.{name}: {rule} (got none)")
+        return found
+
+    def times(self, tests: Sequence[Test]) -> FloatArray:
+        """Return the times of the tests, (n_tests,)."""
+        if not self.by:
+            return np.arange(1.0, len(tests) + 1.0)
+        return np.array([test.covariates[self.by] for test in tests], dtype=float)
+
+    def _range(self, times: FloatArray) -> tuple[float, float]:
+        """Return the earliest and the latest date; `times` ascend."""
+        return float(times[0]), float(times[-2 if self.grows else -1])
+
+    def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> LostFrom:
+        """Add the undamaged value, the loss and the date to theta; return the values in the tests."""
+        if self.scatter is None:
+            undamaged: InTests = Taken(np.full(len(theta.tests), theta.add(p, SHARED, of)))
+        else:
+            undamaged = self.scatter.in_tests(p, of, theta, here)
+        loss = theta.add(loss_parameter(f"{p.name} loss", self.prior), "loss", of, self.event)
+        times = self.times(theta.tests)
+        first, last = self._range(np.unique(times))
+        prior = Uniform() if self.date is None else self.date
+        middle = float(prior.quantile(np.array([0.5]), first, last)[0])
+        name = f"{self.by or 'test'} of {self.event}"
+        date = theta.add_common(Parameter(name, middle, first, last, prior), "date", self.event)
+        return LostFrom(undamaged, loss, date, times, self.grows, self.by)
+
+    def as_dict(self) -> dict[str, Plain]:
+        """Return a dict of the settings, in plain Python types."""
+        return {
+            "prior": None if self.prior is None else self.prior.as_dict(),
+            "by": self.by,
+            "grows": self.grows,
+            "date": None if self.date is None else self.date.as_dict(),
+            "event": self.event,
+            "scatter": None if self.scatter is None else self.scatter.as_dict(),
+        }
+
+
+@dataclass(frozen=True)
+class LostFrom(InTests):
+    """A structural parameter with a loss from a date on: θ = θ₀ (1 − d r(τ)); see `UndatedDamage`.
+
+    Attributes
+    ----------
+    of : InTests
+        θ₀, the undamaged value in each test.
+    column, date : int
+        Indices in theta of the loss d and of the date τ.
+    times : ndarray, shape (n_tests,)
+        The time of each test.
+    grows : bool
+        Whether the loss grows from the date on.
+    by : str
+        The covariate that is the time; empty for the order of the tests.
+    """
+
+    of: InTests
+    column: int
+    date: int
+    times: FloatArray
+    grows: bool
+    by: str
+
+    @property
+    def base(self) -> InTests:
+        """The undamaged parameter."""
+        return self.of.base
+
+    def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
+        """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
+        undamaged, slopes = self.of(theta)
+        loss, n = theta[:, [self.column]], len(self.times)
+        share, by_date = self._share(theta, self.times)
+        kept = 1.0 - loss * share
+        return undamaged * kept, [
+            *(Slope(one.columns, one.values * kept) for one in slopes),
+            Slope(np.full(n, self.column), -undamaged * share),
+            Slope(np.full(n, self.date), -undamaged * loss * by_date),
+        ]
+
+    def _share(self, theta: FloatArray, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the shares r of the loss at some times, (n, n_times), and their derivatives by the date."""
+        since = times - theta[:, [self.date]]
+        if self.grows:
+            whole = self.times.max() - theta[:, [self.date]]
+            return np.maximum(since, 0.0) / whole, np.where(since > 0.0, (since - whole) / whole**2, 0.0)
+        width = (
+            times
+            - np.concatenate([[-np.inf], np.unique(self.times)])[np.searchsorted(np.unique(self.times), times)]
+        )
+        is_within = (since > 0.0) & (since < width)
+        return np.clip(since / width, 0.0, 1.0), np.where(is_within, -1.0 / width, 0.0)
+
+    def losses(self, theta: FloatArray, reference: int) -> FloatArray:
+        """Return the relative losses (n, n_tests) in the tests, since before the date."""
+        return theta[:, [self.column]] * self._share(theta, self.times)[0]
+
+    def identity(self, test: int) -> Hashable:
+        """Return a key that is equal for two tests if the value in them is equal at every theta."""
+        return self.of.identity(test), float(self.times[test])
+
+    def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return lower and upper limits of the values, (n_tests,) each, for limits of theta (n_parameters,)."""
+        ends = np.stack([lower, upper])[:, [self.date]]
+        dates = np.zeros((2, len(lower)))
+        dates[:, [self.date]] = ends
+        share = self._share(dates, self.times)[0]
+        kept = 1.0 - np.stack([end * one for end in (lower[self.column], upper[self.column]) for one in share])
+        corners = np.stack(self.of.box(lower, upper))[:, None] * kept
+        return corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+
+    def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
+        """Return the values (n,) in a further test, at the time in its covariates or that of the last test."""
+        time = np.array([future.covariates.get(self.by, float(self.times.max()))])
+        kept = 1.0 - theta[:, self.column] * self._share(theta, time)[0][:, 0]
+        return self.of.next_test(theta, like, future) * kept
+
+    def after(self, n: int) -> Self:
+        """Return the parameter with the indices of its scores increased by `n`."""
+        return replace(self, of=self.of.after(n))
+
+    def refer_to(self, references: Mapping[int, tuple[FloatArray, tuple[float, float]]]) -> Self:
+        """Return the parameter with another centring and reference of its scores."""
+        return replace(self, of=self.of.refer_to(references))

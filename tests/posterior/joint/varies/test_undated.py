@@ -1,0 +1,138 @@
+"""Damage at an unknown date: a loss at once or growing, of parameters that scatter or not."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import fmu
+from tests.gradients import assert_gradient
+from tests.shear_building import frequencies_hz, shear_building
+
+NAMES = ("k1", "k2")
+DAYS = (0.0, 1.0, 3.0, 4.0, 8.0, 9.0, 11.0, 12.0)
+
+
+@pytest.fixture(scope="module")
+def building():
+    return shear_building(NAMES, 2e6, 1000.0)
+
+
+def campaign(building, factors, days, noise=1e-3, seed=1):
+    """Return tests on given days of a building whose lower storey has the given stiffness factors."""
+    rng, tests = np.random.default_rng(seed), []
+    for t, (day, k1) in enumerate(zip(days, factors, strict=True)):
+        f = frequencies_hz(building, [k1, 1.0])[0] * (1 + noise * rng.standard_normal(2))
+        data = fmu.ModalData(f, sd_hz=noise * f)
+        tests.append(fmu.Test(f"t{t}", data, covariates={"day": day, "temperature": 20 - day}))
+    return tests
+
+
+def posed(building, damage, factors=(1.0,) * 8, days=DAYS, **options):
+    parameters = [fmu.Parameter(name, 1.0, 0.5, 1.5) for name in NAMES]
+    varies = damage if isinstance(damage, dict) else {"k1": damage}
+    return fmu.JointProblem(
+        building, campaign(building, factors, days), parameters, varies=varies, pairing="index", **options
+    )
+
+
+SUDDEN, GROWING = fmu.UndatedDamage(by="day"), fmu.UndatedDamage(by="day", grows=True)
+
+
+def test_a_sudden_loss(building):
+    problem = posed(building, SUDDEN)
+    assert problem.names == ("k1", "k1 loss", "day of damage", "k2")
+    assert (problem.lower[2], problem.upper[2]) == (0.0, 12.0)
+    assert [tuple(role) for role in problem.roles[:3]] == [
+        ("shared", 0, ""), ("loss", 0, "damage"), ("date", None, "damage"),
+    ]  # fmt: skip
+    lost = {4.0: [0, 0, 0, 0, 1, 1, 1, 1], 5.0: [0, 0, 0, 0, 0.75, 1, 1, 1], 12.0: [0] * 8, 0.0: [0, *[1] * 7]}
+    for date, share in lost.items():
+        theta = np.array([1.1, 0.1, date, 0.9])
+        assert_allclose(problem.values(theta)[:, 0], 1.1 * (1 - 0.1 * np.array(share)), rtol=1e-14)
+        assert_allclose(problem.layout.losses_by_test(theta[None])[0, :, 0], 0.1 * np.array(share), rtol=1e-14)
+
+
+def test_a_growing_loss(building):
+    problem = posed(building, GROWING)
+    assert (problem.lower[2], problem.upper[2]) == (0.0, 11.0)
+    share = [0.0, 0.0, 0.0, 0.0, 4 / 8, 5 / 8, 7 / 8, 1.0]
+    assert_allclose(problem.values([1.1, 0.1, 4.0, 0.9])[:, 0], 1.1 * (1 - 0.1 * np.array(share)), rtol=1e-14)
+
+
+def test_the_order_of_the_tests_is_the_time_by_default(building):
+    problem = posed(building, fmu.UndatedDamage())
+    assert problem.names[2] == "test of damage"
+    assert_allclose(problem.values([1.0, 0.1, 3.5, 1.0])[:, 0], [1, 1, 1, 0.95, 0.9, 0.9, 0.9, 0.9], rtol=1e-14)
+
+
+def test_an_event_has_one_date(building):
+    both = posed(building, dict.fromkeys(NAMES, SUDDEN))
+    assert both.names == ("k1", "k1 loss", "day of damage", "k2", "k2 loss")
+    other = fmu.UndatedDamage(by="day", event="corrosion", grows=True)
+    two = posed(building, {"k1": SUDDEN, "k2": other})
+    assert two.names == ("k1", "k1 loss", "day of damage", "k2", "k2 loss", "day of corrosion")
+    with pytest.raises(ValueError, match="varies: day of damage must have the same prior and growth"):
+        posed(building, {"k1": SUDDEN, "k2": GROWING})
+
+
+@pytest.mark.parametrize("scatter", [None, fmu.Population(sd=fmu.HalfNormal(0.05))], ids=["none", "scatter"])
+@pytest.mark.parametrize("grows", [False, True], ids=["sudden", "growing"])
+def test_gradient_and_box(building, grows, scatter):
+    damage = fmu.UndatedDamage(by="day", grows=grows, scatter=scatter)
+    slopes = {"k1": {"temperature": fmu.Normal(0.003)}}
+    problem = posed(building, {"k1": damage, "k2": damage}, slopes=slopes, reduction=False)
+    theta = problem.sample_prior(np.random.default_rng(1), 6)
+    date = problem.names.index("day of damage")
+    theta = 0.7 * problem.start + 0.3 * theta
+    theta[:, date] = [0.5, 2.2, 3.5, 6.0, 8.7, 10.1]
+    gradient = problem.log_prob_and_grad(theta)[1]
+    assert_gradient(gradient, problem.log_prob, theta, 1e-6 * problem.scale, rtol=1e-4, of_largest=1e-5)
+    low, high = problem.layout.box()
+    values = problem.values(problem.sample_prior(np.random.default_rng(0), 400))
+    assert np.mean((values >= low) & (values <= high)) > 0.998
+
+
+def test_the_next_test_comes_after_the_last(building):
+    theta = np.array([[1.0, 0.1, 4.0, 1.0]])
+    rng = np.random.default_rng(0)
+    for damage, at_10, at_16 in ((SUDDEN, 0.9, 0.9), (GROWING, 1 - 0.1 * 6 / 8, 0.85)):
+        layout = posed(building, damage).layout
+        assert_allclose(layout.of_next_test(theta, rng, 0, {})[0, 0], 0.9, rtol=1e-14)
+        for day, expected in ((2.0, 1.0), (10.0, at_10), (16.0, at_16)):
+            assert_allclose(layout.of_next_test(theta, rng, 0, {"day": day})[0, 0], expected, rtol=1e-14)
+
+
+@pytest.mark.parametrize("grows", [False, True], ids=["sudden", "growing"])
+def test_the_date_is_recovered(building, grows):
+    days, date = np.arange(20.0), 12.0
+    share = np.clip((days - date) / (19.0 - date), 0.0, 1.0) if grows else (days > date).astype(float)
+    problem = posed(building, fmu.UndatedDamage(by="day", grows=grows), 1.0 - 0.08 * share, days)
+    trace = fmu.sample(problem, draws=300, warmup=300, seed=1)
+    assert fmu.summary(trace)["rhat"].max() < 1.05
+    for name, truth in (("day of damage", date), ("k1 loss", 0.08)):
+        draws = trace["posterior"][name].to_numpy()
+        assert abs(draws.mean() - truth) < 4 * draws.std()
+    assert trace["posterior"]["day of damage"].to_numpy().std() < 1.5
+
+
+WRONG = {
+    "no covariate": (fmu.UndatedDamage(by="hour"), DAYS, r"tests.0.covariates: must have hour as a number"),
+    "two times": (SUDDEN, (1.0,) * 4 + (2.0,) * 4, r"varies.k1: the date of a damage needs tests at 3 times"),
+    "one time": (SUDDEN, (1.0,) * 8, r"needs tests at 3 times or more \(got 1\)"),
+    "prior beyond": (
+        fmu.UndatedDamage(by="day", date=fmu.ScaledBeta(2.0, 2.0, 50.0, 60.0)), DAYS,
+        r"varies.k1: the date must have a probability between 0 and 12 \(got none\)",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_contradictions(building, case):
+    damage, days, message = WRONG[case]
+    with pytest.raises(ValueError, match=message):
+        posed(building, damage, days=days)
+
+
+def test_an_event_needs_a_name():
+    with pytest.raises(ValueError, match="event: must not be empty"):
+        fmu.UndatedDamage(event="")
