@@ -16,6 +16,7 @@ from .analysis.start.check import check as check
 from .analysis.trace.conversion import load_trace as load_trace
 from .analysis.trace.conversion import save_trace as save_trace
 from .analysis.trace.damage import damage as damage
+from .analysis.trace.damage import damage_by_test as damage_by_test
 from .analysis.trace.from_emcee import from_emcee as from_emcee
 from .config import load as load
 from .engines import engine as engine

@@ -420,6 +420,11 @@ def calls(folder: Path) -> Iterator[Call]:
         "error": made["errors"],
         "name": "p",
     }
+    yield Call(
+        "UndatedDamage",
+        fmu.UndatedDamage,
+        {"prior": prior, "by": "day", "grows": True, "date": prior, "event": "flood", "scatter": fmu.Population()},
+    )
     yield Call("UpdatingProblem", fmu.UpdatingProblem, posed)
     yield Call(
         "UpdatingProblem.reduced", fmu.UpdatingProblem.reduced, {"reduction": False, "engine": None, **posed}
@@ -438,6 +443,7 @@ def calls(folder: Path) -> Iterator[Call]:
     yield Call("craig_bampton", fmu.craig_bampton, {"K": K, "M": M, "boundary": [0], "n_modes": 1})
     yield Call("guyan", fmu.guyan, {"K": K, "M": M, "masters": [0]})
     yield Call("damage", fmu.damage, {"trace": trace, "beyond": (0.05, 0.1)})
+    yield Call("damage_by_test", fmu.damage_by_test, {"trace": trace, "beyond": (0.05, 0.1)})
     yield Call(
         "delayed_acceptance",
         fmu.delayed_acceptance,

@@ -17,6 +17,7 @@ from fmu.posterior.joint.varies import Variation
 from fmu.posterior.joint.varies.damage import Damage
 from fmu.posterior.joint.varies.laws import Law, PiecewiseLinear, Polynomial
 from fmu.posterior.joint.varies.population import Population
+from fmu.posterior.joint.varies.undated import UndatedDamage
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors import PRIORS
 from fmu.posterior.priors.base import Prior
@@ -156,23 +157,45 @@ SlopeTable = Annotated[
     Discriminator(_kind_of_slope),
 ]
 """A prior of a relative slope, a law, or the name of another parameter with the same law."""
-SETTINGS = {"population": ("population", "damage"), "loss": ("damage",)}
+
+
+class OnsetTable(TomlTable):
+    """When and how a damage at an unknown date happened."""
+
+    by: Annotated[str, Field(max_length=100)] = ""
+    """The covariate that is the time, such as "day"; the order of the tests if not given."""
+    grows: bool = False
+    """Whether the loss grows linearly from the date on."""
+    date: PriorTable | None = None
+    """Prior of the date, in the unit of the time; uniform between the first test and the last if not given."""
+    event: Name = "damage"
+    """Parameters with the same event have the same date."""
+
+
+SETTINGS = {
+    "population": ("population", "damage", "undated-damage"),
+    "loss": ("damage", "undated-damage"),
+    "onset": ("undated-damage",),
+}
 """For each key with settings of a variation, the values of ``varies`` that it belongs to."""
 
 
 class ParameterTable(Uncertain, Target):
     """A parameter; of a frame, with the quantities that it updates."""
 
-    varies: Literal["shared", "test", "group", "population", "damage"] | None = None
-    """With [[tests]]: one value for all, one per test or group, values that scatter, or losses of later groups."""
+    varies: Literal["shared", "test", "group", "population", "damage", "undated-damage"] | None = None
+    """With [[tests]]: one value for all, one per test or group, values that scatter, losses of later groups, or a
+    loss from an unknown date on."""
     population: PopulationTable | None = None
-    """With varies = "population"; or with "damage", if the undamaged value scatters from test to test."""
+    """With varies = "population"; or with a damage, if the undamaged value scatters from test to test."""
     slopes: dict[Name, SlopeTable] = {}
     """With [[tests]]: priors of relative slopes with covariates, such as { temperature = … } in 1/°C; or a law
     with kinks or powers; or the name of a parameter that has the same slopes."""
     loss: PriorTable | None = None
-    """With varies = "damage": prior of each loss; normal about 0, sd 0.3, if not given. Where few parameters are
-    expected to be damaged, distribution = "spike-and-slab"."""
+    """With varies = "damage" or "undated-damage": prior of each loss; normal about 0, sd 0.3, if not given. Where
+    few parameters are expected to be damaged, distribution = "spike-and-slab"."""
+    onset: OnsetTable | None = None
+    """With varies = "undated-damage": the time, and whether the loss grows."""
 
     @model_validator(mode="after")
     def _what_varies(self) -> Self:
@@ -186,9 +209,14 @@ class ParameterTable(Uncertain, Target):
         """Return the variation of the parameter between tests, or its name; None if the file gives none."""
         if self.varies == "population":
             return (self.population or PopulationTable()).build()
+        loss = None if self.loss is None else self.loss.build()
+        scatter = None if self.population is None else self.population.build()
         if self.varies == "damage":
-            scatter = None if self.population is None else self.population.build()
-            return Damage(None if self.loss is None else self.loss.build(), scatter)
+            return Damage(loss, scatter)
+        if self.varies == "undated-damage":
+            onset = self.onset or OnsetTable()
+            date = None if onset.date is None else onset.date.build()
+            return UndatedDamage(loss, onset.by, onset.grows, date, onset.event, scatter)
         return self.varies
 
     def laws(self) -> dict[str, Prior | Law | str]:

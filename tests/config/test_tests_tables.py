@@ -93,7 +93,34 @@ def test_a_loss_of_a_parameter_that_scatters(tmp_path):
     assert problem.parameters[1].prior == fmu.HalfNormal(0.1)
     shared = 'varies = "group"\npopulation = {}\n'
     assert mistakes(written(tmp_path, K1 + shared, K2, *tests)) == [
-        'parameters.0.population: must be given with varies = "population" or "damage" (got group)'
+        'parameters.0.population: must be given with varies = "population" or "damage" or "undated-damage" '
+        "(got group)"
+    ]
+
+
+def test_damage_at_an_unknown_date(tmp_path):
+    onset = 'varies = "undated-damage"\nonset = { by = "day", grows = true, event = "corrosion" }\n'
+    tests = [PLAIN.replace("plain", f"t{t}") + f"covariates = {{ day = {t}.5 }}\n" for t in range(4)]
+    problem = fmu.load(written(tmp_path, K1 + onset + "population = {}\n", K2 + onset, *tests))
+    assert problem.names[:6] == ("k1 mean", "k1 sd", "k1 loss", "day of corrosion", "k2", "k2 loss")
+    assert (problem.lower[3], problem.upper[3]) == (0.5, 2.5)
+    by_order = 'varies = "undated-damage"\nloss = { distribution = "uniform" }\n'
+    problem = fmu.load(written(tmp_path, K1 + by_order, K2, *tests))
+    assert problem.names == ("k1", "k1 loss", "test of damage", "k2")
+    date = onset.replace("grows = true", f"date = {WRONG}")
+    assert mistakes(written(tmp_path, K1 + date, K2, *tests)) == [
+        "parameters.0.onset.date.sd: must be greater than 0 (got -1.0)"
+    ]
+    assert mistakes(written(tmp_path, K1 + onset, K2, *tests[:2])) == [
+        "parameters.0.varies: the date of a damage needs tests at 3 times or more (got 2)"
+    ]
+    assert mistakes(written(tmp_path, K1 + onset.replace('"day"', '"hour"'), K2, *tests[:3])) == [
+        f"tests.{t}.covariates: must have hour as a number, which is the time of the damage of k1 (got None)"
+        for t in range(3)
+    ]
+    group = onset.replace("undated-damage", "damage")
+    assert mistakes(written(tmp_path, K1 + group, K2, *tests)) == [
+        'parameters.0.onset: must be given with varies = "undated-damage" (got damage)'
     ]
 
 
@@ -127,7 +154,7 @@ def test_every_mistake_at_its_place(tmp_path):
     assert len(mistakes(written(tmp_path, K1, K2, PLAIN, other))) == 2
     loss = 'loss = { distribution = "spike-and-slab" }\n'
     assert mistakes(written(tmp_path, K1 + loss, K2, PLAIN, LOADED)) == [
-        'parameters.0.loss: must be given with varies = "damage" (got None)'
+        'parameters.0.loss: must be given with varies = "damage" or "undated-damage" (got None)'
     ]
 
 

@@ -343,6 +343,11 @@ def _groups_of_tests(result: RunResult, problem: UpdatingProblem, predictions: b
         lost = {n: (("chain", "draw", "state"), losses[..., j]) for j, n in enumerate(problem.layout.by_state)}
         attributes = {"reference": problem.layout.reference}
         found["loss"] = xr.Dataset(lost, coords=coordinates | {"state": list(states)}, attrs=attributes)
+    by_date = problem.layout.by_date
+    if by_date:
+        losses = problem.layout.losses_by_test(structural).reshape(*values.shape[:3], len(by_date))
+        lost = {name: (("chain", "draw", "test"), losses[..., j]) for j, name in enumerate(by_date)}
+        found["loss_by_test"] = xr.Dataset(lost, coords=coordinates | {"test": names})
     found |= drawn_structure(problem) | (residual_group(problem, theta) if predictions else {})
     if predictions and problem.is_hierarchical and problem.likelihood.simulates:
         computed, measured = simulate_next_test(problem, generator(result.seed, NEXT_TEST_STREAM), theta)

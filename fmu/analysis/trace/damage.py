@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
+BY_TEST = "loss_by_test"
+"""Group of a trace with the losses in each test, from an unknown date on."""
 ANY = "any"
 """Name of the row with the largest loss in a state."""
 WITHHELD = "withheld"
@@ -58,17 +60,49 @@ def damage(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.Data
     ValueError
         If the trace has no losses, or a value of `beyond` is not between 0 and 1.
     """
+    if not has(trace, LOSSES):
+        raise ArgumentError("trace", "has no losses, as it has no parameter that varies between groups of tests")
+    return _table(trace, LOSSES, "state", beyond)
+
+
+@check_arguments
+def damage_by_test(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.DataFrame:
+    """Return the losses in each test of the parameters with damage at an unknown date (`fmu.UndatedDamage`).
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+        A trace of a `fmu.JointProblem` with such parameters.
+    beyond : sequence of float
+        Losses between 0 and 1; the probability of exceeding each of them is computed.
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row for each test and parameter, with the columns of `fmu.damage`, and one row per test named ``"any"``
+        for the largest loss of all parameters.
+
+    Raises
+    ------
+    ValueError
+        If the trace has no damage at an unknown date, or a value of `beyond` is not between 0 and 1.
+    """
+    if not has(trace, BY_TEST):
+        raise ArgumentError("trace", "has no losses by test, as no parameter has damage at an unknown date")
+    return _table(trace, BY_TEST, "test", beyond)
+
+
+def _table(trace: xr.DataTree, group: str, each: str, beyond: Sequence[float]) -> pd.DataFrame:
+    """Return the table of losses in a group of the trace, with a row for each parameter in each state or test."""
     wrong = [x for x in beyond if not 0.0 <= x < 1.0]
     if wrong:
         raise ArgumentError("beyond", "must be between 0 and 1, such as 0.05", wrong[0])
-    if not has(trace, LOSSES):
-        raise ArgumentError("trace", "has no losses, as it has no parameter that varies between groups of tests")
-    losses = trace[LOSSES].to_dataset()
-    names, reason = [str(name) for name in losses.data_vars], _reason_to_withhold(trace)
+    losses, reason = trace[group].to_dataset(), _reason_to_withhold(trace)
+    names = [str(name) for name in losses.data_vars]
     rows: list[list[float]] = []
     index: list[tuple[str, str]] = []
-    for state in losses["state"].to_numpy().tolist():
-        draws = np.stack([losses[name].sel(state=state).to_numpy().ravel() for name in names])
+    for state in losses[each].to_numpy().tolist():
+        draws = np.stack([losses[name].sel({each: state}).to_numpy().ravel() for name in names])
         for name, values in zip((*names, ANY), (*draws, draws.max(axis=0)), strict=True):
             low, high = np.quantile(values, (0.05, 0.95))
             exceeded = [np.nan if reason else float(np.mean(values > x)) for x in beyond]
@@ -78,7 +112,7 @@ def damage(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.Data
     found = data_frame(dict(zip(columns, np.array(rows).T, strict=True)), "parameter", np.arange(len(rows)))
     import pandas
 
-    found.index = pandas.MultiIndex.from_tuples(index, names=["state", "parameter"])
+    found.index = pandas.MultiIndex.from_tuples(index, names=[each, "parameter"])
     found.attrs[WITHHELD] = reason
     return found
 

@@ -49,7 +49,7 @@ def build_layout(
         (*theta.roles, *theta.roles_of_scores),
         reference,
         as_dicts(slopes),
-        tuple(p.name for p in structural if varies[p.name].by_date),
+        {p.name: by for p in structural if (by := varies[p.name].by_date) is not None},
     )
     if eta is None:
         return layout

@@ -47,8 +47,9 @@ class Layout:
         The group of tests that losses refer to.
     slopes : dict
         How parameters depend on covariates, in plain Python types.
-    by_date : tuple of str
-        Names of the structural parameters with a loss from an unknown date on.
+    by_date : mapping of str to str
+        For each structural parameter with a loss from an unknown date on, the covariate that is the time; empty
+        for the order of the tests.
     """
 
     structural: tuple[Parameter, ...]
@@ -61,7 +62,7 @@ class Layout:
     roles: tuple[Role, ...] = ()
     reference: str = ""
     slopes: Mapping[str, Plain] = field(default_factory=dict)
-    by_date: tuple[str, ...] = ()
+    by_date: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of_one(cls, parameters: Sequence[Parameter], data: ModalData) -> Layout:
@@ -105,6 +106,7 @@ class Layout:
             "reference": self.reference,
             "correlated": self.correlation is not None,
             **({"slopes": dict(self.slopes)} if self.slopes else {}),
+            **({"by_date": dict(self.by_date)} if self.by_date else {}),
         }
 
     def losses(self, theta: FloatArray) -> FloatArray:

@@ -36,5 +36,6 @@ from fmu.report.plots.style import PALE as PALE
 from fmu.report.plots.style import TITLES as TITLES
 from fmu.report.plots.style import finish as finish
 from fmu.report.plots.style import new_figure as new_figure
+from fmu.report.plots.tests import plot_damage_by_test as plot_damage_by_test
 from fmu.report.plots.tests import plot_losses as plot_losses
 from fmu.report.plots.tests import plot_values as plot_values

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.analysis.trace.damage import ANY, damage, probably
-from fmu.analysis.trace.reading import LOSSES
+from fmu.analysis.trace.damage import ANY, BY_TEST, damage, damage_by_test, probably
+from fmu.analysis.trace.reading import LOSSES, problem_of, roles_of
 from fmu.numbers import share
 from fmu.report.plots import style
 from fmu.types import FloatArray
@@ -111,6 +111,60 @@ def plot_losses(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None 
         f"below: P(loss > {share(beyond)})", fontsize=style.FONT - 1, color=style.GREY, loc="right", pad=18
     )
     return axes
+
+
+def plot_damage_by_test(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None = None) -> style.AxesArray:
+    """Draw, against time, the probability that a loss is larger than `beyond`, and the losses.
+
+    The band of a loss is its central 90 %. Vertical bands are the central 90 % of the dates.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+        A trace with damage at an unknown date (`fmu.UndatedDamage`).
+    beyond : float
+        The threshold of the loss as a share of one.
+    figure : Figure, optional
+
+    Returns
+    -------
+    ndarray of Axes: of the probability, and of the losses
+    """
+    table, names = damage_by_test(trace, (beyond,)), list(map(str, trace[BY_TEST].data_vars))
+    figure = figure or style.new_figure(WIDE, 4.2)
+    axes = np.asarray(figure.subplots(2, 1, sharex=True, squeeze=False)[:, 0])
+    dates = [name for name, (kind, *_) in roles_of(trace).items() if kind == "date"]
+    for name in dates:
+        low, high = np.quantile(trace["posterior"][name].to_numpy(), (0.05, 0.95))
+        for axis in axes:
+            axis.axvspan(low, high, color=style.PALE, zorder=0, label=f"{style.literal(name)}: 90 %")
+    for k, name in enumerate(names):
+        x = _times(trace, name)
+        order = np.argsort(x, kind="stable")
+        of_one = table.xs(name, level="parameter").to_numpy()[order]
+        x, colour, label = x[order], style.PALETTE[k % len(style.PALETTE)], style.literal(name)
+        axes[0].plot(x, of_one[:, 4], color=colour, marker="o", markersize=3, linewidth=1.2, label=label)
+        axes[1].fill_between(x, 100.0 * of_one[:, 2], 100.0 * of_one[:, 3], color=colour, alpha=0.25, linewidth=0)
+        axes[1].plot(x, 100.0 * of_one[:, 0], color=colour, linewidth=1.2)
+    axes[0].set_ylim(-0.03, 1.03)
+    axes[1].axhline(100.0 * beyond, color=style.GREY, linewidth=1, linestyle="--", zorder=0)
+    style.finish(axes[0], y=f"P(loss > {share(beyond)})")
+    units = dict.fromkeys(_time_of(trace, name) or "number of the test" for name in names)
+    style.finish(axes[1], style.literal(", ".join(units)), "loss / %")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper right", ncols=3, fontsize=style.FONT - 1, frameon=False)
+    return axes
+
+
+def _time_of(trace: xr.DataTree, name: str) -> str:
+    """Return the covariate that is the time of a parameter's damage; empty for the order of the tests."""
+    return str(problem_of(trace)["by_date"][name])
+
+
+def _times(trace: xr.DataTree, name: str) -> FloatArray:
+    """Return the times of the tests, (n_tests,), for the damage of a parameter."""
+    tests, by = problem_of(trace)["tests"], _time_of(trace, name)
+    return np.array([test["covariates"][by] if by else t + 1.0 for t, test in enumerate(tests)])
 
 
 def _state(axis: Axes, draws: FloatArray, exceeded: FloatArray, beyond: float) -> None:

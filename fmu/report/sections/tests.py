@@ -10,15 +10,17 @@ from markupsafe import Markup
 
 from fmu.analysis.trace.damage import (
     ANY,
+    BY_TEST,
     WITHHELD,
     before_and_after,
     before_in_words,
     damage,
+    damage_by_test,
     probably,
     state_in_words,
 )
 from fmu.analysis.trace.modal_states import sketch_of
-from fmu.analysis.trace.reading import LOSSES, has
+from fmu.analysis.trace.reading import LOSSES, has, roles_of
 from fmu.fem.frame.drawing import UNCHANGED, WIDTH, draw_svg, without_sensors
 from fmu.numbers import MISSING, customary_unit, decimals, fixed, interval, share, with_sd
 from fmu.report.document import (
@@ -34,7 +36,7 @@ from fmu.report.document import (
     picture,
 )
 from fmu.report.model_view import damage_view
-from fmu.report.plots.tests import plot_losses, plot_values
+from fmu.report.plots.tests import plot_damage_by_test, plot_losses, plot_values
 from fmu.report.run import ReportedRun
 from fmu.report.sections.structure import MOST_DRAWN, legend
 
@@ -135,10 +137,42 @@ def _next_test(run: ReportedRun) -> PageTable:
 
 
 def losses(run: ReportedRun) -> PageSection | Omitted:
-    """Return the section on the losses of the parameters that vary between groups of tests."""
+    """Return the section on the losses in groups of tests, and on losses from an unknown date on."""
     title = "Damage"
-    if not has(run.trace, LOSSES):
+    parts = [*_losses_of_groups(run), *_losses_by_test(run)]
+    if not parts:
         return Omitted(title, "no parameter varies between groups of tests")
+    return PageSection("damage", title, tuple(parts))
+
+
+def _losses_by_test(run: ReportedRun) -> list[Part]:
+    """Return the parts on damage at an unknown date; empty if no parameter has it."""
+    if not has(run.trace, BY_TEST):
+        return []
+    dates = [name for name, (kind, *_) in roles_of(run.trace).items() if kind == "date"]
+    draws = {name: run.trace["posterior"][name].to_numpy() for name in dates}
+    ends = {name: np.quantile(x, (0.05, 0.95)).tolist() for name, x in draws.items()}
+    said = [
+        f"{name}: {with_sd(float(x.mean()), float(x.std()))}, "
+        f"90 % {interval(ends[name][0], ends[name][1], decimals(float(x.std())))}."
+        for name, x in draws.items()
+    ]
+    every = damage_by_test(run.trace, _BEYOND[:1])
+    table, last = every.iloc[:, 4], every.index[-1][0]
+    found = ", ".join(f"{name} {probably(float(p))}" for name, p in table.loc[last].drop(ANY).items())
+    words = Text(
+        f"{' '.join(said)} P(loss > {share(_BEYOND[0])}) in the last test, {last}: {found}. Where a loss is not "
+        f"larger than its error, its date means nothing. {every.attrs[WITHHELD]}".rstrip()
+    )
+    caption = f"Above: P(loss > {share(_BEYOND[0])}) by test. Below: the loss, mean and 90 %."
+    drawn = plot_damage_by_test(run.trace, _BEYOND[0])
+    return [words, Pictures((picture(drawn, f"{run.name}-loss-by-test", f"Losses by test. {found}.", caption),))]
+
+
+def _losses_of_groups(run: ReportedRun) -> list[Part]:
+    """Return the parts on the losses of parameters that vary between groups of tests; empty if none does."""
+    if not has(run.trace, LOSSES):
+        return []
     table, values = damage(run.trace, _BEYOND), before_and_after(run.trace)
     rows = []
     for (state, name), (mean, sd, low, high, *exceeded) in zip(
@@ -176,7 +210,7 @@ def losses(run: ReportedRun) -> PageSection | Omitted:
     )
     found = PageTable("Losses and posterior means before and after", columns, tuple(rows), (1,))
     drawings, view = _where(run, table)
-    return PageSection("damage", title, (words, *drawings, Pictures((picture_of,)), found, *view))
+    return [words, *drawings, Pictures((picture_of,)), found, *view]
 
 
 def lost(run: ReportedRun) -> tuple[Verdict, ...]:

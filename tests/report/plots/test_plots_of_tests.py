@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 import fmu
 from fmu.report.document import Omitted, PageTable
-from fmu.report.plots import plot_losses, plot_values
+from fmu.report.plots import plot_damage_by_test, plot_losses, plot_values
 from fmu.report.run import runs_of
 from fmu.report.sections import tests
 
@@ -89,3 +89,35 @@ def test_the_section_names_what_was_lost(weakened):
     assert loss == pytest.approx(30.0, abs=4.0)
     assert after / before == pytest.approx(1.0 - loss / 100.0, abs=0.01)
     assert isinstance(tests.population(run), Omitted)
+
+
+def test_losses_by_test_and_their_date():
+    trace = drawn([1.0, 1.0, 1.0, 0.7, 0.7, 0.7], fmu.UndatedDamage())
+    probability, loss = plot_damage_by_test(trace, 0.2)
+    assert (probability.get_ylabel(), loss.get_ylabel(), loss.get_xlabel()) == (
+        "P(loss > 20 %)", "loss / %", "number of the test",
+    )  # fmt: skip
+    draws = trace["loss_by_test"]["k"].to_numpy().reshape(-1, 6)
+    (line,) = probability.lines
+    assert_allclose(line.get_xdata(), range(1, 7))
+    assert_allclose(line.get_ydata(), (draws > 0.2).mean(axis=0))
+    assert line.get_ydata()[0] == 0.0
+    assert line.get_ydata()[-1] > 0.9
+    (mean, _) = loss.lines
+    assert_allclose(mean.get_ydata(), 100 * draws.mean(axis=0))
+    date = trace["posterior"]["test of damage"].to_numpy()
+    low, high = np.quantile(date, (0.05, 0.95))
+    (band,) = probability.patches
+    assert_allclose([band.get_x(), band.get_x() + band.get_width()], [low, high])
+    table = fmu.damage_by_test(trace, beyond=(0.2,))
+    assert_allclose(table.loc[("t5", "k")].iloc[[0, 4]], [draws[:, 5].mean(), (draws[:, 5] > 0.2).mean()])
+    (run,) = runs_of({"hmc": trace}).values()
+    words = tests.losses(run).parts[0]
+    assert "test of damage: " in str(words)
+    assert "P(loss > 5 %) in the last test, t5: k > 99 %" in str(words)
+    with pytest.raises(
+        ValueError, match="trace: has no losses, as it has no parameter that varies between groups"
+    ):
+        fmu.damage(trace)
+    with pytest.raises(ValueError, match="trace: has no losses by test"):
+        fmu.damage_by_test(trace.filter(lambda node: node.name != "loss_by_test"))

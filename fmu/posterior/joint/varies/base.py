@@ -185,13 +185,15 @@ class Varies:
         Whether the values differ from test to test, so that at least two tests are needed.
     by_group : bool
         Whether the values differ between groups of tests, so that groups other than the reference have losses.
-    by_date : bool
-        Whether there is a loss from an unknown date on, so that each test has a loss.
     """
 
     by_test: ClassVar[bool] = False
     by_group: ClassVar[bool] = False
-    by_date: ClassVar[bool] = False
+
+    @property
+    def by_date(self) -> str | None:
+        """The covariate that is the time of a loss at an unknown date, empty for the order; None without one."""
+        return None
 
     @property
     def population(self) -> Varies | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from fmu.posterior.priors.base import Prior, Uniform
 from fmu.types import FloatArray, Plain
 
 _FEWEST = 3
+_RAMP = 0.2
+"""Share of the time between two tests over which a sudden loss rises, so that the density is continuous."""
 
 
 @check_arguments
@@ -26,12 +28,11 @@ _FEWEST = 3
 class UndatedDamage(Varies):
     """A parameter that loses a share d from an unknown date τ on: θ_t = θ₀ (1 − d r_t(τ)).
 
-    Damage at once: r_t(τ) = clip((x_t − τ) / (x_t − x_{t−1}), 0, 1), where x_t is the time of the test and x_{t−1}
-    that of the test before it. Each test before τ has no loss and each test after τ the whole loss, except for the
-    first test after τ. In this test the loss rises from 0 to d while τ falls from x_t to x_{t−1}. With a sharp
-    step the density would be constant in τ between tests, and no gradient would lead to the date. The ramp makes
-    the log-density continuous, with a derivative everywhere but at the times of tests; where τ is the time of a
-    test it is the sharp step.
+    Damage at once: r_t(τ) = clip((x_t − τ) / w_t, 0, 1), where x_t is the time of the test. Tests before τ have no
+    loss, and tests after τ the whole loss. The tests cannot say when between two of them the damage happened, so
+    the posterior of τ is nearly flat there. A sharp step would make the log-density jump at x_t, which no sampler
+    by gradients can follow. So w_t is a fifth of the time since the test before: if τ is in the last fifth before
+    x_t, test t has a part of the loss. The log-density is then continuous, with a derivative almost everywhere.
 
     Growing damage: r_t(τ) = max(0, x_t − τ) / (x_n − τ), where x_n is the time of the last test. The loss grows
     linearly from τ on, and d is the loss in the last test.
@@ -69,11 +70,15 @@ class UndatedDamage(Varies):
     date: Prior | None = None
     event: str = "damage"
     scatter: Population | None = None
-    by_date: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if not self.event:
             raise ArgumentError("event", "must not be empty", repr(self.event))
+
+    @property
+    def by_date(self) -> str:
+        """The covariate that is the time; empty for the order of the tests."""
+        return self.by
 
     @property
     def population(self) -> Population | None:
@@ -184,10 +189,9 @@ class LostFrom(InTests):
         if self.grows:
             whole = self.times.max() - theta[:, [self.date]]
             return np.maximum(since, 0.0) / whole, np.where(since > 0.0, (since - whole) / whole**2, 0.0)
-        width = (
-            times
-            - np.concatenate([[-np.inf], np.unique(self.times)])[np.searchsorted(np.unique(self.times), times)]
-        )
+        distinct = np.unique(self.times)
+        before = np.concatenate([[-np.inf], distinct])[np.searchsorted(distinct, times)]
+        width = _RAMP * (times - before)
         is_within = (since > 0.0) & (since < width)
         return np.clip(since / width, 0.0, 1.0), np.where(is_within, -1.0 / width, 0.0)
 

@@ -27,12 +27,11 @@ def campaign(building, factors, days, noise=1e-3, seed=1):
     return tests
 
 
-def posed(building, damage, factors=(1.0,) * 8, days=DAYS, **options):
+def posed(building, damage, factors=(1.0,) * 8, days=DAYS, noise=1e-3, **options):
     parameters = [fmu.Parameter(name, 1.0, 0.5, 1.5) for name in NAMES]
     varies = damage if isinstance(damage, dict) else {"k1": damage}
-    return fmu.JointProblem(
-        building, campaign(building, factors, days), parameters, varies=varies, pairing="index", **options
-    )
+    tests = campaign(building, factors, days, noise)
+    return fmu.JointProblem(building, tests, parameters, varies=varies, pairing="index", **options)
 
 
 SUDDEN, GROWING = fmu.UndatedDamage(by="day"), fmu.UndatedDamage(by="day", grows=True)
@@ -45,7 +44,7 @@ def test_a_sudden_loss(building):
     assert [tuple(role) for role in problem.roles[:3]] == [
         ("shared", 0, ""), ("loss", 0, "damage"), ("date", None, "damage"),
     ]  # fmt: skip
-    lost = {4.0: [0, 0, 0, 0, 1, 1, 1, 1], 5.0: [0, 0, 0, 0, 0.75, 1, 1, 1], 12.0: [0] * 8, 0.0: [0, *[1] * 7]}
+    lost = {4.0: [0, 0, 0, 0, 1, 1, 1, 1], 7.6: [0, 0, 0, 0, 0.5, 1, 1, 1], 12.0: [0] * 8, 0.0: [0, *[1] * 7]}
     for date, share in lost.items():
         theta = np.array([1.1, 0.1, date, 0.9])
         assert_allclose(problem.values(theta)[:, 0], 1.1 * (1 - 0.1 * np.array(share)), rtol=1e-14)
@@ -62,7 +61,7 @@ def test_a_growing_loss(building):
 def test_the_order_of_the_tests_is_the_time_by_default(building):
     problem = posed(building, fmu.UndatedDamage())
     assert problem.names[2] == "test of damage"
-    assert_allclose(problem.values([1.0, 0.1, 3.5, 1.0])[:, 0], [1, 1, 1, 0.95, 0.9, 0.9, 0.9, 0.9], rtol=1e-14)
+    assert_allclose(problem.values([1.0, 0.1, 3.9, 1.0])[:, 0], [1, 1, 1, 0.95, 0.9, 0.9, 0.9, 0.9], rtol=1e-14)
 
 
 def test_an_event_has_one_date(building):
@@ -84,7 +83,7 @@ def test_gradient_and_box(building, grows, scatter):
     theta = problem.sample_prior(np.random.default_rng(1), 6)
     date = problem.names.index("day of damage")
     theta = 0.7 * problem.start + 0.3 * theta
-    theta[:, date] = [0.5, 2.2, 3.5, 6.0, 8.7, 10.1]
+    theta[:, date] = [0.5, 2.7, 3.9, 6.0, 8.83, 10.65]
     gradient = problem.log_prob_and_grad(theta)[1]
     assert_gradient(gradient, problem.log_prob, theta, 1e-6 * problem.scale, rtol=1e-4, of_largest=1e-5)
     low, high = problem.layout.box()
@@ -106,13 +105,17 @@ def test_the_next_test_comes_after_the_last(building):
 def test_the_date_is_recovered(building, grows):
     days, date = np.arange(20.0), 12.0
     share = np.clip((days - date) / (19.0 - date), 0.0, 1.0) if grows else (days > date).astype(float)
-    problem = posed(building, fmu.UndatedDamage(by="day", grows=grows), 1.0 - 0.08 * share, days)
-    trace = fmu.sample(problem, draws=300, warmup=300, seed=1)
+    problem = posed(building, fmu.UndatedDamage(by="day", grows=grows), 1.0 - 0.08 * share, days, noise=0.003)
+    trace = fmu.sample(problem, "hmc", draws=300, warmup=300, seed=1)
     assert fmu.summary(trace)["rhat"].max() < 1.05
     for name, truth in (("day of damage", date), ("k1 loss", 0.08)):
         draws = trace["posterior"][name].to_numpy()
         assert abs(draws.mean() - truth) < 4 * draws.std()
-    assert trace["posterior"]["day of damage"].to_numpy().std() < 1.5
+    if not grows:  # the tests cannot tell when it happened between days 12 and 13
+        low, high = np.quantile(trace["posterior"]["day of damage"].to_numpy(), (0.05, 0.95))
+        assert 11.9 < low < 12.2
+        assert 12.6 < high < 13.0
+    assert trace["posterior"]["day of damage"].to_numpy().std() < 2.0
 
 
 WRONG = {
