@@ -32,7 +32,8 @@ class UndatedDamage(Varies):
     loss, and tests after τ the whole loss. The tests cannot say when between two of them the damage happened, so
     the posterior of τ is nearly flat there. A sharp step would make the log-density jump at x_t, which no sampler
     by gradients can follow. So w_t is a fifth of the time since the test before: if τ is in the last fifth before
-    x_t, test t has a part of the loss. The log-density is then continuous, with a derivative almost everywhere.
+    x_t, test t has a part of the loss. The log-density is then continuous, with a derivative almost everywhere. If
+    the last undamaged test deviates by chance as if it had lost something, τ may be in its last fifth.
 
     Growing damage: r_t(τ) = max(0, x_t − τ) / (x_n − τ), where x_n is the time of the last test. The loss grows
     linearly from τ on, and d is the loss in the last test.
