@@ -25,7 +25,7 @@ class Covariate:
     values : ndarray, shape (n_tests,)
         The known value in each test. If the value is a parameter of theta: the median of its prior.
     columns : ndarray of int, shape (n_tests,)
-        For each test, the index in theta of the value; 0 where the value is known.
+        For each test, the index in theta of the value; that of any inferred value where the value is known.
     is_inferred : ndarray of bool, shape (n_tests,)
         Whether the value is a parameter of theta.
     mean : float
@@ -55,6 +55,7 @@ class Covariate:
             values[t] = middle_of(prior)
             if isinstance(prior, Prior):
                 columns[t] = add(Parameter(f"{name} [{test.name}]", float(values[t]), prior=prior), test.name)
+        columns[~is_inferred] = columns[is_inferred][0] if is_inferred.any() else 0
         # the mean of all tests: a missing value is at the mean of the others
         return cls(name, values, columns, is_inferred, float(values.mean()))
 

@@ -68,7 +68,7 @@ class Damage(Varies):
             state: theta.add(loss_parameter(f"{p.name} loss [{state}]", self.prior), "loss", of, state)
             for state in states
         }
-        columns = np.array([numbers.get(group, 0) for group in groups])
+        columns = np.array([numbers.get(group, min(numbers.values())) for group in groups])
         return Lost(undamaged, columns, np.array([group != theta.reference for group in groups]))
 
     def as_dict(self) -> dict[str, Plain]:
@@ -104,7 +104,7 @@ class Lost(InTests):
     of : InTests
         θ₀, the undamaged value in each test.
     columns : ndarray of int, shape (n_tests,)
-        Index in theta of the loss d in each test; 0 for a test in the reference.
+        Index in theta of the loss d in each test; that of any loss for a test in the reference.
     is_lost : ndarray of bool, shape (n_tests,)
         Whether the test has a loss; False in the reference.
     """

@@ -151,3 +151,21 @@ def test_a_parameter_that_scatters_needs_two_tests():
     known = [fmu.Test(t.name, t.data, t.group, known={"k1": 1.0} if t.name != "t0" else {}) for t in tests]
     with pytest.raises(ValueError, match=r"varies\.k1: varies by test, and needs two tests or more"):
         fmu.JointProblem(two, known, parameters, varies={"k1": SCATTERS["normal"]}, pairing="index")
+
+
+def test_derivatives_name_only_parameters_that_change_a_value():
+    """No entry of a derivative stands, with the value zero, for a parameter of another kind."""
+    two, tests, parameters = scattering(n=6)
+    given = [None, fmu.Normal(0.5, mean=8.0), 1.0, 12.0, 20.0, 25.0]
+    tests = [
+        fmu.Test(one.name, one.data, one.group, {"temperature": x}) for one, x in zip(tests, given, strict=True)
+    ]
+    slopes = {"k1": {"temperature": fmu.Normal(0.002)}}
+    problem = fmu.JointProblem(
+        two, tests, parameters, varies={"k1": SCATTERS["normal"]}, slopes=slopes, pairing="index", reduction=False
+    )
+    theta = problem.sample_prior(np.random.default_rng(0), 3)
+    kinds = [
+        {problem.roles[k].kind for k in slope.columns.tolist()} for slope in problem.layout.values_of[0](theta)[1]
+    ]
+    assert kinds == [{"score"}, {"mean"}, {"sd"}, {"loss"}, {"slope"}, {"covariate"}]
