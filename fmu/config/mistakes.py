@@ -123,7 +123,14 @@ def _in_the_file(where: tuple[int | str, ...]) -> list[int | str]:
     number = parts[1:2]
     of_slope = ["slopes", *parts[3:4]]
     of_law: list[list[int | str]] = [["prior"], ["kinks"], ["priors", *parts[6:7]]]
-    of_parameter: list[list[int | str]] = [["prior"], ["loss"], ["population", "sd"], ["onset", "date"], of_slope]
+    of_parameter: list[list[int | str]] = [
+        ["prior"],
+        ["loss"],
+        ["population", "sd"],
+        ["population", "between"],
+        ["onset", "date"],
+        of_slope,
+    ]
     of_parameter += [[*of_slope, *keys] for keys in of_law]
     several: list[list[int | str]] = [
         ["model"],

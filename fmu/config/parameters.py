@@ -97,10 +97,13 @@ class PopulationTable(TomlTable):
     """Of the values, truncated to the bounds."""
     sd: PriorTable | None = None
     """Prior of its standard deviation, or of the logarithm's; half-normal if not given."""
+    between: PriorTable | None = None
+    """Prior of the relative standard deviation between groups of tests, in addition to that within them."""
 
     def build(self) -> Population:
         """Return the population that the table describes."""
-        return Population(self.distribution, None if self.sd is None else self.sd.build())
+        sd, between = (None if prior is None else prior.build() for prior in (self.sd, self.between))
+        return Population(self.distribution, sd, between)
 
 
 class PolynomialTable(TomlTable):

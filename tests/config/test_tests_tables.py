@@ -98,6 +98,21 @@ def test_a_loss_of_a_parameter_that_scatters(tmp_path):
     ]
 
 
+def test_scatter_between_groups(tmp_path):
+    scatters = 'varies = "population"\npopulation = {{ between = {} }}\n'
+    sd = '{ distribution = "half-normal", sd = 0.1 }'
+    tests = [PLAIN.replace("plain", f"t{t}").replace("old", "abc"[t // 2]) for t in range(6)]
+    problem = fmu.load(written(tmp_path, K1 + scatters.format(sd), K2, *tests))
+    assert problem.names[:6] == ("k1 mean", "k1 sd", "k1 sd between groups", *(f"k1 effect [{g}]" for g in "abc"))
+    assert problem.parameters[2].prior == fmu.HalfNormal(0.1)
+    assert mistakes(written(tmp_path, K1 + scatters.format(WRONG), K2, *tests)) == [
+        "parameters.0.population.between.sd: must be greater than 0 (got -1.0)"
+    ]
+    assert mistakes(written(tmp_path, K1 + scatters.format(sd), K2, *tests[:4])) == [
+        "parameters.0.varies: scatters between groups, and needs 3 groups or more (got 2)"
+    ]
+
+
 def test_damage_at_an_unknown_date(tmp_path):
     onset = 'varies = "undated-damage"\nonset = { by = "day", grows = true, event = "corrosion" }\n'
     tests = [PLAIN.replace("plain", f"t{t}") + f"covariates = {{ day = {t}.5 }}\n" for t in range(4)]

@@ -24,11 +24,12 @@ class Role(NamedTuple):
     ----------
     kind : str
         ``"shared"``, ``"test"`` or ``"group"``: the value in all tests, in one test or in a group of tests;
-        ``"mean"`` or ``"sd"``: the mean or standard deviation of a population; ``"score"``: the score of a test in
-        a population; ``"loss"``: the relative loss of a group, or since an event; ``"date"``: the date of an
-        event; ``"slope"`` or ``"kink"``: the slope with a covariate, or the place where it changes;
-        ``"covariate"``: the value of a covariate in a test; ``"correlation"``: a partial correlation of two
-        populations; ``"noise"``: an inferred standard deviation of the errors.
+        ``"mean"`` or ``"sd"``: the mean or a standard deviation of a population; ``"score"``: the score of a test
+        in a population; ``"effect"``: the effect of a group on a population; ``"loss"``: the relative loss of a
+        group, or since an event; ``"date"``: the date of an event; ``"slope"`` or ``"kink"``: the slope with a
+        covariate, or the place where it changes; ``"covariate"``: the value of a covariate in a test;
+        ``"correlation"``: a partial correlation of two populations; ``"noise"``: an inferred standard deviation of
+        the errors.
     of : int or None
         Index into ``layout.structural`` of the parameter of the structure; None for correlations, covariates and
         dates.

@@ -20,7 +20,9 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 
 from fmu.arguments import check_arguments
+from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.varies.base import Future, InTests, Slope, Theta, Varies
+from fmu.posterior.joint.varies.nested import Nested
 from fmu.posterior.joint.varies.truncated_normal import (
     Slopes,
     truncated_normal_log_pdf,
@@ -34,6 +36,7 @@ from fmu.types import BoolArray, FloatArray, IntArray, Plain
 
 Normals = tuple[FloatArray, FloatArray]
 
+_FEWEST_GROUPS = 3
 _SCATTER = 0.2
 """Scale of the default half-normal prior of a population's standard deviation, relative to the start value."""
 _FAR = 4.0
@@ -55,6 +58,9 @@ class Population(Varies):
     sd : Prior, optional
         Prior of the inferred standard deviation. Default: half-normal, with a scale of a fifth of the parameter's
         start value, or of 0.2 for ``"log-normal"``.
+    between : Prior, optional
+        Prior of a second standard deviation, between groups of tests such as seasons, relative to the value. `sd`
+        is then that within a group (`fmu.posterior.joint.varies.nested`). By default groups do not differ.
 
     Raises
     ------
@@ -64,6 +70,7 @@ class Population(Varies):
 
     distribution: Literal["normal", "log-normal"] = "normal"
     sd: Prior | None = None
+    between: Prior | None = None
     by_test: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -80,8 +87,36 @@ class Population(Varies):
         """Whether the logarithm of the parameter is normally distributed over the tests."""
         return self.distribution == "log-normal"
 
-    def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> Drawn:
+    def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
+        """Return a list of messages that say what the tests lack for the parameter `name` to vary in this way."""
+        found = super().find_mistakes(name, tests)
+        if self.between is None:
+            return found
+        rule = f"must be given, as {name} scatters between groups (got none)"
+        found += [f"tests.{t}.group: {rule}" for t, test in enumerate(tests) if not test.group]
+        groups = {test.group for test in tests if name not in test.known}
+        if len(groups) < _FEWEST_GROUPS:
+            rule = f"scatters between groups, and needs {_FEWEST_GROUPS} groups or more"
+            found.append(f"varies.{name}: {rule} (got {len(groups)})")
+        return found
+
+    def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> InTests:
         """Add centre, width and a score for each test in `here` to theta; return the values in the tests."""
+        within = self._within_groups(p, of, theta, here)
+        if self.between is None:
+            return within
+        median = float(self.between.quantile(np.array([0.5]), *self.between.support)[0])
+        lower = max(0.0, self.between.support[0])
+        width = theta.add(Parameter(f"{p.name} sd between groups", median, lower, prior=self.between), "sd", of)
+        numbers = {
+            group: theta.add(Parameter(f"{p.name} effect [{group}]", 0.0, prior=Normal(1.0)), "effect", of, group)
+            for group in dict.fromkeys(theta.tests[t].group for t in here)
+        }
+        first = min(numbers.values())
+        columns = np.array([numbers.get(test.group, first) for test in theta.tests])
+        return Nested(within, width, columns, self.of_logarithm)
+
+    def _within_groups(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> Drawn:
         mean, sd = self.parameters(p)
         centre, width = theta.add(mean, "mean", of), theta.add(sd, "sd", of)
         n, columns = len(theta.tests), np.zeros(len(theta.tests), dtype=np.int64)
@@ -197,6 +232,7 @@ class Population(Varies):
         return {
             "distribution": self.distribution,
             "sd": None if self.sd is None else self.sd.as_dict(),
+            **({} if self.between is None else {"between": self.between.as_dict()}),
         }
 
 
