@@ -34,6 +34,9 @@ GROUP = "identifiability"
 """Group of a trace that stores the identifiability."""
 INFORMED = 1.0
 """Singular value above which the data constrain a direction more than the prior does."""
+_INTEGRATED = ("score", "effect", "covariate")
+_OMITTED = ("sd", "correlation", "date", "kink")
+"""Kinds of parameters (`fmu.posterior.joint.varies.base.Role`) that are integrated out, and that are omitted."""
 _NODES = 256
 NAMED = 0.25
 """A component is named if it is at least this share of the largest component."""
@@ -169,8 +172,9 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
     ----------
     problem : UpdatingProblem
         A problem with an error model of modes. Inferred standard deviations of errors are held fixed. The scores
-        of tests in a population are integrated out. The standard deviation of the population is omitted, because
-        it changes no mode of a test at the population mean.
+        of tests in a population, effects of groups, and covariates that are not known are integrated out. The
+        standard deviation of the population is omitted, because it changes no mode of a test at the population
+        mean; so are dates of damage and kinks, which change no mode at a loss or a slope of zero.
     theta : array_like, shape (ndim,), optional
         Point of linearisation, SI units, within the bounds; the start if not given.
 
@@ -198,8 +202,8 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
     if not np.all(np.isfinite(sensitivity)):
         raise ArgumentError("theta", "the modes must have finite derivatives", f"none at {point.tolist()}")
     labels = problem.likelihood.labels(tuple(map(str, problem.data.labels)))
-    scores = [k for k, role in enumerate(roles) if role.kind == "score"]
-    kept = [k for k, role in enumerate(roles) if role.kind not in ("score", "sd", "correlation")]
+    scores = [k for k, role in enumerate(roles) if role.kind in _INTEGRATED]
+    kept = [k for k, role in enumerate(roles) if role.kind not in (*_INTEGRATED, *_OMITTED)]
     names, units = (tuple(of[k] for k in kept) for of in (problem.names, problem.units))
     marginal = _integrate_out(sensitivity[:, kept], sensitivity[:, scores])
     return Identifiability(names, units, labels, point[kept], prior_sd[kept], marginal)

@@ -61,7 +61,10 @@ def damage(trace: xr.DataTree, beyond: Sequence[float] = (0.05, 0.1)) -> pd.Data
         If the trace has no losses, or a value of `beyond` is not between 0 and 1.
     """
     if not has(trace, LOSSES):
-        raise ArgumentError("trace", "has no losses, as it has no parameter that varies between groups of tests")
+        rule = "has no losses, as it has no parameter that varies between groups of tests"
+        if has(trace, BY_TEST):
+            rule += "; fmu.damage_by_test and the report have the losses from an unknown date on"
+        raise ArgumentError("trace", rule)
     return _table(trace, LOSSES, "state", beyond)
 
 

@@ -141,3 +141,18 @@ def test_contradictions(building, case):
 def test_an_event_needs_a_name():
     with pytest.raises(ValueError, match="event: must not be empty"):
         fmu.UndatedDamage(event="")
+
+
+def test_a_check_before_the_run_doubts_neither_dates_nor_covariates(building):
+    """At the start there is no loss and no slope, so that dates, kinks and temperatures change nothing there."""
+    tests = campaign(building, (1.0,) * 8, DAYS)
+    unknown = {"day": 3.0, "temperature": None}
+    tests[2] = fmu.Test(tests[2].name, tests[2].data, covariates=unknown)
+    parameters = [fmu.Parameter(name, 1.0, 0.5, 1.5) for name in NAMES]
+    slopes = {"k1": {"temperature": fmu.PiecewiseLinear(fmu.Normal(0.003), fmu.Normal(5.0, mean=12.0))}}
+    problem = fmu.JointProblem(building, tests, parameters, varies={"k1": SUDDEN}, slopes=slopes, pairing="index")
+    found = fmu.check(problem)
+    pieces = ("k1 per temperature below kink", "k1 per temperature above kink")
+    assert list(found.parameters.index) == list(problem.names)
+    assert fmu.identifiability(problem).names == ("k1", "k1 loss", *pieces, "k2")
+    assert "carry no information on" not in str(found)
