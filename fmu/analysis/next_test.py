@@ -113,7 +113,7 @@ def predict_tests(
     rows = []
     for test, t in zip(tests, wanted, strict=True):
         slopes = {role.where for role in problem.roles if role.kind == "slope"}
-        covariates = {name: test.covariates[name] for name in sorted(slopes)}
+        covariates = {name: x for name in sorted(slopes) if (x := test.known_covariate(name)) is not None}
         key = (t, *covariates.values())
         if key not in simulated:
             simulated[key] = _without_failures(
@@ -146,9 +146,11 @@ def _find_like(problem: UpdatingProblem, test: Test, like: str | None) -> int:
         if role.kind == "slope" and role.where not in test.covariates:
             name = "" if role.of is None else problem.layout.structural[role.of].name
             found.append(f"covariates: must have {role.where}, on which {name} depends (got none)")
+        elif role.kind == "slope" and test.known_covariate(role.where) is None:
+            found.append(f"covariates.{role.where}: must be a number in a further test (got a value to be inferred)")
     if like is not None and like not in names:
         found.append(f"like: must be one of {names_shown(names)} (got {like!r})")
-    by_group = any(role.kind in ("group", "loss") for role in problem.roles)
+    by_group = bool(problem.layout.by_state) or any(role.kind == "effect" for role in problem.roles)
     if by_group and test.group not in groups:
         found.append(
             f"group: must be one of {names_shown(groups)}, as a parameter varies by group (got {test.group!r})"

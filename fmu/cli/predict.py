@@ -190,10 +190,13 @@ def _echo_new(found: pd.DataFrame) -> None:
 
 def _echo_remarks(problem: UpdatingProblem, tests: Sequence[Test], diagnosis: Diagnosis) -> None:
     """Print a warning if slopes are extrapolated, and if the draws are not to be relied on."""
+    from fmu.posterior.joint.varies.covariates import known_values
+
     for name in dict.fromkeys(role.where for role in problem.roles if role.kind == "slope"):
-        earlier = [test.covariates[name] for test in problem.tests]
-        low, high = min(earlier), max(earlier)
-        beyond = [test.name for test in tests if not low <= test.covariates[name] <= high]
+        earlier = known_values(name, problem.tests)
+        low, high = float(earlier.min()), float(earlier.max())
+        given = {test.name: test.known_covariate(name) for test in tests}
+        beyond = [test for test, x in given.items() if x is not None and not low <= x <= high]
         if beyond:
             rule = f"{name} is beyond {low:g} to {high:g}, the range of the earlier tests, in"
             click.echo(wrap_text(f"Warning: {rule} {names_shown(beyond)}.", width=_WIDTH))

@@ -128,6 +128,11 @@ class Test:
         changes = (tuple(sorted(part.items(), key=str)) for part in (self.masses, self.springs, self.known))
         return (*changes, tuple(self.data.sensors))
 
+    def known_covariate(self, name: str) -> float | None:
+        """Return the value of a covariate; None where the test has none, or its value is to be inferred."""
+        given = self.covariates.get(name)
+        return None if given is None or isinstance(given, Prior) else float(given)
+
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of the test's name, group, covariates and known changes, in plain Python types."""
         springs: list[list[Plain]] = [
