@@ -147,7 +147,9 @@ def _find_like(problem: UpdatingProblem, test: Test, like: str | None) -> int:
             name = "" if role.of is None else problem.layout.structural[role.of].name
             found.append(f"covariates: must have {role.where}, on which {name} depends (got none)")
         elif role.kind == "slope" and test.known_covariate(role.where) is None:
-            found.append(f"covariates.{role.where}: must be a number in a further test (got a value to be inferred)")
+            found.append(
+                f"covariates.{role.where}: must be a number in a further test (got a value to be inferred)"
+            )
     if like is not None and like not in names:
         found.append(f"like: must be one of {names_shown(names)} (got {like!r})")
     by_group = bool(problem.layout.by_state) or any(role.kind == "effect" for role in problem.roles)

@@ -218,9 +218,9 @@ def test_check_run_and_damage(tmp_path):
         main, ["run", str(scattered), "--draws", "40", "--warmup", "40", "--no-report", "--out", str(out)]
     )
     assert ran.exit_code == 0, ran.output
-    assert (out / "hmc.nc").is_file()
+    assert (out / "gibbs.nc").is_file()
     assert not (out / "map.csv").exists()
-    assert set(fmu.load_trace(out / "hmc.nc").children) >= {"tests", "next_test"}
+    assert set(fmu.load_trace(out / "gibbs.nc").children) >= {"tests", "next_test"}
     assert tomllib.loads((out / "problem.toml").read_text())["tests"][2]["name"] == "again"
 
 

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Self
 
 import numpy as np
 
-from fmu.posterior.joint.varies.base import Future, InTests, Slope
+from fmu.posterior.joint.modal_test import Test
+from fmu.posterior.joint.varies.base import Future, InTests, Slope, Theta
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors.base import Normal, Prior
 from fmu.types import FloatArray, IntArray
+
+_FEWEST_GROUPS = 3
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,34 @@ class Nested(InTests):
     width: int
     columns: IntArray
     of_logarithm: bool
+
+    @classmethod
+    def of_groups(
+        cls,
+        of: InTests,
+        between: Prior,
+        of_logarithm: bool,
+        name: str,
+        number: int,
+        theta: Theta,
+        here: Sequence[int],
+    ) -> Nested:
+        """Add s, with the prior `between`, and the effects of groups to theta; return the values in the tests.
+
+        The parameter with the index `number` and the `name` is not known in the tests `here`, and has the values
+        `of` without effects.
+        """
+        median = float(between.quantile(np.array([0.5]), *between.support)[0])
+        s = Parameter(f"{name} sd between groups", median, max(0.0, between.support[0]), prior=between)
+        width = theta.add(s, "sd", number)
+        numbers = {
+            group: theta.add(
+                Parameter(f"{name} effect [{group}]", 0.0, prior=Normal(1.0)), "effect", number, group
+            )
+            for group in dict.fromkeys(theta.tests[t].group for t in here)
+        }
+        first = min(numbers.values())
+        return cls(of, width, np.array([numbers.get(test.group, first) for test in theta.tests]), of_logarithm)
 
     @property
     def base(self) -> InTests:
@@ -88,3 +121,14 @@ class Nested(InTests):
     def refer_to(self, references: Mapping[int, tuple[FloatArray, tuple[float, float]]]) -> Self:
         """Return the parameter with another centring and reference of its scores."""
         return replace(self, of=self.of.refer_to(references))
+
+
+def find_mistakes_of_groups(name: str, tests: Sequence[Test]) -> list[str]:
+    """Return a list of messages that say what the tests lack for the parameter `name` to differ between groups."""
+    rule = f"must be given, as {name} scatters between groups (got none)"
+    found = [f"tests.{t}.group: {rule}" for t, test in enumerate(tests) if not test.group]
+    groups = {test.group for test in tests if name not in test.known}
+    if len(groups) < _FEWEST_GROUPS:
+        rule = f"scatters between groups, and needs {_FEWEST_GROUPS} groups or more"
+        found.append(f"varies.{name}: {rule} (got {len(groups)})")
+    return found

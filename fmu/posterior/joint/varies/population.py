@@ -22,7 +22,7 @@ import numpy as np
 from fmu.arguments import check_arguments
 from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.varies.base import Future, InTests, Slope, Theta, Varies
-from fmu.posterior.joint.varies.nested import Nested
+from fmu.posterior.joint.varies.nested import Nested, find_mistakes_of_groups
 from fmu.posterior.joint.varies.truncated_normal import (
     Slopes,
     truncated_normal_log_pdf,
@@ -36,7 +36,6 @@ from fmu.types import BoolArray, FloatArray, IntArray, Plain
 
 Normals = tuple[FloatArray, FloatArray]
 
-_FEWEST_GROUPS = 3
 _SCATTER = 0.2
 """Scale of the default half-normal prior of a population's standard deviation, relative to the start value."""
 _FAR = 4.0
@@ -92,29 +91,14 @@ class Population(Varies):
         found = super().find_mistakes(name, tests)
         if self.between is None:
             return found
-        rule = f"must be given, as {name} scatters between groups (got none)"
-        found += [f"tests.{t}.group: {rule}" for t, test in enumerate(tests) if not test.group]
-        groups = {test.group for test in tests if name not in test.known}
-        if len(groups) < _FEWEST_GROUPS:
-            rule = f"scatters between groups, and needs {_FEWEST_GROUPS} groups or more"
-            found.append(f"varies.{name}: {rule} (got {len(groups)})")
-        return found
+        return found + find_mistakes_of_groups(name, tests)
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> InTests:
         """Add centre, width and a score for each test in `here` to theta; return the values in the tests."""
         within = self._within_groups(p, of, theta, here)
         if self.between is None:
             return within
-        median = float(self.between.quantile(np.array([0.5]), *self.between.support)[0])
-        lower = max(0.0, self.between.support[0])
-        width = theta.add(Parameter(f"{p.name} sd between groups", median, lower, prior=self.between), "sd", of)
-        numbers = {
-            group: theta.add(Parameter(f"{p.name} effect [{group}]", 0.0, prior=Normal(1.0)), "effect", of, group)
-            for group in dict.fromkeys(theta.tests[t].group for t in here)
-        }
-        first = min(numbers.values())
-        columns = np.array([numbers.get(test.group, first) for test in theta.tests])
-        return Nested(within, width, columns, self.of_logarithm)
+        return Nested.of_groups(within, self.between, self.of_logarithm, p.name, of, theta, here)
 
     def _within_groups(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> Drawn:
         mean, sd = self.parameters(p)

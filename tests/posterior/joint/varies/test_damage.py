@@ -127,7 +127,8 @@ def test_a_loss_of_a_parameter_that_scatters(damage, noise):
     gradient = problem.log_prob_and_grad(theta)[1]
     assert_gradient(gradient, problem.log_prob, theta, 1e-6 * problem.scale, rtol=1e-4, of_largest=1e-5)
     rng = np.random.default_rng(3)
-    of_state = [problem.layout.of_next_test(theta, np.random.default_rng(3), t, {})[:, 0] for t in (0, 5)]
+    scores = rng.standard_normal((5, 1))
+    of_state = [problem.layout.of_next_test(theta, rng, scores, t, {})[:, 0] for t in (0, 5)]
     assert_allclose(of_state[1], of_state[0] * (1 - theta[:, 2]), rtol=1e-12)
     prior = problem.values(problem.sample_prior(rng, 2000))[:, :, 0]
     low, high = problem.layout.box()

@@ -43,7 +43,9 @@ def test_values_gradient_and_box(distribution, noise):
     low, high = problem.layout.box()
     values = problem.values(problem.sample_prior(np.random.default_rng(0), 1000))
     assert np.mean((values >= low) & (values <= high)) > 0.995
-    further = [problem.layout.of_next_test(theta, np.random.default_rng(3), t, {})[:, 0] for t in (0, 3)]
+    rng = np.random.default_rng(3)
+    scores = rng.standard_normal((5, 1))
+    further = [problem.layout.of_next_test(theta, rng, scores, t, {})[:, 0] for t in (0, 3)]
     assert_allclose(further[1] / further[0], factor[:, 3] / factor[:, 0], rtol=1e-12)
 
 

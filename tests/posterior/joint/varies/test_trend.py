@@ -165,9 +165,9 @@ def test_the_next_test_has_the_law_too(building):
     theta = np.array([[1.1, -0.02, -0.003, 0.9]])
     rng = np.random.default_rng(0)
     for t in (0, 6):
-        found = problem.layout.of_next_test(theta, rng, 3, {"temperature": TEMPERATURES[t]})
+        found = problem.layout.of_next_test(theta, rng, np.zeros((1, 0)), 3, {"temperature": TEMPERATURES[t]})
         assert_allclose(found, problem.values(theta)[:, t], rtol=1e-14)
-    at_mean = problem.layout.of_next_test(theta, rng, 0, {})
+    at_mean = problem.layout.of_next_test(theta, rng, np.zeros((1, 0)), 0, {})
     assert_allclose(at_mean[0], [1.1, 0.9], rtol=1e-14)
 
 

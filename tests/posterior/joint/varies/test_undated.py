@@ -93,12 +93,12 @@ def test_gradient_and_box(building, grows, scatter):
 
 def test_the_next_test_comes_after_the_last(building):
     theta = np.array([[1.0, 0.1, 4.0, 1.0]])
-    rng = np.random.default_rng(0)
+    rng, none = np.random.default_rng(0), np.zeros((1, 0))
     for damage, at_10, at_16 in ((SUDDEN, 0.9, 0.9), (GROWING, 1 - 0.1 * 6 / 8, 0.85)):
         layout = posed(building, damage).layout
-        assert_allclose(layout.of_next_test(theta, rng, 0, {})[0, 0], 0.9, rtol=1e-14)
+        assert_allclose(layout.of_next_test(theta, rng, none, 0, {})[0, 0], 0.9, rtol=1e-14)
         for day, expected in ((2.0, 1.0), (10.0, at_10), (16.0, at_16)):
-            assert_allclose(layout.of_next_test(theta, rng, 0, {"day": day})[0, 0], expected, rtol=1e-14)
+            assert_allclose(layout.of_next_test(theta, rng, none, 0, {"day": day})[0, 0], expected, rtol=1e-14)
 
 
 @pytest.mark.parametrize("grows", [False, True], ids=["sudden", "growing"])
