@@ -57,7 +57,9 @@ class UndatedDamage(Varies):
         Name of the event. Parameters with the same event have the same date, named ``"day of damage"`` after the
         time and the event, or ``"test of damage"`` in the order of the tests.
     scatter : Population, optional
-        Population of the undamaged values in the tests. By default all tests have the same undamaged value.
+        Population of the undamaged values in the tests. By default all tests have the same undamaged value. With a
+        population the chains often stay at different dates, so that the run does not converge: then divide the
+        tests into groups before and after the date that is found without it, and use `Damage`.
 
     Raises
     ------
