@@ -35,7 +35,6 @@ from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers.adaptation import DualAveraging
 from fmu.samplers.kernel import Index, Info, Sampler, State, Tree
 from fmu.samplers.local import accept
-from fmu.samplers.mixture.quadratic import definite
 from fmu.samplers.settings import positive_number
 from fmu.samplers.trajectory import ExactGradient, HamiltonianKernel, Metric
 from fmu.types import AnyArray, BoolArray, FloatArray, LogDensity, Positive
@@ -71,6 +70,7 @@ class GibbsSampler(Sampler):
     colour: ClassVar[str] = "#117733"
     cost: ClassVar[tuple[float, float, float]] = (1.0, 1.0, 0.9)
     first: ClassVar[tuple[int, int]] = (300, 500)
+    takes_maxima: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         if self.step_size is not None:
@@ -83,7 +83,7 @@ class GibbsSampler(Sampler):
             raise ValueError("problem: must have a population over several tests for Gibbs sampling (got none)")
         scaled = density if isinstance(density, ScaledDensity) else ScaledDensity(density)
         found = conditionals(problem)
-        main, shift = (Metric.of(np.linalg.inv(definite(one)), len(one)) for one in found.curvatures)
+        main, shift = (Metric.of(np.linalg.inv(one), len(one)) for one in found.curvatures)
         step_size = np.asarray(_FIRST_STEP if self.step_size is None else self.step_size)
         return GibbsKernel(scaled, problem, found, main, shift, step_size)
 

@@ -109,6 +109,8 @@ class Sampler(ABC):
         which convergence is first checked.
     is_local : bool
         Whether the sampler takes local steps; see `LocalSampler`: the mixture and tempering can then use these.
+    takes_maxima : bool
+        Whether the settings may depend on the maxima of the density; see `starting_from`.
     learns_together : bool
         Whether all chains must be in one group.
     walkers : int
@@ -125,6 +127,7 @@ class Sampler(ABC):
     cost: ClassVar[tuple[float, float, float]] = (1.0, 1.0, 1.0)
     first: ClassVar[tuple[int, int]] = (1000, 1000)
     is_local: ClassVar[bool] = False
+    takes_maxima: ClassVar[bool] = True
     learns_together: ClassVar[bool] = False
 
     @property

@@ -132,7 +132,7 @@ def begin(
         caught_at = [m for m in begin_at if m.starting_share > NEGLIGIBLE or starts.word != "maxima"]
         if jumps is None and len(caught_at) > 1 and settings.is_local:
             settings = with_jumps(settings)
-    if begin_at is not None or not is_searchable(problem):
+    if settings.takes_maxima and (begin_at is not None or not is_searchable(problem)):
         settings = settings.starting_from(*components(problem, begin_at))
     return Beginning(settings, starts, maxima, is_new)
 

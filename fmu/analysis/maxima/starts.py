@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -85,8 +85,11 @@ def choose_starts(
             return Starts("prior", "prior", "prior")
         theta, origin = _scatter_starts(plain, chains * walkers, seed), {"maxima": "scattered"}
     else:
-        scaled, rng = ScaledDensity(density), generator(seed, START_STREAM)
-        theta, origin = scaled.to_theta(_around(middle(density), scaled, rng, chains * walkers)), TYPICAL_POINT
+        from fmu.posterior.joint.conditional.both import scatter_about_typical
+
+        rng = generator(seed, START_STREAM)
+        problem, origin = cast("UpdatingProblem", density), TYPICAL_POINT
+        theta = scatter_about_typical(problem, rng, chains * walkers, DISPERSION)
     return Starts(theta if walkers == 1 else theta.reshape(chains, walkers, -1), "maxima", origin)
 
 

@@ -128,7 +128,9 @@ def parameter_units(trace: xr.DataTree) -> tuple[str, ...]:
 
 def parameter_draws(trace: xr.DataTree) -> FloatArray:
     """Return the retained draws, shape (chains, draws, ndim), SI units."""
-    return np.stack([array_of(trace, "posterior", name) for name in parameter_names(trace)], axis=-1)
+    variables = trace["posterior"].dataset.variables  # a lookup in the tree itself takes ms with many parameters
+    names = parameter_names(trace)
+    return np.stack([variables[name].transpose("chain", "draw").to_numpy() for name in names], axis=-1)
 
 
 def constant(trace: xr.DataTree, which: str, name: str) -> float:

@@ -8,10 +8,11 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from fmu.box import find_inside
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.joint.conditional.expansion import expand
 from fmu.posterior.joint.conditional.main import MainGivenValues
-from fmu.posterior.joint.conditional.scores import ScoresGivenMain, remove_centring
+from fmu.posterior.joint.conditional.scores import ScoresGivenMain, remove_centring, restore_centring
 from fmu.posterior.joint.conditional.shift import MainGivenScores
 from fmu.posterior.joint.typical import typical_point
 from fmu.posterior.problem import UpdatingProblem
@@ -20,6 +21,7 @@ from fmu.types import FloatArray
 
 _STEP = 1e-4
 _INFORMED = 0.5
+_HALVINGS = 30
 _SCORES = 400
 """Number of draws of the scores of a test over which second derivatives are averaged."""
 
@@ -36,6 +38,8 @@ class Conditionals(NamedTuple):
         Minus the second derivatives of `main` and `shift` at the typical point, by their coordinates.
     is_enough : bool
         Whether steps by `scores` and `main` alone reach all parameters, and mix well.
+    typical : ndarray, shape (1, ndim)
+        The typical point, with standard normal scores.
     """
 
     scores: ScoresGivenMain
@@ -43,6 +47,7 @@ class Conditionals(NamedTuple):
     shift: MainGivenScores
     curvatures: tuple[FloatArray, FloatArray]
     is_enough: bool
+    typical: FloatArray
 
 
 _KNOWN: WeakKeyDictionary[UpdatingProblem, Conditionals] = WeakKeyDictionary()
@@ -53,6 +58,46 @@ def conditionals(problem: UpdatingProblem) -> Conditionals:
     if problem not in _KNOWN:
         _KNOWN[problem] = _compute(problem)
     return _KNOWN[problem]
+
+
+def scatter_about_typical(
+    problem: UpdatingProblem, rng: np.random.Generator, n: int, dispersion: float
+) -> FloatArray:
+    """Return `n` points about the typical point of a hierarchical posterior, (n, ndim), with finite densities.
+
+    The main parameters scatter by what both of their conditional densities leave open, the scores by theirs, all
+    of this times `dispersion`. A point outside the bounds or without a finite density is moved halfway to the
+    typical point until it is inside.
+    """
+    known = conditionals(problem)
+    centre = np.repeat(known.typical, n, axis=0)
+    values, noises = known.main.values(centre), [rng.standard_normal((n, len(one))) for one in known.curvatures]
+    steps = [
+        dispersion * noise @ np.linalg.cholesky(np.linalg.inv(curvature)).T
+        for noise, curvature in zip(noises, known.curvatures, strict=True)
+    ]
+    of_scores = rng.standard_normal((n, *known.scores.scores.scored.shape))
+    share, found = np.ones((n, 1)), restore_centring(problem.layout, centre)
+    left = np.arange(n)
+    for _ in range(_HALVINGS):
+        w = known.main.coordinates(centre[left], values[left]) + share[left] * steps[0][left]
+        theta = known.main.theta_at(w, centre[left], values[left])
+        low, high = known.shift.lower, known.shift.upper
+        w = known.shift.coordinates(theta) + share[left] * steps[1][left]
+        w = np.where(w < low, 2.0 * low - w, np.where(w > high, 2.0 * high - w, w))  # reflected at the bounds
+        theta = known.shift.theta_at(w, theta)
+        inside = find_inside(theta, problem.lower, problem.upper)[0] & np.all((w > low) & (w < high), axis=1)
+        theta[~inside] = centre[left][~inside]
+        normal = known.scores.approximate(theta)
+        z = normal.draw(normal.mean, 0.0, share[left, :, None] * dispersion * of_scores[left])
+        theta = restore_centring(problem.layout, known.scores.scores.put(theta, z))
+        good = inside & np.isfinite(problem.log_prob(theta))
+        found[left[good]] = theta[good]
+        share[left] *= 0.5
+        left = left[~good]
+        if not len(left):
+            break
+    return found
 
 
 def _compute(problem: UpdatingProblem) -> Conditionals:
@@ -83,7 +128,7 @@ def _compute(problem: UpdatingProblem) -> Conditionals:
         ),
     )
     is_enough = main.others == 0 and scores.informed(theta) > _INFORMED
-    return Conditionals(scores, main, shift, curvatures, is_enough)
+    return Conditionals(scores, main, shift, curvatures, is_enough, theta)
 
 
 def _curvature(
@@ -99,4 +144,11 @@ def _curvature(
     for k in range(d):
         move = h[k] * (np.arange(d) == k)
         hessian[k] = (gradient(w - move) - gradient(w + move)).mean(axis=0) / (2.0 * h[k])
-    return 0.5 * (hessian + hessian.T)
+    return _definite(0.5 * (hessian + hessian.T))
+
+
+def _definite(curvature: FloatArray) -> FloatArray:
+    """Return a symmetric matrix with positive eigenvalues: their absolute values, at least 1e-9 of the largest."""
+    values, vectors = np.linalg.eigh(curvature)
+    size = np.abs(values)
+    return np.asarray((vectors * np.maximum(size, 1e-9 * size.max())) @ vectors.T)
