@@ -531,7 +531,7 @@ IN_THE_STRUCTURE = (
         "fmu/fem/reduced/residuals.py",
         "end = np.maximum(np.sqrt(blind), sigma / rest[:, None])",
         "end = np.sqrt(blind)",
-        ("tests/posterior/reduction/test_large_structure.py",),
+        ("tests/fem/reduced/test_frequency_bound.py",),
     ),
     Fault(
         "a mode that the trial space does not know goes uncounted",

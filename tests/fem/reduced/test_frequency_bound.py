@@ -18,7 +18,7 @@ from fmu.fem.reduced.anchors import Anchors, SingularAnchorError, anchor_points,
 from fmu.fem.reduced.learning import Learner
 from fmu.fem.reduced.points import box_points
 from fmu.fem.reduced.reduced_structure import train
-from fmu.fem.reduced.residuals import bound_errors
+from fmu.fem.reduced.residuals import bound_errors, frequency_error
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.problem import UpdatingProblem
@@ -151,6 +151,25 @@ def test_the_bound_is_a_bound(built):
     known = true > 1e-9
     assert known.sum() > 50
     assert np.median(bound[known] / true[known]) <= 5.0
+
+
+@pytest.mark.parametrize("near", [0.5, 0.8, 0.95])
+def test_the_bound_counts_a_mode_just_above_that_little_of_the_residual_shows(near):
+    """The trial vector is coupled to a mode at λ/`near` with a tenth of the energy, to a far mode with the rest."""
+    energy = np.array([1e-7, 9e-7])
+    above = np.array([1.0 / near, 1e6])
+    K = np.diag([1.0, *above])
+    K[0, 1:] = K[1:, 0] = np.sqrt(energy * above)
+    exact = np.linalg.eigvalsh(K)
+    r = K[:, 0] - K[0, 0] * np.eye(3)[0]
+    w = np.linalg.solve(K, r)
+    one = np.ones((1, 1))
+    bound = frequency_error(one, 0.0, one[None] * (r @ w), one * (w @ w), np.ones(1), exact[1:2])[0, 0]
+    true = 1.0 / np.sqrt(exact[0]) - 1.0
+    # what the bound neglects is of second order in the energy, divided by the distance of the modes
+    second = energy.sum() / (1.0 - near)
+    assert true <= bound * (1.0 + 10.0 * second)
+    assert bound <= true * (1.0 + 10.0 * second)
 
 
 @pytest.mark.parametrize("built", [halves, plate, vanishing])
