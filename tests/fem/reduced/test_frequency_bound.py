@@ -155,7 +155,7 @@ def test_the_bound_is_a_bound(built):
 
 @pytest.mark.parametrize("near", [0.5, 0.8, 0.95])
 def test_the_bound_counts_a_mode_just_above_that_little_of_the_residual_shows(near):
-    """The trial vector is coupled to a mode at λ/`near` with a tenth of the energy, to a far mode with the rest."""
+    """The trial vector is coupled to a mode at λ/`near` with a tenth of the energy, to a far one with the rest."""
     energy = np.array([1e-7, 9e-7])
     above = np.array([1.0 / near, 1e6])
     K = np.diag([1.0, *above])
