@@ -204,7 +204,11 @@ class GibbsKernel:
 
     def _terms(self, theta: FloatArray) -> FloatArray:
         """Return the log-likelihood of each datum, (chains, n_terms), at theta with standard normal scores."""
-        return self.problem.terms_of_tests(restore_centring(self.problem.layout, theta))
+        layout = self.conditionals.scores.layout
+        terms = self.problem.likelihood.terms(layout.of_model(theta))
+        if np.count_nonzero(np.isfinite(terms)) == terms.size:
+            return terms
+        return self.problem.terms_of_tests(restore_centring(self.problem.layout, theta))  # records the failures
 
     def _shift(
         self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray

@@ -26,23 +26,28 @@ def truncated_normal_values(
     z, mean, sd : ndarray, broadcastable
     lower, upper : float
     """
-    z, mean, sd = np.broadcast_arrays(z, mean, sd)
-    value, slopes = mean + sd * z, (sd.copy(), np.ones(z.shape), z.copy())
+    value = mean + sd * z
     near = _find_near(z, mean, sd, lower, upper)
-    if near.any():
-        value[near], of_near = _values_near_bounds(z[near], mean[near], sd[near], lower, upper)
-        for slope, one in zip(slopes, of_near, strict=True):
-            slope[near] = one
+    if near is None:
+        return value, tuple(np.broadcast_to(x, value.shape) for x in (sd, np.ones(1), z))  # type: ignore[return-value]
+    z, mean, sd, near = np.broadcast_arrays(z, mean, sd, near)
+    slopes = (sd.copy(), np.ones(z.shape), z.copy())
+    value[near], of_near = _values_near_bounds(z[near], mean[near], sd[near], lower, upper)
+    for slope, one in zip(slopes, of_near, strict=True):
+        slope[near] = one
     return value, slopes
 
 
-def _find_near(z: FloatArray, mean: FloatArray, sd: FloatArray, lower: float, upper: float) -> BoolArray:
-    """Return a mask of the values on which the bounds have an influence."""
+def _find_near(
+    z: FloatArray | float, mean: FloatArray, sd: FloatArray, lower: float, upper: float
+) -> BoolArray | None:
+    """Return a mask of the values on which the bounds have an influence; None if there is no such value."""
+    if np.isneginf(lower) and np.isposinf(upper):
+        return None
     with np.errstate(over="ignore", invalid="ignore"):
-        room = np.minimum(mean - lower, upper - mean)
-        return np.asarray(
-            ~((room >= _DISTANT * sd) & (np.abs(z) <= _CENTRAL)) & (np.isfinite(lower) | np.isfinite(upper))
-        )
+        is_distant = np.minimum(mean - lower, upper - mean) >= _DISTANT * sd
+        near = ~(is_distant & (np.abs(z) <= _CENTRAL))
+    return near if np.any(near) else None
 
 
 def _values_near_bounds(
@@ -78,12 +83,12 @@ def truncated_normal_log_pdf(
     mean, sd : ndarray, broadcastable
     lower, upper : float
     """
-    x, mean, sd = np.broadcast_arrays(x, mean, sd)
     a = (x - mean) / sd
     value = -0.5 * a**2 - np.log(sd) - _HALF_LOG_2PI
     slopes = -a / sd, a / sd, (a**2 - 1.0) / sd
-    near = _find_near(np.zeros(()), mean, sd, lower, upper)
-    if near.any():
+    near = _find_near(0.0, mean, sd, lower, upper)
+    if near is not None:
+        mean, sd, near = np.broadcast_arrays(mean, sd, np.broadcast_to(near, value.shape))
         log_mass, by_mean, by_sd = _mass_between(mean[near], sd[near], lower, upper)
         value[near] -= log_mass
         slopes[1][near] += by_mean
@@ -108,10 +113,10 @@ def truncated_normal_scores(
     x: FloatArray, mean: FloatArray, sd: FloatArray, lower: float, upper: float
 ) -> FloatArray:
     """Return z = Φ⁻¹(F(x)) for the truncated normal distribution F, the inverse of `truncated_normal_values`."""
-    x, mean, sd = np.broadcast_arrays(x, mean, sd)
     z = (x - mean) / sd
     near = _find_near(z, mean, sd, lower, upper)
-    if near.any():
+    if near is not None:
+        mean, sd = np.broadcast_to(mean, z.shape), np.broadcast_to(sd, z.shape)
         z[near] = _scores_near_bounds(z[near], (lower - mean[near]) / sd[near], (upper - mean[near]) / sd[near])
     return z
 
