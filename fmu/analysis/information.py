@@ -242,7 +242,7 @@ def left_along(trace: xr.DataTree, linearised: Identifiability) -> FloatArray:
     """
     n = len(linearised.names)
     x = parameter_draws(trace).reshape(-1, len(parameter_names(trace)))[:, :n]
-    prior = np.stack([trace["prior"][name].to_numpy().ravel() for name in linearised.names], axis=1)
+    prior = np.stack([trace["prior"].variables[name].to_numpy().ravel() for name in linearised.names], axis=1)
     scaled = (linearised.directions / linearised.prior_sd).T
     return np.asarray((x @ scaled).std(axis=0) / (prior @ scaled).std(axis=0))
 
@@ -316,7 +316,7 @@ def standardise_draws(trace: xr.DataTree) -> tuple[FloatArray, FloatArray, tuple
     """
     names = parameter_names(trace)
     x = parameter_draws(trace).reshape(-1, len(names))
-    prior = np.stack([trace["prior"][name].to_numpy().ravel() for name in names], axis=1)
+    prior = np.stack([trace["prior"].variables[name].to_numpy().ravel() for name in names], axis=1)
     kinds = {p["name"]: p["prior"].get("distribution") for p in problem_of(trace).get("parameters", ())}
     logs = np.array([kinds.get(name) == "log-normal" for name in names])
     x[:, logs], prior[:, logs] = np.log(x[:, logs]), np.log(prior[:, logs])

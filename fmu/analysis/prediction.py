@@ -241,7 +241,7 @@ def _prior_share(trace: xr.DataTree, name: str, bound: float, sign: float, margi
     """Return the share of the prior near a bound; a uniform prior is assumed if the trace has no prior draws."""
     if not has(trace, "prior"):
         return NEAR_A_BOUND
-    return float(np.mean(sign * (trace["prior"][name].to_numpy() - bound) < margin))
+    return float(np.mean(sign * (trace["prior"].variables[name].to_numpy() - bound) < margin))
 
 
 def search_warnings(trace: xr.DataTree, highest: float) -> list[str]:

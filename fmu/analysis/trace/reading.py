@@ -46,7 +46,8 @@ def is_pseudo(trace: xr.DataTree) -> bool:
 
 def array_of(trace: xr.DataTree, group: str, variable: str) -> AnyArray:
     """Return a variable of a group, with one value or array per draw, shape (chains, draws, ...)."""
-    return trace[group][variable].transpose("chain", "draw", ...).to_numpy()
+    # .variables[…] takes 1 % of the time of [group][variable] where a group has a thousand variables
+    return trace[group].variables[variable].transpose("chain", "draw", ...).to_numpy()
 
 
 def problem_of(trace: xr.DataTree) -> dict[str, Any]:
@@ -123,14 +124,13 @@ def without_scores(trace: xr.DataTree) -> xr.DataTree:
 
 def parameter_units(trace: xr.DataTree) -> tuple[str, ...]:
     """Return the units of the sampled parameters, in the order of theta; an empty string without a unit."""
-    return tuple(str(trace["posterior"][name].attrs.get("units", "")) for name in parameter_names(trace))
+    variables = trace["posterior"].variables
+    return tuple(str(variables[name].attrs.get("units", "")) for name in parameter_names(trace))
 
 
 def parameter_draws(trace: xr.DataTree) -> FloatArray:
     """Return the retained draws, shape (chains, draws, ndim), SI units."""
-    variables = trace["posterior"].dataset.variables  # a lookup in the tree itself takes ms with many parameters
-    names = parameter_names(trace)
-    return np.stack([variables[name].transpose("chain", "draw").to_numpy() for name in names], axis=-1)
+    return np.stack([array_of(trace, "posterior", name) for name in parameter_names(trace)], axis=-1)
 
 
 def constant(trace: xr.DataTree, which: str, name: str) -> float:
