@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field, Tag
 
 from fmu.arguments import ArgumentError
+from fmu.config.discrepancy import DiscrepancyTable
 from fmu.config.errors import ErrorTable, beside_tests, build_error_models, is_of_modes, vanishing, with_places
 from fmu.config.measurement import MeasurementTable
 from fmu.config.mistakes import BrokenError, ConfigurationError, Mistakes
@@ -88,6 +89,8 @@ class ProblemFile(TomlTable):
     """What is compared: frequencies in Hz, the modal residual (K − ω²M) φ, or error models as tables [[error]]."""
     noise: list[NoiseTable] = []
     """Standard deviations to be inferred, which error models refer to by name."""
+    discrepancy: Annotated[list[DiscrepancyTable], Field(max_length=MOST_PARAMETERS)] = []
+    """Errors of the model itself, which must not be taken to be right: [[discrepancy]] with kind = "embedded"."""
     reduction: Reduction = True
     """Whether a certified reduced model replaces the full one within the bounds, which is much faster. A number up
     to 0.01 is the tolerance on its relative frequency errors; true stands for 1e-6. Where the bounds are so wide
@@ -171,6 +174,7 @@ class ProblemFile(TomlTable):
                 reduction=self.reduction,
                 beta=None if any(map(is_of_modes, errors)) else trust,
                 error=errors or self.error,
+                discrepancy=[table.build() for table in self.discrepancy],
                 name=f"{self.name}, by {pairing or self.pairing}",
                 engine=engine,
             )
@@ -221,6 +225,8 @@ class ProblemFile(TomlTable):
         """Return the joint problem of several tests."""
         from fmu.posterior.joint.joint_problem import JointProblem
 
+        if self.discrepancy:
+            raise ValueError("discrepancy: is for one measurement (got several tests)")
         if beta is not None:
             raise ValueError(f"beta: must not be given for several tests (got {beta})")
         errors = with_places(errors, structure.places)

@@ -16,6 +16,8 @@ from fmu.fem.pairing.paired_black_box import PairedBlackBox
 from fmu.fem.pairing.paired_structure import SOFT, PairedStructure
 from fmu.fem.pairing.rules import SOFTNESS
 from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.discrepancy.embedded import Discrepancy
+from fmu.posterior.discrepancy.likelihood import DiscrepantLikelihood
 from fmu.posterior.errors.base import ErrorModel, Likelihood
 from fmu.posterior.errors.frequency import BetaFrequencyErrors
 from fmu.posterior.errors.likelihood import ModalLikelihood
@@ -115,6 +117,7 @@ def likelihood_of(
     paired: ModalModel,
     data: ModalData,
     parameters: Sequence[Parameter],
+    discrepancy: Discrepancy | Sequence[Discrepancy] = (),
 ) -> Likelihood:
     """Return the likelihood of an updating problem.
 
@@ -129,6 +132,7 @@ def likelihood_of(
     data : ModalData
     parameters : sequence of Parameter
         Parameters of the model.
+    discrepancy : Discrepancy or sequence of Discrepancy
 
     Raises
     ------
@@ -142,6 +146,11 @@ def likelihood_of(
     """
     if isinstance(error, str) and error not in ERRORS:
         raise ArgumentError("error", f"must be one of {ERRORS}, or error models", repr(error))
+    discrepancies = (discrepancy,) if isinstance(discrepancy, Discrepancy) else tuple(discrepancy)
+    if discrepancies and (error == "modal-residual" or paired.is_soft or paired.n_tests > 1):
+        kind = "the modal residual" if error == "modal-residual" else "soft pairing"
+        got = "several tests" if paired.n_tests > 1 else kind
+        raise ArgumentError("discrepancy", "needs errors of frequencies of one test, paired one to one", got)
     if error == "modal-residual":
         if not isinstance(model, SeparableModel):
             raise ArgumentError("error", "the modal residual needs a SeparableModel", type(model).__name__)
@@ -160,14 +169,17 @@ def likelihood_of(
         errors = [BetaFrequencyErrors(beta)]
     elif beta is not None:
         raise ArgumentError("beta", "must not be given together with error models, which have sd", beta)
-    if not others:
+    if not others and not discrepancies:
         make: Any = MixtureLikelihood if paired.is_soft else ModalLikelihood
         likelihood: Likelihood = make(paired, data, errors)
         return likelihood
-    if paired.is_soft or not isinstance(model, SeparableModel):
+    if others and (paired.is_soft or not isinstance(model, SeparableModel)):
         got = "soft pairing" if paired.is_soft else type(model).__name__
         raise ArgumentError("error", "a mass or a displacement needs a SeparableModel, paired one to one", got)
     named = [one.test for one in others if one.test is not None]
     if named:
         raise ArgumentError("test", "must not be given where there is one test only", repr(named[0]))
-    return ModalLikelihood(paired, data, errors, [one.bind_structure(model, parameters) for one in others])
+    quantities = [one.bind_structure(model, parameters) for one in others]
+    if discrepancies:
+        return DiscrepantLikelihood(paired, data, errors, quantities, discrepancies, parameters)
+    return ModalLikelihood(paired, data, errors, quantities)

@@ -19,6 +19,7 @@ from fmu.fem.pairing.rules import SOFTNESS
 from fmu.posterior.build import check_names, likelihood_of, paired_model
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.density import Posterior
+from fmu.posterior.discrepancy.embedded import Discrepancy
 from fmu.posterior.errors.base import ErrorModel
 from fmu.posterior.failures import FailureRecord
 from fmu.posterior.joint.layout import Layout
@@ -62,6 +63,8 @@ class UpdatingProblem(Posterior):
         Otherwise the error models whose log-densities are summed: `fmu.FrequencyErrors`, `fmu.ShapeErrors`,
         `fmu.MACErrors`; and, for data other than modes, `fmu.MassErrors` and `fmu.StaticErrors`. If only the
         latter two are given, the frequencies keep their default errors.
+    discrepancy : Discrepancy or sequence of Discrepancy, optional
+        Errors of the model itself, beside the errors of the measurement.
     name : str
     layout : Layout, optional
         The map from theta to the parameters of the structure in each of several tests; the identity by default.
@@ -120,6 +123,7 @@ class UpdatingProblem(Posterior):
         softness: Positive = SOFTNESS,
         beta: Annotated[ArrayLike, Gt(0.0)] | None = None,
         error: str | ErrorModel | Sequence[ErrorModel] = "frequency",
+        discrepancy: Discrepancy | Sequence[Discrepancy] = (),
         name: str = "problem",
         layout: Layout | None = None,
     ) -> None:
@@ -129,7 +133,7 @@ class UpdatingProblem(Posterior):
         self.n_structural = len(self.layout.parameters)
         self.tolerance: Tolerance | None = None
         self.model = paired_model(model, data, parameters, pairing, softness)
-        self.likelihood = likelihood_of(error, beta, model, self.model, data, parameters)
+        self.likelihood = likelihood_of(error, beta, model, self.model, data, parameters, discrepancy)
         self.parameters = (*self.layout.parameters, *self.likelihood.noise)
         check_names(self.parameters)
         self.ndim = len(self.parameters)
@@ -285,6 +289,7 @@ class UpdatingProblem(Posterior):
         ValueError
             If the error models define no distribution of the frequencies (shapes alone, the modal residual).
         """
+        frequencies = self.likelihood.with_discrepancy(rng, frequencies, theta)
         return self.likelihood.simulate(rng, frequencies, self._noise(theta))
 
     def simulate_test(
@@ -302,5 +307,6 @@ class UpdatingProblem(Posterior):
         """
         if self.data.tests is None:
             raise ValueError("data: must be the mean of repeated tests to simulate one more (got no tests)")
+        frequencies = self.likelihood.with_discrepancy(rng, frequencies, theta)
         frequencies = self.likelihood.simulate_discrepancy(rng, frequencies, self._noise(theta))
         return np.asarray(frequencies + self.data.tests.simulate(rng, len(frequencies)))

@@ -37,6 +37,8 @@ class ModalPrediction:
     frequency_variance, shape_variance : ndarray, of the shapes of frequencies (Hz²) and shapes, or None
         Variances of the errors of a surrogate, independent of each other; None if the model is no surrogate.
     frequency_variance_slopes, shape_variance_slopes : ndarray, with a last axis of n_parameters, or None
+    frequency_variance_by_noise : ndarray, shape (n, n_modes, n_noise), or None
+        Derivatives by the inferred standard deviations, on which the variances of a discrepancy depend.
     """
 
     frequencies: FloatArray
@@ -47,6 +49,7 @@ class ModalPrediction:
     shape_variance: FloatArray | None = None
     frequency_variance_slopes: FloatArray | None = None
     shape_variance_slopes: FloatArray | None = None
+    frequency_variance_by_noise: FloatArray | None = None
 
     @property
     def failed(self) -> BoolArray:

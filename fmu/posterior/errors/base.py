@@ -245,6 +245,8 @@ class Likelihood:
         Measured quantities other than modes (`fmu.posterior.errors.quantities`).
     used : ndarray of int, shape (n_used,), or None
         Indices (from 0) of the measured modes whose terms make up the likelihood; None for all modes.
+    has_discrepancy : bool
+        Whether the model has errors of its own, whose variances are those of `variance`.
     """
 
     of_modes: bool = False
@@ -259,6 +261,7 @@ class Likelihood:
     chi_square: tuple[ErrorTerm, ...] = ()
     quantities: tuple[Any, ...] = ()
     used: IntArray | None = None
+    has_discrepancy: bool = False
 
     def using(self, used: IntArray | None) -> Self:
         """Return the likelihood of the modes with the indices `used` of the same data; None for all modes."""
@@ -348,6 +351,12 @@ class Likelihood:
         self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray | None = None
     ) -> FloatArray:
         """Return frequencies (n, n_modes), Hz, with only the inferred errors (of the model) added."""
+        return frequencies
+
+    def with_discrepancy(
+        self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None
+    ) -> FloatArray:
+        """Return frequencies (n, n_modes), Hz, with the errors of the model at theta added, if it has any."""
         return frequencies
 
     def why_not_finite(self, theta: FloatArray) -> str | None:

@@ -171,11 +171,11 @@ class FrequencyTerm(ErrorTerm):
     def log_prob_terms(self, frequencies: FloatArray) -> FloatArray:
         """Return the terms (n, n_modes) at frequencies (n, n_modes), Hz; standard deviations must be known."""
         with np.errstate(over="ignore"):
-            return self._known_terms(self._errors(frequencies)[0])
+            return self._known_terms(self.errors(frequencies)[0])
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
         """Return the terms; see `ErrorTerm`."""
-        error, slope = self._errors(seen.frequencies)
+        error, slope = self.errors(seen.frequencies)
         if self._rows is not None:
             beta = self._rows[1]
             return Evaluated(self._known_terms(error), -2.0 * beta * error * slope if gradient else None)
@@ -189,7 +189,7 @@ class FrequencyTerm(ErrorTerm):
 
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
         """Return the residuals; see `ErrorTerm`."""
-        error, slope = self._errors(seen.frequencies)
+        error, slope = self.errors(seen.frequencies)
         root = np.sqrt(2.0 * self.beta)[None] if self.is_known else 1.0 / np.sqrt(self.spread.variance(noise))
         return Residuals((root * error)[..., None], np.broadcast_to(root * slope, error.shape)[..., None])
 
@@ -235,7 +235,7 @@ class FrequencyTerm(ErrorTerm):
         normaliser, beta = self._rows
         return normaliser - beta * error**2
 
-    def _errors(self, f: FloatArray) -> tuple[FloatArray, FloatArray | float]:
+    def errors(self, f: FloatArray) -> tuple[FloatArray, FloatArray | float]:
         """Return ε, in Hz or, for eigenvalues, dimensionless, and ∂ε/∂f."""
         # C order, so that the terms of a row are summed in the same order whatever the batch size
         f = np.ascontiguousarray(f)

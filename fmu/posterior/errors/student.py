@@ -100,7 +100,7 @@ class StudentTerm(FrequencyTerm):
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:
         """Return the terms; see `ErrorTerm`."""
-        error, slope = self._errors(seen.frequencies)
+        error, slope = self.errors(seen.frequencies)
         V, nu = self.spread.variance(noise), self._nu(noise)
         square = error**2 / V
         shrunk = np.log1p(square / nu)
@@ -118,7 +118,7 @@ class StudentTerm(FrequencyTerm):
 
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
         """Return the residuals; see `ErrorTerm`, with slopes whose squares give Fisher's information."""
-        error, slope = self._errors(seen.frequencies)
+        error, slope = self.errors(seen.frequencies)
         root, nu = 1.0 / np.sqrt(self.spread.variance(noise)), self._nu(noise)
         slopes = np.sqrt((nu + 1.0) / (nu + 3.0)) * root * slope
         return Residuals((root * error)[..., None], np.broadcast_to(slopes, error.shape)[..., None])

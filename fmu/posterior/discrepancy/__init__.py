@@ -1,0 +1,1 @@
+"""Errors of a model that is wrong, beside the errors of the measurement. Reading order: embedded, likelihood."""

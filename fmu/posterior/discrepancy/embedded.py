@@ -1,0 +1,208 @@
+"""Scatter of the parameters over the modes: each mode sees parameters of its own.
+
+A wrong model has no parameters that fit all modes. Let mode i see the parameters θ_k + s_k τ_k z_ik with independent
+standard normal z_ik, where s_k is |θ_k| (relative scatter) or a constant (absolute). To first order the frequencies
+then have, in addition to the errors of their measurement, independent Gaussian errors with the variances
+
+v_i = Σ_k (∂f_i/∂θ_k)² s_k² τ_k².
+
+The idea is the embedded model error of Sargsyan, Najm & Ghanem 2015, *Int. J. Chem. Kinet.* 47, 246–276.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from fmu.arguments import ArgumentError, check_arguments
+from fmu.posterior.errors.noise import NoiseIndex
+from fmu.posterior.parameters import Parameter, require_name
+from fmu.posterior.priors.one_sided import HalfNormal
+from fmu.types import FloatArray, Plain, Positive
+
+Solve = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+"""A function that returns frequencies (n, n_modes) and their gradients (n, n_modes, p) at parameters (n, p)."""
+_STEP = 1e-4  # of a parameter, for differences of exact gradients; their error is of the order of its square
+
+
+@check_arguments
+@dataclass(frozen=True)
+class Discrepancy:
+    """Error of the model itself: its parameters scatter from mode to mode (`fmu.posterior.discrepancy.embedded`).
+
+    The frequencies predicted by a wrong model then have errors that grow with their sensitivity to the parameters,
+    and all predictive intervals include these errors.
+
+    Attributes
+    ----------
+    kind : {"embedded"}
+        Scatter of the parameters over the modes.
+    tau : float, optional
+        The scatter τ: relative for parameters that are never 0 between their bounds, else in units of the absolute
+        value of the start, or of the prior's scale if the parameter starts at 0. It is inferred if not given.
+    prior_sd : float
+        Standard deviation of the half-normal prior of an inferred τ.
+    by : {"common", "group"}
+        Whether all parameters have the same τ, or each group has its own. A parameter without a group is a group
+        of its own.
+    groups : tuple of str
+        Names of the groups, or of parameters, that scatter; all if empty.
+    name : str
+        Name of the inferred τ. With `by` = "group" the name of the group follows.
+
+    Raises
+    ------
+    ValueError
+        If `tau` or `prior_sd` is not positive and finite, or the name is not allowed.
+
+    Notes
+    -----
+    The variances are exact to first order in τ: at τ = 0.3 and more they are rough. If the data do not outnumber
+    the parameters, τ keeps its prior.
+    """
+
+    kind: Literal["embedded"] = "embedded"
+    tau: Positive | None = None
+    prior_sd: Positive = 0.1
+    by: Literal["common", "group"] = "common"
+    groups: tuple[str, ...] = ()
+    name: str = "tau"
+
+    def __post_init__(self) -> None:
+        require_name(self.name)
+
+    def bind(self, parameters: Sequence[Parameter], index: NoiseIndex) -> EmbeddedScatter:
+        """Return the scatter bound to the parameters of a structure.
+
+        Parameters
+        ----------
+        parameters : sequence of Parameter
+        index : callable
+            Takes the Parameter of an inferred τ and returns its index among the inferred standard deviations.
+
+        Raises
+        ------
+        ValueError
+            If there is no parameter or group of a given name.
+        """
+        own = [p.group or p.name for p in parameters]
+        known = dict.fromkeys([*own, *(p.name for p in parameters)])
+        for name in self.groups:
+            if name not in known:
+                raise ArgumentError("discrepancy.groups", f"must be of {', '.join(known)}", repr(name))
+        chosen = [
+            not self.groups or own[k] in self.groups or p.name in self.groups for k, p in enumerate(parameters)
+        ]
+        relative = np.array([p.lowest > 0.0 or p.highest < 0.0 for p in parameters])
+        fixed, number = np.zeros(len(parameters)), np.full(len(parameters), -1)
+        for k in np.flatnonzero(chosen):
+            if self.tau is not None:
+                fixed[k] = self.tau
+                continue
+            name = self.name if self.by == "common" else f"{self.name} {own[k]}"
+            prior = HalfNormal(self.prior_sd)
+            number[k] = index(Parameter(name, 0.5 * self.prior_sd, 0.0, prior=prior))
+        return EmbeddedScatter(relative, np.array([_size(p) for p in parameters]), fixed, number)
+
+
+def _size(parameter: Parameter) -> float:
+    """Return the unit of the absolute scatter of a parameter."""
+    if parameter.start != 0.0:
+        return abs(parameter.start)
+    return float(parameter.prior.scale(parameter.lower, parameter.upper)[1])
+
+
+class Variance(NamedTuple):
+    """Variances of the frequencies due to the scatter of parameters.
+
+    Attributes
+    ----------
+    value : ndarray, shape (n, n_modes), Hz²
+    by_noise : ndarray, shape (n, n_modes, n_noise)
+        Derivatives by the inferred standard deviations of the problem.
+    by_theta : ndarray, shape (n, n_modes, p), or None
+        Derivatives by the parameters of the structure.
+    """
+
+    value: FloatArray
+    by_noise: FloatArray
+    by_theta: FloatArray | None
+
+
+@dataclass(frozen=True, eq=False)
+class EmbeddedScatter:
+    """The scatter of p parameters over the modes.
+
+    Attributes
+    ----------
+    relative : ndarray of bool, shape (p,)
+        Whether the scatter is relative to the value of the parameter.
+    size : ndarray, shape (p,)
+        Unit of an absolute scatter.
+    fixed : ndarray, shape (p,)
+        The known τ_k; 0 if a parameter does not scatter or its τ is inferred.
+    number : ndarray of int, shape (p,)
+        Index of the inferred τ_k among the inferred standard deviations; −1 if it is not inferred.
+    """
+
+    relative: FloatArray
+    size: FloatArray
+    fixed: FloatArray
+    number: FloatArray
+
+    def variance(self, theta: FloatArray, noise: FloatArray, J: FloatArray, solve: Solve | None) -> Variance:
+        """Return the variances of the frequencies at theta (n, p).
+
+        Parameters
+        ----------
+        theta : ndarray, shape (n, p)
+        noise : ndarray, shape (n, n_noise)
+            The inferred standard deviations of the problem.
+        J : ndarray, shape (n, n_modes, p)
+            Gradients of the frequencies.
+        solve : callable, optional
+            Supplies gradients at other points, from whose differences the derivatives by theta are computed:
+            ∂v_i/∂θ_l = 2 Σ_k H_ilk d_ik + 2 Σ_k J_ik² τ_k² s_k ∂s_k/∂θ_l, with d_ik = τ_k² s_k² J_ik and the second
+            derivatives H_i of f_i, which are needed only in the direction d_i. No derivatives without it.
+        """
+        inferred = self.number >= 0
+        tau = np.where(inferred, noise[:, self.number] if noise.shape[1] else 0.0, self.fixed)
+        scale = np.where(self.relative, np.abs(theta), self.size)
+        by_each = (J * scale[:, None]) ** 2  # ∂v_i/∂(τ_k²), (n, n_modes, p)
+        value = np.einsum("nmk,nk->nm", by_each, tau**2)
+        by_noise = np.zeros((*value.shape, noise.shape[1]))
+        for k in np.flatnonzero(inferred):
+            by_noise[..., self.number[k]] += 2.0 * tau[:, None, k] * by_each[..., k]
+        if solve is None:
+            return Variance(value, by_noise, None)
+        d = J * ((tau * scale) ** 2)[:, None]
+        growth = np.where(self.relative, 2.0 * tau**2 * theta, 0.0)  # ∂(τ² s²)/∂θ
+        by_theta = 2.0 * _along(solve, theta, d, scale) + J**2 * growth[:, None]
+        return Variance(value, by_noise, by_theta)
+
+    def as_dict(self) -> dict[str, Plain]:
+        """Return a dict of the settings in plain Python types."""
+        return {
+            "kind": "embedded",
+            "relative": self.relative.tolist(),
+            "size": self.size.tolist(),
+            "tau": self.fixed.tolist(),
+            "inferred": self.number.tolist(),
+        }
+
+
+def _along(solve: Solve, theta: FloatArray, d: FloatArray, scale: FloatArray) -> FloatArray:
+    """Return H_i d_i, shape (n, m, p), the change of the gradient of frequency i in the direction d_i, (n, m, p).
+
+    The exact gradients are differenced centrally, over steps of `_STEP` of a parameter's scale (n, p) at most.
+    """
+    n, m, p = d.shape
+    longest = np.max(np.abs(d) / scale[:, None], axis=2)
+    step = np.where(longest > 0.0, _STEP / np.where(longest > 0.0, longest, 1.0), 0.0)[..., None]
+    moved = [theta[:, None] + sign * step * d for sign in (1.0, -1.0)]
+    J = solve(np.concatenate(moved, axis=1).reshape(2 * n * m, p))[1].reshape(n, 2, m, m, p)
+    own = J[:, :, np.arange(m), np.arange(m)]
+    return np.asarray((own[:, 0] - own[:, 1]) / np.where(step > 0.0, 2.0 * step, 1.0))
