@@ -1,8 +1,8 @@
 """Scatter of the parameters over the modes: each mode sees parameters of its own.
 
-A wrong model has no parameters that fit all modes. Let mode i see the parameters θ_k + s_k τ_k z_ik with independent
-standard normal z_ik, where s_k is |θ_k| (relative scatter) or a constant (absolute). To first order the frequencies
-then have, in addition to the errors of their measurement, independent Gaussian errors with the variances
+A wrong model has no parameters that fit all modes. Let mode i see the parameters θ_k + s_k τ_k z_ik with
+independent standard normal z_ik, where s_k is |θ_k| (relative scatter) or a constant (absolute). To first order
+the frequencies then have, beside the errors of their measurement, independent Gaussian errors with the variances
 
 v_i = Σ_k (∂f_i/∂θ_k)² s_k² τ_k².
 
@@ -165,11 +165,12 @@ class EmbeddedScatter:
             Gradients of the frequencies.
         solve : callable, optional
             Supplies gradients at other points, from whose differences the derivatives by theta are computed:
-            ∂v_i/∂θ_l = 2 Σ_k H_ilk d_ik + 2 Σ_k J_ik² τ_k² s_k ∂s_k/∂θ_l, with d_ik = τ_k² s_k² J_ik and the second
-            derivatives H_i of f_i, which are needed only in the direction d_i. No derivatives without it.
+            ∂v_i/∂θ_l = 2 Σ_k H_ilk d_ik + 2 Σ_k J_ik² τ_k² s_k ∂s_k/∂θ_l, with d_ik = τ_k² s_k² J_ik and the
+            second derivatives H_i of f_i, which are needed only in the direction d_i. No derivatives without it.
         """
         inferred = self.number >= 0
-        tau = np.where(inferred, noise[:, self.number] if noise.shape[1] else 0.0, self.fixed)
+        tau = np.tile(self.fixed, (len(theta), 1))
+        tau[:, inferred] = noise[:, self.number[inferred]]
         scale = np.where(self.relative, np.abs(theta), self.size)
         by_each = (J * scale[:, None]) ** 2  # ∂v_i/∂(τ_k²), (n, n_modes, p)
         value = np.einsum("nmk,nk->nm", by_each, tau**2)

@@ -26,8 +26,8 @@ from fmu.types import FloatArray, Plain
 class DiscrepantLikelihood(ModalLikelihood):
     """A `ModalLikelihood` in which the variances of a `Discrepancy` are added to those of the frequency errors.
 
-    The density is exact for Gaussian errors of given variances, their determinant included. Errors of shapes are as
-    without a discrepancy.
+    The density is exact for Gaussian errors of given variances, their determinant included. Errors of shapes are
+    as without a discrepancy.
 
     Parameters
     ----------
