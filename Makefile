@@ -146,6 +146,7 @@ validate: $(READY_BENCH) $(READY_FAST)  ## Calibrate samplers, verdicts, interva
 	.venv/bin/python -m tests.validation.contradictions results
 	.venv/bin/python -m tests.validation.several_tests results
 	.venv/bin/python -m tests.validation.damage_intervals results
+	.venv/bin/python -m tests.validation.populations results
 	.venv/bin/python -m tests.validation.garteur results
 	.venv/bin/python -m tests.validation.kills results
 	.venv/bin/python -m tests.validation.kernels results
