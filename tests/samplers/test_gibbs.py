@@ -66,6 +66,40 @@ def test_the_posterior_is_that_of_hmc():
             assert abs(np.mean(one) - np.mean(other)) < 4.5 * error, (name, word)
 
 
+def imprecise():
+    """Return the problem of ten tests that say little about their own values beside the correlated populations."""
+    rng, model = np.random.default_rng(5), shear_building(["k1", "k2"], 2e8, 1e5)
+    k = np.exp(0.04 * rng.multivariate_normal(np.zeros(2), [[1.0, 0.7], [0.7, 1.0]], 10))
+    f = np.stack([frequencies_hz(model, one)[0] for one in k]) * (1.0 + 0.03 * rng.standard_normal((10, 2)))
+    return fmu.JointProblem(
+        model,
+        [fmu.Test(f"t{t}", fmu.ModalData(one)) for t, one in enumerate(f)],
+        [fmu.Parameter(name, start=1.0, lower=0.5, upper=1.6) for name in ("k1", "k2")],
+        varies=dict.fromkeys(("k1", "k2"), fmu.Population(sd=fmu.HalfNormal(0.05))),
+        correlation=1.0,
+        error=fmu.FrequencyErrors("relative", sd=0.03),
+    )
+
+
+@pytest.mark.validate
+def test_correlations_mix_where_tests_say_little():
+    problem = imprecise()
+    trace = fmu.sample(problem, draws=400, warmup=100)
+    assert chain_ess(draws_of(trace, "k1 k2 correlation")) > 180  # 280; 90 if only the values are held
+
+
+@pytest.mark.validate
+def test_the_posterior_with_a_correlation_is_that_of_hmc():
+    problem = imprecise()
+    gibbs = fmu.sample(problem, "gibbs", draws=1500, warmup=100)
+    hmc = fmu.sample(problem, "hmc", draws=400, warmup=300)
+    for name in ("k1 mean", "k1 sd", "k2 mean", "k2 sd", "k1 k2 correlation"):
+        drawn = [draws_of(trace, name) for trace in (gibbs, hmc)]
+        for word, of in (("mean", drawn), ("square", [(x - np.mean(drawn[1])) ** 2 for x in drawn])):
+            error = np.hypot(*(np.std(x) / np.sqrt(chain_ess(x)) for x in of))
+            assert abs(np.mean(of[0]) - np.mean(of[1])) < 4.5 * error, (name, word)
+
+
 def test_it_converges_at_one_solve_of_all_tests_a_draw():
     rng = np.random.default_rng(4)
     names = ["k1", "k2", "k3", "k4"]

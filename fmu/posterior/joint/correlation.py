@@ -21,7 +21,7 @@ import numpy as np
 
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.scipy_distributions import ScaledBeta
-from fmu.types import BoolArray, FloatArray
+from fmu.types import BoolArray, FloatArray, IntArray
 
 MOST = 0.999
 """The largest absolute value of a partial correlation."""
@@ -85,6 +85,43 @@ class Correlation:
             found[np.ix_(range(len(theta)), tests, here, here)] = (inverse - np.eye(len(here)))[:, None]
         return found
 
+    def whiten(self, theta: FloatArray, z: FloatArray) -> FloatArray:
+        """Return independent standard normal scores u in place of the scores z of each test, (n, n_tests, p).
+
+        The scores of a test are z = S u, where S is the Cholesky factor of the correlation matrix of the
+        populations in which the test has scores.
+        """
+        found = z.copy()
+        for here, tests, S, _ in self._roots(theta):
+            of = np.swapaxes(z[:, tests][:, :, here], 1, 2)
+            found[np.ix_(range(len(z)), tests, here)] = np.swapaxes(np.linalg.solve(S, of), 1, 2)
+        return found
+
+    def correlate(self, theta: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the scores z, (n, n_tests, p), with the independent scores u; the inverse of `whiten`."""
+        found = u.copy()
+        for here, tests, S, _ in self._roots(theta):
+            found[np.ix_(range(len(u)), tests, here)] = np.einsum("nij,ntj->nti", S, u[:, tests][:, :, here])
+        return found
+
+    def chain_scores(self, theta: FloatArray, u: FloatArray, by_score: FloatArray) -> FloatArray:
+        """Return the derivatives by the partial correlations, (n, p (p − 1) / 2), at constant u.
+
+        `u` are the independent scores, and `by_score` the derivatives by the scores z, shape (n, n_tests, p) each.
+        """
+        found = np.zeros((len(theta), len(self.columns)))
+        L, slopes = self._factors(theta)
+        by_R = slopes @ np.swapaxes(L, 1, 2)[:, None]
+        by_R = by_R + np.swapaxes(by_R, 2, 3)
+        for here, tests, S, inverse in self._roots(theta):
+            # dS = S Φ(S⁻¹ dR S⁻ᵀ), where Φ takes the lower triangle and half the diagonal
+            part = by_R[:, :, here[:, None], here]
+            inner = inverse[:, None] @ part @ np.swapaxes(inverse, 1, 2)[:, None]
+            lower = np.tril(inner) - 0.5 * inner * np.eye(len(here))
+            by_S = np.einsum("nti,ntj->nij", by_score[:, tests][:, :, here], u[:, tests][:, :, here])
+            found += np.einsum("nij,nkij->nk", by_S, S[:, None] @ lower)
+        return found
+
     def of_scores(self, second_moments: FloatArray) -> FloatArray:
         """Return the partial correlations, (p (p − 1) / 2,), of scores with the second moments (p, p)."""
         size = np.sqrt(np.diag(second_moments))
@@ -105,6 +142,17 @@ class Correlation:
             if len(here) > 1:
                 block = np.ix_(range(len(R)), here, here)
                 yield here, tests, block, np.linalg.inv(R[block]), np.linalg.slogdet(R[block])[1]
+
+    def _roots(self, theta: FloatArray) -> Iterator[tuple[IntArray, IntArray, FloatArray, FloatArray]]:
+        """Yield the Cholesky factor of the correlation matrix, and its inverse, as `_blocks` yields its blocks.
+
+        Each item consists of the indices of the populations, the indices of the tests, the factor and its inverse.
+        """
+        L = self.factor(theta)
+        R = L @ np.swapaxes(L, 1, 2)
+        for here, tests, block, _, _ in self._blocks(L):
+            S = np.linalg.cholesky(R[block])
+            yield here, tests, S, np.linalg.inv(S)
 
     def _factors(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the Cholesky factor of the correlation matrix, and its derivatives by the partial correlations.

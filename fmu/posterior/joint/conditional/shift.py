@@ -15,8 +15,10 @@ from fmu.types import FloatArray, IntArray
 class MainGivenScores:
     """An approximate density of the main parameters given the scores.
 
-    It includes all main parameters but the correlations of populations, whose density given the scores contains no
-    data. In place of the likelihood of each test it has the expansion, a quadratic in the values of the structural
+    If populations are correlated, the scores that are given are independent of each other: the scores times the
+    inverse Cholesky factor of their correlation matrix. The density of the correlations then contains the data, so
+    that they too are moved by steps whose size does not depend on how little the tests say about their values. In
+    place of the likelihood of each test it has the expansion, a quadratic in the values of the structural
     parameters, and needs no solve of the model.
 
     Parameters
@@ -31,9 +33,8 @@ class MainGivenScores:
 
     def __init__(self, problem: UpdatingProblem, expansion: Expansion, theta: FloatArray) -> None:
         self.layout, self.expansion, scores = problem.layout, expansion, Scores.of(problem.layout)
-        correlated = [] if self.layout.correlation is None else list(self.layout.correlation.columns)
-        held = np.concatenate([scores.columns[scores.scored], np.array(correlated, dtype=np.int64)])
-        self.columns: IntArray = np.setdiff1d(np.arange(problem.ndim), held)
+        self.scores = scores
+        self.columns: IntArray = np.setdiff1d(np.arange(problem.ndim), scores.columns[scores.scored])
         self.prior = JointPrior([problem.parameters[k] for k in self.columns])
         scaled = ScaledDensity(problem)
         self._offset, self._scale = scaled.offset[self.columns], scaled.scale[self.columns]
@@ -50,10 +51,13 @@ class MainGivenScores:
         return (theta[:, self.columns] - self._offset) / self._scale
 
     def theta_at(self, w: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return a copy of theta with the scaled main parameters w; the inverse of `coordinates`."""
+        """Return theta with the scaled main parameters w and the same independent scores as `theta`."""
         found = theta.copy()
         found[:, self.columns] = np.clip(self._offset + self._scale * w, self._low, self._high)
-        return found
+        copula = self.layout.correlation
+        if copula is None:
+            return found
+        return self.scores.put(found, copula.correlate(found, copula.whiten(theta, self.scores.take(theta))))
 
     def log_prob_and_grad(self, w: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the log-density (n,) of w, (n, n_columns), and its gradient; theta has the scores."""
@@ -68,6 +72,10 @@ class MainGivenScores:
         by_noise = (at[:, n:] - self._noise) @ self._information
         gradient[:, n:] -= by_noise
         value -= 0.5 * np.einsum("nk,nk->n", by_noise, at[:, n:] - self._noise)
+        copula = self.layout.correlation
+        if copula is not None:
+            u, by_score = copula.whiten(at, self.scores.take(at)), self.scores.take(gradient)
+            gradient[:, copula.columns] = copula.chain_scores(at, u, by_score)
         main = at[:, self.columns]
         slope = gradient[:, self.columns] + self.prior.log_pdf_gradient(main)
         return value + self.prior.log_pdf(main), slope * self._scale

@@ -105,6 +105,30 @@ def test_gradients_of_main_parameters(campaign_points):
     assert_gradient(of_shift(w)[1], lambda w: of_shift(w)[0], w, 1e-5, rtol=1e-4, atol=1e-3)
 
 
+@pytest.mark.parametrize("distribution", ["normal", "log-normal"])
+def test_correlations_given_scores_move_the_scores_by_the_root_of_their_matrix(distribution):
+    """A test without k3 has scores of the other two, and the root of the matrix of these."""
+    problem = campaign(distribution, correlation=2.0)
+    copula, shift, scores = (
+        problem.layout.correlation,
+        conditionals(problem).shift,
+        conditionals(problem).scores.scores,
+    )
+    own = ScaledDensity(problem).to_theta(typical_point(problem))[None]
+    theta = remove_centring(problem.layout, own)
+    assert set(copula.columns) <= set(shift.columns.tolist())
+    w = shift.coordinates(theta) + 0.05 * np.random.default_rng(6).standard_normal((1, len(shift.columns)))
+    after = shift.theta_at(w, theta)
+    assert_allclose(shift.coordinates(after), w, rtol=1e-12)
+    z, moved = (scores.take(at)[0] for at in (theta, after))
+    L, M = (copula.factor(at)[0] for at in (theta, after))
+    for t, scored in enumerate(scores.scored):
+        before, then = (np.linalg.cholesky((root @ root.T)[np.ix_(scored, scored)]) for root in (L, M))
+        expected = then @ np.linalg.solve(before, z[t, scored])
+        assert_allclose(moved[t, scored], expected, rtol=1e-10, atol=1e-12)
+        assert np.linalg.norm(moved[t, scored] - z[t, scored]) > 1e-4
+
+
 def test_scores_given_main_are_close_to_their_normal_approximation(campaign_points):
     problem, found, plain, own = campaign_points
     theta, of = remove_centring(problem.layout, own), found.scores
