@@ -37,7 +37,7 @@ def test_without_information_the_draws_are_those_of_the_prior():
     for k, name in enumerate(problem.names):
         drawn = draws_of(trace, name)
         n = int(chain_ess(drawn))
-        assert n > 60, name
+        assert n > 500, name
         thinned = drawn.ravel()[:: max(1, drawn.size // n)]
         assert scipy.stats.ks_2samp(thinned, prior[:, k]).pvalue > 1e-4, name
 

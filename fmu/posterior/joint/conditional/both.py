@@ -136,7 +136,9 @@ def _curvature(
 ) -> FloatArray:
     """Return minus the second derivatives of a log-density of w by differences of its `gradient`, (d, d).
 
-    They are averaged over the points w, shape (n, d).
+    They are averaged over the points w, shape (n, d). The curvature of a normal distribution with the standard
+    deviation of the uniform distribution between the bounds is added, so that the inverse is finite in a direction
+    about which neither the data nor the prior say anything.
     """
     d = w.shape[1]
     hessian = np.empty((d, d))
@@ -144,7 +146,7 @@ def _curvature(
     for k in range(d):
         move = h[k] * (np.arange(d) == k)
         hessian[k] = (gradient(w - move) - gradient(w + move)).mean(axis=0) / (2.0 * h[k])
-    return _definite(0.5 * (hessian + hessian.T))
+    return _definite(0.5 * (hessian + hessian.T)) + np.diag(12.0 / (upper - lower) ** 2)
 
 
 def _definite(curvature: FloatArray) -> FloatArray:
