@@ -94,9 +94,7 @@ def page(study: Study, replicates: int, settings: str) -> str:
         else "**Gates that fail:**\n\n" + "\n".join(f"- {failure}" for failure in failures)
     )
     if n < replicates and not failures:
-        verdict = (
-            f"**No gate fails, but {n} of the {replicates} sets of `make validate` decide nothing yet.**"
-        )
+        verdict = f"**No gate fails, but {n} of the {replicates} sets of `make validate` decide nothing yet.**"
     seconds = np.array([one.processor_s for one in study.sets])
     return PAGE.format(
         verdict=verdict,
