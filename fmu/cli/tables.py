@@ -116,7 +116,7 @@ def echo_comparison(
     chosen = verdicts[name]
     source = f"from the draws of {name}" + ("" if chosen.converged else " (not converged)")
     if chosen.fit.checks:
-        _echo_list(f"The model, {source}: {chosen.fit.answer}", chosen.fit.against)
+        _echo_list(f"The model, {source}: {chosen.fit.answer}", chosen.fit.said)
     if chosen.notes:
         _echo_list(f"{NOTES[0].upper()}{NOTES[1:]}, {source}", chosen.notes)
     return table, verdicts

@@ -161,7 +161,7 @@ class Diagnosis:
     def _of_model(self) -> list[tuple[str, tuple[str, ...]]]:
         """Return headings with their items: the verdict on the model with the failed checks, and the notes."""
         doubt = "" if self.converged else ", provisionally"
-        blocks = [(f"the model: {self.fit.answer}{doubt}", self.fit.against)] if self.fit.checks else []
+        blocks = [(f"the model: {self.fit.answer}{doubt}", self.fit.said)] if self.fit.checks else []
         return blocks + ([(NOTES, self.notes)] if self.notes else [])
 
 

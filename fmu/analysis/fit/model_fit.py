@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fmu.analysis.fit.allowed_scatter import REMEDY, has_remedy, scatter_sentences
 from fmu.analysis.fit.check import (
     HELD_OUT,
     LAW,
@@ -31,8 +32,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, UNKNOWN = (
-    "contradicted", "not contradicted", "not testable", "unknown",
+CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, UNKNOWN, ALLOWED = (
+    "contradicted", "not contradicted", "not testable", "unknown", "not contradicted as a model that may be wrong",
 )  # fmt: skip
 NO_HELD_OUT = "No mode was held out: `use = false` at a mode keeps it out of the updating, as a test of the model"
 
@@ -49,16 +50,22 @@ class ModelFit:
         Number of independent measured values used in updating, and number of parameters, inferred noise included.
     left_out : str
         Measured quantities that no check covers, because their residuals have no known distribution; else empty.
+    scatter : tuple of str
+        By how much the model is wrong, one sentence for each scatter of parameters over the modes; else empty.
+    remedy : str
+        What allows for a model that is contradicted; empty if nothing more does.
     """
 
     checks: tuple[Check, ...]
     n_data: int
     n_parameters: int
     left_out: str = ""
+    scatter: tuple[str, ...] = ()
+    remedy: str = ""
 
     @property
     def verdict(self) -> str:
-        """`UNKNOWN`, `CONTRADICTED`, `NOT_TESTABLE` or `NOT_CONTRADICTED`.
+        """`UNKNOWN`, `CONTRADICTED`, `NOT_TESTABLE`, `NOT_CONTRADICTED` or, with a discrepancy, `ALLOWED`.
 
         The verdict is `CONTRADICTED` if a check failed, and `UNKNOWN` if there are no checks. If the data do not
         outnumber the parameters, the model can fit any data that its priors allow, so that a good fit is no
@@ -71,7 +78,9 @@ class ModelFit:
         if not self.checks:
             return UNKNOWN
         is_tested = any(check.kind in (HELD_OUT, POPULATION, LAW) and check.could_fail for check in self.checks)
-        return NOT_CONTRADICTED if is_tested or (self.able and self.n_data > self.n_parameters) else NOT_TESTABLE
+        if not (is_tested or (self.able and self.n_data > self.n_parameters)):
+            return NOT_TESTABLE
+        return ALLOWED if self.scatter else NOT_CONTRADICTED
 
     @property
     def counts(self) -> str:
@@ -100,6 +109,11 @@ class ModelFit:
         return tuple(check.sentence for check in failed_checks(self.checks))
 
     @property
+    def said(self) -> tuple[str, ...]:
+        """The sentences of the failed checks, and how a wrong model is, or could be, allowed for."""
+        return (*self.against, *self._allowed)
+
+    @property
     def reasons(self) -> tuple[str, ...]:
         """The reasons for the verdict, one sentence each.
 
@@ -109,7 +123,7 @@ class ModelFit:
         if self.verdict == UNKNOWN:
             return ("Nothing that was measured can be compared with a prediction that has an error model.",)
         if self.verdict == CONTRADICTED:
-            return self.against
+            return self.said
         if self.verdict == NOT_TESTABLE:
             first = (
                 f"There are no more data than parameters: {self.counts}. Such a model can follow any data that "
@@ -117,12 +131,12 @@ class ModelFit:
             )
             if self.n_data > self.n_parameters:
                 first = "No check could have failed."
-            return (first, *self._could_fail, *self._held_out)
+            return (first, *self._allowed, *self._could_fail, *self._held_out)
         left = self.n_data - self.n_parameters
         freedom = f"{self.counts}: {left} degree{'' if left == 1 else 's'} of freedom left." if left > 0 else (
             f"{self.counts}: only what was held out tests the model."
         )  # fmt: skip
-        return (*self._could_fail, freedom, *self._held_out)
+        return (*self._allowed, *self._could_fail, freedom, *self._held_out)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -132,6 +146,13 @@ class ModelFit:
 
     def _of(self, *kinds: str) -> list[Check]:
         return [check for check in self.checks if check.kind in kinds]
+
+    @property
+    def _allowed(self) -> tuple[str, ...]:
+        """Sentences on the scatter that the errors of the model are given, or on what would allow for them."""
+        if self.verdict == CONTRADICTED and self.remedy:
+            return (f"{self.remedy}.",)
+        return tuple(f"{sentence}." for sentence in self.scatter)
 
     @property
     def _could_fail(self) -> tuple[str, ...]:
@@ -187,7 +208,9 @@ def model_fit(trace: xr.DataTree) -> ModelFit:
         return ModelFit((), 0, len(parameter_names(trace)))
     told = trace[GROUP].attrs
     n_data, n_parameters = int(told["n_data"]), effective_parameters(trace)
-    return ModelFit(tuple(checks_of(trace)), n_data, n_parameters, str(told["other"]))
+    remedy = REMEDY if has_remedy(trace) else ""
+    of_model = scatter_sentences(trace), remedy
+    return ModelFit(tuple(checks_of(trace)), n_data, n_parameters, str(told["other"]), *of_model)
 
 
 def _modes(checks: Sequence[Check]) -> str:

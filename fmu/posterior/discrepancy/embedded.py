@@ -25,6 +25,7 @@ from fmu.types import FloatArray, Plain, Positive
 
 Solve = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """A function that returns frequencies (n, n_modes) and their gradients (n, n_modes, p) at parameters (n, p)."""
+_MOST = 10.0  # upper bound of an inferred τ, in standard deviations of its prior
 _STEP = 1e-4  # of a parameter, for differences of exact gradients; their error is of the order of its square
 
 
@@ -104,8 +105,9 @@ class Discrepancy:
                 continue
             name = self.name if self.by == "common" else f"{self.name} {own[k]}"
             prior = HalfNormal(self.prior_sd)
-            number[k] = index(Parameter(name, 0.5 * self.prior_sd, 0.0, prior=prior))
-        return EmbeddedScatter(relative, np.array([_size(p) for p in parameters]), fixed, number)
+            number[k] = index(Parameter(name, 0.5 * self.prior_sd, 0.0, _MOST * self.prior_sd, prior))
+        bounds = np.array([[p.lower, p.upper] for p in parameters]).T
+        return EmbeddedScatter(relative, np.array([_size(p) for p in parameters]), fixed, number, bounds)
 
 
 def _size(parameter: Parameter) -> float:
@@ -146,12 +148,15 @@ class EmbeddedScatter:
         The known τ_k; 0 if a parameter does not scatter or its τ is inferred.
     number : ndarray of int, shape (p,)
         Index of the inferred τ_k among the inferred standard deviations; −1 if it is not inferred.
+    bounds : ndarray, shape (2, p)
+        Bounds of the parameters, beyond which a reduced model is not trained.
     """
 
     relative: FloatArray
     size: FloatArray
     fixed: FloatArray
     number: FloatArray
+    bounds: FloatArray
 
     def variance(self, theta: FloatArray, noise: FloatArray, J: FloatArray, solve: Solve | None) -> Variance:
         """Return the variances of the frequencies at theta (n, p).
@@ -181,7 +186,7 @@ class EmbeddedScatter:
             return Variance(value, by_noise, None)
         d = J * ((tau * scale) ** 2)[:, None]
         growth = np.where(self.relative, 2.0 * tau**2 * theta, 0.0)  # ∂(τ² s²)/∂θ
-        by_theta = 2.0 * _along(solve, theta, d, scale) + J**2 * growth[:, None]
+        by_theta = 2.0 * _along(solve, theta, d, scale, self.bounds) + J**2 * growth[:, None]
         return Variance(value, by_noise, by_theta)
 
     def as_dict(self) -> dict[str, Plain]:
@@ -195,15 +200,18 @@ class EmbeddedScatter:
         }
 
 
-def _along(solve: Solve, theta: FloatArray, d: FloatArray, scale: FloatArray) -> FloatArray:
+def _along(solve: Solve, theta: FloatArray, d: FloatArray, scale: FloatArray, bounds: FloatArray) -> FloatArray:
     """Return H_i d_i, shape (n, m, p), the change of the gradient of frequency i in the direction d_i, (n, m, p).
 
-    The exact gradients are differenced centrally, over steps of `_STEP` of a parameter's scale (n, p) at most.
+    The exact gradients are differenced centrally, over steps of `_STEP` of a parameter's scale (n, p) at most. At
+    a bound the middle of the difference is moved inwards by a step, and the relative error is of its order.
     """
     n, m, p = d.shape
     longest = np.max(np.abs(d) / scale[:, None], axis=2)
     step = np.where(longest > 0.0, _STEP / np.where(longest > 0.0, longest, 1.0), 0.0)[..., None]
-    moved = [theta[:, None] + sign * step * d for sign in (1.0, -1.0)]
+    reach = np.abs(step * d)
+    middle = np.maximum(np.minimum(theta[:, None], bounds[1] - reach), bounds[0] + reach)
+    moved = [np.clip(middle + sign * step * d, *bounds) for sign in (1.0, -1.0)]
     J = solve(np.concatenate(moved, axis=1).reshape(2 * n * m, p))[1].reshape(n, 2, m, m, p)
     own = J[:, :, np.arange(m), np.arange(m)]
     return np.asarray((own[:, 0] - own[:, 1]) / np.where(step > 0.0, 2.0 * step, 1.0))

@@ -6,19 +6,20 @@ import numpy as np
 
 from fmu.analysis.fit.check import LEVEL, failed_checks
 from fmu.analysis.fit.measured_shapes import paired_mac, shape_warnings
-from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, UNKNOWN, ModelFit
+from fmu.analysis.fit.model_fit import ALLOWED, CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, UNKNOWN, ModelFit
 from fmu.analysis.held_out.modes import left_out_warnings
 from fmu.analysis.information import information_warnings
 from fmu.numbers import MISSING, fixed, share, significant
 from fmu.report.document import Omitted, PageSection, PageTable, Text, Verdict
 from fmu.report.run import ReportedRun
 
-_IS_GOOD = {CONTRADICTED: False, NOT_CONTRADICTED: True, NOT_TESTABLE: None, UNKNOWN: None}
+_IS_GOOD = {CONTRADICTED: False, NOT_CONTRADICTED: True, NOT_TESTABLE: None, UNKNOWN: None, ALLOWED: None}
 _BECAUSE = {
     CONTRADICTED: "What contradicts the model",
     NOT_CONTRADICTED: "What could have contradicted the model, and did not",
     NOT_TESTABLE: "Why the data do not test the model",
     UNKNOWN: "Why this is unknown",
+    ALLOWED: "By how much the model is wrong, and what could have contradicted it",
 }
 
 
@@ -29,7 +30,7 @@ def model_fit(run: ReportedRun) -> Verdict:
     elsewhere = {*information_warnings(run.trace), *fit.against, *left_out_warnings(run.trace)}
     found = tuple(warning for warning in run.diagnosis.warnings if warning not in elsewhere)
     answer = fit.answer[0].upper() + fit.answer[1:]
-    if fit.verdict == NOT_CONTRADICTED and found:
+    if fit.verdict in (NOT_CONTRADICTED, ALLOWED) and found:
         answer += ", with reservations"
     if not run.diagnosis.converged:
         found = (*found, "These statements are provisional, because the draws have not converged.")
@@ -44,7 +45,7 @@ def _strongest_evidence(fit: ModelFit) -> str:
     if against:
         p = f" (p = {significant(against[0].p, 2)})" if np.isfinite(against[0].p) else ""
         return f"Strongest evidence: {against[0].of}{p}."
-    if fit.verdict != NOT_CONTRADICTED:
+    if fit.verdict not in (NOT_CONTRADICTED, ALLOWED):
         return ""
     n = len(fit.able)
     return f"{n} check{'' if n == 1 else 's'} could have contradicted it and did not."

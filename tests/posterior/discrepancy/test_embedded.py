@@ -109,6 +109,30 @@ def test_simulated_data_have_the_scatter_and_the_information_is_that_of_their_sc
     assert_allclose(np.cov(gradient.T) / np.outer(size, size), information / np.outer(size, size), atol=0.1)
 
 
+def test_no_gradient_asks_for_a_frequency_beyond_the_bounds():
+    """There a reduced model is not trained, and the full one would be solved."""
+    problem = problem_of("common")
+    problem.likelihood.model = model = Watched(problem.model)
+    inside = np.array([[0.2, 3.0, 0.2, 1.1, 0.05], [0.2 + 1e-6, 1.0, 3.0 - 1e-9, 3.0, 0.2]])
+    gradient = problem.likelihood.terms_and_gradient(inside)[1]
+    assert model.lowest >= 0.2
+    assert model.highest <= 3.0
+    assert np.all(np.isfinite(gradient))
+
+
+class Watched:
+    """A model that keeps the range of the parameters that it was solved at."""
+
+    is_uncertain = False
+
+    def __init__(self, model):
+        self.model, self.lowest, self.highest = model, np.inf, -np.inf
+
+    def frequencies_and_gradient(self, theta):
+        self.lowest, self.highest = min(self.lowest, theta.min()), max(self.highest, theta.max())
+        return self.model.frequencies_and_gradient(theta)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -1,0 +1,60 @@
+"""By how much a model is wrong, where its parameters may scatter over the modes; and where that is a remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fmu.analysis.trace.reading import problem_of
+from fmu.numbers import names_in_words, significant
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+REMEDY = (
+    'If no cause is found: [[discrepancy]] with kind = "embedded" in the problem file (Python: discrepancy='
+    "fmu.Discrepancy()) allows for a model that is wrong, and widens the posterior and every prediction. "
+    "Then fmu run FILE again"
+)
+
+
+def scatter_sentences(trace: xr.DataTree) -> tuple[str, ...]:
+    """Return a sentence on each scatter of parameters over the modes; empty if the model has no discrepancy."""
+    problem = problem_of(trace)
+    likelihood: Mapping[str, Any] = problem["likelihood"]
+    noise, said = list(likelihood.get("noise", ())), []
+    names = [str(p["name"]) for p in problem["parameters"]]
+    for one in likelihood.get("discrepancy", ()):
+        for number in dict.fromkeys(k for k in one["inferred"] if k >= 0):
+            mine = [name for name, k in zip(names, one["inferred"], strict=False) if k == number]
+            said.append(_inferred(trace, noise[number], mine, problem["parameters"]))
+        for tau in dict.fromkeys(tau for tau in one["tau"] if tau > 0):
+            mine = [name for name, other in zip(names, one["tau"], strict=False) if other == tau]
+            size = significant(100.0 * tau, 2)
+            said.append(f"{names_in_words(mine)}: a given scatter of {size} % over the modes")
+    return tuple(said)
+
+
+def has_remedy(trace: xr.DataTree) -> bool:
+    """Return True if a discrepancy could be added to the problem of a trace."""
+    problem = problem_of(trace)
+    likelihood: Mapping[str, Any] = problem.get("likelihood", {})
+    if "tests" in problem or "discrepancy" in likelihood:
+        return False
+    kinds = [one for one in likelihood.get("errors", [likelihood]) if "frequency" in str(one.get("error", ""))]
+    return bool(kinds) and not any(
+        key in one for one in kinds for key in ("covariance_hz2", "freedom", "freedom_inferred")
+    )
+
+
+def _inferred(trace: xr.DataTree, tau: str, names: list[str], parameters: Any) -> str:
+    draws = 100.0 * trace["posterior"][tau].to_numpy().ravel()
+    low, middle, high = np.quantile(draws, [0.05, 0.5, 0.95])
+    prior = next(p["prior"] for p in parameters if p["name"] == tau)
+    before = significant(67.45 * float(prior["sd"]), 2)  # the median of a half-normal distribution
+    return (
+        f"{names_in_words(names)}: a scatter over the modes, {tau}, of {significant(middle, 2)} % (90 %: "
+        f"{significant(low, 2)} to {significant(high, 2)} %; the median of its prior is {before} %)"
+    )

@@ -1,0 +1,45 @@
+"""The verdict on a model that may be wrong, and the remedy for one that is contradicted."""
+
+import numpy as np
+
+import fmu
+from fmu.analysis.fit.allowed_scatter import REMEDY
+from fmu.analysis.fit.model_fit import ALLOWED, CONTRADICTED, NOT_TESTABLE, model_fit
+from tests.shear_building import frequencies_hz, shear_building
+
+STOREYS = ["k1", "k2", "k3", "k4", "k5"]
+
+
+def fit_of(discrepancy=(), n_modes=5):
+    """Return the verdict on a model whose storeys have the same stiffness; those measured differ by up to 40 %."""
+    truth = frequencies_hz(shear_building(STOREYS), np.array([1.0, 1.4, 0.8, 1.2, 0.7]))[0]
+    problem = fmu.UpdatingProblem(
+        shear_building(["k"] * 5),
+        fmu.ModalData(truth[:n_modes]),
+        [fmu.Parameter("k", 1.0, 0.2, 3.0)],
+        pairing="index",
+        error=fmu.FrequencyErrors("relative", sd=0.002),
+        discrepancy=discrepancy,
+    )
+    return model_fit(fmu.sample(problem, draws=400, seed=1))
+
+
+def test_a_contradicted_model_has_a_remedy_and_then_a_verdict_that_is_not_good():
+    found = fit_of()
+    assert found.verdict == CONTRADICTED
+    assert found.said[-1] == f"{REMEDY}."
+    rescued = fit_of(fmu.Discrepancy(prior_sd=0.2))
+    assert rescued.verdict == ALLOWED
+    assert "may be wrong" in rescued.answer
+    assert rescued.said[0].startswith("k: a scatter over the modes, tau, of ")
+    assert REMEDY not in " ".join(rescued.said)
+
+
+def test_a_given_scatter_is_stated():
+    assert fit_of(fmu.Discrepancy(tau=0.2)).said == ("k: a given scatter of 20 % over the modes.",)
+
+
+def test_no_more_data_than_parameters_test_nothing_with_a_scatter_either():
+    found = fit_of(fmu.Discrepancy(), n_modes=1)
+    assert found.verdict == NOT_TESTABLE
+    assert "the median of its prior is 6.7 %" in found.reasons[1]
