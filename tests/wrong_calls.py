@@ -390,6 +390,11 @@ def calls(folder: Path) -> Iterator[Call]:
     )
     yield Call("SolveStore", fmu.SolveStore, {"folder": folder})
     yield Call("SpikeAndSlab", fmu.SpikeAndSlab, {"share": 0.1, "sd": 0.3, "spike": 0.01, "mean": 0.0})
+    yield Call(
+        "Discrepancy",
+        fmu.Discrepancy,
+        {"kind": "embedded", "tau": 0.05, "prior_sd": 0.1, "by": "common", "groups": ("a",), "name": "tau"},
+    )
     yield Call("GibbsSampler", fmu.GibbsSampler, {"step_size": 0.5})
     yield Call(
         "Tempering", fmu.Tempering, {"kernel": "slice", "temperatures": [1.0, 0.0], "rungs": None, "swap_every": 1}

@@ -14,7 +14,7 @@ from fmu.cli.damage import DIRECTORY, MODEL, SAMPLER
 from fmu.cli.messages import DEPARTED
 from fmu.config.mistakes import ConfigurationError, Mistakes
 from fmu.formats.shown import names_shown
-from fmu.numbers import fixed, significant
+from fmu.numbers import fixed, given, significant
 from fmu.tables import text_table, wrap_text
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ def _predict(
     if false_alarms < least:
         raise ValueError(
             f"--false-alarms: must be at least {significant(least, 2)}, the smallest p-value of {n} draws "
-            f"(got {false_alarms:g}); sample more draws, or allow more false alarms"
+            f"(got {given(false_alarms)}); sample more draws, or allow more false alarms"
         )
     found.insert(1, "false_alarms", false_alarms)
     found.insert(2, "departs", found["p_value"] <= false_alarms)
@@ -198,7 +198,9 @@ def _echo_remarks(problem: UpdatingProblem, tests: Sequence[Test], diagnosis: Di
         given = {test.name: test.known_covariate(name) for test in tests}
         beyond = [test for test, x in given.items() if x is not None and not low <= x <= high]
         if beyond:
-            rule = f"{name} is beyond {low:g} to {high:g}, the range of the earlier tests, in"
+            rule = (
+                f"{name} is beyond {significant(low)} to {significant(high)}, the range of the earlier tests, in"
+            )
             click.echo(wrap_text(f"Warning: {rule} {names_shown(beyond)}.", width=_WIDTH))
     if diagnosis.doubts:
         click.echo(wrap_text(f"Do not rely on p: {' and '.join(diagnosis.doubts)}.", width=_WIDTH))
@@ -220,7 +222,7 @@ def _echo_all(predictions: Predictions, before: Sequence[str], false_alarms: flo
         wrap_text(
             f"Tests so far: {len(rows)}, of which {len(departed)} departed; {significant(chance, 2)} would by "
             "chance if nothing had changed. Each test is judged alone: of tests without any change, the share "
-            f"{false_alarms:g} departs.",
+            f"{given(false_alarms)} departs.",
             width=_WIDTH,
         )
     )

@@ -12,6 +12,7 @@ from filelock import FileLock, Timeout
 
 from fmu.durable_files import write_durably
 from fmu.formats.shown import quote
+from fmu.numbers import given
 
 FILE = "predictions.csv"
 NAME = "name"
@@ -102,4 +103,4 @@ def open_predictions(
         with FileLock(directory / f".{FILE}.lock", timeout=_WAIT_S):
             yield Predictions(directory, measured, found, draws)
     except Timeout:
-        raise ValueError(f"{directory}: another fmu predict has been running there for {_WAIT_S:g} s") from None
+        raise ValueError(f"{directory}: another fmu predict has run there for {given(_WAIT_S)} s") from None

@@ -89,7 +89,7 @@ def test_a_departure_is_told_and_kept_with_its_parameter(run, days):
     assert float(first["p_value"]) > 0.01 >= float(second["p_value"]) >= 1 / (1 + int(second["draws"]))
     assert second["parameter"] == "k1"
     assert float(second["change"]) == pytest.approx(-0.08, abs=0.03)
-    problem, trace = fmu.load(run.parent / "building.toml"), fmu.load_trace(run / "hmc.nc")
+    problem, trace = fmu.load(run.parent / "building.toml"), fmu.load_trace(run / "gibbs.nc")
     tests = fmu.Test.from_csv(days, ["bend", "sway"])
     assert fmu.predict_tests(trace, problem, tests)["p_value"]["Tuesday"] == float(second["p_value"])
 
@@ -182,7 +182,7 @@ def test_a_file_of_predictions_that_is_not_of_this_run_is_refused(run, days):
         (kept.replace("draws_of", "of"), "must be as fmu predict wrote it for this run (its first line differs)"),
         (kept.replace("Tuesday,", "Tuesday"), "must be as fmu predict wrote it for this run (line 3 differs)"),
         ("", "must be as fmu predict wrote it for this run (its first line differs)"),
-        (kept.replace(",hmc ", ",slice "), "must be of the draws of hmc "),
+        (kept.replace(",gibbs ", ",slice "), "must be of the draws of gibbs "),
     ):
         (run / FILE).write_text(text, encoding="utf-8")
         done = invoke("predict", run, days)

@@ -241,5 +241,5 @@ def test_check_run_and_resume(tmp_path, monkeypatch):
     (home / "winter.csv").write_text(table)
     again = runner.invoke(main, ["run", "--resume", "run", "--no-report"])
     assert again.exit_code == 0, again.output
-    trace = fmu.load_trace(elsewhere / "run" / "hmc.nc")
+    trace = fmu.load_trace(elsewhere / "run" / "gibbs.nc")
     assert list(trace["tests"]["test"].values) == [f"t{i}" for i in range(5)]

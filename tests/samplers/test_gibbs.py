@@ -137,6 +137,18 @@ def test_it_converges_at_one_solve_of_all_tests_a_draw():
     assert float(np.mean(trace["sample_stats"]["acceptance_rate"])) > 0.9
 
 
+def test_log_probability_of_the_draws_is_stored():
+    problem = campaign(correlation=2.0)
+    trace = fmu.sample(problem, "gibbs", draws=10, warmup=10)
+    theta = np.stack([draws_of(trace, name) for name in problem.names], axis=-1).reshape(-1, problem.ndim)
+    # a step recomputes scores from values, which costs rounding times the slope of the log-likelihood
+    np.testing.assert_allclose(draws_of_lp(trace), problem.log_prob(theta), rtol=1e-7, atol=1e-6)
+
+
+def draws_of_lp(trace):
+    return np.asarray(trace["sample_stats"]["lp"]).ravel()
+
+
 def test_it_needs_a_population():
     problem = fmu.cases.load("shear-2dof")
     with pytest.raises(ValueError, match=r"problem: must have a population over several tests .* \(got none\)"):

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fmu.arguments import ArgumentError, check_arguments
+from fmu.numbers import given
 from fmu.posterior.joint.varies.covariates import Covariate
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Prior
@@ -170,15 +171,15 @@ class PiecewiseLinear(Law):
 
     def find_mistakes(self, of: str, name: str, low: float, high: float) -> list[str]:
         """Return a list of messages on kinks that no test can show."""
-        rule = f"the kinks in {name} must be between its values in the tests, {low:g} and {high:g}"
+        rule = f"the kinks in {name} must be between its values in the tests, {given(low)} and {given(high)}"
         if isinstance(self.kinks, Prior):
             without = not np.isfinite(self.kinks.log_mass(low, high))
             return [f"slopes.{of}: {rule} (got a prior without probability there)"] if without else []
-        return [f"slopes.{of}: {rule} (got {at:g})" for at in self.kinks if not low < at < high]
+        return [f"slopes.{of}: {rule} (got {given(at)})" for at in self.kinks if not low < at < high]
 
     def bind(self, of: str, covariate: Covariate, add: Add) -> PiecewiseEffect:
         """Add the slope of each piece, and an inferred kink, to theta; return the effect."""
-        ends = ["kink"] if isinstance(self.kinks, Prior) else [f"{at:g}" for at in self.kinks]
+        ends = ["kink"] if isinstance(self.kinks, Prior) else [f"{given(at)}" for at in self.kinks]
         pieces = [f"below {ends[0]}", *(f"from {a} to {b}" for a, b in pairwise(ends)), f"above {ends[-1]}"]
         names = (f"{of} per {covariate.name} {piece}" for piece in pieces)
         columns = [add(slope(name, self.prior), "slope") for name in names]

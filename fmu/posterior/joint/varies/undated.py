@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 
 from fmu.arguments import ArgumentError, check_arguments
+from fmu.numbers import significant
 from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.varies.base import Future, InTests, Slope, Theta, Varies
 from fmu.posterior.joint.varies.damage import loss_parameter
@@ -103,7 +104,7 @@ class UndatedDamage(Varies):
             found.append(f"varies.{name}: {rule} (got {len(times)})")
         elif self.date is not None and not np.isfinite(self.date.log_mass(*self._range(times))):
             first, last = self._range(times)
-            rule = f"the date must have a probability between {first:g} and {last:g}"
+            rule = f"the date must have a probability between {significant(first)} and {significant(last)}"
             found.append(f"varies.{name}: {rule} (got none)")
         return found
 
