@@ -49,6 +49,7 @@ notebooks/guide/damage
 notebooks/guide/slow-models
 notebooks/guide/choosing-a-sampler
 notebooks/guide/reading-a-report
+notebooks/guide/contradicted
 notebooks/guide/cluster
 notebooks/guide/own-error-model
 notebooks/guide/own-sampler

@@ -437,6 +437,27 @@ IN_THE_MIXTURE = (
 )
 IN_THE_POSTERIOR = (
     Fault(
+        "discrepancy: the determinant left out",
+        "fmu/posterior/discrepancy/likelihood.py",
+        "terms = -0.5 * (error**2 / V + np.log(V) + LOG_2PI)",
+        "terms = -0.5 * (error**2 / V + LOG_2PI)",
+        ("tests/posterior/discrepancy/test_embedded.py",),
+    ),
+    Fault(
+        "discrepancy: the gradients of another theta",
+        "fmu/posterior/discrepancy/likelihood.py",
+        "J = np.asarray(seen.frequency_slopes)",
+        "J = self.model.frequencies_and_gradient(1.05 * structural)[1]",
+        ("tests/posterior/discrepancy/test_embedded.py",),
+    ),
+    Fault(
+        "discrepancy: τ taken for τ²",
+        "fmu/posterior/discrepancy/embedded.py",
+        'np.einsum("nmk,nk->nm", by_each, tau**2)',
+        'np.einsum("nmk,nk->nm", by_each, tau)',
+        ("tests/posterior/discrepancy/test_embedded.py",),
+    ),
+    Fault(
         "likelihood: half the gradient",
         "fmu/posterior/errors/frequency.py",
         "-2.0 * beta * error * slope",
