@@ -32,7 +32,7 @@ class TestNames:
         assert make_sampler(name).name == name
 
     def test_an_unknown_name_lists_the_known_ones(self):
-        known = "mh, slice, hmc, emcee, mixture, tempering"
+        known = "mh, slice, hmc, emcee, mixture, gibbs, tempering"
         with pytest.raises(ValueError, match=rf"sampler: must be one of {known} \(got 'nuts'\)"):
             make_sampler("nuts")
 
