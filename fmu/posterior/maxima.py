@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fmu.numbers import names_in_words
 from fmu.posterior.density import Posterior
@@ -30,7 +31,7 @@ _MOST_POLISHED, _FIRST = 8, 16
 Quadratic = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
 """A function of u (n, ndim) that returns V = −log P (n,), its gradient and its Gauss–Newton Hessian."""
 
-_FIRST_DAMPING, _MOST_DAMPING = 1e-2, 1e12
+FIRST_DAMPING, MOST_DAMPING = 1e-2, 1e12
 
 
 @dataclass(frozen=True)
@@ -311,7 +312,7 @@ def ascend(
     """
     u = start.copy()
     V, g, H = quadratic(u)
-    damping = np.full(len(u), _FIRST_DAMPING)
+    damping = np.full(len(u), FIRST_DAMPING)
     stationary = np.zeros(len(u), dtype=bool)
     i = np.arange(u.shape[1])
     going = np.flatnonzero(np.isfinite(V))
@@ -319,7 +320,7 @@ def ascend(
     step = 0
     for step in range(max_steps):  # noqa: B007
         stationary[going] = decrement(u[going], g[going], H[going], lower, upper) < tolerance
-        on = going[~stationary[going] & (damping[going] < _MOST_DAMPING)]
+        on = going[~stationary[going] & (damping[going] < MOST_DAMPING)]
         advance_phase(len(going) - len(on))
         going = on
         if not going.size:
@@ -330,13 +331,27 @@ def ascend(
         new_V, new_g, new_H = quadratic(u[going] + s)
         predicted = np.maximum(_predicted_decrease(s, g[going], H[going]), np.finfo(float).tiny)
         ratio = (V[going] - new_V) / predicted
-        better = ratio > 1e-4
-        change = np.where(better, np.where(ratio > 0.75, 0.2, np.where(ratio < 0.25, 3.0, 1.0)), 5.0)
-        damping[going] = np.maximum(damping[going] * change, 1e-10)
+        better, damping[going] = adjust_damping(damping[going], ratio)
         moved = going[better]
         u[moved] += s[better]
         V[moved], g[moved], H[moved] = new_V[better], new_g[better], new_H[better]
     return Ascent(np.clip(u, lower, upper), V, H, stationary, step)
+
+
+def adjust_damping(damping: ArrayLike, ratio: ArrayLike) -> tuple[BoolArray, FloatArray]:
+    """Return whether steps are accepted, and the damping of the next steps.
+
+    Parameters
+    ----------
+    damping : array_like
+        Relative enlargement of the diagonal in the last steps.
+    ratio : array_like
+        Ratio of the actual and the predicted change of V in the last steps.
+    """
+    ratio = np.asarray(ratio)
+    better = ratio > 1e-4
+    change = np.where(better, np.where(ratio > 0.75, 0.2, np.where(ratio < 0.25, 3.0, 1.0)), 5.0)
+    return better, np.maximum(damping * change, 1e-10)
 
 
 def find_pressed(u: FloatArray, g: FloatArray, lower: FloatArray, upper: FloatArray) -> BoolArray:

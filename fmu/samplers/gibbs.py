@@ -28,8 +28,7 @@ import numpy as np
 
 from fmu.arguments import check_arguments
 from fmu.posterior.joint.conditional.both import Conditionals, conditionals
-from fmu.posterior.joint.conditional.expansion import sum_by_test
-from fmu.posterior.joint.conditional.scores import remove_centring, restore_centring
+from fmu.posterior.joint.layout import sum_by_test
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers.adaptation import DualAveraging
@@ -150,7 +149,7 @@ class GibbsKernel:
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Move the main parameters, then the scores, then all parameters together if this is needed."""
-        theta = remove_centring(self.problem.layout, self.scaled.to_theta(state.position))
+        theta = self.problem.layout.standardise_scores(self.scaled.to_theta(state.position))
         theta, main = self._move_main(rng, theta)
         share = _SHARES[int(state.extra["turn"][0]) % len(_SHARES)]
         theta, terms, moved = self._move_scores(rng, theta, state.extra["terms"], share)
@@ -159,7 +158,7 @@ class GibbsKernel:
         if not self.conditionals.is_enough:
             theta, terms, extra["shift_accepted"] = self._shift(rng, theta, terms)
             solves += 1
-        theta = restore_centring(self.problem.layout, theta)
+        theta = self.problem.layout.restore_scores(theta)
         log_prob = terms.sum(axis=1) + self.problem.log_prior(theta)
         info = Info(moved > 0.0, log_prob, solves, np.zeros_like(solves), extra)
         position = self.scaled.to_scaled(theta)
@@ -208,7 +207,7 @@ class GibbsKernel:
         terms = self.problem.likelihood.terms(layout.of_model(theta))
         if np.count_nonzero(np.isfinite(terms)) == terms.size:
             return terms
-        return self.problem.terms_of_tests(restore_centring(self.problem.layout, theta))  # records the failures
+        return self.problem.terms_of_tests(self.problem.layout.restore_scores(theta))  # records the failures
 
     def _shift(
         self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray

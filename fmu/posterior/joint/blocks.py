@@ -16,8 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmu.posterior.errors.likelihood import ModalLikelihood
-from fmu.posterior.joint.conditional.expansion import expand
+from fmu.posterior.joint.conditional.expansion import information_by_test
 from fmu.posterior.joint.conditional.scores import Scores
+from fmu.posterior.maxima import FIRST_DAMPING, MOST_DAMPING, adjust_damping, find_pressed
+from fmu.posterior.priors.joint import JointPrior
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.scaled import ScaledDensity
 from fmu.types import BoolArray, FloatArray, IntArray
@@ -39,7 +41,7 @@ class BlockHessian:
     cross: FloatArray
     scores: FloatArray
 
-    def damp(self, damping: float, held: BoolArray) -> BlockHessian:
+    def damp(self, damping: float | FloatArray, held: BoolArray) -> BlockHessian:
         """Return the matrix with its diagonal multiplied by 1 + damping, and the identity for `held`, (d,)."""
         main, cross, scores = self.main.copy(), np.where(held, 0.0, self.cross), self.scores.copy()
         k, i = np.arange(len(main)), np.arange(scores.shape[1])
@@ -85,6 +87,7 @@ class BlockForm:
     def __init__(self, problem: UpdatingProblem, columns: IntArray) -> None:
         self.problem, self.columns = problem, columns
         self.scores, self.scaled = Scores.of(problem.layout), ScaledDensity(problem)
+        self._prior = JointPrior([problem.parameters[k] for k in columns])
 
     def gradient(self, theta: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Return the log-density at theta (ndim,) and its scaled gradients by main parameters and scores."""
@@ -99,7 +102,7 @@ class BlockForm:
         n, d = len(layout.parameters), len(self.columns)
         n_tests, p = self.scores.scored.shape
         assert isinstance(problem.likelihood, ModalLikelihood)  # of several tests
-        information = expand(layout, problem.likelihood, theta).information
+        information = information_by_test(layout, problem.likelihood, theta)
         by_main = np.zeros((n_tests, len(layout.structural), d))
         by_score = np.zeros((n_tests, p))
         place = np.full(problem.ndim, -1)
@@ -128,13 +131,7 @@ class BlockForm:
     def _of_prior(self, theta: FloatArray) -> FloatArray:
         """Return minus the second derivatives of the prior of main parameters, and the information on noise."""
         problem, scale = self.problem, self.scaled.scale
-        found = np.zeros((len(self.columns), len(self.columns)))
-        for i, k in enumerate(self.columns):
-            parameter, h = problem.parameters[k], 1e-4 * scale[k]
-            low, high = parameter.prior.support
-            near = np.clip(theta[None, k], low + 2.0 * h, high - 2.0 * h)
-            ahead, behind = (parameter.prior.log_pdf_gradient(near + step)[0] for step in (h, -h))
-            found[i, i] = max(0.0, (behind - ahead) / (2.0 * h)) * scale[k] ** 2
+        found = self._prior.quadratic(theta[None, self.columns], scale[self.columns])[1][0]
         noise = np.flatnonzero(self.columns >= problem.n_structural)
         if len(noise):
             s = theta[None, problem.n_structural :]
@@ -147,29 +144,25 @@ class BlockForm:
     def climb(self, theta: FloatArray, tolerance: float, most_steps: int = 100) -> tuple[FloatArray, BlockHessian]:
         """Return the maximum over scores and `columns` that Levenberg–Marquardt steps reach, and its Hessian.
 
-        The damping of the diagonal follows the ratio of actual and predicted increase, as in
-        `fmu.posterior.maxima.ascend`.
+        The damping of the diagonal is that of `fmu.posterior.maxima.ascend`.
         """
-        damping = 1e-2
+        damping = np.asarray(FIRST_DAMPING)
         value, of_main, of_scores = self.gradient(theta)
         hessian = self.hessian(theta)
         low, high = self.scaled.theta_lower[self.columns], self.scaled.theta_upper[self.columns]
         for _ in range(most_steps):
-            at = theta[self.columns]
-            held = ((at <= low) & (of_main < 0.0)) | ((at >= high) & (of_main > 0.0))
+            held = find_pressed(theta[self.columns], -of_main, low, high)
             free = np.where(held, 0.0, of_main)
             main, scores = hessian.damp(0.0, held).solve(free, of_scores)
-            if 0.5 * (free @ main + np.sum(of_scores * scores)) < tolerance or damping > 1e12:
+            if 0.5 * (free @ main + np.sum(of_scores * scores)) < tolerance or damping > MOST_DAMPING:
                 break
             main, scores = hessian.damp(damping, held).solve(free, of_scores)
             moved = self._move(theta, main, scores)
             new_value, *new = self.gradient(moved)
             predicted = max(0.5 * float(free @ main + np.sum(of_scores * scores)), float(np.finfo(float).tiny))
             ratio = (new_value - value) / predicted if np.isfinite(new_value) else -np.inf
-            damping = max(
-                1e-10, damping * (5.0 if ratio <= 1e-4 else 0.2 if ratio > 0.75 else 3.0 if ratio < 0.25 else 1.0)
-            )
-            if ratio > 1e-4:
+            better, damping = adjust_damping(damping, ratio)
+            if better:
                 theta, value, (of_main, of_scores) = moved, new_value, new
                 hessian = self.hessian(theta)
         return theta, hessian

@@ -262,10 +262,7 @@ class Layout:
             For each term, the index of its test.
         """
         n, P = len(self.parameters), len(self.structural)
-        order = np.argsort(test, kind="stable")
-        first = np.flatnonzero(np.diff(test[order], prepend=-1))
-        by_test = np.zeros((len(theta), len(self.tests), P))
-        by_test[:, test[order][first]] = np.add.reduceat(slopes[:, order, :P], first, axis=1)
+        by_test = sum_by_test(slopes[..., :P], test, len(self.tests))
         every = [(j, slope) for j, value_of in enumerate(self.values_of) for slope in value_of(theta[:, :n])[1]]
         terms = np.concatenate([by_test[:, :, j] * slope.values for j, slope in every], axis=1)
         columns = np.concatenate([slope.columns for _, slope in every])
@@ -336,6 +333,17 @@ class Layout:
             z = self.draw_scores(theta, rng, len(self.tests))
             for j, one in enumerate(self.drawn):
                 theta[:, one.columns[one.scored]] = z[:, one.scored, j]
+        return self.restore_scores(theta)
+
+    def standardise_scores(self, theta: FloatArray) -> FloatArray:
+        """Return a copy of theta (n, ndim) in which the scores are standard normal: those without centring."""
+        found = theta.copy()
+        for one in self.drawn:
+            found[:, one.columns[one.scored]] = one.population_scores(theta)[0][:, one.scored]
+        return found
+
+    def restore_scores(self, theta: FloatArray) -> FloatArray:
+        """Return theta (n, ndim) with the scores of this layout in place of standard normal scores."""
         for one in self._centred:
             theta = one.drawn(theta)
         return theta
@@ -343,3 +351,12 @@ class Layout:
     @cached_property
     def _centred(self) -> list[Drawn]:
         return [one for one in self.drawn if np.any(one.centring > 0.0)]
+
+
+def sum_by_test(terms: FloatArray, test: IntArray, n_tests: int) -> FloatArray:
+    """Return the sums over the terms (n, m, …) of each test, shape (n, n_tests, …); `test` has shape (m,)."""
+    found = np.zeros((len(terms), n_tests, *terms.shape[2:]))
+    order = np.argsort(test, kind="stable")
+    first = np.flatnonzero(np.diff(test[order], prepend=-1))
+    found[:, test[order][first]] = np.add.reduceat(terms[:, order], first, axis=1)
+    return found

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fmu.posterior.joint.blocks import BlockForm
-from fmu.posterior.joint.conditional.scores import Scores, restore_centring
+from fmu.posterior.joint.conditional.scores import Scores
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.varies.population import Drawn
 from fmu.posterior.maxima import GaussNewton
@@ -40,7 +40,7 @@ def typical_point(problem: UpdatingProblem) -> FloatArray:
         A problem with at least one population.
     """
     plain = problem.with_layout(problem.layout.remove_centring())
-    theta = restore_centring(problem.layout, _search(plain)[0][None])[0]
+    theta = problem.layout.restore_scores(_search(plain)[0][None])[0]
     return ScaledDensity(problem).to_scaled(theta)
 
 

@@ -12,7 +12,7 @@ from fmu.box import find_inside
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.joint.conditional.expansion import expand
 from fmu.posterior.joint.conditional.main import MainGivenValues
-from fmu.posterior.joint.conditional.scores import ScoresGivenMain, remove_centring, restore_centring
+from fmu.posterior.joint.conditional.scores import ScoresGivenMain
 from fmu.posterior.joint.conditional.shift import MainGivenScores
 from fmu.posterior.joint.typical import typical_point
 from fmu.posterior.problem import UpdatingProblem
@@ -77,7 +77,7 @@ def scatter_about_typical(
         for noise, curvature in zip(noises, known.curvatures, strict=True)
     ]
     of_scores = rng.standard_normal((n, *known.scores.scores.scored.shape))
-    share, found = np.ones((n, 1)), restore_centring(problem.layout, centre)
+    share, found = np.ones((n, 1)), problem.layout.restore_scores(centre)
     left = np.arange(n)
     for _ in range(_HALVINGS):
         w = known.main.coordinates(centre[left], values[left]) + share[left] * steps[0][left]
@@ -90,7 +90,7 @@ def scatter_about_typical(
         theta[~inside] = centre[left][~inside]
         normal = known.scores.approximate(theta)
         z = normal.draw(normal.mean, 0.0, share[left, :, None] * dispersion * of_scores[left])
-        theta = restore_centring(problem.layout, known.scores.scores.put(theta, z))
+        theta = problem.layout.restore_scores(known.scores.scores.put(theta, z))
         good = inside & np.isfinite(problem.log_prob(theta))
         found[left[good]] = theta[good]
         share[left] *= 0.5
@@ -104,7 +104,7 @@ def _compute(problem: UpdatingProblem) -> Conditionals:
     assert isinstance(problem.likelihood, ModalLikelihood)  # of several tests
     plain = problem.with_layout(problem.layout.remove_centring())
     own = ScaledDensity(problem).to_theta(typical_point(problem))[None]
-    theta = remove_centring(problem.layout, own)
+    theta = problem.layout.standardise_scores(own)
     expansion = expand(plain.layout, problem.likelihood, theta[0])
     scores, main = ScoresGivenMain(plain.layout, expansion), MainGivenValues(plain)
     shift = MainGivenScores(plain, expansion, theta)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fmu.posterior.errors.likelihood import ModalLikelihood
-from fmu.posterior.joint.layout import Layout
+from fmu.posterior.joint.layout import Layout, sum_by_test
 from fmu.types import FloatArray, IntArray
 
 
@@ -31,23 +31,17 @@ class Expansion(NamedTuple):
 
 def expand(layout: Layout, likelihood: ModalLikelihood, theta: FloatArray) -> Expansion:
     """Return the log-likelihoods of the tests to second order about one theta, (ndim,)."""
-    at = layout.of_model(theta[None])
-    slopes = likelihood.terms_and_gradient(at)[1]
-    _, J = likelihood.residuals_and_slopes(at)
-    P, n_tests = len(layout.structural), len(layout.tests)
-    slope = sum_by_test(slopes[..., :P], likelihood.test_of_terms, n_tests)
+    slopes = likelihood.terms_and_gradient(layout.of_model(theta[None]))[1][..., : len(layout.structural)]
+    slope = sum_by_test(slopes, likelihood.test_of_terms, len(layout.tests))[0]
+    values = layout.values(theta[None, : len(layout.parameters)])[0]
+    return Expansion(values, slope, information_by_test(layout, likelihood, theta))
+
+
+def information_by_test(layout: Layout, likelihood: ModalLikelihood, theta: FloatArray) -> FloatArray:
+    """Return the information of each test on its structural parameters, (n_tests, P, P), at theta (ndim,)."""
+    J = likelihood.residuals_and_slopes(layout.of_model(theta[None]))[1]
     products = J[..., :, None] * J[..., None, :]
-    information = sum_by_test(products, _tests_of_residuals(likelihood), n_tests)
-    return Expansion(layout.values(theta[None, : len(layout.parameters)])[0], slope[0], information[0])
-
-
-def sum_by_test(terms: FloatArray, test: IntArray, n_tests: int) -> FloatArray:
-    """Return the sums over the terms (n, m, …) of each test, shape (n, n_tests, …); `test` has shape (m,)."""
-    found = np.zeros((len(terms), n_tests, *terms.shape[2:]))
-    order = np.argsort(test, kind="stable")
-    first = np.flatnonzero(np.diff(test[order], prepend=-1))
-    found[:, test[order][first]] = np.add.reduceat(terms[:, order], first, axis=1)
-    return found
+    return sum_by_test(products, _tests_of_residuals(likelihood), len(layout.tests))[0]
 
 
 def _tests_of_residuals(likelihood: ModalLikelihood) -> IntArray:

@@ -184,19 +184,3 @@ class ScoresGivenMain:
         scored = self.scores.scored
         removed = np.where(scored, 1.0 - left, 0.0)
         return float(np.min(removed.sum(axis=0) / scored.sum(axis=0)))
-
-
-def remove_centring(layout: Layout, theta: FloatArray) -> FloatArray:
-    """Return a copy of theta (n, ndim) with standard normal scores in place of those of the layout."""
-    found = theta.copy()
-    for one in layout.drawn:
-        found[:, one.columns[one.scored]] = one.population_scores(theta)[0][:, one.scored]
-    return found
-
-
-def restore_centring(layout: Layout, theta: FloatArray) -> FloatArray:
-    """Return theta (n, ndim) with the scores of the layout in place of standard normal ones."""
-    for one in layout.drawn:
-        if np.any(one.centring > 0.0):
-            theta = one.drawn(theta)
-    return theta

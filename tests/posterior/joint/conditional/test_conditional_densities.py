@@ -6,8 +6,7 @@ from numpy.testing import assert_allclose
 
 import fmu
 from fmu.posterior.joint.conditional.both import conditionals
-from fmu.posterior.joint.conditional.expansion import sum_by_test
-from fmu.posterior.joint.conditional.scores import remove_centring, restore_centring
+from fmu.posterior.joint.layout import sum_by_test
 from fmu.posterior.joint.typical import typical_point
 from fmu.posterior.scaled import ScaledDensity
 from tests.gradients import assert_gradient
@@ -63,16 +62,16 @@ def campaign_points(request):
 
 def test_scores_without_centring_give_the_same_values(campaign_points):
     problem, _, plain, own = campaign_points
-    theta = remove_centring(problem.layout, own)
+    theta = problem.layout.standardise_scores(own)
     assert_allclose(plain.values(theta), problem.values(own), rtol=1e-12)
-    assert_allclose(restore_centring(problem.layout, theta), own, rtol=1e-8, atol=1e-9)
+    assert_allclose(problem.layout.restore_scores(theta), own, rtol=1e-8, atol=1e-9)
 
 
 def test_main_given_values_is_the_joint_density_at_these_values(campaign_points):
     """By the change of variables p(main, values) = p(main, scores) / |∂values/∂scores|."""
     problem, found, plain, own = campaign_points
     main, scores = found.main, found.scores.scores
-    before = remove_centring(problem.layout, own)
+    before = problem.layout.standardise_scores(own)
     values, w = main.values(before), main.coordinates(before, main.values(before))
     assert_allclose(main.theta_at(w, before, values), before, rtol=1e-12)
 
@@ -95,7 +94,7 @@ def test_main_given_values_is_the_joint_density_at_these_values(campaign_points)
 
 def test_gradients_of_main_parameters(campaign_points):
     problem, found, _, own = campaign_points
-    theta = remove_centring(problem.layout, own)[:1]
+    theta = problem.layout.standardise_scores(own)[:1]
     values = found.main.values(theta)
     w = found.main.coordinates(theta, values)
     of_main = lambda w: found.main.log_prob_and_grad(w, *(np.repeat(x, len(w), axis=0) for x in (theta, values)))  # noqa: E731
@@ -115,7 +114,7 @@ def test_correlations_given_scores_move_the_scores_by_the_root_of_their_matrix(d
         conditionals(problem).scores.scores,
     )
     own = ScaledDensity(problem).to_theta(typical_point(problem))[None]
-    theta = remove_centring(problem.layout, own)
+    theta = problem.layout.standardise_scores(own)
     assert set(copula.columns) <= set(shift.columns.tolist())
     w = shift.coordinates(theta) + 0.05 * np.random.default_rng(6).standard_normal((1, len(shift.columns)))
     after = shift.theta_at(w, theta)
@@ -131,7 +130,7 @@ def test_correlations_given_scores_move_the_scores_by_the_root_of_their_matrix(d
 
 def test_scores_given_main_are_close_to_their_normal_approximation(campaign_points):
     problem, found, plain, own = campaign_points
-    theta, of = remove_centring(problem.layout, own), found.scores
+    theta, of = problem.layout.standardise_scores(own), found.scores
     z = np.random.default_rng(5).standard_normal((*theta.shape[:1], N, len(of.scores.every)))
     assert_allclose(
         (of.log_prior(of.scores.put(theta, z)) - of.log_prior(theta)).sum(axis=1),
