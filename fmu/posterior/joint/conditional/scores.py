@@ -40,14 +40,10 @@ class Scattering(NamedTuple):
     drawn: Drawn
 
     def factor(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the factor (n, n_tests) from main parameters, and the derivatives of its logarithm."""
-        drawn = self.drawn
-        if self.value_of is drawn:
-            return np.ones((1, 1)), []
-        value, slopes = self.value_of(theta)
-        own = {drawn.centre, drawn.width}
-        others = [s for s in slopes if s.columns is not drawn.columns and not own & set(s.columns.tolist())]
-        return value / drawn(theta)[0], [Slope(s.columns, s.values / value) for s in others]
+        """Return the factor (n, n_tests) or (1, 1), and the derivatives of its logarithm."""
+        factors = self.value_of.factors(theta)
+        slopes = [Slope(s.columns, s.values / one.values) for one in factors for s in one.slopes]
+        return np.prod([one.values for one in factors], axis=0) if factors else np.ones((1, 1)), slopes
 
     def scores(self, theta: FloatArray, values: FloatArray) -> FloatArray:
         """Return the scores of values, both (n, n_tests), at the main parameters of theta (n, n_parameters)."""

@@ -7,7 +7,8 @@ that it returns, and add a line to the `__init__`.
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from typing import ClassVar, NamedTuple
+from dataclasses import dataclass, replace
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -57,6 +58,19 @@ class Slope(NamedTuple):
     values: FloatArray
 
 
+class Factor(NamedTuple):
+    """A factor on the values in the tests, and its derivatives.
+
+    Attributes
+    ----------
+    values : ndarray, shape (n, n_tests) or (1, n_tests)
+    slopes : list of Slope
+    """
+
+    values: FloatArray
+    slopes: list[Slope]
+
+
 class InTests:
     """The values of a structural parameter in all tests, as a function of theta."""
 
@@ -96,6 +110,53 @@ class InTests:
     def after(self, n: int) -> InTests:
         """Return the parameter with the indices of its scores increased by `n`; itself if it has no scores."""
         return self
+
+    def factors(self, theta: FloatArray) -> list[Factor]:
+        """Return the factors on the values of `base` at theta (n, n_parameters); none if this is the base."""
+        return []
+
+
+@dataclass(frozen=True)
+class Multiplied(InTests):
+    """A structural parameter whose values are those of another `InTests`, times a factor in each test.
+
+    Attributes
+    ----------
+    of : InTests
+        The values without the factor.
+    """
+
+    of: InTests
+
+    def factor(self, theta: FloatArray) -> Factor:
+        """Return the factor at theta (n, n_parameters), which no score changes."""
+        raise NotImplementedError
+
+    def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
+        """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
+        value, slopes = self.of(theta)
+        factor, own = self.factor(theta)
+        return value * factor, [
+            *(Slope(one.columns, one.values * factor) for one in slopes),
+            *(Slope(one.columns, value * one.values) for one in own),
+        ]
+
+    def factors(self, theta: FloatArray) -> list[Factor]:
+        """Return the factors on the values of `base` at theta (n, n_parameters)."""
+        return [*self.of.factors(theta), self.factor(theta)]
+
+    @property
+    def base(self) -> InTests:
+        """The parameter without any factor."""
+        return self.of.base
+
+    def after(self, n: int) -> Self:
+        """Return the parameter with the indices of its scores increased by `n`."""
+        return replace(self, of=self.of.after(n))
+
+    def refer_to(self, references: Mapping[int, tuple[FloatArray, tuple[float, float]]]) -> Self:
+        """Return the parameter with another centring and reference of its scores."""
+        return replace(self, of=self.of.refer_to(references))
 
 
 class Future(NamedTuple):

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from fmu.arguments import check_arguments
 from fmu.posterior.joint.modal_test import Test
-from fmu.posterior.joint.varies.base import Future, InTests, Slope, Theta, Varies
+from fmu.posterior.joint.varies.base import Factor, Future, InTests, Multiplied, Slope, Theta, Varies
 from fmu.posterior.joint.varies.population import Population
 from fmu.posterior.joint.varies.taken import Taken
 from fmu.posterior.parameters import Parameter
@@ -96,7 +96,7 @@ def undamaged_in_tests(
 
 
 @dataclass(frozen=True)
-class Lost(InTests):
+class Lost(Multiplied):
     """A structural parameter with relative losses: θ = θ₀ in the reference, otherwise θ = θ₀ (1 − d).
 
     Attributes
@@ -109,21 +109,14 @@ class Lost(InTests):
         Whether the test has a loss; False in the reference.
     """
 
-    of: InTests
     columns: IntArray
     is_lost: BoolArray
 
-    @property
-    def base(self) -> InTests:
-        """The undamaged parameter."""
-        return self.of.base
-
-    def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
-        undamaged, slopes = self.of(theta)
-        kept = 1.0 - np.where(self.is_lost, theta[:, self.columns], 0.0)
-        by_loss = Slope(self.columns, np.where(self.is_lost, -undamaged, 0.0))
-        return undamaged * kept, [*(Slope(one.columns, one.values * kept) for one in slopes), by_loss]
+    def factor(self, theta: FloatArray) -> Factor:
+        """Return the shares 1 − d that are left in the tests, at theta (n, n_parameters)."""
+        loss = np.where(self.is_lost, theta[:, self.columns], 0.0)
+        by_loss = np.broadcast_to(np.where(self.is_lost, -1.0, 0.0), loss.shape)
+        return Factor(1.0 - loss, [Slope(self.columns, by_loss)])
 
     def losses(self, theta: FloatArray, reference: int) -> FloatArray:
         """Return the relative losses (n, n_tests) in the tests, since a test in the reference."""
@@ -143,11 +136,3 @@ class Lost(InTests):
         """Return the values (n,) in a further test, with the loss of the group of test `like`."""
         undamaged = self.of.next_test(theta, like, future)
         return undamaged * (1.0 - theta[:, self.columns[like]]) if self.is_lost[like] else undamaged
-
-    def after(self, n: int) -> Self:
-        """Return the parameter with the indices of its scores increased by `n`."""
-        return replace(self, of=self.of.after(n))
-
-    def refer_to(self, references: Mapping[int, tuple[FloatArray, tuple[float, float]]]) -> Self:
-        """Return the parameter with another centring and reference of its scores."""
-        return replace(self, of=self.of.refer_to(references))

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
 from itertools import product
-from typing import Self
 
 import numpy as np
 
 from fmu.posterior.joint.modal_test import Test
-from fmu.posterior.joint.varies.base import Future, InTests, Slope, Theta
+from fmu.posterior.joint.varies.base import Factor, Future, InTests, Multiplied, Slope, Theta
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal, Prior
 from fmu.types import FloatArray, IntArray
@@ -19,7 +18,7 @@ _FEWEST_GROUPS = 3
 
 
 @dataclass(frozen=True)
-class Nested(InTests):
+class Nested(Multiplied):
     """A parameter with an effect of each group on its values: θ = θ₀ (1 + s u_g), or θ₀ exp(s u_g).
 
     The effects u_g are standard normal, one for each group of tests, and the standard deviation s between groups
@@ -38,7 +37,6 @@ class Nested(InTests):
         Whether the effect is on the logarithm of the value.
     """
 
-    of: InTests
     width: int
     columns: IntArray
     of_logarithm: bool
@@ -71,23 +69,14 @@ class Nested(InTests):
         first = min(numbers.values())
         return cls(of, width, np.array([numbers.get(test.group, first) for test in theta.tests]), of_logarithm)
 
-    @property
-    def base(self) -> InTests:
-        """The parameter without effects of groups."""
-        return self.of.base
-
-    def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
-        value, slopes = self.of(theta)
+    def factor(self, theta: FloatArray) -> Factor:
+        """Return the factors of the groups in the tests, at theta (n, n_parameters)."""
         s, u = theta[:, [self.width]], theta[:, self.columns]
-        factor, by_effect = self._factor(s * u)
-        return value * factor, [
-            *(Slope(one.columns, one.values * factor) for one in slopes),
-            Slope(np.full_like(self.columns, self.width), value * by_effect * u),
-            Slope(self.columns, value * by_effect * s),
-        ]
+        factor, by_effect = self._of_effect(s * u)
+        by_width = Slope(np.full_like(self.columns, self.width), by_effect * u)
+        return Factor(factor, [by_width, Slope(self.columns, by_effect * s)])
 
-    def _factor(self, effect: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _of_effect(self, effect: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the factors on the values, and their derivatives by the effect s u."""
         if self.of_logarithm:
             return np.exp(effect), np.exp(effect)
@@ -106,21 +95,13 @@ class Nested(InTests):
         # s and u_g are rarely both near their limits
         effects = 0.5 * upper[self.width] * np.stack([lower[self.columns], upper[self.columns]])
         ends = np.stack(self.of.box(lower, upper))
-        corners = np.stack([end * factor for end, factor in product(ends, self._factor(effects)[0])])
+        corners = np.stack([end * factor for end, factor in product(ends, self._of_effect(effects)[0])])
         return corners.min(axis=0), corners.max(axis=0)
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
         """Return the values (n,) in a further test of the group of test `like`."""
         effect = theta[:, self.width] * theta[:, self.columns[like]]
-        return self.of.next_test(theta, like, future) * self._factor(effect)[0]
-
-    def after(self, n: int) -> Self:
-        """Return the parameter with the indices of its scores increased by `n`."""
-        return replace(self, of=self.of.after(n))
-
-    def refer_to(self, references: Mapping[int, tuple[FloatArray, tuple[float, float]]]) -> Self:
-        """Return the parameter with another centring and reference of its scores."""
-        return replace(self, of=self.of.refer_to(references))
+        return self.of.next_test(theta, like, future) * self._of_effect(effect)[0]
 
 
 def find_mistakes_of_groups(name: str, tests: Sequence[Test]) -> list[str]:

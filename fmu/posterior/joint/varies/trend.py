@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 
 from fmu.posterior.joint.modal_test import Test
-from fmu.posterior.joint.varies.base import Future, InTests, Slope, Theta
+from fmu.posterior.joint.varies.base import Factor, Future, InTests, Multiplied, Slope, Theta
 from fmu.posterior.joint.varies.covariates import Covariate, find_mistakes_of_covariate, known_values
 from fmu.posterior.joint.varies.laws import Effect, Law, law_of
 from fmu.posterior.parameters import Parameter
@@ -32,7 +32,7 @@ class OnCovariate(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Trend(InTests):
+class Trend(Multiplied):
     """A structural parameter that also depends on covariates x_k: θ = θ₀ (1 + Σ_k g_k(x_k)).
 
     Attributes
@@ -43,26 +43,20 @@ class Trend(InTests):
         The effects g_k, each of which is zero at the mean of its covariate.
     """
 
-    of: InTests
     effects: tuple[OnCovariate, ...]
 
-    @property
-    def base(self) -> InTests:
-        """The parameter without its trends and losses."""
-        return self.of.base
-
-    def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
-        value, slopes = self.of(theta)
-        factor, found = np.ones_like(value), []
+    def factor(self, theta: FloatArray) -> Factor:
+        """Return 1 + Σ_k g_k(x_k) in the tests, at theta (n, n_parameters)."""
+        n_tests = len(self.effects[0].covariate.values)
+        factor, found = np.ones((len(theta), n_tests)), []
         for effect, covariate in self.effects:
             g, by_parameters, by_x = effect.evaluate(theta[:, effect.columns], covariate.at(theta), covariate.mean)
             factor = factor + g
             for k, column in enumerate(effect.columns):
-                found.append(Slope(np.full(value.shape[1], column), value * by_parameters[:, k]))
+                found.append(Slope(np.full(n_tests, column), by_parameters[:, k]))
             if covariate.is_inferred.any():
-                found.append(Slope(covariate.columns, np.where(covariate.is_inferred, value * by_x, 0.0)))
-        return value * factor, [*(Slope(one.columns, one.values * factor) for one in slopes), *found]
+                found.append(Slope(covariate.columns, np.where(covariate.is_inferred, by_x, 0.0)))
+        return Factor(factor, found)
 
     def losses(self, theta: FloatArray, reference: int) -> FloatArray:
         """Return the relative losses (n, n_tests) since the test `reference`, without trends and scatter."""
@@ -96,14 +90,6 @@ class Trend(InTests):
             x = np.full((1, 1), future.covariates.get(covariate.name, covariate.mean))
             factor = factor + effect.evaluate(theta[:, effect.columns], x, covariate.mean).effect[:, 0]
         return self.of.next_test(theta, like, future) * factor
-
-    def after(self, n: int) -> Self:
-        """Return the parameter with the indices of its scores increased by `n`."""
-        return replace(self, of=self.of.after(n))
-
-    def refer_to(self, references: Mapping[int, tuple[FloatArray, tuple[float, float]]]) -> Self:
-        """Return the parameter with another centring and reference of its scores."""
-        return replace(self, of=self.of.refer_to(references))
 
 
 class Trends:

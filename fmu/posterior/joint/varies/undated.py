@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Self
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.numbers import significant
 from fmu.posterior.joint.modal_test import Test
-from fmu.posterior.joint.varies.base import Future, InTests, Slope, Theta, Varies
+from fmu.posterior.joint.varies.base import Factor, Future, InTests, Multiplied, Slope, Theta, Varies
 from fmu.posterior.joint.varies.damage import loss_parameter
 from fmu.posterior.joint.varies.population import Population
 from fmu.posterior.joint.varies.taken import SHARED, Taken
@@ -146,7 +145,7 @@ class UndatedDamage(Varies):
 
 
 @dataclass(frozen=True)
-class LostFrom(InTests):
+class LostFrom(Multiplied):
     """A structural parameter with a loss from a date on: θ = θ₀ (1 − d r(τ)); see `UndatedDamage`.
 
     Attributes
@@ -163,29 +162,18 @@ class LostFrom(InTests):
         The covariate that is the time; empty for the order of the tests.
     """
 
-    of: InTests
     column: int
     date: int
     times: FloatArray
     grows: bool
     by: str
 
-    @property
-    def base(self) -> InTests:
-        """The undamaged parameter."""
-        return self.of.base
-
-    def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
-        undamaged, slopes = self.of(theta)
+    def factor(self, theta: FloatArray) -> Factor:
+        """Return the shares 1 − d r(τ) that are left in the tests, at theta (n, n_parameters)."""
         loss, n = theta[:, [self.column]], len(self.times)
         share, by_date = self._share(theta, self.times)
-        kept = 1.0 - loss * share
-        return undamaged * kept, [
-            *(Slope(one.columns, one.values * kept) for one in slopes),
-            Slope(np.full(n, self.column), -undamaged * share),
-            Slope(np.full(n, self.date), -undamaged * loss * by_date),
-        ]
+        slopes = [Slope(np.full(n, self.column), -share), Slope(np.full(n, self.date), -loss * by_date)]
+        return Factor(1.0 - loss * share, slopes)
 
     def _share(self, theta: FloatArray, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the shares r of the loss at some times, (n, n_times), and their derivatives by the date."""
@@ -222,11 +210,3 @@ class LostFrom(InTests):
         time = np.array([future.covariates.get(self.by, float(self.times.max()))])
         kept = 1.0 - theta[:, self.column] * self._share(theta, time)[0][:, 0]
         return self.of.next_test(theta, like, future) * kept
-
-    def after(self, n: int) -> Self:
-        """Return the parameter with the indices of its scores increased by `n`."""
-        return replace(self, of=self.of.after(n))
-
-    def refer_to(self, references: Mapping[int, tuple[FloatArray, tuple[float, float]]]) -> Self:
-        """Return the parameter with another centring and reference of its scores."""
-        return replace(self, of=self.of.refer_to(references))
