@@ -4,18 +4,18 @@ One step consists of
 
 1. a Hamiltonian trajectory of the main parameters given the values in all tests, which needs no solve of the model
    (`fmu.posterior.joint.conditional.MainGivenValues`);
-2. proposals for the scores of all tests at once from normal distributions (`ScoresGivenMain`), one solve of all
-   tests; the proposal of each test is accepted or rejected by itself, as the tests are independent given the main
-   parameters;
+2. proposals for the scores of all tests at once from Student distributions about their most probable values, which
+   are computed to second order (`ScoresGivenMain`), one solve of all tests; the proposal of each test is accepted
+   or rejected by itself, as the tests are independent given the main parameters;
 3. where some main parameters act otherwise, or the tests say little about their own values, a proposal for the
    main parameters given the scores, the end of a trajectory in an approximate density (`MainGivenScores`), another
    solve of all tests.
 
 The acceptance rate of the second part does not depend on the number of tests. The first part holds the values, the
 third part the scores: alternating between them mixes well whether the tests are precise or not (Yu & Meng 2011,
-*J. Comput. Graph. Stat.* 20, 531–570). The proposals keep a share of the distance from the mean, as in a
-preconditioned Crank–Nicolson step (Cotter, Roberts, Stuart & White 2013, *Stat. Sci.* 28, 424–446), in every other
-step, so that a test whose scores are far out in their tails is moved too.
+*J. Comput. Graph. Stat.* 20, 531–570). Some proposals of the second part, chosen at random, are steps of a random
+walk of random size instead: they bring back a test whose scores are in a tail that the Student distribution lacks,
+where proposals that do not depend on the present scores would almost never be accepted.
 """
 
 from __future__ import annotations
@@ -42,8 +42,12 @@ _FIRST_STEP = 0.5
 _LENGTH, _MOST_STEPS = 1.6, 16
 _JITTER, _MOST_BOUNCES = 0.2, 200
 _ACCEPT = 0.8
-_SHARES = (0.0, 0.0, 0.0, 0.8)
-"""Shares of the distance from the mean that the proposals of consecutive steps keep."""
+_NU = 5.0
+"""Degrees of freedom of the Student distributions from which the scores of a test are proposed otherwise."""
+_WALKS = 0.35
+"""Probability that the scores of a test are proposed by a step of a random walk."""
+_SMALLEST = 0.05
+"""Size of the smallest step of a random walk, in standard deviations; the largest is one."""
 
 
 @check_arguments
@@ -144,15 +148,13 @@ class GibbsKernel:
         terms = self.problem.terms_of_tests(theta)
         log_prob = terms.sum(axis=1) + self.problem.log_prior(theta)
         ones, none = np.ones(len(positions), dtype=np.int64), np.zeros(len(positions), dtype=np.int64)
-        extra = {"terms": terms, "turn": none}
-        return State(positions, log_prob, extra=extra), Info(none > 0, log_prob, ones, none)
+        return State(positions, log_prob, extra={"terms": terms}), Info(none > 0, log_prob, ones, none)
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Move the main parameters, then the scores, then all parameters together if this is needed."""
         theta = self.problem.layout.standardise_scores(self.scaled.to_theta(state.position))
         theta, main = self._move_main(rng, theta)
-        share = _SHARES[int(state.extra["turn"][0]) % len(_SHARES)]
-        theta, terms, moved = self._move_scores(rng, theta, state.extra["terms"], share)
+        theta, terms, moved = self._move_scores(rng, theta, state.extra["terms"])
         solves = np.ones(len(theta), dtype=np.int64)
         extra: dict[str, AnyArray] = {"acceptance_rate": moved, "main_acceptance": main}
         if not self.conditionals.is_enough:
@@ -162,7 +164,7 @@ class GibbsKernel:
         log_prob = terms.sum(axis=1) + self.problem.log_prior(theta)
         info = Info(moved > 0.0, log_prob, solves, np.zeros_like(solves), extra)
         position = self.scaled.to_scaled(theta)
-        return State(position, log_prob, extra={"terms": terms, "turn": state.extra["turn"] + 1}), info
+        return State(position, log_prob, extra={"terms": terms}), info
 
     def _move_main(self, rng: np.random.Generator, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return theta after a trajectory of the main parameters, and the acceptance rates (chains,)."""
@@ -184,18 +186,22 @@ class GibbsKernel:
         return HamiltonianKernel(target, metric, self.step_size, n_steps, _JITTER, _MOST_BOUNCES)
 
     def _move_scores(
-        self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray, share: float
+        self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return theta and terms with new scores, and the shares of tests that moved, (chains,)."""
         of, test = self.conditionals.scores, self.problem.likelihood.test_of_terms
         z, normal = of.scores.take(theta), of.approximate(theta)
-        noise = rng.standard_normal(z.shape)
-        candidate = of.scores.put(theta, normal.draw(z, share, noise))
+        walks = rng.random(z.shape[:2]) < _WALKS
+        heavy = np.sqrt(_NU / rng.chisquare(_NU, z.shape[:2]))
+        size = np.where(walks, _SMALLEST ** rng.random(z.shape[:2]), heavy)
+        step = normal.scatter(size[..., None] * rng.standard_normal(z.shape))
+        candidate = of.scores.put(theta, np.where(walks[..., None], z, normal.mean) + step)
         new_terms = self._terms(candidate)
         n_tests = z.shape[1]
         with np.errstate(invalid="ignore"):
             gain = sum_by_test(new_terms - terms, test, n_tests) + of.log_prior(candidate) - of.log_prior(theta)
-            ratio = gain + normal.log_density(z) - normal.log_density(of.scores.take(candidate))
+            before, after = (normal.log_density(one, _NU) for one in (z, of.scores.take(candidate)))
+            ratio = gain + np.where(walks, 0.0, before - after)
         accepted = accept(rng, ratio)
         chosen = np.where(accepted[..., None], of.scores.take(candidate), z)
         terms = np.where(accepted[:, test], new_terms, terms)

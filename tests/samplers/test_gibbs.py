@@ -134,7 +134,7 @@ def test_it_converges_at_one_solve_of_all_tests_a_draw():
     assert trace.attrs["sampler"] == "gibbs"
     assert trace.attrs["n_solves"] + trace.attrs["warmup_n_solves"] <= 4 * (800 + 200) + 4
     assert fmu.diagnose(trace, problem).converged, fmu.diagnose(trace, problem)
-    assert float(np.mean(trace["sample_stats"]["acceptance_rate"])) > 0.9
+    assert float(np.mean(trace["sample_stats"]["acceptance_rate"])) > 0.7
 
 
 def test_log_probability_of_the_draws_is_stored():

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -92,7 +93,7 @@ class Correlation:
         populations in which the test has scores.
         """
         found = z.copy()
-        for here, tests, S, _ in self._roots(theta):
+        for here, tests, S in self._roots(self.factor(theta)):
             of = np.swapaxes(z[:, tests][:, :, here], 1, 2)
             found[np.ix_(range(len(z)), tests, here)] = np.swapaxes(np.linalg.solve(S, of), 1, 2)
         return found
@@ -100,7 +101,7 @@ class Correlation:
     def correlate(self, theta: FloatArray, u: FloatArray) -> FloatArray:
         """Return the scores z, (n, n_tests, p), with the independent scores u; the inverse of `whiten`."""
         found = u.copy()
-        for here, tests, S, _ in self._roots(theta):
+        for here, tests, S in self._roots(self.factor(theta)):
             found[np.ix_(range(len(u)), tests, here)] = np.einsum("nij,ntj->nti", S, u[:, tests][:, :, here])
         return found
 
@@ -113,7 +114,8 @@ class Correlation:
         L, slopes = self._factors(theta)
         by_R = slopes @ np.swapaxes(L, 1, 2)[:, None]
         by_R = by_R + np.swapaxes(by_R, 2, 3)
-        for here, tests, S, inverse in self._roots(theta):
+        for here, tests, S in self._roots(L):
+            inverse = np.linalg.inv(S)
             # dS = S Φ(S⁻¹ dR S⁻ᵀ), where Φ takes the lower triangle and half the diagonal
             part = by_R[:, :, here[:, None], here]
             inner = inverse[:, None] @ part @ np.swapaxes(inverse, 1, 2)[:, None]
@@ -130,29 +132,37 @@ class Correlation:
         found = [L[j, i] / left[j, i] for j in range(len(L)) for i in range(j)]
         return np.clip(found, -_START, _START)
 
+    @cached_property
+    def _patterns(self) -> list[tuple[IntArray, IntArray]]:
+        """Indices of populations and of tests, for each set of tests with scores in the same populations.
+
+        Tests with fewer than two scores are left out.
+        """
+        found = [
+            (np.flatnonzero(one), np.flatnonzero((self.scored == one).all(axis=1)))
+            for one in np.unique(self.scored, axis=0)
+        ]
+        return [(here, tests) for here, tests in found if len(here) > 1]
+
     def _blocks(self, L: FloatArray) -> Iterator[Any]:
-        """Yield the block of the correlation matrix for each set of tests with scores in the same populations.
+        """Yield the block of the correlation matrix for each of the `_patterns`.
 
         Each item consists of the indices of the populations, the indices of the tests, the index of the block, the
-        inverse of the block and the logarithm of its determinant. Tests with fewer than two scores are skipped.
+        inverse of the block and the logarithm of its determinant.
         """
         R = L @ np.swapaxes(L, 1, 2)
-        for pattern in np.unique(self.scored, axis=0):
-            here, tests = np.flatnonzero(pattern), np.flatnonzero((self.scored == pattern).all(axis=1))
-            if len(here) > 1:
-                block = np.ix_(range(len(R)), here, here)
-                yield here, tests, block, np.linalg.inv(R[block]), np.linalg.slogdet(R[block])[1]
+        for here, tests in self._patterns:
+            block = np.ix_(range(len(R)), here, here)
+            yield here, tests, block, np.linalg.inv(R[block]), np.linalg.slogdet(R[block])[1]
 
-    def _roots(self, theta: FloatArray) -> Iterator[tuple[IntArray, IntArray, FloatArray, FloatArray]]:
-        """Yield the Cholesky factor of the correlation matrix, and its inverse, as `_blocks` yields its blocks.
+    def _roots(self, L: FloatArray) -> Iterator[tuple[IntArray, IntArray, FloatArray]]:
+        """Yield the Cholesky factor of the correlation matrix for each of the `_patterns`.
 
-        Each item consists of the indices of the populations, the indices of the tests, the factor and its inverse.
+        Each item consists of the indices of the populations, the indices of the tests, and the factor.
         """
-        L = self.factor(theta)
         R = L @ np.swapaxes(L, 1, 2)
-        for here, tests, block, _, _ in self._blocks(L):
-            S = np.linalg.cholesky(R[block])
-            yield here, tests, S, np.linalg.inv(S)
+        for here, tests in self._patterns:
+            yield here, tests, np.linalg.cholesky(R[:, here[:, None], here])
 
     def _factors(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the Cholesky factor of the correlation matrix, and its derivatives by the partial correlations.

@@ -89,7 +89,7 @@ def scatter_about_typical(
         inside = find_inside(theta, problem.lower, problem.upper)[0] & np.all((w > low) & (w < high), axis=1)
         theta[~inside] = centre[left][~inside]
         normal = known.scores.approximate(theta)
-        z = normal.draw(normal.mean, 0.0, share[left, :, None] * dispersion * of_scores[left])
+        z = normal.mean + normal.scatter(share[left, :, None] * dispersion * of_scores[left])
         theta = problem.layout.restore_scores(known.scores.scores.put(theta, z))
         good = inside & np.isfinite(problem.log_prob(theta))
         found[left[good]] = theta[good]
@@ -108,13 +108,9 @@ def _compute(problem: UpdatingProblem) -> Conditionals:
     expansion = expand(plain.layout, problem.likelihood, theta[0])
     scores, main = ScoresGivenMain(plain.layout, expansion), MainGivenValues(plain)
     shift = MainGivenScores(plain, expansion, theta)
-    n, rng, normal = (
-        int(np.ceil(_SCORES / len(problem.tests))),
-        np.random.default_rng(0),
-        scores.approximate(theta),
-    )
-    draws = normal.draw(normal.mean, 0.0, rng.standard_normal((n, *normal.mean.shape[1:])))
-    typical = scores.scores.put(np.repeat(theta, n, axis=0), draws)
+    normal, n = scores.approximate(theta), int(np.ceil(_SCORES / len(problem.tests)))
+    noise = np.random.default_rng(0).standard_normal((n, *normal.mean.shape[1:]))
+    typical = scores.scores.put(np.repeat(theta, n, axis=0), normal.mean + normal.scatter(noise))
     values = main.values(typical)
     curvatures = (
         _curvature(

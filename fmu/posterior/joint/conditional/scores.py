@@ -108,20 +108,29 @@ class Normal(NamedTuple):
     mean : ndarray, shape (n, n_tests, p)
     factor : ndarray, shape (n, n_tests, p, p)
         The Cholesky factor of the precision matrix.
+    scored : ndarray of bool, shape (n_tests, p)
+        Whether the test has the score. A score that it does not have has a mean of zero and unit precision.
     """
 
     mean: FloatArray
     factor: FloatArray
+    scored: BoolArray
 
-    def draw(self, z: FloatArray, share: float, noise: FloatArray) -> FloatArray:
-        """Return draws that keep a share of the distance of z from the mean; `noise` is standard normal."""
-        fresh = np.linalg.solve(np.swapaxes(self.factor, 2, 3), noise[..., None])[..., 0]
-        return np.asarray(self.mean + share * (z - self.mean) + np.sqrt(1.0 - share**2) * fresh)
+    def scatter(self, noise: FloatArray) -> FloatArray:
+        """Return the deviations from the mean that standard normal `noise`, (n, n_tests, p), stands for."""
+        return np.asarray(np.linalg.solve(np.swapaxes(self.factor, 2, 3), noise[..., None])[..., 0])
 
-    def log_density(self, z: FloatArray) -> FloatArray:
-        """Return the log-densities of z, (n, n_tests, p), up to a constant of each test, shape (n, n_tests)."""
+    def log_density(self, z: FloatArray, nu: float = np.inf) -> FloatArray:
+        """Return the log-densities of z, (n, n_tests, p), up to a constant of each test, shape (n, n_tests).
+
+        With finite nu they are those of Student distributions with nu degrees of freedom, with the same mean and
+        factor.
+        """
         turned = np.einsum("ntji,ntj->nti", self.factor, z - self.mean)
-        return -0.5 * np.einsum("nti,nti->nt", turned, turned)
+        square = np.einsum("nti,nti->nt", turned, turned)
+        if np.isinf(nu):
+            return -0.5 * square
+        return -0.5 * (nu + self.scored.sum(axis=1)) * np.log1p(square / nu)
 
 
 class ScoresGivenMain:
@@ -167,7 +176,7 @@ class ScoresGivenMain:
         total = slopes * gradient[:, :, numbers] - np.einsum("ntij,ntj->nti", of_prior, z)
         precision = precision + of_prior
         mean = z + np.linalg.solve(precision, total[..., None])[..., 0]
-        return Normal(mean, np.linalg.cholesky(precision))
+        return Normal(mean, np.linalg.cholesky(precision), scored)
 
     def informed(self, theta: FloatArray) -> float:
         """Return how much the tests say about their own values beside the population, between 0 and 1.

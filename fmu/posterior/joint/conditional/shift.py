@@ -52,16 +52,12 @@ class MainGivenScores:
 
     def theta_at(self, w: FloatArray, theta: FloatArray) -> FloatArray:
         """Return theta with the scaled main parameters w and the same independent scores as `theta`."""
-        found = theta.copy()
-        found[:, self.columns] = np.clip(self._offset + self._scale * w, self._low, self._high)
-        copula = self.layout.correlation
-        if copula is None:
-            return found
-        return self.scores.put(found, copula.correlate(found, copula.whiten(theta, self.scores.take(theta))))
+        return self._put(w, theta, self._independent_scores(theta))
 
     def log_prob_and_grad(self, w: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the log-density (n,) of w, (n, n_columns), and its gradient; theta has the scores."""
-        at = self.theta_at(w, theta)
+        u = self._independent_scores(theta)
+        at = self._put(w, theta, u)
         known, n = self.expansion, len(self.layout.parameters)
         away = self.layout.values(at[:, :n]) - known.values
         turned = np.einsum("tij,ntj->nti", known.information, away)
@@ -74,8 +70,18 @@ class MainGivenScores:
         value -= 0.5 * np.einsum("nk,nk->n", by_noise, at[:, n:] - self._noise)
         copula = self.layout.correlation
         if copula is not None:
-            u, by_score = copula.whiten(at, self.scores.take(at)), self.scores.take(gradient)
-            gradient[:, copula.columns] = copula.chain_scores(at, u, by_score)
+            gradient[:, copula.columns] = copula.chain_scores(at, u, self.scores.take(gradient))
         main = at[:, self.columns]
         slope = gradient[:, self.columns] + self.prior.log_pdf_gradient(main)
         return value + self.prior.log_pdf(main), slope * self._scale
+
+    def _independent_scores(self, theta: FloatArray) -> FloatArray:
+        """Return independent standard normal scores, (n, n_tests, p), in place of the scores of theta."""
+        z, copula = self.scores.take(theta), self.layout.correlation
+        return z if copula is None else copula.whiten(theta, z)
+
+    def _put(self, w: FloatArray, theta: FloatArray, u: FloatArray) -> FloatArray:
+        """Return theta with the scaled main parameters w and the scores that have the independent scores u."""
+        found, copula = theta.copy(), self.layout.correlation
+        found[:, self.columns] = np.clip(self._offset + self._scale * w, self._low, self._high)
+        return found if copula is None else self.scores.put(found, copula.correlate(found, u))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.stats import multivariate_t
 
 import fmu
 from fmu.posterior.joint.conditional.both import conditionals
@@ -143,9 +144,23 @@ def test_scores_given_main_are_close_to_their_normal_approximation(campaign_poin
         return terms + of.log_prior(theta)
 
     normal = of.approximate(theta)
-    middle = of.scores.put(theta, normal.draw(normal.mean, 1.0, np.zeros_like(z)))
-    drawn = of.scores.put(theta, normal.draw(normal.mean, 0.0, z))
+    middle, drawn = (of.scores.put(theta, normal.mean + normal.scatter(size * z)) for size in (0.0, 1.0))
     gain = exact(drawn) - exact(middle)
     of_normal = normal.log_density(of.scores.take(drawn)) - normal.log_density(of.scores.take(middle))
     assert np.max(np.abs(gain - of_normal)) < 1.0
     assert np.median(np.abs(gain - of_normal)) < 0.1
+
+
+def test_student_density_counts_the_scores_that_a_test_has(campaign_points):
+    """The third test lacks the score of k3."""
+    problem, found, _, own = campaign_points
+    normal = found.scores.approximate(problem.layout.standardise_scores(own))
+    rng, nu = np.random.default_rng(8), 5.0
+    z = np.where(normal.scored, normal.mean + normal.scatter(3.0 * rng.standard_normal(normal.mean.shape)), 0.0)
+    gain = normal.log_density(z, nu) - normal.log_density(normal.mean, nu)
+    for t in (0, 2):
+        here = normal.scored[t]
+        precision = (normal.factor[0, t] @ normal.factor[0, t].T)[np.ix_(here, here)]
+        student = multivariate_t(normal.mean[0, t, here], np.linalg.inv(precision), nu)
+        expected = student.logpdf(z[0, t, here]) - student.logpdf(normal.mean[0, t, here])
+        assert_allclose(gain[0, t], expected, rtol=1e-9)
