@@ -195,13 +195,14 @@ class GibbsKernel:
         heavy = np.sqrt(_NU / rng.chisquare(_NU, z.shape[:2]))
         size = np.where(walks, _SMALLEST ** rng.random(z.shape[:2]), heavy)
         step = normal.scatter(size[..., None] * rng.standard_normal(z.shape))
-        candidate = of.scores.put(theta, np.where(walks[..., None], z, normal.mean) + step)
+        now = normal.straighten(z)
+        new = np.where(walks[..., None], now, normal.mean) + step
+        candidate = of.scores.put(theta, normal.bend(new))
         new_terms = self._terms(candidate)
         n_tests = z.shape[1]
         with np.errstate(invalid="ignore"):
             gain = sum_by_test(new_terms - terms, test, n_tests) + of.log_prior(candidate) - of.log_prior(theta)
-            before, after = (normal.log_density(one, _NU) for one in (z, of.scores.take(candidate)))
-            ratio = gain + np.where(walks, 0.0, before - after)
+            ratio = gain + np.where(walks, 0.0, normal.log_density(now, _NU) - normal.log_density(new, _NU))
         accepted = accept(rng, ratio)
         chosen = np.where(accepted[..., None], of.scores.take(candidate), z)
         terms = np.where(accepted[:, test], new_terms, terms)

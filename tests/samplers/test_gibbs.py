@@ -7,6 +7,7 @@ from scipy.special import logsumexp
 
 import fmu
 from fmu.analysis.convergence.rank_statistics import chain_ess
+from fmu.posterior.joint.layout import sum_by_test
 from tests.posterior.joint.conditional.test_conditional_densities import campaign
 from tests.shear_building import frequencies_hz, shear_building, two_frequencies_hz
 
@@ -135,6 +136,44 @@ def test_it_converges_at_one_solve_of_all_tests_a_draw():
     assert trace.attrs["n_solves"] + trace.attrs["warmup_n_solves"] <= 4 * (800 + 200) + 4
     assert fmu.diagnose(trace, problem).converged, fmu.diagnose(trace, problem)
     assert float(np.mean(trace["sample_stats"]["acceptance_rate"])) > 0.7
+
+
+def test_scores_on_a_bent_ridge_have_their_density():
+    """One precise mode leaves a curve of two stiffnesses open; the exact density is summed on a grid."""
+    model = shear_building(["k1", "k2"], 2e8, 1e5)
+    k = np.exp(0.25 * np.random.default_rng(6).standard_normal((4, 2)))
+    measured = [fmu.ModalData(frequencies_hz(model, one)[0][:1], numbers=(1,)) for one in k]
+    problem = fmu.JointProblem(
+        model,
+        [fmu.Test(f"t{t}", one) for t, one in enumerate(measured)],
+        [fmu.Parameter(name, start=1.0, lower=0.1, upper=6.0) for name in ("k1", "k2")],
+        varies={name: fmu.Population("log-normal", sd=fmu.HalfNormal(0.3)) for name in ("k1", "k2")},
+        error=fmu.FrequencyErrors("relative", sd=0.01),
+        pairing="index",
+    )
+    kernel, rng = fmu.GibbsSampler(step_size=0.4).bind(problem), np.random.default_rng(7)
+    of = kernel.conditionals.scores
+    assert of.bend is not None
+    assert np.max(np.abs(of.bend.curvature)) > 0.3
+    theta = np.repeat(kernel.conditionals.typical, 300, axis=0)
+    kept, terms = [], problem.likelihood.terms(of.layout.of_model(theta))
+    for step in range(60):
+        theta, terms, moved = kernel._move_scores(rng, theta, terms)
+        if step >= 20:
+            kept.append(of.scores.take(theta))
+    assert np.mean(moved) > 0.5
+    z = np.stack(np.meshgrid(*[np.linspace(-6.0, 6.0, 241)] * 2, indexing="ij"), axis=2).reshape(-1, 1, 2)
+    grid = of.scores.put(np.repeat(theta[:1], len(z), axis=0), np.repeat(z, 4, axis=1))
+    log_density = sum_by_test(problem.likelihood.terms(of.layout.of_model(grid)), np.arange(4), 4) + of.log_prior(
+        grid
+    )
+    weight = np.exp(log_density - logsumexp(log_density, axis=0))
+    drawn = np.stack(kept)
+    for power in (1, 2, 3):
+        expected = np.einsum("gt,gp->tp", weight, z[:, 0] ** power)
+        by_chain = (drawn**power).mean(axis=0)
+        error = by_chain.std(axis=0) / np.sqrt(len(theta))
+        assert np.max(np.abs(by_chain.mean(axis=0) - expected) / error) < 5.0, power
 
 
 def test_log_probability_of_the_draws_is_stored():

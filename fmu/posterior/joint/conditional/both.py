@@ -10,6 +10,7 @@ import numpy as np
 
 from fmu.box import find_inside
 from fmu.posterior.errors.likelihood import ModalLikelihood
+from fmu.posterior.joint.conditional.bend import find_bend
 from fmu.posterior.joint.conditional.expansion import expand
 from fmu.posterior.joint.conditional.main import MainGivenValues
 from fmu.posterior.joint.conditional.scores import ScoresGivenMain
@@ -22,6 +23,8 @@ from fmu.types import FloatArray
 _STEP = 1e-4
 _INFORMED = 0.5
 _HALVINGS = 30
+_BENT = 0.1
+"""Smallest coefficient of a parabola that is taken into account."""
 _SCORES = 400
 """Number of draws of the scores of a test over which second derivatives are averaged."""
 
@@ -89,7 +92,7 @@ def scatter_about_typical(
         inside = find_inside(theta, problem.lower, problem.upper)[0] & np.all((w > low) & (w < high), axis=1)
         theta[~inside] = centre[left][~inside]
         normal = known.scores.approximate(theta)
-        z = normal.mean + normal.scatter(share[left, :, None] * dispersion * of_scores[left])
+        z = normal.bend(normal.mean + normal.scatter(share[left, :, None] * dispersion * of_scores[left]))
         theta = problem.layout.restore_scores(known.scores.scores.put(theta, z))
         good = inside & np.isfinite(problem.log_prob(theta))
         found[left[good]] = theta[good]
@@ -106,11 +109,11 @@ def _compute(problem: UpdatingProblem) -> Conditionals:
     own = ScaledDensity(problem).to_theta(typical_point(problem))[None]
     theta = problem.layout.standardise_scores(own)
     expansion = expand(plain.layout, problem.likelihood, theta[0])
-    scores, main = ScoresGivenMain(plain.layout, expansion), MainGivenValues(plain)
+    scores, main = _bend(ScoresGivenMain(plain.layout, expansion), plain, theta), MainGivenValues(plain)
     shift = MainGivenScores(plain, expansion, theta)
     normal, n = scores.approximate(theta), int(np.ceil(_SCORES / len(problem.tests)))
     noise = np.random.default_rng(0).standard_normal((n, *normal.mean.shape[1:]))
-    typical = scores.scores.put(np.repeat(theta, n, axis=0), normal.mean + normal.scatter(noise))
+    typical = scores.scores.put(np.repeat(theta, n, axis=0), normal.bend(normal.mean + normal.scatter(noise)))
     values = main.values(typical)
     curvatures = (
         _curvature(
@@ -125,6 +128,22 @@ def _compute(problem: UpdatingProblem) -> Conditionals:
     )
     is_enough = main.others == 0 and scores.informed(theta) > _INFORMED
     return Conditionals(scores, main, shift, curvatures, is_enough, theta)
+
+
+def _bend(straight: ScoresGivenMain, plain: UpdatingProblem, theta: FloatArray) -> ScoresGivenMain:
+    """Return the density of the scores with bent approximations, if some are bent noticeably."""
+
+    def gradient(z: FloatArray) -> FloatArray:
+        slopes = plain.log_prob_and_grad(straight.scores.put(np.repeat(theta, len(z), axis=0), z))[1]
+        return straight.scores.take(slopes)
+
+    normal = straight.approximate(theta)
+    precision = normal.factor[0] @ np.swapaxes(normal.factor[0], 1, 2)
+    at = straight.scores.put(theta, normal.mean)[:, : len(plain.layout.parameters)]
+    slopes = np.stack([one.slope(at)[0] for one in straight.scores.every], axis=1)
+    found = find_bend(gradient, normal.mean[0], precision, np.where(normal.scored, slopes, 1.0))
+    is_bent = np.all(np.isfinite(found.curvature)) and np.max(np.abs(found.curvature)) > _BENT
+    return ScoresGivenMain(straight.layout, straight.expansion, found) if is_bent else straight
 
 
 def _curvature(

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fmu.posterior.joint.conditional.bend import Bend, Curve
 from fmu.posterior.joint.conditional.expansion import Expansion
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.varies.base import InTests, Slope
@@ -101,7 +102,7 @@ class Scores(NamedTuple):
 
 
 class Normal(NamedTuple):
-    """Normal distributions of the scores of each test.
+    """Normal distributions of the straightened scores of each test.
 
     Attributes
     ----------
@@ -110,18 +111,29 @@ class Normal(NamedTuple):
         The Cholesky factor of the precision matrix.
     scored : ndarray of bool, shape (n_tests, p)
         Whether the test has the score. A score that it does not have has a mean of zero and unit precision.
+    curve : Curve, optional
+        Maps straightened scores to scores; they are equal without it.
     """
 
     mean: FloatArray
     factor: FloatArray
     scored: BoolArray
+    curve: Curve | None
+
+    def bend(self, z: FloatArray) -> FloatArray:
+        """Return the scores, (n, n_tests, p), for straightened scores z."""
+        return z if self.curve is None else self.curve.bend(z)
+
+    def straighten(self, z: FloatArray) -> FloatArray:
+        """Return the straightened scores, (n, n_tests, p), for scores z."""
+        return z if self.curve is None else self.curve.straighten(z)
 
     def scatter(self, noise: FloatArray) -> FloatArray:
         """Return the deviations from the mean that standard normal `noise`, (n, n_tests, p), stands for."""
         return np.asarray(np.linalg.solve(np.swapaxes(self.factor, 2, 3), noise[..., None])[..., 0])
 
     def log_density(self, z: FloatArray, nu: float = np.inf) -> FloatArray:
-        """Return the log-densities of z, (n, n_tests, p), up to a constant of each test, shape (n, n_tests).
+        """Return the log-densities of straightened scores z, (n, n_tests, p), up to a constant, (n, n_tests).
 
         With finite nu they are those of Student distributions with nu degrees of freedom, with the same mean and
         factor.
@@ -142,10 +154,12 @@ class ScoresGivenMain:
         A layout with populations and standard normal scores (`Layout.remove_centring`), in which the scores of
         different tests are independent.
     expansion : Expansion
+    bend : Bend, optional
+        The parabolas that the densities of the scores follow; straight lines without it.
     """
 
-    def __init__(self, layout: Layout, expansion: Expansion) -> None:
-        self.layout, self.expansion, self.scores = layout, expansion, Scores.of(layout)
+    def __init__(self, layout: Layout, expansion: Expansion, bend: Bend | None = None) -> None:
+        self.layout, self.expansion, self.scores, self.bend = layout, expansion, Scores.of(layout), bend
 
     def log_prior(self, theta: FloatArray) -> FloatArray:
         """Return the log-density of the scores of each test, given the main parameters, shape (n, n_tests)."""
@@ -176,7 +190,10 @@ class ScoresGivenMain:
         total = slopes * gradient[:, :, numbers] - np.einsum("ntij,ntj->nti", of_prior, z)
         precision = precision + of_prior
         mean = z + np.linalg.solve(precision, total[..., None])[..., 0]
-        return Normal(mean, np.linalg.cholesky(precision), scored)
+        curve = None
+        if self.bend is not None:
+            curve = Curve(self.bend, z, np.where(scored, slopes / self.bend.slopes, 1.0))
+        return Normal(mean, np.linalg.cholesky(precision), scored, curve)
 
     def informed(self, theta: FloatArray) -> float:
         """Return how much the tests say about their own values beside the population, between 0 and 1.

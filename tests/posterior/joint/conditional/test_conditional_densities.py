@@ -144,9 +144,10 @@ def test_scores_given_main_are_close_to_their_normal_approximation(campaign_poin
         return terms + of.log_prior(theta)
 
     normal = of.approximate(theta)
-    middle, drawn = (of.scores.put(theta, normal.mean + normal.scatter(size * z)) for size in (0.0, 1.0))
+    straight = [normal.mean + normal.scatter(size * z) for size in (0.0, 1.0)]
+    middle, drawn = (of.scores.put(theta, normal.bend(one)) for one in straight)
     gain = exact(drawn) - exact(middle)
-    of_normal = normal.log_density(of.scores.take(drawn)) - normal.log_density(of.scores.take(middle))
+    of_normal = normal.log_density(straight[1]) - normal.log_density(straight[0])
     assert np.max(np.abs(gain - of_normal)) < 1.0
     assert np.median(np.abs(gain - of_normal)) < 0.1
 
