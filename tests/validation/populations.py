@@ -68,7 +68,7 @@ class SetOfTests:
     reasons : list of str
         Why the run has not converged.
     ess : dict of str to float
-        The parameter with the smallest bulk or tail ESS, and that ESS.
+        The parameter other than a score with the smallest bulk or tail ESS, and that ESS.
     draws, solves : int
         Of all chains together; solves of all tests.
     processor_s : float
@@ -186,7 +186,8 @@ def one_set(seed: int, number: int) -> SetOfTests:
     )
     seconds = time.process_time() - began
     table, verdict = fmu.summary(trace), fmu.diagnose(trace)
-    ess = table[["ess_bulk", "ess_tail"]].min(axis=1)
+    main = [name for name, role in zip(problem.names, problem.roles, strict=True) if role.kind != "score"]
+    ess = table.loc[main, ["ess_bulk", "ess_tail"]].min(axis=1)
     draws = {name: trace["posterior"][name].to_numpy().ravel() for name in problem.names}
     theta = np.column_stack([draws[name] for name in problem.names])
     chosen = np.linspace(0, len(theta) - 1, RANKED).astype(int)
