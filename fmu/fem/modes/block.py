@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Self
 
+import numpy as np
 import scipy.sparse as sp
 
 from fmu.fem.modes.solver import Matrix
@@ -92,8 +93,65 @@ class Block:
             return gradient
         return gradient - lam[..., None] * self._M_map.contract(theta, self._forms(phi, of_mass=True))
 
-    def _forms(self, phi: FloatArray, of_mass: bool) -> FloatArray:
-        """Return the products φᵀ K_k φ, or φᵀ M_k φ if `of_mass`, of every term, shape (n, n_terms, m)."""
+    def eigenvalue_curvature(
+        self, theta: FloatArray, lam: FloatArray, phi: FloatArray, d: FloatArray
+    ) -> FloatArray:
+        """Return the derivative of the gradient of each eigenvalue along a direction of its own.
+
+        With the derivatives ∂_d along d, of λ, of φ and of the matrices,
+
+        ∂_d(∂λ/∂θ_j) = 2 ∂_dφᵀ (∂K/∂θ_j − λ ∂M/∂θ_j) φ + φᵀ (∂_d∂K/∂θ_j − λ ∂_d∂M/∂θ_j) φ − ∂_dλ φᵀ ∂M/∂θ_j φ.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (n, n_parameters)
+        lam, phi : ndarray, shape (n, r) and (n, size, r)
+            The result of `modes` for `n_required` modes with derivatives, or more.
+        d : ndarray, shape (n, m, n_parameters)
+            Directions for the lowest m modes.
+
+        Returns
+        -------
+        ndarray, shape (n, m, n_parameters)
+            H_i d_i, with the matrix H_i of the second derivatives of λ_i. It does not depend on modes whose
+            eigenvalues are equal to λ_i (`fmu.fem.modes.derivatives`).
+        """
+        own, value = phi[:, :, : d.shape[1]], lam[:, : d.shape[1], None]
+        dK_phi, dM_phi = (
+            self._apply(own, of.along(theta, d), of_mass)
+            for of, of_mass in ((self._K_map, False), (self._M_map, True))
+        )
+        turned = self._shape_slopes_along(theta, lam, phi, dK_phi, dM_phi)
+        found = 2.0 * self._K_map.contract(theta, self._forms(own, False, turned))
+        found += self._K_map.contract_along(theta, self._forms(own, False), d)
+        if self.constant_mass:
+            return found
+        forms = self._forms(own, of_mass=True)
+        found -= value * (
+            2.0 * self._M_map.contract(theta, self._forms(own, True, turned))
+            + self._M_map.contract_along(theta, forms, d)
+        )
+        value_slope = np.sum(own * (dK_phi - np.swapaxes(value, 1, 2) * dM_phi), axis=1)[..., None]
+        return found - value_slope * self._M_map.contract(theta, forms)
+
+    def _forms(self, phi: FloatArray, of_mass: bool, left: FloatArray | None = None) -> FloatArray:
+        """Return the products leftᵀ K_k φ, or leftᵀ M_k φ if `of_mass`, of every term, shape (n, n_terms, m).
+
+        Without `left` (n, size, m) it is φ.
+        """
+        raise NotImplementedError
+
+    def _apply(self, phi: FloatArray, weights: FloatArray, of_mass: bool) -> FloatArray:
+        """Return Σ_k weights[:, k] K_k φ, or Σ_k weights[:, k] M_k φ if `of_mass`, shape (n, size, m).
+
+        The `weights` have the shape (n, n_terms, m).
+        """
+        raise NotImplementedError
+
+    def _shape_slopes_along(
+        self, theta: FloatArray, lam: FloatArray, phi: FloatArray, dK_phi: FloatArray, dM_phi: FloatArray
+    ) -> FloatArray:
+        """Return the derivatives of shapes along directions, given ∂_dK φ and ∂_dM φ, each (n, size, m)."""
         raise NotImplementedError
 
     def coarser(self, share: float) -> Self:

@@ -16,6 +16,10 @@ two eigenvalues λ that differ by δλ the slopes are of the order of λ/δλ. T
 rounding error times λ_max/δλ, as for the shapes themselves: 1e-6 for modes 1e-4 apart, if the highest eigenvalue
 is below about 10⁶ times λ. A basis with a relative error ε in frequency gives shapes with an error of ε divided by
 the gap.
+
+Second derivatives of an eigenvalue contain these rotations and are of the order of λ²/δλ. Between eigenvalues
+closer than `CLOSE` the rotation is omitted there, because rounding may exceed it; the steps of samplers are far
+longer than such a gap.
 """
 
 from __future__ import annotations
@@ -29,9 +33,13 @@ from fmu.types import FloatArray
 
 REPEATED = 1e-9
 """Eigenvalues whose difference is less than this share of the larger count as repeated."""
+CLOSE = 1e-7
+"""The same share for second derivatives of eigenvalues."""
 
 
-def by_all_modes(lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArray, count: int) -> FloatArray:
+def by_all_modes(
+    lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArray, count: int, repeated: float = REPEATED
+) -> FloatArray:
     """Return ∂φ of the lowest `count` modes as sums over all modes.
 
     Parameters
@@ -42,6 +50,8 @@ def by_all_modes(lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArra
         Shapes of all modes, φᵀMφ = 1.
     dK, dM : ndarray, shape (n, r, count, n_parameters)
         φ_kᵀ ∂K φ_i and φ_kᵀ ∂M φ_i.
+    repeated : float
+        Share of the larger eigenvalue below which a difference of two counts as none.
 
     Returns
     -------
@@ -51,7 +61,7 @@ def by_all_modes(lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArra
     own = lam[:, None, :count, None]
     gap = own - lam[:, :, None, None]
     size = np.maximum(np.abs(own), np.abs(lam[:, :, None, None]))
-    apart = np.abs(gap) > REPEATED * size
+    apart = np.abs(gap) > repeated * size
     weight = np.divide(dK - own * dM, gap, out=np.zeros_like(dK), where=np.broadcast_to(apart, dK.shape))
     i = np.arange(count)
     # and w_i = −½ φ_iᵀ ∂M φ_i, from φᵀMφ = 1 at every theta
@@ -61,7 +71,13 @@ def by_all_modes(lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArra
 
 
 def by_bordered_system(
-    K: Matrix, M: Matrix, lam: float, phi: FloatArray, dK_phi: FloatArray, dM_phi: FloatArray
+    K: Matrix,
+    M: Matrix,
+    lam: float,
+    phi: FloatArray,
+    dK_phi: FloatArray,
+    dM_phi: FloatArray,
+    beside: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Return ∂φ, shape (size, n_parameters), and ∂λ, shape (n_parameters,), of one mode.
 
@@ -73,10 +89,12 @@ def by_bordered_system(
     phi : ndarray, shape (size,)
     dK_phi, dM_phi : ndarray, shape (size, n_parameters)
         ∂K φ and ∂M φ.
+    beside : ndarray, shape (size, q), optional
+        Shapes of other modes with this eigenvalue. The derivative has no part of them.
 
     Notes
     -----
-    The derivatives are NaN if the system is singular, as for a repeated eigenvalue.
+    The derivatives are NaN if the system is singular, as for a repeated eigenvalue without `beside`.
     """
     # K − λM alone is singular, with φ as its null vector; the border M φ, which is not orthogonal to φ, makes the
     # system regular. The border is scaled to the size of K, so that all entries have one scale.
@@ -84,16 +102,20 @@ def by_bordered_system(
     scale = np.max(np.abs(K.diagonal())) / np.max(np.abs(M_phi))
     border = (scale * M_phi)[:, None]
     load = np.concatenate([lam * dM_phi - dK_phi, -0.5 * scale * (phi @ dM_phi)[None]])
+    if beside is not None:
+        border = np.concatenate([border, scale * (M @ beside)], axis=1)
+        load = np.concatenate([load, np.zeros((beside.shape[1], load.shape[1]))])
+    corner = np.zeros((border.shape[1], border.shape[1]))
     try:
         if sp.issparse(K):
             column = sp.csc_array(border)
             system = sp.block_array([[K - lam * M, -column], [column.T, None]], format="csc")
             solution = ssl.splu(system).solve(load)
         else:
-            solution = np.linalg.solve(np.block([[K - lam * M, -border], [border.T, np.zeros((1, 1))]]), load)
+            solution = np.linalg.solve(np.block([[K - lam * M, -border], [border.T, corner]]), load)
     except (RuntimeError, np.linalg.LinAlgError):
-        solution = np.full((len(phi) + 1, dK_phi.shape[1]), np.nan)
-    return solution[:-1], scale * solution[-1]
+        solution = np.full(load.shape, np.nan)
+    return solution[: len(phi)], scale * solution[len(phi)]
 
 
 def by_bordered_matrices(

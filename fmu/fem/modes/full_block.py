@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fmu.fem.modes.block import Block, Mapped, Observation, Picked
-from fmu.fem.modes.derivatives import by_bordered_system
+from fmu.fem.modes.derivatives import CLOSE, by_bordered_system
 from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, eigen, rank
 from fmu.fem.modes.modal import BlockModel
 from fmu.fem.modes.separable import SeparableModel
@@ -151,11 +151,41 @@ class FullBlock(Block):
             return Picked(rows.indices), reference
         return Mapped(rows.toarray()), reference
 
-    def _forms(self, phi: FloatArray, of_mass: bool) -> FloatArray:
-        terms = self.M_terms if of_mass else self.K_terms
+    def _forms(self, phi: FloatArray, of_mass: bool, left: FloatArray | None = None) -> FloatArray:
+        terms, left = self.M_terms if of_mass else self.K_terms, phi if left is None else left
+        pairs = list(zip(left, phi, strict=True))
         return np.stack(
-            [np.stack([np.sum(shape * (term.matrix @ shape), axis=0) for shape in phi]) for term in terms], axis=1
+            [np.stack([np.sum(one * (term.matrix @ shape), axis=0) for one, shape in pairs]) for term in terms],
+            axis=1,
         )
+
+    def _apply(self, phi: FloatArray, weights: FloatArray, of_mass: bool) -> FloatArray:
+        found = np.zeros(phi.shape)
+        for k, term in enumerate(self.M_terms if of_mass else self.K_terms):
+            for i, shape in enumerate(phi):
+                found[i] += (term.matrix @ shape) * weights[i, k]
+        return found
+
+    def _shape_slopes_along(
+        self, theta: FloatArray, lam: FloatArray, phi: FloatArray, dK_phi: FloatArray, dM_phi: FloatArray
+    ) -> FloatArray:
+        slopes = np.full(dK_phi.shape, np.nan)
+        for i, (K, M) in enumerate(self._matrices(theta)):
+            if not np.all(np.isfinite(phi[i])):
+                continue
+            if self.size > _DENSE_SLOPES:
+                K, M = sp.csc_array(K), sp.csc_array(M)
+            for k in range(dK_phi.shape[2]):
+                if not (np.any(dK_phi[i, :, k]) or np.any(dM_phi[i, :, k])):
+                    slopes[i, :, k] = 0.0  # not a direction: no factorisation
+                    continue
+                gap = np.abs(lam[i] - lam[i, k])
+                close = gap <= CLOSE * np.maximum(np.abs(lam[i]), np.abs(lam[i, k]))
+                close[k] = False
+                beside = phi[i][:, close] if np.any(close) else None
+                one = dK_phi[i, :, k, None], dM_phi[i, :, k, None]
+                slopes[i, :, k] = by_bordered_system(K, M, lam[i, k], phi[i, :, k], *one, beside)[0][:, 0]
+        return slopes
 
 
 def _finite_modes(M_terms: tuple[Term, ...]) -> int:

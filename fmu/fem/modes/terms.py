@@ -64,6 +64,19 @@ def coefficient_gradients(terms: Sequence[Term], theta: FloatArray) -> FloatArra
     return result
 
 
+def coefficient_curvatures(terms: Sequence[Term], theta: FloatArray) -> dict[tuple[int, int, int], FloatArray]:
+    """Return the second derivatives ∂²c_k/∂theta_i∂theta_j that are not 0, (n,) each, by (k, i, j)."""
+    found = {}
+    for k, term in enumerate(terms):
+        powers = np.array(term.powers, dtype=float)
+        for i, j in np.ndindex(len(powers), len(powers)):
+            lowered = powers - np.eye(len(powers))[i]
+            factor = powers[i] * lowered[j]
+            if factor:
+                found[k, i, j] = factor * monomial(theta, (lowered - np.eye(len(powers))[j]).tolist())
+    return found
+
+
 def monomial(theta: FloatArray, powers: Sequence[float]) -> FloatArray:
     """Return Π theta[:, j] ** powers[j], shape (n,); NaN or infinite where a power does not exist or overflows.
 
@@ -182,6 +195,20 @@ class CoefficientMap:
         if self._general:
             return np.einsum("nkm,nkj->nmj", forms, coefficient_gradients(self.terms, theta))
         return np.einsum("nkm,kj->nmj", forms, self._slopes)
+
+    def along(self, theta: FloatArray, d: FloatArray) -> FloatArray:
+        """Return the derivatives Σ_j ∂c_k/∂theta_j d_j along d (n, m, n_parameters), shape (n, n_terms, m)."""
+        if self._general:
+            return np.einsum("nkj,nmj->nkm", coefficient_gradients(self.terms, theta), d)
+        return np.einsum("kj,nmj->nkm", self._slopes, d)
+
+    def contract_along(self, theta: FloatArray, forms: FloatArray, d: FloatArray) -> FloatArray:
+        """Return Σ_k forms[:, k] Σ_j ∂²c_k/∂theta∂theta_j d_j, shape (n, m, n_parameters); see `contract`."""
+        total = np.zeros(d.shape)
+        if self._general:
+            for (k, i, j), value in coefficient_curvatures(self.terms, theta).items():
+                total[..., i] += forms[:, k] * value[:, None] * d[..., j]
+        return total
 
 
 def _as_csr(matrix: Any) -> sp.csr_array:

@@ -14,6 +14,7 @@ from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.certificates import Certificate
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.fem.pairing.sensitivities import Sensitivities, SensitivitiesByDifferences, Steps
 from fmu.fem.programs.solves import Failure
 from fmu.formats.shown import in_words
 from fmu.types import Dof, FloatArray, IntArray
@@ -179,6 +180,21 @@ class ModalModel:
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters)."""
         raise NotImplementedError
+
+    def sensitivities(self, theta: FloatArray, steps: Steps) -> Sensitivities:
+        """Return frequencies, gradients, and second derivatives along directions that are given later.
+
+        ``found.gradient`` is the exact J (n, n_modes, n_parameters); ``found.curvature(d)`` with d of the same
+        shape then returns H_i d_i. For structures given by matrices, both are from one eigenproblem. By default,
+        exact gradients are differenced, which takes 2 n_modes more of them per theta.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (n, n_parameters)
+        steps : Steps
+            Sizes and bounds of the parameters, which limit differences.
+        """
+        return SensitivitiesByDifferences(self.frequencies_and_gradient, theta, steps)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
         """Return frequencies and shapes at the sensors at theta (n, n_parameters), with optional derivatives."""

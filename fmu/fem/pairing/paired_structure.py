@@ -26,6 +26,7 @@ from fmu.fem.pairing.rules import (
     count_rigid,
     reference_modes,
 )
+from fmu.fem.pairing.sensitivities import Sensitivities, Steps, StructureSensitivities
 from fmu.progress.phases import count_solves
 from fmu.types import Dof, FloatArray, IntArray
 
@@ -207,6 +208,16 @@ class PairedStructure(ModalModel):
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return frequencies in Hz (n, n_modes) and their exact gradients (n, n_modes, n_parameters)."""
         return frequencies_of(self.modes(theta, gradient=True))
+
+    def sensitivities(self, theta: FloatArray, steps: Steps) -> Sensitivities:
+        """Return the frequencies with exact first and second derivatives; see `ModalModel`."""
+        count_solves(len(theta), with_gradients=True)
+        with single_thread():
+            return self.solve_sensitivities(theta)
+
+    def solve_sensitivities(self, theta: FloatArray) -> Sensitivities:
+        """Return `sensitivities` without a count of the solves, on the present number of threads."""
+        return StructureSensitivities(self.blocks, self.solve, self.pairing.counts(self.blocks), theta)
 
     def candidates(self, theta: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
         """Return the eigenvalues of all candidate modes, and of one more mode per block.

@@ -57,6 +57,11 @@ class RankPairing:
         """Return the solver of these blocks only, which solves for shapes only if gradients are requested."""
         return FixedModes(model, self.block, self.rank)
 
+    def counts(self, model: BlockModel) -> dict[int, int]:
+        """Return a dict from block index to the number of its lowest modes that contain the paired modes."""
+        pairs = sorted(zip(self.block, self.rank, strict=True))
+        return {block: rank + 1 for block, rank in pairs}
+
 
 @dataclass(frozen=True)
 class IndexPairing:

@@ -22,7 +22,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 
 from fmu.fem.modes.block import Block, Mapped, Observation
-from fmu.fem.modes.derivatives import by_all_modes, by_bordered_matrices
+from fmu.fem.modes.derivatives import CLOSE, by_all_modes, by_bordered_matrices
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import BlockModel
 from fmu.fem.modes.terms import CoefficientMap, Term
@@ -165,15 +165,20 @@ class ReducedBlock(Block):
 
     def _bordered_slopes(self, theta: FloatArray, lam: FloatArray, phi: FloatArray) -> FloatArray:
         """Return ∂φ/∂θ, shape (n, r, m, n_parameters), by one system per mode; NaN for repeated eigenvalues."""
-        K, M = _assemble(self._K, self._K_map(theta)), _assemble(self._M, self._M_map(theta))
         n, r, count = phi.shape
         dK, dM = (
             coefficient.contract(theta, (rows @ phi).reshape(n, -1, r * count)).reshape(n, r, count, -1)
             for coefficient, rows in ((self._K_map, self._K_rows), (self._M_map, self._M_rows))
         )
+        return self._solve_borders(theta, lam, phi, dK, dM)
 
-        slopes = np.empty((n, r, count, self.n_parameters))
-        for k in range(count):
+    def _solve_borders(
+        self, theta: FloatArray, lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArray
+    ) -> FloatArray:
+        """Return ∂φ, (n, r, m, q), given ∂K φ and ∂M φ of the same shape for q directions."""
+        K, M = _assemble(self._K, self._K_map(theta)), _assemble(self._M, self._M_map(theta))
+        slopes = np.empty(dK.shape)
+        for k in range(phi.shape[2]):
             mode = lam[:, k], phi[:, :, k], dK[:, :, k], dM[:, :, k]
             slopes[:, :, k] = _row_by_row(_solve_bordered, K, M, *mode)[0]
         return slopes
@@ -196,12 +201,32 @@ class ReducedBlock(Block):
         self._K, self._M = K, M
         self._K_rows, self._M_rows = K.reshape(-1, K.shape[-1]), M.reshape(-1, M.shape[-1])
 
-    def _forms(self, phi: FloatArray, of_mass: bool) -> FloatArray:
+    def _forms(self, phi: FloatArray, of_mass: bool, left: FloatArray | None = None) -> FloatArray:
+        products, shapes = self._products(phi, of_mass)
+        if left is not None:
+            shapes = np.ascontiguousarray(np.swapaxes(left, 1, 2))
+        return np.swapaxes((products @ shapes[..., None])[..., 0], 1, 2)
+
+    def _apply(self, phi: FloatArray, weights: FloatArray, of_mass: bool) -> FloatArray:
+        products = self._products(phi, of_mass)[0]
+        return np.swapaxes(np.einsum("nkm,nmkr->nmr", weights, products), 1, 2)
+
+    def _products(self, phi: FloatArray, of_mass: bool) -> tuple[FloatArray, FloatArray]:
+        """Return K_k φ, or M_k φ if `of_mass`, of every term, (n, m, n_terms, r), and the shapes (n, m, r)."""
         n, r, m = phi.shape
         rows = self._M_rows if of_mass else self._K_rows  # the symmetric terms, stacked vertically
         shapes = np.ascontiguousarray(np.swapaxes(phi, 1, 2))
-        products = (shapes @ rows.T).reshape(n, m, len(rows) // r, r)
-        return np.swapaxes((products @ shapes[..., None])[..., 0], 1, 2)
+        return (shapes @ rows.T).reshape(n, m, len(rows) // r, r), shapes
+
+    def _shape_slopes_along(
+        self, theta: FloatArray, lam: FloatArray, phi: FloatArray, dK_phi: FloatArray, dM_phi: FloatArray
+    ) -> FloatArray:
+        count = dK_phi.shape[2]
+        if self.massless:
+            one = dK_phi[..., None], dM_phi[..., None]
+            return self._solve_borders(theta, lam[:, :count], phi[:, :, :count], *one)[..., 0]
+        dK, dM = (np.swapaxes(phi, 1, 2) @ product for product in (dK_phi, dM_phi))
+        return by_all_modes(lam, phi, dK[..., None], dM[..., None], count, CLOSE)[..., 0]
 
 
 Parts = BlockModel[FullBlock | ReducedBlock]

@@ -17,6 +17,7 @@ from fmu.fem.modes.modal import ModalSolution, frequency_hz, single_thread
 from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.paired_structure import PairedStructure, candidate_numbers, frequencies_of
 from fmu.fem.pairing.prediction import Candidates, ModalPrediction, join_batches, with_rows
+from fmu.fem.pairing.sensitivities import JoinedSensitivities, Sensitivities, Steps
 from fmu.fem.reduced.confirming import confirmed_model
 from fmu.fem.reduced.points import Trained
 from fmu.fem.reduced.residuals import FrequencyBound
@@ -138,6 +139,21 @@ class ReducedStructure(Approximation):
     def frequencies_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return frequencies (n, n_modes) in Hz and their exact gradients (n, n_modes, n_parameters)."""
         return frequencies_of(self.modes(theta, gradient=True))
+
+    def sensitivities(self, theta: FloatArray, steps: Steps) -> Sensitivities:
+        """Return the frequencies with exact first and second derivatives; see `ModalModel`."""
+        count_solves(len(theta), with_gradients=True)
+        with single_thread():
+            within = self.within(theta)
+            inside = np.where(within[:, None], theta, self._corner)
+            rows = [slice(i, i + self._at_once) for i in range(0, max(1, len(theta)), self._at_once)]
+            parts = [self.cheap.solve_sensitivities(inside[some]) for some in rows]
+            failed = np.concatenate([np.isnan(part.frequencies).any(axis=1) for part in parts]) | ~within
+            if len(parts) == 1 and not failed.any():
+                return parts[0]
+            self.full_solves += int(np.sum(failed))
+            full = self._truth.solve_sensitivities(theta[failed])
+            return JoinedSensitivities(len(theta), [*zip(rows, parts, strict=True), (failed, full)])
 
     def candidates(self, theta: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
         """Return all modes that could be paired with a measured mode; see `PairedStructure.candidates`."""

@@ -18,15 +18,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from fmu.arguments import ArgumentError, check_arguments
+from fmu.fem.pairing.sensitivities import Steps
 from fmu.posterior.errors.noise import NoiseIndex
 from fmu.posterior.parameters import Parameter, require_name
 from fmu.posterior.priors.one_sided import HalfNormal
 from fmu.types import FloatArray, Plain, Positive
 
-Solve = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-"""A function that returns frequencies (n, n_modes) and their gradients (n, n_modes, p) at parameters (n, p)."""
 _MOST = 10.0  # upper bound of an inferred τ, in standard deviations of its prior
-_STEP = 1e-4  # of a parameter, for differences of exact gradients; their error is of the order of its square
 
 
 @check_arguments
@@ -158,7 +156,17 @@ class EmbeddedScatter:
     number: FloatArray
     bounds: FloatArray
 
-    def variance(self, theta: FloatArray, noise: FloatArray, J: FloatArray, solve: Solve | None) -> Variance:
+    def steps(self, theta: FloatArray) -> Steps:
+        """Return the steps of differences at theta (n, p), for models without exact second derivatives."""
+        return Steps(self._scale(theta), self.bounds)
+
+    def variance(
+        self,
+        theta: FloatArray,
+        noise: FloatArray,
+        J: FloatArray,
+        curvature: Callable[[FloatArray], FloatArray] | None,
+    ) -> Variance:
         """Return the variances of the frequencies at theta (n, p).
 
         Parameters
@@ -168,26 +176,31 @@ class EmbeddedScatter:
             The inferred standard deviations of the problem.
         J : ndarray, shape (n, n_modes, p)
             Gradients of the frequencies.
-        solve : callable, optional
-            Supplies gradients at other points, from whose differences the derivatives by theta are computed:
-            ∂v_i/∂θ_l = 2 Σ_k H_ilk d_ik + 2 Σ_k J_ik² τ_k² s_k ∂s_k/∂θ_l, with d_ik = τ_k² s_k² J_ik and the
-            second derivatives H_i of f_i, which are needed only in the direction d_i. No derivatives without it.
+        curvature : callable, optional
+            Returns H_i d_i for directions d (n, n_modes, p), with the second derivatives H_i of f_i, as
+            `fmu.fem.pairing.sensitivities.Sensitivities.curvature` does. The derivatives by theta are
+            ∂v_i/∂θ_l = 2 Σ_k H_ilk d_ik + 2 Σ_k J_ik² τ_k² s_k ∂s_k/∂θ_l, with d_ik = τ_k² s_k² J_ik. There are no
+            derivatives without it.
         """
         inferred = self.number >= 0
         tau = np.tile(self.fixed, (len(theta), 1))
         tau[:, inferred] = noise[:, self.number[inferred]]
-        scale = np.where(self.relative, np.abs(theta), self.size)
+        scale = self._scale(theta)
         by_each = (J * scale[:, None]) ** 2  # ∂v_i/∂(τ_k²), (n, n_modes, p)
         value = np.einsum("nmk,nk->nm", by_each, tau**2)
         by_noise = np.zeros((*value.shape, noise.shape[1]))
         for k in np.flatnonzero(inferred):
             by_noise[..., self.number[k]] += 2.0 * tau[:, None, k] * by_each[..., k]
-        if solve is None:
+        if curvature is None:
             return Variance(value, by_noise, None)
         d = J * ((tau * scale) ** 2)[:, None]
         growth = np.where(self.relative, 2.0 * tau**2 * theta, 0.0)  # ∂(τ² s²)/∂θ
-        by_theta = 2.0 * _along(solve, theta, d, scale, self.bounds) + J**2 * growth[:, None]
+        by_theta = 2.0 * curvature(d) + J**2 * growth[:, None]
         return Variance(value, by_noise, by_theta)
+
+    def _scale(self, theta: FloatArray) -> FloatArray:
+        """Return the units s of the scatter at theta, shape (n, p)."""
+        return np.where(self.relative, np.abs(theta), self.size)
 
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of the settings in plain Python types."""
@@ -198,20 +211,3 @@ class EmbeddedScatter:
             "tau": self.fixed.tolist(),
             "inferred": self.number.tolist(),
         }
-
-
-def _along(solve: Solve, theta: FloatArray, d: FloatArray, scale: FloatArray, bounds: FloatArray) -> FloatArray:
-    """Return H_i d_i, shape (n, m, p), the change of the gradient of frequency i in the direction d_i, (n, m, p).
-
-    The exact gradients are differenced centrally, over steps of `_STEP` of a parameter's scale (n, p) at most. At
-    a bound the middle of the difference is moved inwards by a step, and the relative error is of its order.
-    """
-    n, m, p = d.shape
-    longest = np.max(np.abs(d) / scale[:, None], axis=2)
-    step = np.where(longest > 0.0, _STEP / np.where(longest > 0.0, longest, 1.0), 0.0)[..., None]
-    reach = np.abs(step * d)
-    middle = np.maximum(np.minimum(theta[:, None], bounds[1] - reach), bounds[0] + reach)
-    moved = [np.clip(middle + sign * step * d, *bounds) for sign in (1.0, -1.0)]
-    J = solve(np.concatenate(moved, axis=1).reshape(2 * n * m, p))[1].reshape(n, 2, m, m, p)
-    own = J[:, :, np.arange(m), np.arange(m)]
-    return np.asarray((own[:, 0] - own[:, 1]) / np.where(step > 0.0, 2.0 * step, 1.0))

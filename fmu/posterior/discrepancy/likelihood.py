@@ -80,14 +80,18 @@ class DiscrepantLikelihood(ModalLikelihood):
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
         """Return the predicted modes with the variances of the discrepancy; see `ModalLikelihood`."""
         structural, noise = theta[:, : self.n_structural], theta[:, self.n_structural :]
+        steps = self.scatters[0].steps(structural)
+        exact = self.model.sensitivities(structural, steps) if gradient else None
         if self.needs_shapes or self.model.is_uncertain:
             seen = self.model.observed(structural, True)
+        elif exact is not None:
+            seen = without_shapes(exact.frequencies, exact.gradient)
         else:
             seen = without_shapes(*self.model.frequencies_and_gradient(structural))
-        solve = self.model.frequencies_and_gradient if gradient else None
+        curvature = None if exact is None else exact.curvature
         J = np.asarray(seen.frequency_slopes)
         with np.errstate(invalid="ignore", over="ignore"):
-            found = [one.variance(structural, noise, J, solve) for one in self.scatters]
+            found = [one.variance(structural, noise, J, curvature) for one in self.scatters]
         value, by_noise = sum(v.value for v in found), np.asarray(sum(v.by_noise for v in found))
         slopes = np.asarray(sum(v.by_theta for v in found)) if gradient else None  # type: ignore[misc]
         if seen.frequency_variance is not None:

@@ -13,6 +13,7 @@ from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.fem.pairing.sensitivities import Sensitivities, Steps
 from fmu.fem.programs.solves import Failure
 from fmu.types import FloatArray, IntArray, Plain
 
@@ -46,6 +47,13 @@ class Configuration:
     test: IntArray
     row: IntArray
     mode: IntArray
+
+    @cached_property
+    def without_repetition(self) -> list[IntArray]:
+        """Indices of the measured modes in sets, in each of which no two are the same mode of the same solve."""
+        pairs = list(zip(self.row.tolist(), self.mode.tolist(), strict=True))
+        times = np.array([pairs[:i].count(pair) for i, pair in enumerate(pairs)])
+        return [np.flatnonzero(times == k) for k in range(int(times.max()) + 1)]
 
     def points(self, values: FloatArray) -> FloatArray:
         """Return the model's parameters, (n · n_distinct, p), from `values`, (n, n_tests, n_structural)."""
@@ -214,6 +222,19 @@ class ModelInTests(ModalModel):
             slopes[:, part.columns[:, None], part.parameters] = part.pick(gradient)
         return frequencies, slopes
 
+    def sensitivities(self, theta: FloatArray, steps: Steps) -> Sensitivities:
+        """Return frequencies and derivatives; see `ModalModel`.
+
+        Gradient and directions have n_structural components, as in `frequencies_and_gradient`; so have the bounds
+        of `steps`, and its sizes n_parameters.
+        """
+        values, sizes = self._in_tests(theta), self._in_tests(steps.size)
+        parts = []
+        for part in self.configurations:
+            own = Steps(part.points(sizes), steps.bounds[:, part.parameters])
+            parts.append((part, part.model.sensitivities(part.points(values), own)))
+        return _SensitivitiesInTests(parts, (len(theta), self.n_modes, self.n_structural))
+
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
         """Return frequencies and shapes at the sensors, with derivatives as in `frequencies_and_gradient`."""
         values = self._in_tests(theta)
@@ -245,3 +266,28 @@ class ModelInTests(ModalModel):
     def _in_tests(self, theta: FloatArray) -> FloatArray:
         """Return the parameters in each test, (n, n_tests, n_structural), from theta (n, n_parameters or more)."""
         return theta[:, : self.n_parameters].reshape(len(theta), self.n_tests, self.n_structural)
+
+
+class _SensitivitiesInTests(Sensitivities):
+    """The sensitivities of the configurations of several tests, (n, m, n_structural) together."""
+
+    def __init__(self, parts: Sequence[tuple[Configuration, Sensitivities]], shape: tuple[int, int, int]) -> None:
+        self._parts = parts
+        self.frequencies, self.gradient = np.empty(shape[:2]), np.zeros(shape)
+        for part, found in parts:
+            self.frequencies[:, part.columns] = part.pick(found.frequencies)
+            self.gradient[:, part.columns[:, None], part.parameters] = part.pick(found.gradient)
+
+    def curvature(self, d: FloatArray) -> FloatArray:
+        """Return H_i d_i; see `Sensitivities`."""
+        found = np.zeros(d.shape)
+        for part, model in self._parts:
+            own = d[:, part.columns[:, None], part.parameters]
+            picked = np.empty(own.shape)
+            for some in part.without_repetition:  # tests that share a solve have directions of their own
+                along = np.zeros((len(d), len(part.distinct), *model.gradient.shape[1:]))
+                along[:, part.row[some], part.mode[some]] = own[:, some]
+                turned = model.curvature(along.reshape(model.gradient.shape)).reshape(along.shape)
+                picked[:, some] = turned[:, part.row[some], part.mode[some]]
+            found[:, part.columns[:, None], part.parameters] = picked
+        return found
