@@ -24,6 +24,7 @@ from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.errors.mixture import MixtureLikelihood
 from fmu.posterior.errors.quantities import QuantityErrors
 from fmu.posterior.errors.residual import ModalResidual
+from fmu.posterior.joint.layout import Layout
 from fmu.posterior.parameters import Parameter
 
 ERRORS = ("frequency", "modal-residual")
@@ -117,7 +118,8 @@ def likelihood_of(
     paired: ModalModel,
     data: ModalData,
     parameters: Sequence[Parameter],
-    discrepancy: Discrepancy | Sequence[Discrepancy] = (),
+    discrepancy: Discrepancy | Sequence[Discrepancy],
+    layout: Layout,
 ) -> Likelihood:
     """Return the likelihood of an updating problem.
 
@@ -133,6 +135,8 @@ def likelihood_of(
     parameters : sequence of Parameter
         Parameters of the model.
     discrepancy : Discrepancy or sequence of Discrepancy
+    layout : Layout
+        The parameters of the structure in the tests.
 
     Raises
     ------
@@ -181,5 +185,5 @@ def likelihood_of(
         raise ArgumentError("test", "must not be given where there is one test only", repr(named[0]))
     quantities = [one.bind_structure(model, parameters) for one in others]
     if discrepancies:
-        return DiscrepantLikelihood(paired, data, errors, quantities, discrepancies, parameters)
+        return DiscrepantLikelihood(paired, data, errors, quantities, discrepancies, layout)
     return ModalLikelihood(paired, data, errors, quantities)

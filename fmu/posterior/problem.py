@@ -133,7 +133,7 @@ class UpdatingProblem(Posterior):
         self.n_structural = len(self.layout.parameters)
         self.tolerance: Tolerance | None = None
         self.model = paired_model(model, data, parameters, pairing, softness)
-        self.likelihood = likelihood_of(error, beta, model, self.model, data, parameters, discrepancy)
+        self.likelihood = likelihood_of(error, beta, model, self.model, data, parameters, discrepancy, self.layout)
         self.parameters = (*self.layout.parameters, *self.likelihood.noise)
         check_names(self.parameters)
         self.ndim = len(self.parameters)

@@ -11,14 +11,13 @@ The idea is the embedded model error of Sargsyan, Najm & Ghanem 2015, *Int. J. C
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
 from fmu.arguments import ArgumentError, check_arguments
-from fmu.fem.pairing.sensitivities import Steps
 from fmu.posterior.errors.noise import NoiseIndex
 from fmu.posterior.parameters import Parameter, require_name
 from fmu.posterior.priors.one_sided import HalfNormal
@@ -104,8 +103,7 @@ class Discrepancy:
             name = self.name if self.by == "common" else f"{self.name} {own[k]}"
             prior = HalfNormal(self.prior_sd)
             number[k] = index(Parameter(name, 0.5 * self.prior_sd, 0.0, _MOST * self.prior_sd, prior))
-        bounds = np.array([[p.lower, p.upper] for p in parameters]).T
-        return EmbeddedScatter(relative, np.array([_size(p) for p in parameters]), fixed, number, bounds)
+        return EmbeddedScatter(relative, np.array([_size(p) for p in parameters]), fixed, number)
 
 
 def _size(parameter: Parameter) -> float:
@@ -113,23 +111,6 @@ def _size(parameter: Parameter) -> float:
     if parameter.start != 0.0:
         return abs(parameter.start)
     return float(parameter.prior.scale(parameter.lower, parameter.upper)[1])
-
-
-class Variance(NamedTuple):
-    """Variances of the frequencies due to the scatter of parameters.
-
-    Attributes
-    ----------
-    value : ndarray, shape (n, n_modes), Hz²
-    by_noise : ndarray, shape (n, n_modes, n_noise)
-        Derivatives by the inferred standard deviations of the problem.
-    by_theta : ndarray, shape (n, n_modes, p), or None
-        Derivatives by the parameters of the structure.
-    """
-
-    value: FloatArray
-    by_noise: FloatArray
-    by_theta: FloatArray | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,61 +127,27 @@ class EmbeddedScatter:
         The known τ_k; 0 if a parameter does not scatter or its τ is inferred.
     number : ndarray of int, shape (p,)
         Index of the inferred τ_k among the inferred standard deviations; −1 if it is not inferred.
-    bounds : ndarray, shape (2, p)
-        Bounds of the parameters, beyond which a reduced model is not trained.
     """
 
     relative: FloatArray
     size: FloatArray
     fixed: FloatArray
     number: FloatArray
-    bounds: FloatArray
 
-    def steps(self, theta: FloatArray) -> Steps:
-        """Return the steps of differences at theta (n, p), for models without exact second derivatives."""
-        return Steps(self._scale(theta), self.bounds)
+    def scale(self, values: FloatArray) -> FloatArray:
+        """Return the unit s_k of the scatter of each parameter at values (…, p), of the same shape."""
+        return np.where(self.relative, np.abs(values), self.size)
 
-    def variance(
-        self,
-        theta: FloatArray,
-        noise: FloatArray,
-        J: FloatArray,
-        curvature: Callable[[FloatArray], FloatArray] | None,
-    ) -> Variance:
-        """Return the variances of the frequencies at theta (n, p).
-
-        Parameters
-        ----------
-        theta : ndarray, shape (n, p)
-        noise : ndarray, shape (n, n_noise)
-            The inferred standard deviations of the problem.
-        J : ndarray, shape (n, n_modes, p)
-            Gradients of the frequencies.
-        curvature : callable, optional
-            Returns H_i d_i for directions d (n, n_modes, p), with the second derivatives H_i of f_i, as
-            `fmu.fem.pairing.sensitivities.Sensitivities.curvature` does. The derivatives by theta are
-            ∂v_i/∂θ_l = 2 Σ_k H_ilk d_ik + 2 Σ_k J_ik² τ_k² s_k ∂s_k/∂θ_l, with d_ik = τ_k² s_k² J_ik. There are no
-            derivatives without it.
-        """
-        inferred = self.number >= 0
-        tau = np.tile(self.fixed, (len(theta), 1))
-        tau[:, inferred] = noise[:, self.number[inferred]]
-        scale = self._scale(theta)
-        by_each = (J * scale[:, None]) ** 2  # ∂v_i/∂(τ_k²), (n, n_modes, p)
-        value = np.einsum("nmk,nk->nm", by_each, tau**2)
-        by_noise = np.zeros((*value.shape, noise.shape[1]))
-        for k in np.flatnonzero(inferred):
-            by_noise[..., self.number[k]] += 2.0 * tau[:, None, k] * by_each[..., k]
-        if curvature is None:
-            return Variance(value, by_noise, None)
-        d = J * ((tau * scale) ** 2)[:, None]
-        growth = np.where(self.relative, 2.0 * tau**2 * theta, 0.0)  # ∂(τ² s²)/∂θ
-        by_theta = 2.0 * curvature(d) + J**2 * growth[:, None]
-        return Variance(value, by_noise, by_theta)
-
-    def _scale(self, theta: FloatArray) -> FloatArray:
-        """Return the units s of the scatter at theta, shape (n, p)."""
-        return np.where(self.relative, np.abs(theta), self.size)
+    def variances(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return τ², (n, p), and its derivatives by the inferred standard deviations `noise`, (n, n_noise, p)."""
+        n, inferred = len(noise), np.flatnonzero(self.number >= 0)
+        tau = np.broadcast_to(self.fixed, (n, len(self.fixed)))
+        slopes = np.zeros((n, noise.shape[1], len(self.fixed)))
+        if len(inferred):
+            tau = tau.copy()
+            tau[:, inferred] = noise[:, self.number[inferred]]
+            slopes[:, self.number[inferred], inferred] = 2.0 * tau[:, inferred]
+        return tau**2, slopes
 
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of the settings in plain Python types."""

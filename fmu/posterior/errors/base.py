@@ -113,8 +113,7 @@ class ErrorTerm:
     is_least_squares : bool
         Whether the log-density is −½ Σ r² plus a term that depends on the standard deviations alone.
     is_chi_square : bool
-        Whether the sum of the squared residuals of a mode is chi-square distributed with `n_data` degrees of
-        freedom if the model and the error model are correct.
+        Whether the squared residuals of a mode sum to a chi-square variable of `n_data` degrees of freedom.
     quantity : str
         Name of the quantities that have these errors, in the plural.
     tests : RepeatedTests or None
@@ -179,6 +178,10 @@ class ErrorTerm:
     def residuals(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
         """Return the errors divided by their standard deviations, with derivatives; arguments as in `evaluate`."""
         raise NotImplementedError
+
+    def residuals_within(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
+        """Return `residuals`, with their derivatives projected onto the space that the residuals can lie in."""
+        return self.residuals(seen, noise)
 
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
         """Return simulated measured frequencies (n, n_modes), Hz, for computed ones; see `of_frequencies`."""
@@ -246,7 +249,7 @@ class Likelihood:
     used : ndarray of int, shape (n_used,), or None
         Indices (from 0) of the measured modes whose terms make up the likelihood; None for all modes.
     has_discrepancy : bool
-        Whether the model has errors of its own, whose variances are those of `variance`.
+        Whether the model has errors of its own.
     """
 
     of_modes: bool = False

@@ -193,6 +193,12 @@ class FrequencyTerm(ErrorTerm):
         root = np.sqrt(2.0 * self.beta)[None] if self.is_known else 1.0 / np.sqrt(self.spread.variance(noise))
         return Residuals((root * error)[..., None], np.broadcast_to(root * slope, error.shape)[..., None])
 
+    def slope_and_curvature(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return ∂r/∂f, (n, n_modes) in 1/Hz, and ∂²r/∂f² in 1/Hz² of the residuals r."""
+        root = 1.0 / np.sqrt(self.spread.variance(noise))
+        bent = 2.0 / self.measured**2 if self.kind == "eigenvalue" else 0.0
+        return root * self.errors(frequencies)[1], root * bent
+
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
         """Return simulated measured frequencies (n, n_modes), Hz, for computed frequencies."""
         sd = self.sd if self.is_known else np.sqrt(self.spread.variance(noise))

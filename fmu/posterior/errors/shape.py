@@ -122,6 +122,14 @@ class ShapeTerm(ErrorTerm):
         by_shape = -root[..., None] * (a[..., None, None] * np.eye(len(u)) + s[..., None] * da[..., None, :])
         return Residuals(values, None, by_shape)
 
+    def residuals_within(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
+        """Return the residuals, which are orthogonal to Λ^½φ, with their derivatives; see `ErrorTerm`."""
+        r = self.residuals(seen, noise)
+        psi = np.swapaxes(seen.shapes / np.sqrt(self.spread.variance(noise)), 1, 2)
+        by_shape = np.asarray(r.by_shape)
+        along = np.sum(psi[..., None] * by_shape, axis=2) / np.sum(psi**2, axis=2)[..., None]
+        return r._replace(by_shape=by_shape - psi[..., None] * along[:, :, None])
+
     def labels(self, modes: Sequence[str]) -> list[str]:
         """Return the list of names of the residuals; see `ErrorTerm`."""
         return [f"{mode}, sensor {k + 1}" for mode in modes for k in range(len(self.unit))]

@@ -42,14 +42,16 @@ def gradient_of_terms(part: Evaluated, seen: ModalPrediction, n_structural: int,
     return gradient
 
 
-def residuals_of_term(term: ErrorTerm, seen: ModalPrediction, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+def residuals_of_term(
+    term: ErrorTerm, seen: ModalPrediction, noise: FloatArray, within: bool = False
+) -> tuple[FloatArray, FloatArray]:
     """Return the residuals of an error model, (n, n_modes, q), and their derivatives by the model's parameters.
 
-    The derivatives have the shape (n, n_modes, q, n_structural). The inferred standard deviations `noise`,
-    (n, n_noise), are held fixed.
+    The derivatives have the shape (n, n_modes, q, n_structural); with `within` they are those of
+    `ErrorTerm.residuals_within`. The inferred standard deviations `noise`, (n, n_noise), are held fixed.
     """
     view = term.project(seen)
-    r = term.residuals(view, noise)
+    r = term.residuals_within(view, noise) if within else term.residuals(view, noise)
     if view.frequency_variance is not None:
         r = residuals_with_variance(r, view)
     parts = []

@@ -1,13 +1,17 @@
 """Scatter of the parameters over the modes: its density, and its derivatives against differences."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
+from scipy.linalg import block_diag
 
 import fmu
 from fmu.fem.pairing.modal_model import ModalModel
 from fmu.posterior.discrepancy.embedded import Discrepancy
+from fmu.posterior.errors.slopes import residuals_of_term
 from tests.gradients import assert_gradient
 from tests.shear_building import shear_building
 
@@ -22,6 +26,11 @@ ERRORS = {
     "eigenvalue": [fmu.FrequencyErrors("eigenvalue", sd=1 / 16)],
     "inferred": [fmu.FrequencyErrors("relative", sd=SIGMA)],
     "shapes too": [fmu.FrequencyErrors("relative", sd=0.02), fmu.ShapeErrors(sd=0.1)],
+    "shapes, inferred": [
+        fmu.FrequencyErrors("eigenvalue", sd=0.04),
+        fmu.ShapeErrors(sd=[[0.1, 0.2, 0.15], [0.05, 0.1, 0.1], [0.1, 0.08, 0.3]], discrepancy=SIGMA),
+    ],
+    "shapes alone, inferred": [fmu.ShapeErrors(sd=SIGMA)],
 }
 SCATTERS = {
     "common": [Discrepancy()],
@@ -72,8 +81,89 @@ def test_the_density_is_gaussian_with_the_sum_of_the_variances(lower):
     assert_allclose(problem.likelihood.terms(theta), stats.norm.logpdf(MEASURED, f, np.sqrt(V)), rtol=1e-12)
 
 
-def test_rows_of_a_batch_are_those_of_single_points():
-    problem = problem_of("by group", "inferred")
+def dense(problem, theta, whitened=True):
+    """Return the covariance of all residuals at theta, mode by mode, and their slopes by the parameters.
+
+    The residuals are scaled by the deviations at theta, or by one of 1 %.
+    """
+    likelihood, noise = problem.likelihood, theta[None, 4:]
+    seen = likelihood.observed(theta[None])
+    parts = [residuals_of_term(term, seen, noise, within=True)[1][0] for term in likelihood.terms_of]
+    sd = [np.sqrt(np.atleast_2d(term.spread.variance(noise)[0])).T / 0.01 for term in likelihood.terms_of]
+    m = len(MEASURED)
+    blocks, slopes = [], []
+    T = likelihood.scale_of_scatter(theta[None])[0, 0]
+    for i in range(m):
+        J = np.concatenate([part[i] for part in parts])
+        unit = np.ones(len(J)) if whitened else np.concatenate([one[i] for one in sd])
+        projection = np.eye(len(J))
+        if likelihood.needs_shapes:
+            term = next(term for term in likelihood.terms_of if term.needs_shapes)
+            psi = np.zeros(len(J))
+            psi[-3:] = seen.shapes[0, :, i] / np.sqrt(term.spread.variance(noise)[0, :, i])
+            projection -= np.outer(psi, psi) / (psi @ psi)
+        S = projection + (J * T**2) @ J.T
+        blocks.append(S * np.outer(unit, unit))
+        slopes.append(J * unit[:, None])
+    return block_diag(*blocks), np.concatenate(slopes)
+
+
+@pytest.mark.parametrize("errors", [name for name in ERRORS if "shapes" in name])
+def test_residuals_of_a_mode_share_its_parameters(errors):
+    """Frequency and shape are jointly Gaussian in the q of q + 1 dimensions that their residuals can lie in."""
+    problem = problem_of("some", errors)
+    theta = points(problem)
+    plain = problem_of("none", errors).likelihood
+    keep = [problem.names.index(name) for name in (*problem.names[:4], *(p.name for p in plain.noise))]
+    alone = plain.terms(theta[:, keep]).sum(axis=1)
+    for i, one in enumerate(theta):
+        S = dense(problem, one)[0]
+        r = np.concatenate(
+            [
+                np.concatenate(
+                    [
+                        residuals_of_term(t, problem.likelihood.observed(one[None]), one[None, 4:])[0][0, k]
+                        for t in problem.likelihood.terms_of
+                    ]
+                )
+                for k in range(3)
+            ]
+        )
+        values = np.linalg.eigvalsh(S)
+        values = values[values > 1e-9]
+        expected = (
+            alone[i] + 0.5 * r @ r - 0.5 * r @ np.linalg.pinv(S, rcond=1e-9) @ r - 0.5 * np.sum(np.log(values))
+        )
+        assert_allclose(problem.likelihood.terms(one[None]).sum(), expected, rtol=1e-9)
+
+
+def test_the_density_is_the_mean_over_the_parameters_of_each_mode():
+    """Monte Carlo over θ(1 + τ z), with one z for the frequency and the shape of a mode."""
+    plain, problem = problem_of("none", "shapes too"), problem_of("given", "shapes too")
+    theta, rng, n = problem.start[None], np.random.default_rng(2), 1500
+    seen = plain.model.observed(theta)
+    data = dataclasses.replace(
+        plain.data,
+        frequencies_hz=seen.frequencies[0] * [1.025, 0.975, 1.03],
+        shapes=seen.shapes[0] * [[1.02, 0.98, 1.0], [0.97, 1.03, 1.0], [1.0, 1.0, 1.03]],
+    )
+    errors = [fmu.FrequencyErrors("relative", sd=0.01), fmu.ShapeErrors(sd=0.01)]
+    arguments = (plain.model.structure, data, plain.parameters)
+    plain = fmu.UpdatingProblem(*arguments, pairing="index", error=errors)
+    scatter = fmu.UpdatingProblem(*arguments, pairing="index", error=errors, discrepancy=Discrepancy(tau=0.02))
+    z = 0.02 * rng.standard_normal((n, 4))
+    drawn = plain.likelihood.terms(theta * (1.0 + np.concatenate([z, -z])))
+    weights = np.exp(drawn - drawn.max(axis=0))
+    mean = np.log(weights.mean(axis=0)) + drawn.max(axis=0)
+    error = weights.std(axis=0) / weights.mean(axis=0) / np.sqrt(2 * n)
+    change = scatter.likelihood.terms(theta)[0] - plain.likelihood.terms(theta)[0]
+    assert np.all(np.abs(change) > 0.2)
+    assert np.all(np.abs(scatter.likelihood.terms(theta)[0] - mean) < 4 * error)
+
+
+@pytest.mark.parametrize("errors", ["inferred", "shapes, inferred"])
+def test_rows_of_a_batch_are_those_of_single_points(errors):
+    problem = problem_of("by group", errors)
     theta = points(problem, 7)
     assert [problem.log_prob(one) for one in theta] == problem.log_prob(theta).tolist()
 
@@ -84,30 +174,38 @@ def test_without_scatter_the_density_is_that_of_the_errors_alone():
     assert_allclose(problem.likelihood.terms(theta), plain.likelihood.terms(theta[:, :4]), rtol=1e-10)
 
 
-@pytest.mark.parametrize("errors", ["absolute", "relative, weighted", "inferred"])
-def test_simulated_data_have_the_scatter_and_the_information_is_that_of_their_scores(errors):
-    """Fisher's information is the covariance of the gradient over data that are simulated at theta."""
+@pytest.mark.parametrize("errors", ["absolute", "inferred", "shapes too", "shapes alone, inferred"])
+def test_the_information_is_that_of_the_means_and_fishers_of_the_deviations(errors):
+    """JᵀS⁻¹J of theta, ½ tr(S⁻¹∂S S⁻¹∂S) of τ and of σ, from the dense covariance."""
     problem = problem_of("common", errors)
-    theta, rng, n = points(problem, 1), np.random.default_rng(1), 20_000
-    seen = problem.likelihood.observed(theta, True)
-    term = problem.likelihood.frequency_term
-    noise = theta[:, 4:]
-    V = (seen.frequency_variance + term.spread.variance(noise))[0]
+    theta = points(problem, 2)
+    found = problem.likelihood.quadratic(theta)[2]
+
+    def covariance(at):
+        return dense(problem, at, whitened=False)
+
+    for i, one in enumerate(theta):
+        S, J = covariance(one)
+        inverse = np.linalg.pinv(S, rcond=1e-9)
+        assert_allclose(found[i, :4, :4], J.T @ inverse @ J, rtol=1e-6, atol=1e-7 * found[i, 0, 0])
+        step = 1e-6 * one
+        slopes = [
+            (covariance(one + h)[0] - covariance(one - h)[0]) / (2 * step[k])
+            for k, h in enumerate(np.diag(step))
+            if k >= 4
+        ]
+        of_noise = [[0.5 * np.trace(inverse @ a @ inverse @ b) for a in slopes] for b in slopes]
+        exact = slice(1, None) if "shapes alone" in errors else slice(None)  # of σ of shapes it is approximate
+        assert_allclose(found[i, 4:, 4:][exact, exact], np.array(of_noise)[exact, exact], rtol=1e-4)
+
+
+def test_simulated_data_have_the_scatter():
+    problem = problem_of("common", "inferred")
+    theta, rng, n = points(problem, 1), np.random.default_rng(1), 2_000
+    seen = problem.likelihood.observed(theta)
+    V = (problem.likelihood.variance(theta) + problem.likelihood.frequency_term.spread.variance(theta[:, 4:]))[0]
     drawn = problem.simulate_data(rng, np.repeat(seen.frequencies, n, axis=0), np.repeat(theta, n, axis=0))
     assert_allclose(drawn.var(axis=0), V, rtol=6 * np.sqrt(2 / n))
-    score = (drawn - seen.frequencies) / V
-    slopes = seen.frequency_variance_by_noise[0].copy()
-    for k, slope in term.spread.slopes(noise).items():
-        slopes[:, k] += slope[0]
-    of_theta = (
-        score[..., None] * seen.frequency_slopes[0]
-        + (score**2 - 1 / V)[..., None] / 2 * (seen.frequency_variance_slopes[0])
-    )
-    of_noise = (score**2 - 1 / V)[..., None] / 2 * slopes
-    gradient = np.concatenate([of_theta, of_noise], axis=2).sum(axis=1)
-    information = problem.likelihood.quadratic(theta)[2][0]
-    size = np.sqrt(np.diag(information))
-    assert_allclose(np.cov(gradient.T) / np.outer(size, size), information / np.outer(size, size), atol=0.1)
 
 
 def test_no_gradient_asks_for_a_frequency_beyond_the_bounds():
@@ -146,7 +244,7 @@ class Watched(ModalModel):
         ({"error": "modal-residual"}, "discrepancy: needs errors of frequencies of one test"),
         ({"pairing": "soft"}, "discrepancy: needs errors of frequencies of one test"),
         ({"error": fmu.StudentErrors("relative", sd=0.01)}, "discrepancy: needs Gaussian errors"),
-        ({"error": fmu.ShapeErrors(sd=0.1)}, "discrepancy: needs errors of frequencies"),
+        ({"error": fmu.MACErrors(sd=0.1)}, r"discrepancy: needs Gaussian errors .* \(got MAC\)"),
         ({"discrepancy": [Discrepancy(), Discrepancy()]}, "discrepancy.name: must be different"),
     ],
 )

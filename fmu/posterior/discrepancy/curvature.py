@@ -1,0 +1,49 @@
+"""Derivatives by the parameters of functions of the slopes of the modes, by differences of exact slopes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from fmu.types import FloatArray, IntArray
+
+_STEP = 1e-4  # of a parameter; the error of a difference is of the order of its square
+
+
+def by_parameters(
+    function: Callable[[FloatArray], FloatArray],
+    values: FloatArray,
+    scale: FloatArray,
+    bounds: FloatArray,
+    test: IntArray,
+) -> FloatArray:
+    """Return the derivatives of m functions by the parameters of their own tests, shape (n, m, p).
+
+    They are central differences, for which each parameter moves in all tests at once: 2 p calls of a model.
+
+    Parameters
+    ----------
+    function : callable
+        Returns the functions, (n, k, m), at values (n, k, n_tests, p): k points for each of the n.
+    values : ndarray, shape (n, n_tests, p)
+        The parameters of the structure in every test.
+    scale : ndarray, shape (n, n_tests, p)
+        Sizes of the parameters.
+    bounds : ndarray, shape (2, n_tests, p)
+        Limits of the values, beyond which a reduced model is not trained.
+    test : ndarray of int, shape (m,)
+        The test of each function.
+    """
+    p = values.shape[-1]
+    low, high = np.minimum(values, bounds[0]), np.maximum(values, bounds[1])
+    step = np.minimum(_STEP * scale, 0.5 * (high - low))
+    step = np.min(step / scale, axis=1, keepdims=True) * scale  # the same part of the scale in all tests
+    middle = np.maximum(np.minimum(values, high - step), low + step)
+    points = np.repeat(values[:, None], 2 * p, axis=1)
+    k = np.arange(p)
+    for first, moved in ((0, middle + step), (p, middle - step)):
+        points[:, first + k, :, k] = np.moveaxis(moved, 2, 0)
+    found = function(points)
+    change = np.moveaxis(found[:, :p] - found[:, p:], 1, 2)
+    return np.asarray(change / np.where(step > 0.0, 2.0 * step, 1.0)[:, test])

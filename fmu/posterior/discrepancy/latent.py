@@ -1,0 +1,241 @@
+"""Gaussian residuals that have errors in common: their joint density, its derivatives, and predictions.
+
+Row i of the residuals, the k residuals of a mode in a test, is
+
+r_i = A_i z_g(i) + a_i w + e_i,
+
+with independent standard normal z_g (P numbers for each group g of rows), w (C numbers for all rows) and e_i (k
+numbers). Groups are independent of each other given w. All sizes that are factorised are P, k or C, whatever the
+number of rows: with M_g = I + Σ_i A_iᵀA_i (Woodbury's identity), the quadratic form of X = (r, a) in a group is
+Σ_i X_iᵀX_i − BᵀM_g⁻¹B, B = Σ_i A_iᵀX_i, and w is integrated out of the sum over the groups in the same way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from fmu.types import FloatArray, IntArray
+
+
+class Slopes(NamedTuple):
+    """Derivatives of a log-density of residuals.
+
+    Attributes
+    ----------
+    by_residual : ndarray, shape (n, m, k)
+    by_loads : ndarray, shape (n, m, k, P)
+    by_common : ndarray, shape (n, m, k, C)
+    """
+
+    by_residual: FloatArray
+    by_loads: FloatArray
+    by_common: FloatArray
+
+
+class _Groups(NamedTuple):
+    """Each group's rows up to row i: X = (r, a) after the group's own z is integrated out.
+
+    Attributes
+    ----------
+    quadratic : ndarray, shape (n, m, 1 + C, 1 + C)
+        XᵀS⁻¹X with the covariance S of these rows without w.
+    log_det : ndarray, shape (n, m)
+        log det S.
+    mean : ndarray, shape (n, m, P, 1 + C)
+        M⁻¹B.
+    """
+
+    quadratic: FloatArray
+    log_det: FloatArray
+    mean: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class LatentErrors:
+    """The residuals of m rows with errors in common, n times (see the description of the module).
+
+    Attributes
+    ----------
+    residuals : ndarray, shape (n, m, k)
+    loads : ndarray, shape (n, m, k, P)
+        A.
+    common : ndarray, shape (n, m, k, C)
+        a; C may be 0.
+    group : ndarray of int, shape (m,)
+        The group of each row.
+    """
+
+    residuals: FloatArray
+    loads: FloatArray
+    common: FloatArray
+    group: IntArray
+
+    def terms(self) -> FloatArray:
+        """Return the log-density of each row given the rows before it, less that of independent residuals, (n, m).
+
+        The terms are log N(r; 0, S) − log N(r; 0, I) in sum. If all groups have one row and C is 0, each term is
+        the one of its row alone.
+        """
+        if self._is_single and not self.common.shape[-1]:
+            S, r = self._variance, self.residuals[..., 0]
+            return np.asarray(0.5 * (r**2 * (1.0 - 1.0 / S) - np.log(S)))
+        quadratic, log_det = self._grown(self._groups.quadratic), self._grown(self._groups.log_det)
+        squares = np.einsum("nmk,nmk->nm", self.residuals, self.residuals)
+        if not self.common.shape[-1]:
+            return np.asarray(0.5 * (squares - quadratic[..., 0, 0] - log_det))
+        so_far = self._integrate_common(np.cumsum(quadratic, axis=1))
+        return np.asarray(0.5 * (squares - log_det) - 0.5 * np.diff(so_far, axis=1, prepend=0.0))
+
+    def squares(self) -> FloatArray:
+        """Return the squared residuals of each row given the rows before it, in standard deviations, (n, m)."""
+        quadratic = self._grown(self._groups.quadratic)
+        if not self.common.shape[-1]:
+            return np.asarray(quadratic[..., 0, 0])
+        so_far = self._integrate_common(np.cumsum(quadratic, axis=1), with_log_det=False)
+        return np.asarray(np.diff(so_far, axis=1, prepend=0.0))
+
+    def slopes(self) -> Slopes:
+        """Return the derivatives of the sum of `terms`.
+
+        With the mean ẑ, ŵ and the covariance Cov of the latent errors given the residuals, F = (A, a) and
+        e = r − F(ẑ, ŵ), they are F(ẑ, ŵ) by r, and e(ẑ, ŵ)ᵀ − F Cov by F.
+        """
+        z, w, of_z, of_both, of_w = self.given_residuals()
+        A, a, last = self.loads, self.common, self.last
+        fitted = np.einsum("nmkp,nmp->nmk", A, z[:, last])
+        left = A @ of_z[:, last]
+        if not a.shape[-1]:
+            by_loads = (self.residuals - fitted)[..., None] * z[:, last, None] - left
+            return Slopes(fitted, by_loads, np.zeros_like(a))
+        fitted = fitted + np.einsum("nmkc,nc->nmk", a, w)
+        error = (self.residuals - fitted)[..., None]
+        left = left + a @ np.swapaxes(of_both[:, last], 2, 3)
+        right = A @ of_both[:, last] + a @ of_w[:, None]
+        return Slopes(fitted, error * z[:, last, None] - left, error * w[:, None, None] - right)
+
+    def given_residuals(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return the distribution of the latent errors given the residuals.
+
+        Returns
+        -------
+        z, w : ndarray, shapes (n, m, P) and (n, C)
+            Means; of z at the last row of each group, and of only some of its rows before.
+        of_z, of_both, of_w : ndarray, shapes (n, m, P, P), (n, m, P, C) and (n, C, C)
+            Covariances of z, of z with w, and of w.
+        """
+        of_z, mean = self._covariance, self._groups.mean
+        n, C = len(self.residuals), self.common.shape[-1]
+        if not C:
+            return mean[..., 0], np.empty((n, 0)), of_z, np.empty((*mean.shape[:3], 0)), np.empty((n, 0, 0))
+        last = np.unique(self.last)
+        total = np.sum(self._groups.quadratic[:, last], axis=1)
+        of_w = np.linalg.inv(np.eye(C) + total[:, 1:, 1:])
+        w = np.einsum("ncd,nd->nc", of_w, total[:, 1:, 0])
+        gain = mean[..., 1:]
+        of_both = -gain @ of_w[:, None]
+        z = mean[..., 0] - np.einsum("nmpc,nc->nmp", gain, w)
+        return z, w, of_z - of_both @ np.swapaxes(gain, 2, 3), of_both, of_w
+
+    def whiten(self, slopes: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return S^(−½) r, shape (n, m, k), and S^(−½) times derivatives of r, (n, m, k, N).
+
+        The root is symmetric, so that each residual keeps its meaning. Of a group's matrix A with
+        AᵀA = VΛVᵀ it is I − A V h(Λ) VᵀAᵀ, h(λ) = (1 − 1/√(1 + λ))/λ.
+        """
+        X = np.concatenate([self.residuals[..., None], self.common, slopes], axis=3)
+        X = X - self.loads @ self._half(self._sum(np.swapaxes(self.loads, 2, 3) @ X))[:, self.last]
+        C = self.common.shape[-1]
+        a, rest = X[..., 1 : 1 + C], np.delete(X, np.s_[1 : 1 + C], axis=3)
+        if C:
+            gram = np.einsum("nmkc,nmkd->ncd", a, a)
+            rest = rest - a @ (_half_root(gram) @ np.einsum("nmkc,nmkx->ncx", a, rest))[:, None]
+        return rest[..., 0], rest[..., 1:]
+
+    def _half(self, B: FloatArray) -> FloatArray:
+        return np.asarray(_half_root(self._sum(np.swapaxes(self.loads, 2, 3) @ self.loads)) @ B)
+
+    @cached_property
+    def _before(self) -> IntArray:
+        """The row of the same group before each row, shape (m,); −1 for the first."""
+        found, latest = [], dict[int, int]()
+        for i, g in enumerate(self.group.tolist()):
+            found.append(latest.get(g, -1))
+            latest[g] = i
+        return np.array(found)
+
+    @cached_property
+    def last(self) -> IntArray:
+        """The last row of the group of each row, shape (m,)."""
+        latest = {g: i for i, g in enumerate(self.group.tolist())}
+        return np.array([latest[g] for g in self.group.tolist()])
+
+    @cached_property
+    def _is_single(self) -> bool:
+        """Whether every group has one row of one residual."""
+        return self.residuals.shape[2] == 1 and len(set(self.group.tolist())) == len(self.group)
+
+    @cached_property
+    def _variance(self) -> FloatArray:
+        """S = 1 + AAᵀ of rows of one residual, shape (n, m)."""
+        return np.asarray(1.0 + np.einsum("nmkp,nmkp->nm", self.loads, self.loads))
+
+    @cached_property
+    def _groups(self) -> _Groups:
+        A, r = self.loads, self.residuals
+        X = np.concatenate([r[..., None], self.common], axis=3)
+        if self._is_single:  # the number S = 1 + AAᵀ is enough
+            scaled = X / self._variance[..., None, None]
+            return _Groups(np.swapaxes(X, 2, 3) * scaled, np.log(self._variance), np.swapaxes(A, 2, 3) * scaled)
+        At = np.swapaxes(A, 2, 3)
+        B = self._sum(At @ X)
+        mean = np.linalg.solve(self._precision, B)
+        quadratic = self._sum(np.swapaxes(X, 2, 3) @ X) - np.swapaxes(B, 2, 3) @ mean
+        return _Groups(quadratic, np.linalg.slogdet(self._precision)[1], mean)
+
+    @cached_property
+    def _precision(self) -> FloatArray:
+        """M of each group's rows up to each row, shape (n, m, P, P)."""
+        return np.asarray(np.eye(self.loads.shape[3]) + self._sum(np.swapaxes(self.loads, 2, 3) @ self.loads))
+
+    @cached_property
+    def _covariance(self) -> FloatArray:
+        """M⁻¹, shape (n, m, P, P)."""
+        if not self._is_single:
+            return np.asarray(np.linalg.inv(self._precision))
+        A = self.loads
+        return np.asarray(np.eye(A.shape[3]) - np.swapaxes(A, 2, 3) * (A / self._variance[..., None, None]))
+
+    def _sum(self, x: FloatArray) -> FloatArray:
+        """Return the sums over the rows of the same group up to each row, (n, m, …)."""
+        total = x
+        for i in np.flatnonzero(self._before >= 0):
+            total = x.copy() if total is x else total
+            total[:, i] += total[:, self._before[i]]
+        return total
+
+    def _grown(self, total: FloatArray) -> FloatArray:
+        """Return how much each row adds to what is summed over the rows of its group."""
+        later = np.flatnonzero(self._before >= 0)
+        if not len(later):
+            return total
+        found = total.copy()
+        found[:, later] -= total[:, self._before[later]]
+        return found
+
+    def _integrate_common(self, so_far: FloatArray, with_log_det: bool = True) -> FloatArray:
+        """Return the quadratic form of r and log det without w, of the sums (n, m, 1 + C, 1 + C) over the rows."""
+        N = np.eye(self.common.shape[-1]) + so_far[..., 1:, 1:]
+        right = so_far[..., 1:, :1]
+        found = so_far[..., 0, 0] - (so_far[..., :1, 1:] @ np.linalg.solve(N, right))[..., 0, 0]
+        return np.asarray(found + np.linalg.slogdet(N)[1] if with_log_det else found)
+
+
+def _half_root(gram: FloatArray) -> FloatArray:
+    """Return V h(Λ) Vᵀ of VΛVᵀ, (…, P, P), with h(λ) = (1 − 1/√(1 + λ))/λ = 1/(s (1 + s)), s = √(1 + λ)."""
+    values, V = np.linalg.eigh(np.where(np.isfinite(gram), gram, 0.0))  # LAPACK fails at NaN
+    s = np.sqrt(1.0 + np.maximum(values, 0.0))
+    return np.asarray((V / (s * (1.0 + s))[..., None, :]) @ np.swapaxes(V, -1, -2))
