@@ -82,6 +82,7 @@ from .samplers.slice import Slice as Slice
 from .samplers.tempering.tempering import Tempering as Tempering
 from .sampling import StoppedRun as StoppedRun
 from .sampling import sample as sample
+from .sampling.models import compare_models as compare_models
 from .surrogates.delayed_acceptance import delayed_acceptance as delayed_acceptance
 from .surrogates.learning import surrogate as surrogate
 

@@ -1,0 +1,71 @@
+"""Comparison of models of the same data, sampled where that has not been done yet."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated
+
+from fmu.analysis.models.comparison import ModelComparison, compare_traces
+from fmu.arguments import ArgumentError, OwnRule, Seed, check_arguments
+from fmu.posterior.problem import UpdatingProblem
+from fmu.sampling import sample
+from fmu.types import Positive
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+@check_arguments
+def compare_models(
+    models: Annotated[Mapping[str, UpdatingProblem | xr.DataTree], OwnRule()],
+    *,
+    until_ess: Positive = 400.0,
+    seed: Seed = 1,
+) -> ModelComparison:
+    """Compare models of the same data: with different parameters, priors, structures or discrepancies.
+
+    Parameters
+    ----------
+    models : mapping of str to UpdatingProblem or xarray.DataTree
+        A problem is sampled here, as by ``fmu.sample(problem, until_ess=until_ess, seed=seed)``; a trace has been.
+    until_ess : float
+        Smallest effective sample size of problems that are sampled here.
+    seed : int
+
+    Returns
+    -------
+    ModelComparison
+        Its ``table`` is a `pandas.DataFrame` with one row per model, its ``sentences`` say what the table shows:
+
+        - ``log_evidence``, ``error``: log of the evidence and its standard error (`fmu.evidence`, or by the masses
+          of the maxima), NaN if unknown; a sentence gives the reason;
+        - ``difference``: to the largest log-evidence;
+        - ``probability``: posterior probability of the model, if all models with an evidence were equally probable
+          before the test;
+        - ``n_parameters``: number of parameters, inferred standard deviations included;
+        - ``held_out``: number of modes that every model predicts from the other modes (`fmu.leave_one_out`);
+        - ``inside``: how many of them lie in their 90 % predictive intervals;
+        - ``sum_z2``: Σ z² of these modes, with z the error of the prediction in standard deviations;
+        - ``elpd``, ``elpd_se``: their log predictive density, and its standard error over the modes;
+        - ``p``: probability of a larger χ² of the residuals if the model is right (`fmu.diagnose`);
+        - ``verdict``: whether the data contradict the model;
+        - ``converged``, ``wall_s``: whether the draws have converged, and their time in seconds, warm-up included.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two models, or they are not of the same measured data, of which the same quantities
+        are compared: evidences of different data cannot be compared.
+
+    References
+    ----------
+    Kass & Raftery (1995), *J. Am. Stat. Assoc.* 90, 773–795; Vehtari, Gelman & Gabry (2017), *Stat. Comput.* 27,
+    1413–1432.
+    """
+    if not models:
+        raise ArgumentError("models", "must be two or more", 0)
+    traces = {
+        name: sample(model, until_ess=until_ess, seed=seed) if isinstance(model, UpdatingProblem) else model
+        for name, model in models.items()
+    }
+    return compare_traces(traces)
