@@ -75,3 +75,18 @@ def test_against_the_obvious_thing(load, against, n, budget):
 
     what = f"log_prob faster than scipy.linalg.eigh on 300 DOF, per theta, {'batch of 64' if n > 1 else 'single'}"
     against(what, lambda: problem.log_prob(point), obvious, budget, at_most=False)
+
+
+@pytest.mark.parametrize("n", [1, 64])
+@pytest.mark.parametrize(("gradient", "budget"), [(False, 2.5), (True, 4.0)])
+def test_embedded_scatter(load, against, gradient, budget, n):
+    """The price of a model that may be wrong: gradients for values, second derivatives for gradients."""
+    plain = load(YOUNG)
+    wrong = fmu.UpdatingProblem(
+        plain.model, plain.data, plain.parameters, error="frequency", discrepancy=fmu.Discrepancy()
+    )
+    theta = prior_draws(wrong, n)
+    point, point_of_plain = (theta, theta[:, : plain.ndim].copy()) if n > 1 else (theta[0], theta[0, : plain.ndim])
+    ours, theirs = (p.log_prob_and_grad if gradient else p.log_prob for p in (wrong, plain))
+    what = f"{'log_prob_and_grad' if gradient else 'log_prob'}, {YOUNG} with embedded scatter, batch of {n}, "
+    against(f"{what}against none", lambda: ours(point), lambda: theirs(point_of_plain), budget)

@@ -14,6 +14,7 @@ from fmu.fem.pairing.sensitivities import Sensitivities, Steps
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.discrepancy.curvature import by_parameters
 from fmu.posterior.discrepancy.embedded import Discrepancy
+from fmu.posterior.discrepancy.frequencies import ScatteredFrequencies
 from fmu.posterior.discrepancy.latent import LatentErrors
 from fmu.posterior.errors.base import Chain, ErrorModel, ErrorTerm
 from fmu.posterior.errors.frequency import FrequencyTerm
@@ -91,10 +92,11 @@ class DiscrepantLikelihood(ModalLikelihood):
         self.scatters = tuple(one.bind(layout.structural, numbering(noise)) for one in discrepancies)
         self.noise = tuple(noise)
         self.error, self.beta, self._fast, self.terms_name = None, None, None, "modes"
-        self.n_tests = len(layout.tests)
+        self.n_tests, self._bounds = len(layout.tests), np.array(layout.box())
         labels = [label for test in layout.tests for label in test.data.labels]
         self.group = np.array([labels.index(label) for label in labels])
-        self._bounds = np.array(layout.box())
+        only = self.terms_of[0] if len(self.terms_of) == 1 and self.n_tests == 1 else None
+        self._alone = ScatteredFrequencies(only, self.scatters) if isinstance(only, FrequencyTerm) else None
         scattered = [(one.fixed > 0.0) | (one.number >= 0) for one in self.scatters]
         self.scattered = np.flatnonzero(np.any(scattered, axis=0))
 
@@ -110,6 +112,14 @@ class DiscrepantLikelihood(ModalLikelihood):
             return self.model.observed(structural, True)
         return without_shapes(*self.model.frequencies_and_gradient(structural))
 
+    def terms(self, theta: FloatArray) -> FloatArray:
+        """Return the terms, (n, n_terms), at theta (n, ndim); see `ModalLikelihood`."""
+        if self._alone is None or self.model.is_uncertain:
+            return super().terms(theta)
+        values = self._values(theta)[:, 0]
+        terms = self._alone.terms(*self.model.frequencies_and_gradient(values), values, self._noise(theta))
+        return self._with_quantities(self.of_used(terms), theta)
+
     def terms_of_observed(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
         """Return the `terms` at theta (n, ndim), given the prediction of the modes there."""
         parts = self._parts(seen, theta, gradient=False)[1]
@@ -124,7 +134,11 @@ class DiscrepantLikelihood(ModalLikelihood):
         Row i has the derivatives through the prediction of mode i in its test. They are those of term i unless the
         mode was measured in several tests.
         """
-        return self._terms_and_slopes(*self._observed_with_curvature(theta), theta, None)
+        seen, exact = self._observed_with_curvature(theta)
+        if self._alone is None or exact is None:
+            return self._terms_and_slopes(seen, exact, theta, None)
+        terms, slopes = self._alone.terms_and_slopes(exact, self._values(theta)[:, 0], self._noise(theta))
+        return self._with_quantities_and_slopes(self.of_used(terms), self.of_used(slopes, 1), theta)
 
     def quadratic(
         self, theta: FloatArray, chain: Chain | None = None

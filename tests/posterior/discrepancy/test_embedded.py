@@ -68,6 +68,22 @@ def test_gradient_against_differences(scatter, errors):
 
 
 @pytest.mark.parametrize("lower", [0.2, -1.0])
+@pytest.mark.parametrize("errors", ["absolute", "relative, weighted", "eigenvalue", "inferred"])
+@pytest.mark.parametrize("scatter", SCATTERS)
+def test_frequencies_alone_have_the_density_of_residuals_in_general(scatter, errors, lower):
+    """The variances of single numbers against matrices that any number of quantities could share."""
+    problem = problem_of(scatter, errors, lower).using(["1", "3"])
+    theta, likelihood = points(problem), problem.likelihood
+    expected = likelihood.terms_of_observed(likelihood.observed(theta), theta)
+    assert_allclose(likelihood.terms(theta), expected, rtol=1e-12)
+    terms, slopes = likelihood.terms_and_gradient(theta)
+    assert_allclose(terms, expected, rtol=1e-12)
+    value, gradient, _ = likelihood.quadratic(theta)
+    assert_allclose(value, expected.sum(axis=1), rtol=1e-12)
+    assert_allclose(slopes.sum(axis=1), gradient, rtol=0, atol=1e-10 * np.abs(gradient).max())
+
+
+@pytest.mark.parametrize("lower", [0.2, -1.0])
 def test_the_density_is_gaussian_with_the_sum_of_the_variances(lower):
     """Relative scatter if a parameter is never 0, else in units of its start."""
     problem = problem_of("by group", lower=lower)
