@@ -108,7 +108,7 @@ def dense(problem, theta, whitened=True):
     sd = [np.sqrt(np.atleast_2d(term.spread.variance(noise)[0])).T / 0.01 for term in likelihood.terms_of]
     m = len(MEASURED)
     blocks, slopes = [], []
-    T = likelihood.scale_of_scatter(theta[None])[0, 0]
+    T = likelihood.errors.sizes(theta[None, None, :4], noise)[0, 0]
     for i in range(m):
         J = np.concatenate([part[i] for part in parts])
         unit = np.ones(len(J)) if whitened else np.concatenate([one[i] for one in sd])
