@@ -225,8 +225,6 @@ class ProblemFile(TomlTable):
         """Return the joint problem of several tests."""
         from fmu.posterior.joint.joint_problem import JointProblem
 
-        if self.discrepancy:
-            raise ValueError("discrepancy: is for one measurement (got several tests)")
         if beta is not None:
             raise ValueError(f"beta: must not be given for several tests (got {beta})")
         errors = with_places(errors, structure.places)
@@ -245,6 +243,7 @@ class ProblemFile(TomlTable):
                 correlation=self.correlation,
                 pairing=pairing or self.pairing,
                 error=errors or cast("str", self.error),
+                discrepancy=[table.build() for table in self.discrepancy],
                 reduction=self.reduction,
                 engine=engine,
                 name=f"{self.name}, by {pairing or self.pairing}",

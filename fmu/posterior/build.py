@@ -151,10 +151,9 @@ def likelihood_of(
     if isinstance(error, str) and error not in ERRORS:
         raise ArgumentError("error", f"must be one of {ERRORS}, or error models", repr(error))
     discrepancies = (discrepancy,) if isinstance(discrepancy, Discrepancy) else tuple(discrepancy)
-    if discrepancies and (error == "modal-residual" or paired.is_soft or paired.n_tests > 1):
-        kind = "the modal residual" if error == "modal-residual" else "soft pairing"
-        got = "several tests" if paired.n_tests > 1 else kind
-        raise ArgumentError("discrepancy", "needs errors of frequencies of one test, paired one to one", got)
+    if discrepancies and (error == "modal-residual" or paired.is_soft):
+        got = "the modal residual" if error == "modal-residual" else "soft pairing"
+        raise ArgumentError("discrepancy", "needs errors of frequencies or shapes, paired one to one", got)
     if error == "modal-residual":
         if not isinstance(model, SeparableModel):
             raise ArgumentError("error", "the modal residual needs a SeparableModel", type(model).__name__)

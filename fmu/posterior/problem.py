@@ -273,7 +273,11 @@ class UpdatingProblem(Posterior):
         return found
 
     def simulate_data(
-        self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None = None
+        self,
+        rng: np.random.Generator,
+        frequencies: FloatArray,
+        theta: FloatArray | None = None,
+        same_structure: bool = False,
     ) -> FloatArray:
         """Return computed frequencies with measurement noise added, Hz, shape (n, n_modes).
 
@@ -283,13 +287,16 @@ class UpdatingProblem(Posterior):
         frequencies : ndarray, shape (n, n_modes), Hz
         theta : ndarray, shape (n, ndim), optional
             Supplies the inferred standard deviations, if there are any.
+        same_structure : bool
+            Whether a discrepancy is that of the structure that was measured, as far as the data show it, or of a
+            structure like it.
 
         Raises
         ------
         ValueError
             If the error models define no distribution of the frequencies (shapes alone, the modal residual).
         """
-        frequencies = self.likelihood.with_discrepancy(rng, frequencies, theta)
+        frequencies = self._with_discrepancy(rng, frequencies, theta, same_structure)
         return self.likelihood.simulate(rng, frequencies, self._noise(theta))
 
     def simulate_test(
@@ -307,6 +314,16 @@ class UpdatingProblem(Posterior):
         """
         if self.data.tests is None:
             raise ValueError("data: must be the mean of repeated tests to simulate one more (got no tests)")
-        frequencies = self.likelihood.with_discrepancy(rng, frequencies, theta)
+        frequencies = self._with_discrepancy(rng, frequencies, theta, True)
         frequencies = self.likelihood.simulate_discrepancy(rng, frequencies, self._noise(theta))
         return np.asarray(frequencies + self.data.tests.simulate(rng, len(frequencies)))
+
+    def _with_discrepancy(
+        self,
+        rng: np.random.Generator,
+        frequencies: FloatArray,
+        theta: FloatArray | None,
+        same_structure: bool,
+    ) -> FloatArray:
+        of_model = None if theta is None else self.layout.of_model(theta)
+        return self.likelihood.with_discrepancy(rng, frequencies, of_model, same_structure)

@@ -84,6 +84,10 @@ class GibbsSampler(Sampler):
         problem = density.density if isinstance(density, ScaledDensity) else density
         if not isinstance(problem, UpdatingProblem) or not problem.is_hierarchical:
             raise ValueError("problem: must have a population over several tests for Gibbs sampling (got none)")
+        if problem.likelihood.has_discrepancy:
+            raise ValueError(
+                "problem: must have no discrepancy for Gibbs sampling, as it couples the tests; use hmc (got one)"
+            )
         scaled = density if isinstance(density, ScaledDensity) else ScaledDensity(density)
         found = conditionals(problem)
         main, shift = (Metric.of(np.linalg.inv(one), len(one)) for one in found.curvatures)

@@ -77,7 +77,8 @@ def sample(
         ``"mh"``, ``"slice"``, ``"hmc"``, ``"emcee"``, ``"mixture"``, ``"gibbs"`` or ``"tempering"`` with default
         settings, or a settings object such as ``fmu.HamiltonianMonteCarlo(gradient="central-difference")``. The
         default is the mixture, which gave the most effective draws per evaluation on all posteriors and densities
-        compared. For a hierarchical posterior (`fmu.JointProblem`) the default is Gibbs sampling by tests.
+        compared. For a hierarchical posterior (`fmu.JointProblem`) the default is Gibbs sampling by tests, or
+        ``"hmc"`` if the model has a discrepancy.
     draws, warmup : int
         Number of steps kept, and number of warm-up steps before them. At each step kept, an ensemble gives as many
         draws as it has walkers.
@@ -184,11 +185,14 @@ def default_sampler(problem: LogDensity) -> str:
     """Return the name of the default sampler for a problem.
 
     For a hierarchical posterior the name is ``"gibbs"``: such a posterior has parameters for every test, too
-    many for fitting a mixture.
+    many for fitting a mixture. With a discrepancy, which couples the tests, it is ``"hmc"``.
     """
     from fmu.analysis.maxima.search import is_searchable
+    from fmu.posterior.problem import UpdatingProblem
 
-    return DEFAULT_SAMPLER if is_searchable(problem) else "gibbs"
+    if is_searchable(problem):
+        return DEFAULT_SAMPLER
+    return "hmc" if isinstance(problem, UpdatingProblem) and problem.likelihood.has_discrepancy else "gibbs"
 
 
 DEFAULTS: Mapping[str, Any] = {

@@ -345,7 +345,8 @@ def _predict_mode(problem: UpdatingProblem, k: int, draws: _Draws) -> HeldOut:
     term = likelihood.frequency_term
     means, deviations = (x[:, k] for x in term.given_others(draws.hz, noise))
     if likelihood.has_discrepancy:
-        deviations = np.sqrt(deviations**2 + likelihood.variance(draws.theta)[:, k])
+        shift, variance = likelihood.error_given_others(problem.layout.of_model(draws.theta), k)
+        means, deviations = means + shift, np.sqrt(deviations**2 + variance)
     w = np.exp(draws.log_weight)
     mean = float(w @ means)
     sd = float(np.sqrt(w @ (deviations**2 + (means - mean) ** 2)))

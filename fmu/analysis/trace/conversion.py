@@ -25,6 +25,7 @@ from fmu.analysis.trace.reading import check_trace
 from fmu.arguments import check_arguments
 from fmu.durable_files import write_durably
 from fmu.interruption import shielded
+from fmu.posterior.discrepancy.likelihood import DiscrepantLikelihood
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers.mixture.kernel import CANDIDATE, LOG_WEIGHT
 from fmu.samplers.registry import SAMPLERS
@@ -286,6 +287,10 @@ def _frequency_groups(
     if correlated is not None:
         others = correlated.log_prob_given_others(frequency) - correlated.log_prob_terms(frequency)
         terms[GIVEN_OTHERS] = (dims, together + likelihood.of_used(others))
+    elif isinstance(likelihood, DiscrepantLikelihood) and likelihood.couples_modes:
+        of_model = problem.layout.of_model
+        found = distinct.evaluate(lambda theta: likelihood.terms_given_others(of_model(theta)))
+        terms[GIVEN_OTHERS] = (dims, found[:, :, : together.shape[-1]])
     # a pseudo-likelihood, or an error model of shapes alone, has no measurement noise of frequencies
     if likelihood.simulates:
         noise = generator(result.seed, NOISE_STREAM)

@@ -167,15 +167,70 @@ class DiscrepantLikelihood(ModalLikelihood):
         """Return the variances of the model's own errors at theta (n, ndim), shape (n, n_modes), Hz²."""
         return np.asarray(np.sum(self._in_hz(self.observed(theta), theta) ** 2, axis=2))
 
+    @property
+    def couples_modes(self) -> bool:
+        """Whether the term of a used mode depends on other data: on the same mode in other tests."""
+        return len(set(self.group[self._used].tolist())) < len(self._used)
+
+    def terms_given_others(self, theta: FloatArray) -> FloatArray:
+        """Return the log-density of each datum given all others, (n, n_terms), at theta (n, ndim).
+
+        Leave-one-out cross-validation needs them where the data of several tests are coupled.
+        """
+        seen = self.observed(theta)
+        found = self.terms_of_observed(seen, theta)
+        total = found.sum(axis=1)
+        for i in range(len(self._used) if self.couples_modes else 0):
+            others = self.using(np.delete(self._used, i))
+            found[:, i] = total - others.terms_of_observed(seen, theta).sum(axis=1)
+        return found
+
+    def error_given_others(self, theta: FloatArray, mode: int) -> tuple[FloatArray, FloatArray]:
+        """Return the model's own error of a frequency given the data of the used modes other than `mode`.
+
+        Returns
+        -------
+        mean, variance : ndarray, shape (n,), Hz and Hz²
+            Mean of the frequency with the error less the computed one, at theta (n, ndim), and its variance.
+        """
+        seen = self.observed(theta)
+        z, root = self._errors_given_data(seen, theta, np.setdiff1d(self._used, mode))
+        loads = self._in_hz(seen, theta)[:, mode]
+        spread = np.einsum("np,npq->nq", loads, root[:, mode])
+        return -np.einsum("np,np->n", loads, z[:, mode]), np.einsum("nq,nq->n", spread, spread)
+
+    def _errors_given_data(
+        self, seen: ModalPrediction, theta: FloatArray, used: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the mean of z of every mode given the data, (n, m, P), and a root of its covariance."""
+        n, m, P = self._in_hz(seen, theta).shape
+        z, cov = np.zeros((n, m, P)), np.tile(np.eye(P), (n, m, 1, 1))
+        if len(used):
+            of = self.using(used)
+            latent = of._latent(of._linearise(seen, theta), theta)
+            mean, of_z = latent.given_residuals()[0], latent.given_residuals()[2]
+            for i in np.unique(latent.last):
+                rows = self.group == latent.group[i]
+                z[:, rows], cov[:, rows] = mean[:, [i]], of_z[:, [i]]
+        return z, np.linalg.cholesky(cov)
+
     def with_discrepancy(
-        self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None
+        self,
+        rng: np.random.Generator,
+        frequencies: FloatArray,
+        theta: FloatArray | None,
+        given_data: bool = False,
     ) -> FloatArray:
         """Return computed frequencies with the model's own errors added; see `Likelihood`."""
         if theta is None:
             raise ValueError("theta: must be given where the model has a discrepancy (got None)")
-        loads = self._in_hz(self.observed(theta), theta)
+        seen = self.observed(theta)
+        loads = self._in_hz(seen, theta)
         z = rng.standard_normal((len(theta), len(self.group), loads.shape[2]))[:, self.group]
-        return np.asarray(frequencies + np.sum(loads * z, axis=2))
+        if given_data:
+            mean, root = self._errors_given_data(seen, theta, self._used)
+            z = mean + np.einsum("nmpq,nmq->nmp", root, z)
+        return np.asarray(frequencies - np.sum(loads * z, axis=2))
 
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of names and settings in plain Python types."""

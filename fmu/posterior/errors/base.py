@@ -357,9 +357,9 @@ class Likelihood:
         return frequencies
 
     def with_discrepancy(
-        self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None
+        self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies (n, n_modes), Hz, with the errors of the model at theta added, if it has any."""
+        """Return frequencies with the model's errors at theta added, if it has any: anew, or given the data."""
         return frequencies
 
     def why_not_finite(self, theta: FloatArray) -> str | None:

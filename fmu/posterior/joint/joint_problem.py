@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from fmu.arguments import OwnRule, check_arguments
 from fmu.engines.base import Engine
 from fmu.fem.pairing.modal_model import Model
 from fmu.posterior.build import check_names
+from fmu.posterior.discrepancy.embedded import Discrepancy
 from fmu.posterior.errors.base import ErrorModel
 from fmu.posterior.errors.mac import MACErrors
 from fmu.posterior.errors.shape import ShapeErrors
@@ -44,6 +45,7 @@ def JointProblem(  # capitalised because it constructs a problem
     pairing: str = "shape",
     beta: Positive | None = None,
     error: str | ErrorModel | Sequence[ErrorModel] = "frequency",
+    discrepancy: Discrepancy | Sequence[Discrepancy] = (),
     reduction: Annotated[bool | float, OwnRule()] = True,
     engine: Engine | None = None,
     name: str = "problem",
@@ -81,6 +83,9 @@ def JointProblem(  # capitalised because it constructs a problem
         Shape parameter η of the LKJ(η) prior of the populations' correlation matrix
         (`fmu.posterior.joint.correlation`). 1 is a flat prior; larger values favour smaller correlations. By
         default the populations are independent.
+    discrepancy : Discrepancy or sequence of Discrepancy, optional
+        Errors of the model itself. They are the same in all tests: a mode of the structure, by its label, sees the
+        same parameters in every test, beside what varies between the tests.
     pairing, beta, error, reduction, engine, name
         See `UpdatingProblem` and `UpdatingProblem.reduced`. ``"soft"`` pairing and the modal residual are only for
         a single test. `fmu.MassErrors` and `fmu.StaticErrors` must name the test in which the mass was weighed or
@@ -117,14 +122,18 @@ def JointProblem(  # capitalised because it constructs a problem
         raise ValueError(f"tests: {what} is for a single test (got {len(tests)})")
     layout = build_layout(parameters, tests, ways, slopes, reference, correlation)
     data = stack_tests(tests)
-    common = {"beta": beta, "error": errors.of_modes}
+    common: dict[str, Any] = {"beta": beta, "error": errors.of_modes}
     options = {"pairing": pairing, "reduction": reduction, "engine": engine, **common}
     parts, tolerance = find_configurations(model, tests, layout, options)
     joint = ModelInTests(parts, [test.name for test in tests], len(parameters), data.n_modes)
-    problem = UpdatingProblem(joint, data, parameters, name=name, layout=layout, **common)
-    problem.likelihood.quantities = errors.bound(joint, layout)
+    common |= {"name": name, "layout": layout}
+    problem = plain = UpdatingProblem(joint, data, parameters, **common)
+    if discrepancy:
+        problem = UpdatingProblem(joint, data, parameters, discrepancy=discrepancy, **common)
+    problem.likelihood.quantities = plain.likelihood.quantities = errors.bound(joint, layout)
     problem.tolerance = tolerance
-    return problem.with_layout(centre_scores(problem)) if problem.is_hierarchical else problem
+    # the scores are centred by what each test says alone, and a discrepancy couples the tests
+    return problem.with_layout(centre_scores(plain)) if problem.is_hierarchical else problem
 
 
 def simulate_next_test(
@@ -200,7 +209,9 @@ def draw_next_test(
     columns = problem.model.test_of_modes == t
     every = np.tile(np.asarray(problem.data.frequencies_hz), (len(theta), 1))
     every[:, columns] = computed
-    return NextTest(scores, values, computed, problem.simulate_data(rng, every, theta)[:, columns])
+    return NextTest(
+        scores, values, computed, problem.simulate_data(rng, every, theta, same_structure=True)[:, columns]
+    )
 
 
 def find_mistakes(

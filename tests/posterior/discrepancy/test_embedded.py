@@ -257,8 +257,8 @@ class Watched(ModalModel):
     ("change", "message"),
     [
         ({"discrepancy": Discrepancy(groups=("k9",))}, "discrepancy.groups: must be of"),
-        ({"error": "modal-residual"}, "discrepancy: needs errors of frequencies of one test"),
-        ({"pairing": "soft"}, "discrepancy: needs errors of frequencies of one test"),
+        ({"error": "modal-residual"}, "discrepancy: needs errors of frequencies or shapes"),
+        ({"pairing": "soft"}, "discrepancy: needs errors of frequencies or shapes"),
         ({"error": fmu.StudentErrors("relative", sd=0.01)}, "discrepancy: needs Gaussian errors"),
         ({"error": fmu.MACErrors(sd=0.1)}, r"discrepancy: needs Gaussian errors .* \(got MAC\)"),
         ({"discrepancy": [Discrepancy(), Discrepancy()]}, "discrepancy.name: must be different"),
