@@ -451,6 +451,13 @@ IN_THE_POSTERIOR = (
         ("tests/posterior/discrepancy/test_embedded.py",),
     ),
     Fault(
+        "discrepancy: each test with an error of its own",
+        "fmu/posterior/discrepancy/likelihood.py",
+        "group = self._used if by_test else self.group[self._used]",
+        "group = self._used",
+        ("tests/posterior/discrepancy/test_several_tests.py",),
+    ),
+    Fault(
         "discrepancy: the gradients of another theta",
         "fmu/posterior/discrepancy/likelihood.py",
         "return without_shapes(*self.model.frequencies_and_gradient(structural))",

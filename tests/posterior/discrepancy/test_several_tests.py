@@ -177,3 +177,58 @@ def test_a_further_test_has_the_error_that_the_data_show():
     assert abs(problem.frequencies(theta)[0, 0] - 0.08) > 0.005
     assert_allclose(measured.mean(), 0.08, atol=1e-3)
     assert measured.std() < 1e-3
+
+
+LOSS = np.array([0.0, 0.12, 0.0])
+
+
+def damaged(discrepancy, stiffness=NAMES):
+    """Return tests before and after damage of a building whose masses are not those of the model."""
+    building = shear_building(NAMES, 2e6, [1000.0, 1450.0, 800.0])
+    rng, tests = np.random.default_rng(1), []
+    for state, loss in (("reference", 0.0 * LOSS), ("later", LOSS)):
+        for k in range(2):
+            f = frequencies_hz(building, 1.0 - loss)[0] * (1.0 + 0.002 * rng.standard_normal(3))
+            tests.append(fmu.Test(f"{state} {k}", fmu.ModalData(f, sd_hz=0.002 * f), group=state))
+    parameters = [fmu.Parameter(name, 1.0, 0.4, 1.8, prior=fmu.Normal(0.15, mean=1.0)) for name in set(stiffness)]
+    return fmu.JointProblem(
+        shear_building(stiffness, 2e6, [1000.0, 1100.0, 1000.0]),
+        tests,
+        sorted(parameters, key=lambda p: p.name),
+        varies=dict.fromkeys(stiffness, fmu.Damage()),
+        pairing="index",
+        reduction=False,
+        discrepancy=discrepancy,
+    )
+
+
+def losses_at_the_maximum(problem):
+    """Return the losses at the maximum of the posterior, and their standard deviations by its curvature."""
+    maximum = fmu.find_map(problem, starts=1)[0]
+    theta = maximum.theta[None]
+    step = 1e-4 * problem.scale * np.eye(problem.ndim)
+    slopes = [
+        problem.log_prob_and_grad(theta[0] + h)[1] - problem.log_prob_and_grad(theta[0] - h)[1] for h in step
+    ]
+    curvature = -np.array(slopes) / (2e-4 * problem.scale[:, None])
+    sd = np.sqrt(np.diag(np.linalg.inv(0.5 * (curvature + curvature.T))))
+    at = [k for k, name in enumerate(problem.names) if "loss" in name]
+    return theta[0, at], sd[at]
+
+
+def test_a_wrong_model_raises_no_false_alarm_where_the_scatter_is_known():
+    """Without it, an undamaged storey seems to have lost stiffness; with it the loss is still found."""
+    plain, sd = losses_at_the_maximum(damaged(()))
+    assert plain[2] > 3 * sd[2]
+    found, wider = losses_at_the_maximum(damaged(fmu.Discrepancy(tau=0.2)))
+    assert np.all(wider > 1.5 * sd)
+    assert np.all(np.abs(found - LOSS) < 2 * wider)
+    assert found[1] > 2 * wider[1]
+
+
+def test_a_common_loss_is_as_sure_as_without_scatter():
+    """One stiffness scales all frequencies alike, and its error is the same before and after the damage."""
+    one = ("k", "k", "k")
+    _, sd = losses_at_the_maximum(damaged((), one))
+    _, other = losses_at_the_maximum(damaged(fmu.Discrepancy(tau=0.2), one))
+    assert_allclose(other, sd, rtol=0.1)
