@@ -130,7 +130,9 @@ def problem(f: FloatArray, sd: FloatArray, discrepancy: Sequence[fmu.Discrepancy
     parameters = [fmu.Parameter(k, 1.0, 0.3, 2.0, prior=fmu.Normal(PRIOR_SD, mean=1.0)) for k in NAMES]
     data = fmu.ModalData(f, numbers=tuple(range(1, MODES + 1)), sd_hz=sd)
     errors = fmu.FrequencyErrors("absolute")
-    return fmu.UpdatingProblem(model, data, parameters, pairing="index", error=errors, discrepancy=discrepancy)
+    return fmu.UpdatingProblem.reduced(
+        model, data, parameters, pairing="index", error=errors, discrepancy=discrepancy
+    )
 
 
 def one_structure(seed: int, number: int) -> Structure:
@@ -143,7 +145,7 @@ def one_structure(seed: int, number: int) -> Structure:
         began = time.process_time()
         of = problem(f, sd, discrepancy)
         trace = fmu.sample(of, until_ess=UNTIL_ESS, seed=number + 1, progress=False)
-        verdict, table = fmu.diagnose(trace), fmu.leave_one_out(trace)
+        verdict, table = fmu.diagnose(trace), fmu.leave_one_out(trace, of)
         found.processor_s.append(time.process_time() - began)
         found.converged.append(bool(verdict.converged))
         found.fit.append(verdict.fit.answer)

@@ -104,8 +104,8 @@ Written by `python -m tests.validation.wrong_structures results`, whose first li
 {verdict}
 
 {n} structures of the {replicates} of `make validate` are updated without a discrepancy, and with embedded
-scatter, common to all regions (`fmu.Discrepancy()`). The first table has the shares of {interval:.0%} intervals that
-hold the true value of a modulus, or the measurement of a mode that is predicted by the others. With a discrepancy
+scatter, common to all regions (`fmu.Discrepancy()`). The first table has the shares of {interval:.0%} intervals
+that hold the true value of a modulus, or the measurement of a mode that the others predict. With a discrepancy
 {low:.0%} to {high:.0%} of the intervals of wrong models must hold, and intervals of the moduli of right models may
 be wider by a factor of {wider} in the median. Runs that did not converge are counted.
 
