@@ -29,7 +29,7 @@ def scatter_sentences(trace: xr.DataTree) -> tuple[str, ...]:
     for one in likelihood.get("discrepancy", ()):
         for number in dict.fromkeys(k for k in one["inferred"] if k >= 0):
             mine = [name for name, k in zip(names, one["inferred"], strict=False) if k == number]
-            said.append(_inferred(trace, noise[number], mine, problem["parameters"]))
+            said.append(_describe_inferred(trace, noise[number], mine, problem["parameters"]))
         for tau in dict.fromkeys(tau for tau in one["tau"] if tau > 0):
             mine = [name for name, other in zip(names, one["tau"], strict=False) if other == tau]
             size = significant(100.0 * tau, 2)
@@ -49,7 +49,7 @@ def has_remedy(trace: xr.DataTree) -> bool:
     )
 
 
-def _inferred(trace: xr.DataTree, tau: str, names: list[str], parameters: Any) -> str:
+def _describe_inferred(trace: xr.DataTree, tau: str, names: list[str], parameters: Any) -> str:
     draws = 100.0 * trace["posterior"][tau].to_numpy().ravel()
     low, middle, high = np.quantile(draws, [0.05, 0.5, 0.95])
     prior = next(p["prior"] for p in parameters if p["name"] == tau)

@@ -187,12 +187,12 @@ def _explained_by_others(
         best = int(np.argmax(effects.sizes.max(axis=1)))
         if effects.p[best].min() >= limit:
             break
-        z = _without(z, left.pop(best))
+        z = _regress_out(z, left.pop(best))
     return left
 
 
-def _without(scores: FloatArray, k: int) -> FloatArray:
-    """Return the scores with those of parameter `k` regressed out of all others."""
+def _regress_out(scores: FloatArray, k: int) -> FloatArray:
+    """Return the scores after the regression of all others on the scores of parameter `k`."""
     z = scores - np.nanmean(scores, axis=0)
     by = np.nan_to_num(z[:, k])
     slopes = np.nansum(z * by[:, None], axis=0) / np.sum(by**2)

@@ -71,6 +71,10 @@ class Prior(ABC):
     def quantile(self, p: FloatArray, lower: float, upper: float) -> FloatArray:
         """Return the quantiles `p` of the distribution truncated to the bounds."""
 
+    def median_within(self, lower: float, upper: float) -> float:
+        """Return the median of the distribution truncated to the bounds."""
+        return float(self.quantile(np.array([0.5]), lower, upper)[0])
+
     @abstractmethod
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of the name and settings of the prior."""

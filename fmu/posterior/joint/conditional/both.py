@@ -126,7 +126,7 @@ def _compute(problem: UpdatingProblem) -> Conditionals:
             lambda w: shift.log_prob_and_grad(w, typical)[1], shift.coordinates(typical), shift.lower, shift.upper
         ),
     )
-    is_enough = main.others == 0 and scores.informed(theta) > _INFORMED
+    is_enough = main.others == 0 and scores.least_information(theta) > _INFORMED
     return Conditionals(scores, main, shift, curvatures, is_enough, theta)
 
 

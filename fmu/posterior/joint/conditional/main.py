@@ -57,10 +57,7 @@ class MainGivenValues:
         self.lower, self.upper = scaled.lower[self.columns], scaled.upper[self.columns]
         place = {int(column): k for k, column in enumerate(self.columns)}
         self._pairs = [(place[one.drawn.centre], place[one.drawn.width]) for one in self.scores.every]
-        is_log = [one.drawn.population.of_logarithm for one in self.scores.every]
-        self._positive = [
-            k for pair, log in zip(self._pairs, is_log, strict=True) for k in pair[0 if log else 1 :]
-        ]
+        self._positive = [k for j, pair in enumerate(self._pairs) for k in pair[0 if self._is_log(j) else 1 :]]
         for pair in self._pairs:
             self.lower[list(pair)], self.upper[list(pair)] = -np.inf, np.inf
 

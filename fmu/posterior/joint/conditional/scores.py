@@ -195,7 +195,7 @@ class ScoresGivenMain:
             curve = Curve(self.bend, z, np.where(scored, slopes / self.bend.slopes, 1.0))
         return Normal(mean, np.linalg.cholesky(precision), scored, curve)
 
-    def informed(self, theta: FloatArray) -> float:
+    def least_information(self, theta: FloatArray) -> float:
         """Return how much the tests say about their own values beside the population, between 0 and 1.
 
         For each population the share of a score's variance that the data of the test remove is averaged over the

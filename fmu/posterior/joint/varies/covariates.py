@@ -72,7 +72,7 @@ class Covariate:
 
 def middle_of(given: float | Prior) -> float:
     """Return a known value as it is, and the median of a value with a distribution."""
-    return float(given.quantile(np.array([0.5]), *given.support)[0]) if isinstance(given, Prior) else float(given)
+    return given.median_within(*given.support) if isinstance(given, Prior) else float(given)
 
 
 def known_values(name: str, tests: Sequence[Test]) -> FloatArray:

@@ -62,7 +62,7 @@ class Damage(Varies):
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> Lost:
         """Add the undamaged value and one loss per other group to theta; return the values in the tests."""
         groups = [test.group for test in theta.tests]
-        undamaged = undamaged_in_tests(self.scatter, p, of, theta, here)
+        undamaged = undamaged_in_tests(self.scatter, p, of, theta, here, "group", theta.reference)
         states = dict.fromkeys(group for group in groups if group != theta.reference)
         numbers = {
             state: theta.add(loss_parameter(f"{p.name} loss [{state}]", self.prior), "loss", of, state)
@@ -87,12 +87,21 @@ def loss_parameter(name: str, prior: Prior | None) -> Parameter:
 
 
 def undamaged_in_tests(
-    scatter: Population | None, p: Parameter, of: int, theta: Theta, here: Sequence[int]
+    scatter: Population | None,
+    p: Parameter,
+    of: int,
+    theta: Theta,
+    here: Sequence[int],
+    kind: str,
+    where: str = "",
 ) -> InTests:
-    """Add the undamaged value, or its population, to theta; return the undamaged values in the tests."""
+    """Add the undamaged value, or its population, to theta; return the undamaged values in the tests.
+
+    A value that is equal in all tests has the role of this `kind`, `where` it holds.
+    """
     if scatter is not None:
         return scatter.in_tests(p, of, theta, here)
-    return Taken(np.full(len(theta.tests), theta.add(p, "group", of, theta.reference)))
+    return Taken(np.full(len(theta.tests), theta.add(p, kind, of, where)))
 
 
 @dataclass(frozen=True)

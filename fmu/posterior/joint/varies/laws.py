@@ -186,8 +186,10 @@ class PiecewiseLinear(Law):
         if not isinstance(self.kinks, Prior):
             return PiecewiseEffect(tuple(columns), tuple(self.kinks))
         low, high = float(covariate.values.min()), float(covariate.values.max())
-        middle = float(self.kinks.quantile(np.array([0.5]), low, high)[0])
-        columns.append(add(Parameter(f"{of} kink in {covariate.name}", middle, low, high, self.kinks), "kink"))
+        kink = Parameter(
+            f"{of} kink in {covariate.name}", self.kinks.median_within(low, high), low, high, self.kinks
+        )
+        columns.append(add(kink, "kink"))
         return PiecewiseEffect(tuple(columns), None)
 
     def as_dict(self) -> dict[str, Plain]:

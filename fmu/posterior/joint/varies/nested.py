@@ -57,8 +57,8 @@ class Nested(Multiplied):
         The parameter with the index `number` and the `name` is not known in the tests `here`, and has the values
         `of` without effects.
         """
-        median = float(between.quantile(np.array([0.5]), *between.support)[0])
-        s = Parameter(f"{name} sd between groups", median, max(0.0, between.support[0]), prior=between)
+        median, least = between.median_within(*between.support), max(0.0, between.support[0])
+        s = Parameter(f"{name} sd between groups", median, least, prior=between)
         width = theta.add(s, "sd", number)
         numbers = {
             group: theta.add(

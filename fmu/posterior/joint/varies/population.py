@@ -125,7 +125,7 @@ class Population(Varies):
         if self.sd is None and size == 0.0:
             raise ValueError(f"{of.name}: a population about zero needs a prior of its sd (got none)")
         prior = HalfNormal(size) if self.sd is None else self.sd
-        median = float(prior.quantile(np.array([0.5]), *prior.support)[0])
+        median = prior.median_within(*prior.support)
         centre, width = ("median", "log sd") if self.of_logarithm else ("mean", "sd")
         mean = Parameter(f"{of.name} {centre}", of.start, of.lower, of.upper, of.prior, of.unit)
         unit = "" if self.of_logarithm else of.unit

@@ -10,10 +10,10 @@ import numpy as np
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.numbers import significant
 from fmu.posterior.joint.modal_test import Test
-from fmu.posterior.joint.varies.base import Factor, Future, InTests, Multiplied, Slope, Theta, Varies
-from fmu.posterior.joint.varies.damage import loss_parameter
+from fmu.posterior.joint.varies.base import Factor, Future, Multiplied, Slope, Theta, Varies
+from fmu.posterior.joint.varies.damage import loss_parameter, undamaged_in_tests
 from fmu.posterior.joint.varies.population import Population
-from fmu.posterior.joint.varies.taken import SHARED, Taken
+from fmu.posterior.joint.varies.taken import SHARED
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Prior, Uniform
 from fmu.types import FloatArray, Plain
@@ -119,18 +119,15 @@ class UndatedDamage(Varies):
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> LostFrom:
         """Add the undamaged value, the loss and the date to theta; return the values in the tests."""
-        if self.scatter is None:
-            undamaged: InTests = Taken(np.full(len(theta.tests), theta.add(p, SHARED, of)))
-        else:
-            undamaged = self.scatter.in_tests(p, of, theta, here)
+        undamaged = undamaged_in_tests(self.scatter, p, of, theta, here, SHARED)
         loss = theta.add(loss_parameter(f"{p.name} loss", self.prior), "loss", of, self.event)
         times = self.times(theta.tests)
         first, last = self._range(np.unique(times))
         prior = Uniform() if self.date is None else self.date
-        middle = float(prior.quantile(np.array([0.5]), first, last)[0])
-        name = f"{self.by or 'test'} of {self.event}"
-        date = theta.add_common(Parameter(name, middle, first, last, prior), "date", self.event)
-        return LostFrom(undamaged, loss, date, times, self.grows, self.by)
+        date = Parameter(
+            f"{self.by or 'test'} of {self.event}", prior.median_within(first, last), first, last, prior
+        )
+        return LostFrom(undamaged, loss, theta.add_common(date, "date", self.event), times, self.grows, self.by)
 
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of the settings, in plain Python types."""
