@@ -7,7 +7,8 @@ from pathlib import Path
 import click
 
 from fmu.cli.run import run
-from fmu.cli.tables import echo_comparison
+from fmu.cli.tables import echo_comparison, echo_models
+from fmu.config.variants import VARIANTS
 from fmu.samplers.registry import COMPARED
 
 MAX_SOLVES = 300_000
@@ -34,7 +35,8 @@ def compare(context: click.Context, case: str, out: Path | None, pairing: str | 
     Of a built-in problem or a TOML file, runs mh, slice, hmc, emcee and mixture, from one search for maxima, until
     R-hat is below 1.01 and bulk and tail ESS are at least 400 for every parameter. Each goes on until it has
     converged, which takes emcee further: a run of 50 autocorrelation times. Writes what fmu run writes, into
-    compare/CASE-PAIRING. Of the directory of a run, compares the traces that are there.
+    compare/CASE-PAIRING. Of the directory of a run, compares the traces that are there; of a directory that fmu
+    run --discrepancy all wrote, the discrepancies.
     """
     if Path(case).is_dir():
         _compare_run(Path(case))
@@ -52,6 +54,9 @@ def _compare_run(directory: Path) -> None:
     from fmu.analysis.trace.conversion import load_traces
     from fmu.runs.words import why_no_traces
 
+    if any((directory / kind).is_dir() for kind in VARIANTS):
+        echo_models(directory)
+        return
     traces = load_traces(directory)
     if not traces:
         raise click.BadParameter(f"{why_no_traces(directory)}.", param_hint="'CASE|FILE|RUN'")

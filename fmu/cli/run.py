@@ -9,17 +9,23 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 from click.core import ParameterSource
 
+from fmu import config
+from fmu.arguments import ArgumentError
 from fmu.cli.messages import STOPPED, warnings_as_notes
 from fmu.cli.output import claim_directory, make_writable
 from fmu.cli.problems import build_problem, pairing_option, problem_of
 from fmu.cli.sampled import sample_problem, tell
 from fmu.cli.surrogate import MAX_SOLVES, NO_SURROGATE, of_its_surrogate, wants_surrogate, with_surrogate
+from fmu.cli.tables import echo_models
 from fmu.config.kept import ORIGIN, KeptProblem, Orders, read_saved
+from fmu.config.mistakes import ConfigurationError
+from fmu.config.variants import VARIANTS, with_discrepancy
 from fmu.interruption import stoppable
 from fmu.progress import Report, json_lines, progress_bars
 from fmu.progress.lines import progress_lines
@@ -60,6 +66,9 @@ def _option[Command: Callable[..., object]](
               "Repeat the option for several; all: those that fmu compare runs.  [default: mixture; hmc where "
               "parameters scatter over tests]")  # fmt: skip
 @pairing_option
+@click.option("--discrepancy", "discrepancies", multiple=True, type=click.Choice((*VARIANTS, ALL)),
+              help="Error of the model itself, in place of that in the file. Repeat the option for several; all: "
+              "each in turn, in directories of their own, and a page that compares them.")  # fmt: skip
 @click.option("--draws", type=_FROM_1, help="Draws kept per chain, whether that is enough or not. Without it, "
               "every sampler draws until it has converged.")  # fmt: skip
 @click.option("--until-ess", type=click.FloatRange(min=0, min_open=True), metavar="N", help="Without --draws, "
@@ -107,11 +116,8 @@ def run(
     resume: Path | None,
     out: Path | None,
     overwrite: bool,
-    reports: bool,
-    workers: int,
-    cluster: str | None,
-    progress: str,
-    **orders: Unpack[Orders],
+    discrepancies: tuple[str, ...],
+    **options: Any,
 ) -> int:
     """Sample the posterior of CASE: a built-in problem, or a TOML file.
 
@@ -124,14 +130,65 @@ def run(
     """
     gc.set_threshold(_GARBAGE)
     atexit.register(gc.freeze)  # or Python would collect garbage once more when the process ends
+    orders = cast("Orders", {key: options.pop(key) for key in list(options) if key in Orders.__annotations__})
+    if resume is not None:
+        return _run_once(_read_resumed(context, resume, orders), resume, new=False, overwrite=False, **options)
+    asked = _read_order(context, case, pairing, orders)
+    kinds = tuple(name for name in VARIANTS if name in discrepancies or ALL in discrepancies)
+    directory = out or Path("runs") / "-".join([asked.file.stem, str(asked.pairing), *kinds[: len(kinds) == 1]])
+    if not kinds:
+        return _run_once(asked, directory, new=True, overwrite=overwrite, **options)
+    codes = []
+    for k, kind in enumerate(kinds, 1):
+        where = directory if len(kinds) == 1 else directory / kind
+        try:
+            with TemporaryDirectory() as folder:
+                changed = _with_discrepancy(asked, kind, Path(folder))
+                if len(kinds) == 1:
+                    return _run_once(changed, where, new=True, overwrite=overwrite, **options)
+                click.echo(f"Discrepancy {k} of {len(kinds)}: {VARIANTS[kind].title}", err=True)
+                codes.append(_run_once(changed, where, new=True, overwrite=overwrite, **options))
+        except (ArgumentError, ConfigurationError) as error:  # all is all that suit the problem
+            if ALL not in discrepancies:
+                raise
+            click.echo(f"Left out, as it does not suit the problem: {error}", err=True)
+            continue
+        if codes[-1] == STOPPED:
+            click.echo(f"Then fmu compare {directory} compares the discrepancies that have run.", err=True)
+            return STOPPED
+    if len(codes) > 1:
+        click.echo()
+        echo_models(directory, options["reports"])
+    return max(codes)
+
+
+def _with_discrepancy(asked: KeptProblem, kind: str, folder: Path) -> KeptProblem:
+    """Return the problem with another discrepancy, its file written to a folder; ValueError if unsuitable."""
+    file = folder / asked.file.name
+    text = with_discrepancy(asked.file.read_text(encoding="utf-8-sig"), kind)
+    file.write_text(text, encoding="utf-8")
+    config.read(file)
+    return replace(asked, file=file)
+
+
+def _run_once(
+    asked: KeptProblem,
+    directory: Path,
+    *,
+    new: bool,
+    overwrite: bool,
+    reports: bool,
+    workers: int,
+    cluster: str | None,
+    progress: str,
+) -> int:
+    """Run, or resume, in a directory; return the exit code."""
+    gc.set_threshold(_GARBAGE)
     with ExitStack() as stack:
         stack.enter_context(stoppable())
-        if resume is None:
-            asked = _read_order(context, case, pairing, orders)
-            directory = out or Path("runs") / f"{asked.file.stem}-{asked.pairing}"
+        if new:
             stack.enter_context(claim_directory(directory, overwrite))
         else:
-            asked, directory = _read_resumed(context, resume, orders), resume
             make_writable(directory)
         speaks = progress != "json"  # JSON lines on standard error are for programs
         if speaks and sys.stderr.isatty():  # the next steps print nothing for a second or more
@@ -146,7 +203,7 @@ def run(
         running = stack.enter_context(RunDirectory(directory))
         try:
             with _reporting(progress, running) as report:
-                problem = _begin_run(asked, running, at_work, new=resume is None, overwrite=overwrite)
+                problem = _begin_run(asked, running, at_work, new=new, overwrite=overwrite)
                 samplers = asked.orders["samplers"] or (default_sampler(problem),)
                 takes = wants_surrogate(problem, asked.orders.get("surrogate", False))
                 if asked.orders.get("exact") and not takes:
@@ -156,7 +213,7 @@ def run(
                     asked.save(running.folder)  # the decision does not depend on the clock when the run is resumed
                     problem = with_surrogate(problem, asked.orders, at_work, speaks)
                     asked = of_its_surrogate(asked, problem, running)
-                if resume is None and speaks:
+                if new and speaks:
                     _echo_estimate(problem, asked.orders, at_work.workers)
                 outcome = sample_problem(problem, asked, running, at_work, report, speaks)
             try:

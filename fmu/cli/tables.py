@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from fmu.config.variants import VARIANTS
+from fmu.durable_files import write_durably
 from fmu.numbers import MISSING, apart, customary_unit, fixed, round_by_sd, significant
 from fmu.tables import text_table, wrap_text
 
@@ -151,6 +154,41 @@ def echo_evidences(found: Sequence[FoundEvidence]) -> None:
         click.echo()
     for one in found:
         click.echo(wrap_text(str(one), others="  "))
+
+
+def echo_models(directory: Path, with_page: bool = True) -> None:
+    """Print and write the comparison of the runs in the directories below one directory, one of each discrepancy.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two runs with traces.
+    """
+    from fmu.analysis.convergence.comparison import compare_runs
+    from fmu.analysis.convergence.diagnosis import choose_run
+    from fmu.analysis.models.comparison import compare_traces
+    from fmu.analysis.models.scatter import interval_ratios, ratio_words, scatter_words, scatters
+    from fmu.analysis.trace.conversion import load_traces
+    from fmu.report.pages import publish_models
+
+    traces, pages = {}, {}
+    for kind, (title, *_) in VARIANTS.items():
+        found = load_traces(directory / kind) if (directory / kind).is_dir() else {}
+        if found:
+            summaries, verdicts, _ = compare_runs(found)
+            traces[title] = found[choose_run(verdicts, summaries)]
+            pages[title] = f"../{kind}/report/index.html"
+    compared = compare_traces(traces)
+    click.echo(f"Discrepancies compared\n{compared}")
+    reference = next(iter(traces))
+    words = [*ratio_words(interval_ratios(traces, reference), reference)]
+    most = max(traces, key=lambda name: len(scatters(traces[name])))
+    words = scatter_words(scatters(traces[most])) + words
+    _echo_list(f"Where the misfit lives, by the model {most}; and what a discrepancy changes", words)
+    write_durably(directory / "models.csv", compared.table.to_csv().encode())
+    click.echo(f"\nWritten to {directory / 'models.csv'}")
+    if with_page:
+        click.echo(f"Page: {publish_models(traces, compared, directory, pages)}")
 
 
 def _summary_cell(name: str, value: float, sd: float) -> str:

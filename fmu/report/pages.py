@@ -22,7 +22,7 @@ from fmu.progress.phases import Phase, phase
 from fmu.report.document import Items, Link, Omitted, Page, PageSection, Verdict
 from fmu.report.files import OutputDirectory
 from fmu.report.run import ReportedRun, runs_of
-from fmu.report.sections import comparison, of_a_sampler, origin, updating
+from fmu.report.sections import comparison, models, of_a_sampler, origin, updating
 from fmu.report.sections.structure import structure_drawing
 from fmu.report.sections.tests import damage_drawing
 from fmu.report.sections.verdicts import of_the_model, verdicts
@@ -30,6 +30,8 @@ from fmu.runs.words import why_no_traces
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from fmu.analysis.models.comparison import ModelComparison
 
 
 INDEX = "index"
@@ -218,6 +220,44 @@ def _write_pages(runs: dict[str, ReportedRun], directory: Path, under_way: Phase
         index.write_text(render(index_page(runs, files)), encoding="utf-8")
     under_way.advance()
     return index
+
+
+def publish_models(
+    traces: Mapping[str, xr.DataTree],
+    found: ModelComparison,
+    run_directory: str | os.PathLike[str],
+    others: Mapping[str, str],
+) -> Path:
+    """Write the page that compares models of the same data, and return its path.
+
+    Parameters
+    ----------
+    traces : mapping of str to xarray.DataTree
+        One trace of each model, the reference first.
+    found : ModelComparison
+    run_directory : path-like
+        The page is ``report/index.html`` in this directory.
+    others : mapping of str to str
+        Addresses of the models' own pages, relative to the page.
+    """
+    first = next(iter(traces.values()))
+    sections = (models.comparison(found), models.held_out(traces), models.misfit(traces), models.intervals(traces))
+    page = Page(
+        str(first.attrs["problem"]),
+        f"{len(traces)} models of the same data",
+        "They differ in what they say of errors of the model itself.",
+        models.verdicts(found, traces),
+        _without_omissions(sections),
+        tuple(Link(name, address) for name, address in others.items()),
+        "Written by fmu from the traces.",
+        (),
+        structure_drawing(first),
+    )
+    output = OutputDirectory(Path(run_directory) / FOLDER)
+    output.check([f"{INDEX}.html"])
+    with output.stage_files() as stage:
+        (stage / f"{INDEX}.html").write_text(render(page), encoding="utf-8")
+    return output.root / f"{INDEX}.html"
 
 
 def render(page: Page) -> str:

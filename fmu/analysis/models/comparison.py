@@ -19,7 +19,7 @@ from fmu.analysis.held_out.modes import NEITHER, kept_table
 from fmu.analysis.trace.misfit import GROUP, QUANTITIES
 from fmu.analysis.trace.reading import check_trace, has, is_pseudo, problem_of
 from fmu.arguments import ArgumentError
-from fmu.numbers import fixed, names_in_words, share, significant, with_sd
+from fmu.numbers import fixed, names_in_words, share, significant, whole, with_sd
 from fmu.tables import data_frame, text_table, wrap_text
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def compare_traces(traces: Mapping[str, xr.DataTree]) -> ModelComparison:
         check_trace(trace, f"models.{name}")
     require_same_data(traces)
     verdicts = {name: diagnose_all({name: trace})[name] for name, trace in traces.items()}
-    held_out = _common_modes(traces)
+    held_out = common_modes(traces)
     rows, doubts = [], {}
     for name, trace in traces.items():
         evidence, doubts[name] = _evidence(name, trace, verdicts[name])
@@ -159,7 +159,7 @@ def _evidence(name: str, trace: xr.DataTree, verdict: Diagnosis) -> tuple[tuple[
     return (best.log_evidence, best.error), best.doubts
 
 
-def _common_modes(traces: Mapping[str, xr.DataTree]) -> dict[str, pd.DataFrame]:
+def common_modes(traces: Mapping[str, xr.DataTree]) -> dict[str, pd.DataFrame]:
     """Return the rows of `fmu.leave_one_out` of each trace, of the modes that all models with a table predict."""
     tables = {name: kept_table(trace) for name, trace in traces.items()}
     known = {name: table for name, table in tables.items() if table is not None}
@@ -265,9 +265,10 @@ def _of_evidences(table: pd.DataFrame) -> list[str]:
 
 
 def _times(log_ratio: float) -> str:
-    """Return ``"16 times"``, or a power of ten."""
-    if log_ratio < np.log(1e4):
-        return f"{significant(float(np.exp(log_ratio)), 2)} times"
+    """Return ``"16 000 times"``, or a power of ten."""
+    if log_ratio < np.log(1e6):
+        ratio = float(f"{np.exp(log_ratio):.2g}")
+        return f"{significant(ratio, 2) if ratio < 100 else whole(ratio)} times"
     return f"about 10^{log_ratio / np.log(10.0):.0f} times"
 
 

@@ -20,6 +20,8 @@ from fmu.report.plots.frequencies import plot_left_out as plot_left_out
 from fmu.report.plots.frequencies import plot_predictive_check as plot_predictive_check
 from fmu.report.plots.information import plot_marginals as plot_marginals
 from fmu.report.plots.information import plot_sensitivity as plot_sensitivity
+from fmu.report.plots.models import plot_held_out as plot_held_out
+from fmu.report.plots.models import plot_intervals as plot_intervals
 from fmu.report.plots.modes import plot_mac as plot_mac
 from fmu.report.plots.modes import plot_mode_shapes as plot_mode_shapes
 from fmu.report.plots.parameters import plot_parameter_updates as plot_parameter_updates
