@@ -36,6 +36,10 @@ def plot_held_out(tables: Mapping[str, pd.DataFrame], figure: Figure | None = No
     tables : mapping of str to pandas.DataFrame
         Results of `fmu.leave_one_out` with the same modes, by model.
     figure : Figure, optional
+
+    Returns
+    -------
+    Axes
     """
     colours, first = colours_of(list(tables)), next(iter(tables.values()))
     series = [
@@ -59,6 +63,10 @@ def plot_intervals(traces: Mapping[str, xr.DataTree], figure: Figure | None = No
     ----------
     traces : mapping of str to xarray.DataTree
     figure : Figure, optional
+
+    Returns
+    -------
+    Axes
     """
     first = next(iter(traces.values()))
     names, colours = parameter_names(first), colours_of(list(traces))
