@@ -223,8 +223,8 @@ def with_pairing(trace: xr.DataTree, problem: UpdatingProblem) -> xr.DataTree:
     if structure_of(problem.model) is None:
         return trace
     structure: Any = problem.model
-    draws = parameter_draws(trace)[..., : problem.n_structural]
-    theta = draws.reshape(-1, draws.shape[-1])
+    draws = parameter_draws(trace)
+    theta = problem.model_parameters(draws.reshape(-1, draws.shape[-1]))
     highest = int(np.argmax(array_of(trace, "sample_stats", "lp")))
     constant = any(of.pairing.is_constant and of.within(theta).all() for of in reduced_structures(structure))
     picked = np.unique(np.linspace(0, len(theta) - 1, min(len(theta), MOST_DRAWS)).astype(int))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -186,6 +187,9 @@ SETTINGS = {
 class ParameterTable(Uncertain, Target):
     """A parameter; of a frame, with the quantities that it updates."""
 
+    updated: bool = True
+    """false keeps the value start. Such a parameter may scatter over the modes by [[discrepancy]]; its bounds and
+    prior only tell where a reduced model must be accurate."""
     varies: Literal["shared", "test", "group", "population", "damage", "undated-damage"] | None = None
     """With [[tests]]: one value for all, one per test or group, values that scatter, losses of later groups, or a
     loss from an unknown date on."""
@@ -225,6 +229,10 @@ class ParameterTable(Uncertain, Target):
     def laws(self) -> dict[str, Prior | Law | str]:
         """Return a dict from each covariate to the law by which the parameter depends on it."""
         return {name: how if isinstance(how, str) else how.build() for name, how in self.slopes.items()}
+
+    def build(self) -> Parameter:
+        """Return the parameter that the table describes; see `Uncertain.build`."""
+        return replace(super().build(), updated=self.updated)
 
     def is_positive(self) -> bool:
         """Return True if the bounds or the prior keep the parameter positive."""
@@ -274,7 +282,7 @@ def of_several_tests(tables: Sequence[ParameterTable]) -> list[ArgumentError]:
         ArgumentError(f"parameters.{i}.{key}", "is allowed with several [[tests]] only")
         for i, table in enumerate(tables)
         for key in ParameterTable.__annotations__  # without the keys of the base classes, allowed for one test too
-        if key in table.model_fields_set
+        if key in table.model_fields_set and key != "updated"
     ]
 
 

@@ -13,7 +13,7 @@ from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.modal_model import ModalModel, Model, as_modal_model
 from fmu.fem.pairing.paired_black_box import PairedBlackBox
-from fmu.fem.pairing.paired_structure import SOFT, PairedStructure
+from fmu.fem.pairing.paired_structure import SOFT, PairedStructure, structure_of
 from fmu.fem.pairing.rules import SOFTNESS
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.discrepancy.embedded import Discrepancy
@@ -36,6 +36,15 @@ def check_names(parameters: Sequence[Parameter]) -> None:
     if len(set(names)) < len(names):
         twice = sorted({name for name in names if names.count(name) > 1})
         raise ArgumentError("parameters", "names must be distinct", f"twice: {twice}")
+
+
+def check_held(layout: Layout, model: ModalModel) -> None:
+    """Raise ValueError if no parameter is updated, or a model without matrices has one that is not updated."""
+    if layout.held and not layout.parameters:
+        raise ArgumentError("parameters", "one at least must be updated", "none")
+    if layout.held and any(structure_of(part) is None for part in model.parts):
+        rule = f"must be true for every parameter of a model without matrices ({model.name})"
+        raise ArgumentError(f"{next(iter(layout.held))}.updated", rule, False)
 
 
 def paired_model(

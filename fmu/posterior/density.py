@@ -227,7 +227,9 @@ class Posterior:
     def configuration(self) -> dict[str, Plain]:
         """Return a dict of the settings and data that define the posterior, in plain Python types."""
         other = {} if self.tolerance in (None, Tolerance()) else {"reduction": self.tolerance.frequency}
-        of_tests = {} if self.layout.is_identity else self.layout.configuration()
+        of_tests = {} if len(self.tests) == 1 else self.layout.configuration()
+        if self.layout.held:
+            of_tests = {"not_updated": dict(self.layout.held), **of_tests}
         return other | {
             "name": self.name,
             "model": self.model.configuration(),

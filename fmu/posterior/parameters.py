@@ -39,6 +39,10 @@ class Parameter:
         SI unit, for labels, in printable characters; empty for a dimensionless factor.
     group : str
         Name of a group whose parameters may share one α in eq. (6); see `share_alpha`.
+    updated : bool
+        False for a parameter that keeps the value `start` and is not inferred. It may scatter over the modes
+        (`fmu.Discrepancy`), if it is wrong and the data cannot say by how much. Its bounds and prior only tell
+        where a reduced model must be accurate.
 
     Raises
     ------
@@ -53,6 +57,7 @@ class Parameter:
     prior: Prior = field(default_factory=Uniform)
     unit: str = ""
     group: str = ""
+    updated: bool = True
 
     def __post_init__(self) -> None:
         require_name(self.name)

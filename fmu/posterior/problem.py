@@ -16,7 +16,7 @@ from fmu.arguments import OwnRule, check_arguments
 from fmu.engines.base import Engine
 from fmu.fem.pairing.modal_model import Model
 from fmu.fem.pairing.rules import SOFTNESS
-from fmu.posterior.build import check_names, likelihood_of, paired_model
+from fmu.posterior.build import check_held, check_names, likelihood_of, paired_model
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.density import Posterior
 from fmu.posterior.discrepancy.embedded import Discrepancy
@@ -44,7 +44,8 @@ class UpdatingProblem(Posterior):
         several tests (`fmu.JointProblem`) it maps the parameters in all tests to the modes measured in all tests.
     data : ModalData
     parameters : sequence of Parameter
-        Parameters of the model, in the order of theta. The standard deviations that `error` infers follow them.
+        Parameters of the model, in the order of theta, which has those that are updated. The standard deviations
+        that `error` infers follow them.
     pairing : {"shape", "index", "soft"}
         How the modes of a SeparableModel are paired with the measured modes (`fmu.fem.pairing.rules`): by MAC with
         the measured shapes or, without them, with the modes of the model before updating; or by number in the
@@ -133,6 +134,7 @@ class UpdatingProblem(Posterior):
         self.n_structural = len(self.layout.parameters)
         self.tolerance: Tolerance | None = None
         self.model = paired_model(model, data, parameters, pairing, softness)
+        check_held(self.layout, self.model)
         self.likelihood = likelihood_of(error, beta, model, self.model, data, parameters, discrepancy, self.layout)
         self.parameters = (*self.layout.parameters, *self.likelihood.noise)
         check_names(self.parameters)
@@ -196,7 +198,13 @@ class UpdatingProblem(Posterior):
         if tolerance is None:
             return problem
         problem.tolerance = tolerance
-        model, tolerance = reduced_model(problem, tolerance, engine)
+        if problem.layout.held:  # a scatter needs slopes by these parameters too: they are updated in training
+            given = dict(zip(("model", "data", "parameters"), args, strict=False)) | options
+            given["parameters"] = [replace(p, updated=True) for p in given["parameters"]]
+            every = cls.reduced(**given | {"discrepancy": ()}, reduction=reduction, engine=engine)
+            model, tolerance = every.model, every.tolerance
+        else:
+            model, tolerance = reduced_model(problem, tolerance, engine)
         reduced = problem.with_model(model)
         reduced.tolerance = tolerance
         if model.sizes:

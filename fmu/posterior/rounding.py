@@ -101,7 +101,7 @@ def rounding(problem: Posterior) -> Rounding | None:
     model, likelihood = structure_of(problem.model), problem.likelihood
     if model is None or not likelihood.of_modes:
         return None
-    theta = problem.start[: model.n_parameters]
+    theta = problem.model_parameters(problem.start[None])[0]
     if model not in _SOLVED or not np.array_equal(_SOLVED[model][0], theta):
         shapes = model.shapes(theta)
         modes = model.modes(theta[None])
@@ -160,7 +160,8 @@ def require_digits(problem: Posterior) -> None:
 
 def _without_density(problem: Posterior) -> str:
     """Return the message that explains why the log-probability at the start is not finite."""
-    why = problem.likelihood.why_not_finite(problem.start) or "the modes at the start cannot be computed"
+    point = problem.layout.of_model(problem.start[None])[0]
+    why = problem.likelihood.why_not_finite(point) or "the modes at the start cannot be computed"
     return f"start: must have a finite log-probability (got -inf: {why}); correct the model, or the start"
 
 
@@ -208,7 +209,7 @@ def _negative(problem: Posterior, model: PairedStructure, theta: FloatArray, mot
     worst, sizes = terms[k], np.abs(weights[k]) * np.abs(motion) * (abs(terms[k].matrix) @ np.abs(motion))
     if energy[k] >= -_LOST_EXACTLY * sizes.sum():
         return _lost(model, theta, int(np.argmax(sizes)))
-    names = [p.name for p, power in zip(problem.parameters, worst.powers, strict=False) if power]
+    names = [p.name for p, power in zip(problem.layout.structural, worst.powers, strict=False) if power]
     of = f"the term of {' and '.join(names)}" if names else "the term that no parameter changes"
     node, direction = model.structure.dofs[int(np.argmax(np.abs(motion)))]
     return (

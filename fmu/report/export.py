@@ -158,10 +158,11 @@ def export(
         left = () if found is None else found.not_informed
         _values(trace, theta, found).to_csv(stage / VALUES)
         built = described.model.build(source.folder, described.parameters)
-        source_of = in_the_file([table.name for table in described.parameters], names)
-        values = dict(zip(names, theta.tolist(), strict=True))
+        source_of = in_the_file([table.name for table in described.parameters if table.updated], names)
+        values = dict(zip(names, theta.tolist(), strict=True)) | problem.layout.held
         if isinstance(built.model, SeparableModel):
-            structural = np.array([values[name] for name in source_of.values()])
+            of_file = [table.name for table in described.parameters]
+            structural = np.array([values[source_of.get(name, name)] for name in of_file])
             write_matrices(built.model, built.places, structural, f"At the {what}", stage)
         starts = values | {key: values[name] for key, name in source_of.items()}
         from_prior = {*left, *(key for key, name in source_of.items() if name in left)}
@@ -170,7 +171,7 @@ def export(
         text = rename(text, copy_companions(words, source.folder, stage))
         (stage / PROBLEM).write_text(text, encoding="utf-8")
         sd = dict(zip(names, parameter_draws(trace).std(axis=(0, 1), ddof=1).tolist(), strict=True))
-        sd |= {key: sd[name] for key, name in source_of.items()}
+        sd |= {key: sd[name] for key, name in source_of.items()} | dict.fromkeys(problem.layout.held, 0.0)
         unused = write_decks(
             described.decks, source.folder, starts | {f"{key} sd": x for key, x in sd.items()}, stage
         )

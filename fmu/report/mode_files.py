@@ -42,7 +42,7 @@ def write_modes(problem: UpdatingProblem, theta: FloatArray, folder: Path) -> li
     if paired is None or paired.structure.geometry is None:
         return []
     model, geometry, data = paired.structure, paired.structure.geometry, problem.data
-    structural = theta[: problem.n_structural]
+    structural = problem.model_parameters(theta[None])[0]
     shapes, hz = paired.shapes(structural), problem.frequencies(theta)
     vectors = {f"updated {label}: {hertz(f)[0]} Hz": _move_nodes(model, x)
                for label, f, x in zip(data.labels, hz, shapes.T, strict=True)}  # fmt: skip

@@ -25,13 +25,12 @@ def scatter_sentences(trace: xr.DataTree) -> tuple[str, ...]:
     problem = problem_of(trace)
     likelihood: Mapping[str, Any] = problem["likelihood"]
     noise, said = list(likelihood.get("noise", ())), []
-    names = [str(p["name"]) for p in problem["parameters"]]
     for one in likelihood.get("discrepancy", ()):
         for number in dict.fromkeys(k for k in one["inferred"] if k >= 0):
-            mine = [name for name, k in zip(names, one["inferred"], strict=False) if k == number]
+            mine = [name for name, k in zip(one["names"], one["inferred"], strict=True) if k == number]
             said.append(_describe_inferred(trace, noise[number], mine, problem["parameters"]))
         for tau in dict.fromkeys(tau for tau in one["tau"] if tau > 0):
-            mine = [name for name, other in zip(names, one["tau"], strict=False) if other == tau]
+            mine = [name for name, other in zip(one["names"], one["tau"], strict=True) if other == tau]
             size = significant(100.0 * tau, 2)
             said.append(f"{names_in_words(mine)}: a given scatter of {size} % over the modes")
     return tuple(said)

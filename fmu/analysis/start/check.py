@@ -23,8 +23,9 @@ from fmu.analysis.uninformed import doubts as doubts_of_information
 from fmu.arguments import ArgumentError, Seed, check_arguments
 from fmu.fem.pairing.correlation import LOOK_AT_SENSORS
 from fmu.fem.reduced.reduced_structure import largest_tolerance_elsewhere
-from fmu.numbers import fixed, given, significant, with_sd
+from fmu.numbers import fixed, given, names_in_words, significant, with_sd
 from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions, assumptions
+from fmu.posterior.discrepancy.likelihood import DiscrepantLikelihood
 from fmu.posterior.prior_doubts import prior_doubts
 from fmu.tables import text_table, wrap_text
 
@@ -307,9 +308,22 @@ def check(
         assumptions=assumptions(
             problem.configuration(), _tolerance(problem), elsewhere=largest_tolerance_elsewhere(problem.model)
         ),
-        priors=tuple(prior_doubts(problem.parameters)),
+        priors=(*prior_doubts(problem.parameters), *_without_purpose(problem)),
         points=problem.data.points,
     )
+
+
+def _without_purpose(problem: UpdatingProblem) -> list[str]:
+    """Return a sentence on the parameters that are not updated and do not scatter; an empty list without them."""
+    likelihood, scattered = problem.likelihood, list[int]()
+    if isinstance(likelihood, DiscrepantLikelihood):
+        scattered = likelihood.errors.scattered.tolist()
+    idle = [p.name for j, p in enumerate(problem.layout.structural) if not p.updated and j not in scattered]
+    if not idle:
+        return []
+    are, them = ("are", "them") if len(idle) > 1 else ("is", "it")
+    without = f"not updated, and no discrepancy lets {them} scatter: leave {them} out of the parameters"
+    return [f"{names_in_words(idle)} {are} {without}."]
 
 
 def _tolerance(problem: UpdatingProblem) -> float | None:

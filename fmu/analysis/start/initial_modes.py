@@ -127,7 +127,7 @@ def initial_modes(problem: UpdatingProblem) -> InitialModes:
     point = problem.start
     labels = tuple(map(str, problem.data.labels))
     measured = np.asarray(problem.data.frequencies_hz, dtype=float)
-    structural = point[: problem.model.n_parameters]  # the parameters of the error model follow
+    structural = problem.model_parameters(point[None])[0]
     structure, functions = structure_of(problem.model), problem.model.functions
     if structure is not None:
         return _of_structure(problem, structure, structural, labels, measured)

@@ -10,7 +10,7 @@ from fmu.fem.frame.drawing import changed_elements, draw_svg, is_drawable, param
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.static import TRANSLATIONS, rigid_translation
 from fmu.fem.pairing.paired_structure import structure_of
-from fmu.numbers import customary_unit, listed, names_in_words, significant
+from fmu.numbers import customary_unit, listed, names_in_words, significant, with_unit
 from fmu.posterior.parameters import prior_in_words
 from fmu.tables import data_frame
 
@@ -32,7 +32,7 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
         n, unknowns = len(problem.model.parts), " + ".join(map(str, problem.model.sizes))
         many = "" if n == 1 else f" in {n} configurations, each with matrices of its own"
         reduced = f" The reduced models have {unknowns} unknowns." if unknowns else ""
-        return [f"{len(problem.tests)} tests of one structure{many}.{reduced}"]
+        return [f"{len(problem.tests)} tests of one structure{many}.{reduced}", *_held(problem)]
     if model is None:
         return [f"The model is {problem.model.name}, treated as a black box."]
     structure = model.structure
@@ -41,12 +41,18 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
     if 1 < len(sizes) <= _MOST_BLOCKS:
         parts += f" of {names_in_words(sizes)}"
     said = [f"The model has {structure.n_dof} free degrees of freedom, {parts}."]
-    said += [*structure.notes, *_masses(problem, structure)]
+    said += [*structure.notes, *_masses(problem, structure), *_held(problem)]
     if problem.model.sizes:
         said.append(f"Its reduced model has {' + '.join(map(str, problem.model.sizes))} unknowns.")
     said += [model.why_full] if model.why_full else []
     said.append(f"Its matrices are factorised by {model.solver}.")
     return said
+
+
+def _held(problem: UpdatingProblem) -> list[str]:
+    """Return a list with a sentence on the parameters that are not updated; an empty list without them."""
+    held = [f"{p.name} = {with_unit(p.start, p.unit)}" for p in problem.layout.structural if not p.updated]
+    return [f"Not updated: {', '.join(held)}."] if held else []
 
 
 def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
@@ -101,7 +107,7 @@ def _masses(problem: UpdatingProblem, structure: SeparableModel) -> list[str]:
     inertia adds to the transverse mass. If the masses in all directions agree within 10 %, only the smallest is
     stated. Degrees of freedom without named directions are not summed.
     """
-    M = structure.M(problem.start[: structure.n_parameters])
+    M = structure.M(problem.model_parameters(problem.start[None])[0])
     if all(isinstance(node, int) and direction == "x" for node, direction in structure.dofs):
         least, most = (significant(float(end), 4) for end in (M.diagonal().min(), M.diagonal().max()))
         between = f"is {least} kg" if least == most else f"ranges from {least} to {most} kg"

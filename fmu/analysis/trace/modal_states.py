@@ -98,7 +98,8 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
     }
     model = structure_of(problem.model)
     if model is not None:
-        shapes = _align_signs(np.array([_shapes(model, point) for point in theta[:, : problem.n_structural]]))
+        structural = problem.model_parameters(theta)
+        shapes = _align_signs(np.array([_shapes(model, point) for point in structural]))
         variables |= _shape_variables(problem, model.structure, shapes)
     elif problem.model.n_tests > 1 and problem.data.shapes is not None and problem.model.gives_shapes:
         variables |= _shapes_in_tests(problem, theta)

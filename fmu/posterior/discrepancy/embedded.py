@@ -103,7 +103,8 @@ class Discrepancy:
             name = self.name if self.by == "common" else f"{self.name} {own[k]}"
             prior = HalfNormal(self.prior_sd)
             number[k] = index(Parameter(name, 0.5 * self.prior_sd, 0.0, _MOST * self.prior_sd, prior))
-        return EmbeddedScatter(relative, np.array([_size(p) for p in parameters]), fixed, number)
+        size = np.array([_size(p) for p in parameters])
+        return EmbeddedScatter(tuple(p.name for p in parameters), relative, size, fixed, number)
 
 
 def _size(parameter: Parameter) -> float:
@@ -119,6 +120,8 @@ class EmbeddedScatter:
 
     Attributes
     ----------
+    names : tuple of str
+        Names of the parameters.
     relative : ndarray of bool, shape (p,)
         Whether the scatter is relative to the value of the parameter.
     size : ndarray, shape (p,)
@@ -129,6 +132,7 @@ class EmbeddedScatter:
         Index of the inferred τ_k among the inferred standard deviations; −1 if it is not inferred.
     """
 
+    names: tuple[str, ...]
     relative: FloatArray
     size: FloatArray
     fixed: FloatArray
@@ -153,6 +157,7 @@ class EmbeddedScatter:
         """Return a dict of the settings in plain Python types."""
         return {
             "kind": "embedded",
+            "names": list(self.names),
             "relative": self.relative.tolist(),
             "size": self.size.tolist(),
             "tau": self.fixed.tolist(),

@@ -11,6 +11,7 @@ from fmu.posterior.joint.correlation import Correlation, correlations
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.varies.base import Theta, Varies
+from fmu.posterior.joint.varies.taken import Held
 from fmu.posterior.joint.varies.trend import Slopes, Trends, as_dicts
 from fmu.posterior.parameters import Parameter
 
@@ -31,7 +32,7 @@ def build_layout(
     trends = Trends(structural, slopes, theta)
     for j, p in enumerate(structural):
         here = [t for t, test in enumerate(tests) if p.name not in test.known]
-        value_of = varies[p.name].in_tests(p, j, theta, here)
+        value_of = varies[p.name].in_tests(p, j, theta, here) if p.updated else Held(p, len(tests))
         values_of.append(trends.add_to(value_of, p.name))
     populations = {p.name: one for p in structural if (one := varies[p.name].population) is not None}
     columns: tuple[int, ...] = ()

@@ -24,7 +24,7 @@ from fmu.posterior.joint.typical import centre_scores
 from fmu.posterior.joint.varies import Variation, way_of
 from fmu.posterior.joint.varies.base import Varies
 from fmu.posterior.joint.varies.laws import Law
-from fmu.posterior.joint.varies.taken import SHARED
+from fmu.posterior.joint.varies.taken import Shared
 from fmu.posterior.joint.varies.trend import Slopes, find_mistakes_of_slopes
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Prior
@@ -108,9 +108,7 @@ def JointProblem(  # capitalised because it constructs a problem
     check_names(parameters)
     reference = (tests[0].group if tests else "") if reference is None else reference
     errors = Errors.of(error)
-    ways = {p.name: way_of(SHARED) for p in parameters} | {
-        name: way_of(how) for name, how in (varies or {}).items()
-    }
+    ways = {p.name: Shared() for p in parameters} | {name: way_of(how) for name, how in (varies or {}).items()}
     found = find_mistakes(tests, parameters, ways, slopes, reference, correlation)
     found += errors.find_mistakes(model, [test.name for test in tests])
     if any(isinstance(one, (ShapeErrors, MACErrors)) for one in np.ravel(np.array(error, dtype=object))):
@@ -242,6 +240,10 @@ def find_mistakes(
             found += how.find_mistakes(name, tests)
         else:
             found.append(f"varies: must name parameters among {', '.join(names)} (got {name!r})")
+    for name in (p.name for p in parameters if not p.updated):
+        given = {"varies": type(varies[name]) is not Shared, "slopes": name in slopes}
+        rule = "must not be given for a parameter that is not updated"
+        found += [f"{key}.{name}: {rule}" for key, is_given in given.items() if is_given]
     for name in names:
         if tests and all(name in test.known for test in tests):
             found.append(f"tests: {name} must be unknown in one of them; otherwise it is no parameter")

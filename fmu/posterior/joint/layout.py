@@ -14,7 +14,7 @@ from fmu.posterior.joint.correlation import Correlation
 from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.varies.base import Future, InTests, Role, Varies
 from fmu.posterior.joint.varies.population import Drawn
-from fmu.posterior.joint.varies.taken import SHARED, Taken
+from fmu.posterior.joint.varies.taken import SHARED, Held, Taken
 from fmu.posterior.parameters import Parameter, box
 from fmu.types import FloatArray, IntArray, Plain
 
@@ -66,20 +66,27 @@ class Layout:
 
     @classmethod
     def of_one(cls, parameters: Sequence[Parameter], data: ModalData) -> Layout:
-        """Return the layout of a single test, in which theta consists of the structural parameters."""
-        numbers = range(len(parameters))
+        """Return the layout of a single test: theta consists of the structural parameters that are updated."""
+        updated = [j for j, p in enumerate(parameters) if p.updated]
         return cls(
             tuple(parameters),
-            tuple(parameters),
+            tuple(parameters[j] for j in updated),
             (Test("test", data),),
-            tuple(Taken(np.array([j])) for j in numbers),
-            roles=tuple(Role(SHARED, j) for j in numbers),
+            tuple(
+                Taken(np.array([updated.index(j)])) if p.updated else Held(p, 1) for j, p in enumerate(parameters)
+            ),
+            roles=tuple(Role(SHARED, j) for j in updated),
         )
+
+    @property
+    def held(self) -> dict[str, float]:
+        """The values of the structural parameters that are not updated, by name."""
+        return {p.name: p.start for p in self.structural if not p.updated}
 
     @cached_property
     def is_identity(self) -> bool:
-        """Whether there is only one test, so that theta consists of the structural parameters."""
-        return len(self.tests) == 1
+        """Whether theta consists of the structural parameters: there is one test, and all are updated."""
+        return len(self.tests) == 1 and not self.held
 
     def of_model(self, theta: FloatArray) -> FloatArray:
         """Return the parameters of the model, followed by the inferred standard deviations, at theta (n, ndim).

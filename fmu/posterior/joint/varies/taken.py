@@ -1,4 +1,4 @@
-"""Structural parameters that theta contains directly: one value for all tests, or one per test or group."""
+"""Structural parameters that theta contains directly, one value for all tests or several; or not at all."""
 
 from __future__ import annotations
 
@@ -49,6 +49,34 @@ class Taken(InTests):
         if self.own is None:
             return super().next_test(theta, like, future)
         return self.own.prior.draw(future.rng, len(theta), self.own.lower, self.own.upper)
+
+
+@dataclass(frozen=True)
+class Held(InTests):
+    """A structural parameter that is not updated: it has its start in every test.
+
+    Attributes
+    ----------
+    parameter : Parameter
+    n_tests : int
+    """
+
+    parameter: Parameter
+    n_tests: int
+
+    def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
+        """Return the values (n, n_tests), and no derivatives."""
+        return np.full((len(theta), self.n_tests), self.parameter.start), []
+
+    def identity(self, test: int) -> Hashable:
+        """Return a key that is equal for all tests."""
+        return None
+
+    def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the limits of the parameter's own prior, (n_tests,) each."""
+        p = self.parameter
+        low, high = p.prior.box(p.lower, p.upper)
+        return np.full(self.n_tests, low), np.full(self.n_tests, high)
 
 
 class Shared(Varies):
