@@ -395,6 +395,11 @@ def calls(folder: Path) -> Iterator[Call]:
         fmu.Discrepancy,
         {"kind": "embedded", "tau": 0.05, "prior_sd": 0.1, "by": "common", "groups": ("a",), "name": "tau"},
     )
+    yield Call(
+        "Discrepancy",
+        fmu.Discrepancy,
+        {"kind": "modes", "prior_sd": 0.1, "sd": 0.02, "correlation": 0.5, "shape_sd": 0.1, "length": 2.0},
+    )
     yield Call("GibbsSampler", fmu.GibbsSampler, {"step_size": 0.5})
     yield Call(
         "Tempering", fmu.Tempering, {"kernel": "slice", "temperatures": [1.0, 0.0], "rungs": None, "swap_every": 1}

@@ -458,6 +458,13 @@ IN_THE_POSTERIOR = (
         ("tests/posterior/discrepancy/test_several_tests.py",),
     ),
     Fault(
+        "discrepancy: the correlation of the modes left out",
+        "fmu/posterior/discrepancy/modes.py",
+        "common[:] = (sd**2 * rho)[:, None]",
+        "common[:] = 0.0",
+        ("tests/posterior/discrepancy/test_modes.py",),
+    ),
+    Fault(
         "discrepancy: the gradients of another theta",
         "fmu/posterior/discrepancy/likelihood.py",
         "return without_shapes(*self.model.frequencies_and_gradient(structural))",

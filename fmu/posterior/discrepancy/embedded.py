@@ -13,9 +13,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Interval
 
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.posterior.errors.noise import NoiseIndex
@@ -23,38 +24,52 @@ from fmu.posterior.parameters import Parameter, require_name
 from fmu.posterior.priors.one_sided import HalfNormal
 from fmu.types import FloatArray, Plain, Positive
 
-_MOST = 10.0  # upper bound of an inferred τ, in standard deviations of its prior
+MOST = 10.0  # upper bound of an inferred τ, in standard deviations of its prior
 
 
 @check_arguments
 @dataclass(frozen=True)
 class Discrepancy:
-    """Error of the model itself: its parameters scatter from mode to mode (`fmu.posterior.discrepancy.embedded`).
+    """Error of the model itself, which no parameter values remove.
 
-    The frequencies predicted by a wrong model then have errors that grow with their sensitivity to the parameters,
-    and all predictive intervals include these errors.
+    With `kind` = "embedded" the parameters scatter from mode to mode (`fmu.posterior.discrepancy.embedded`), and
+    errors grow with the sensitivity to the parameters. With `kind` = "modes" the predicted frequencies and shapes
+    have errors of their own, which do not depend on the parameters (`fmu.posterior.discrepancy.modes`). All
+    predictive intervals include these errors. They are the same in all tests of a structure.
 
     Attributes
     ----------
-    kind : {"embedded"}
-        Scatter of the parameters over the modes.
+    kind : {"embedded", "modes"}
     tau : float, optional
-        The scatter τ: relative for parameters that are never 0 between their bounds, else in units of the absolute
-        value of the start, or of the prior's scale if the parameter starts at 0. It is inferred if not given.
+        For "embedded". The scatter τ: relative for parameters that are never 0 between their bounds, else in units
+        of the absolute value of the start, or of the prior's scale if the parameter starts at 0. It is inferred if
+        not given.
     prior_sd : float
-        Standard deviation of the half-normal prior of an inferred τ.
+        Standard deviation of the half-normal priors of inferred τ, `sd` and `shape_sd`.
     by : {"common", "group"}
-        Whether all parameters have the same τ, or each group has its own. A parameter without a group is a group
-        of its own.
+        For "embedded". Whether all parameters have the same τ, or each group has its own. A parameter without a
+        group is a group of its own.
     groups : tuple of str
-        Names of the groups, or of parameters, that scatter; all if empty.
-    name : str
-        Name of the inferred τ. With `by` = "group" the name of the group follows.
+        For "embedded". Names of the groups, or of parameters, that scatter; all if empty.
+    sd : float, optional
+        For "modes". Standard deviation of the relative errors of the frequencies; inferred if not given.
+    correlation : float, optional
+        For "modes". Correlation of the errors of two frequencies, from 0 to below 1. It is inferred if not given,
+        with a uniform prior.
+    shape_sd : float, optional
+        For "modes". Standard deviation of the errors of a component of a shape whose largest component is 1;
+        inferred if not given.
+    length : float, optional
+        For "modes". Distance in m over which the correlation of the errors at two sensors of the same direction
+        falls to 1/e. Without it, or without coordinates of the sensors in the model, errors are independent.
+    name : str, optional
+        Name of the inferred τ or σ, "tau" or "model error" by default. With `by` = "group" the name of the group
+        follows, with `kind` = "modes" the word "correlation" or "shapes".
 
     Raises
     ------
     ValueError
-        If `tau` or `prior_sd` is not positive and finite, or the name is not allowed.
+        If a number is out of its range, the name is not allowed, or a setting is of the other kind.
 
     Notes
     -----
@@ -62,15 +77,37 @@ class Discrepancy:
     the parameters, τ keeps its prior.
     """
 
-    kind: Literal["embedded"] = "embedded"
+    kind: Literal["embedded", "modes"] = "embedded"
     tau: Positive | None = None
     prior_sd: Positive = 0.1
     by: Literal["common", "group"] = "common"
     groups: tuple[str, ...] = ()
-    name: str = "tau"
+    sd: Positive | None = None
+    correlation: Annotated[float, Interval(ge=0, lt=1)] | None = None
+    shape_sd: Positive | None = None
+    length: Positive | None = None
+    name: str | None = None
 
     def __post_init__(self) -> None:
-        require_name(self.name)
+        require_name(self.label)
+        of_other = {
+            "embedded": {k: vars(self)[k] for k in ("sd", "correlation", "shape_sd", "length")},
+            "modes": {
+                "tau": self.tau,
+                "by": self.by if self.by != "common" else None,
+                "groups": self.groups or None,
+            },
+        }[self.kind]
+        for key, value in of_other.items():
+            if value is not None:
+                raise ArgumentError(
+                    f"discrepancy.{key}", f'must not be given with kind = "{self.kind}"', repr(value)
+                )
+
+    @property
+    def label(self) -> str:
+        """Name of the inferred τ or σ."""
+        return self.name or ("tau" if self.kind == "embedded" else "model error")
 
     def bind(self, parameters: Sequence[Parameter], index: NoiseIndex) -> EmbeddedScatter:
         """Return the scatter bound to the parameters of a structure.
@@ -100,9 +137,9 @@ class Discrepancy:
             if self.tau is not None:
                 fixed[k] = self.tau
                 continue
-            name = self.name if self.by == "common" else f"{self.name} {own[k]}"
+            name = self.label if self.by == "common" else f"{self.label} {own[k]}"
             prior = HalfNormal(self.prior_sd)
-            number[k] = index(Parameter(name, 0.5 * self.prior_sd, 0.0, _MOST * self.prior_sd, prior))
+            number[k] = index(Parameter(name, 0.5 * self.prior_sd, 0.0, MOST * self.prior_sd, prior))
         size = np.array([_size(p) for p in parameters])
         return EmbeddedScatter(tuple(p.name for p in parameters), relative, size, fixed, number)
 
@@ -137,6 +174,11 @@ class EmbeddedScatter:
     size: FloatArray
     fixed: FloatArray
     number: FloatArray
+
+    @classmethod
+    def none(cls, p: int) -> EmbeddedScatter:
+        """Return the scatter of p parameters that do not scatter."""
+        return cls(("",) * p, np.zeros(p, dtype=bool), np.ones(p), np.zeros(p), np.full(p, -1))
 
     def scale(self, values: FloatArray) -> FloatArray:
         """Return the unit s_k of the scatter of each parameter at values (…, p), of the same shape."""

@@ -140,6 +140,16 @@ class LatentErrors:
         z = mean[..., 0] - np.einsum("nmpc,nc->nmp", gain, w)
         return z, w, of_z - of_both @ np.swapaxes(gain, 2, 3), of_both, of_w
 
+    def given_common(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the distribution of z given the residuals and w, at the last row of each group.
+
+        Returns
+        -------
+        mean, gain, covariance : ndarray, shapes (n, m, P), (n, m, P, C) and (n, m, P, P)
+            Given w, the mean of z is ``mean`` − ``gain`` w.
+        """
+        return self._groups.mean[..., 0], self._groups.mean[..., 1:], self._covariance
+
     def whiten(self, slopes: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return S^(−½) r, shape (n, m, k), and S^(−½) times derivatives of r, (n, m, k, N).
 

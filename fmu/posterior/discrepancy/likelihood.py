@@ -12,10 +12,11 @@ from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.pairing.sensitivities import Sensitivities, Steps
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.discrepancy.curvature import by_parameters
-from fmu.posterior.discrepancy.embedded import Discrepancy
+from fmu.posterior.discrepancy.embedded import Discrepancy, EmbeddedScatter
 from fmu.posterior.discrepancy.frequencies import ScatteredFrequencies
 from fmu.posterior.discrepancy.latent import LatentErrors
 from fmu.posterior.discrepancy.model_errors import Change, Linearised, ModelErrors
+from fmu.posterior.discrepancy.modes import ModeErrors
 from fmu.posterior.errors.base import Chain, ErrorModel, ErrorTerm
 from fmu.posterior.errors.frequency import FrequencyTerm
 from fmu.posterior.errors.likelihood import ModalLikelihood
@@ -71,25 +72,36 @@ class DiscrepantLikelihood(ModalLikelihood):
             if term.tests is not None:
                 term.tests = None  # the scatter of tests no longer gives all of the variance
         noise = list(self.noise)
-        names = [one.name for one in discrepancies if one.tau is None]
+        names = [one.label for one in discrepancies if one.tau is None]
         if len(set(names)) < len(names):
             raise ArgumentError("discrepancy.name", "must be different for each discrepancy", names[-1])
-        self.errors = ModelErrors(tuple(one.bind(layout.structural, numbering(noise)) for one in discrepancies))
+        index, self.measured = numbering(noise), np.asarray(data.frequencies_hz)
+        scatters = tuple(one.bind(layout.structural, index) for one in discrepancies if one.kind == "embedded")
+        modes = tuple(
+            ModeErrors.of(one, index, self.terms_of, data.sensors, model.parts[0].structure)
+            for one in discrepancies
+            if one.kind == "modes"
+        )
+        self.errors = ModelErrors(scatters or (EmbeddedScatter.none(len(layout.structural)),), modes)
         self.noise = tuple(noise)
         self.error, self.beta, self._fast, self.terms_name = None, None, None, "modes"
         self.n_tests, self._bounds = len(layout.tests), np.array(layout.box())
         labels = [label for test in layout.tests for label in test.data.labels]
         self.group = np.array([labels.index(label) for label in labels])
         only = self.terms_of[0] if len(self.terms_of) == 1 and self.n_tests == 1 else None
-        self._alone = ScatteredFrequencies(only, self.errors.scatters) if isinstance(only, FrequencyTerm) else None
+        self._alone = None
+        if isinstance(only, FrequencyTerm) and not self.errors.modes:
+            self._alone = ScatteredFrequencies(only, self.errors.scatters)
 
     @property
     def by_frequencies(self) -> bool:
-        """Whether the frequencies of the model are enough for the terms: they need their gradients."""
-        return False
+        """Whether the frequencies of the model are enough for the terms: not with the scatter of parameters."""
+        return super().by_frequencies and not len(self.errors.scattered)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the predicted modes at theta with their derivatives, which the density needs too."""
+        """Return the predicted modes at theta, with the derivatives that the scatter of parameters needs too."""
+        if not (gradient or len(self.errors.scattered)):
+            return super().observed(theta)
         structural = theta[:, : self.model.n_parameters]
         if self.needs_shapes or self.model.is_uncertain:
             return self.model.observed(structural, True)
@@ -149,7 +161,7 @@ class DiscrepantLikelihood(ModalLikelihood):
 
         S is the covariance of the residuals of a mode in all tests, or, without a `chain`, in each test alone.
         """
-        return self._whitened(self.observed(theta), theta, chain)
+        return self._whitened(self.observed(theta, True), theta, chain)
 
     def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
         """Return the squared residuals, in standard deviations that include the model's own errors.
@@ -165,12 +177,13 @@ class DiscrepantLikelihood(ModalLikelihood):
 
     def variance(self, theta: FloatArray) -> FloatArray:
         """Return the variances of the model's own errors at theta (n, ndim), shape (n, n_modes), Hz²."""
-        return np.asarray(np.sum(self._in_hz(self.observed(theta), theta) ** 2, axis=2))
+        own, common = self._in_hz(self.observed(theta), theta)
+        return np.asarray(np.sum(own**2, axis=2) + np.sum(common**2, axis=2))
 
     @property
     def couples_modes(self) -> bool:
-        """Whether the term of a used mode depends on other data: on the same mode in other tests."""
-        return len(set(self.group[self._used].tolist())) < len(self._used)
+        """Whether the term of a used mode depends on other data: the same mode in other tests, or all modes."""
+        return self.errors.n_common > 0 or len(set(self.group[self._used].tolist())) < len(self._used)
 
     def terms_given_others(self, theta: FloatArray) -> FloatArray:
         """Return the log-density of each datum given all others, (n, n_terms), at theta (n, ndim).
@@ -194,25 +207,31 @@ class DiscrepantLikelihood(ModalLikelihood):
             Mean of the frequency with the error less the computed one, at theta (n, ndim), and its variance.
         """
         seen = self.observed(theta)
-        z, root = self._errors_given_data(seen, theta, np.setdiff1d(self._used, mode))
-        loads = self._in_hz(seen, theta)[:, mode]
-        spread = np.einsum("np,npq->nq", loads, root[:, mode])
-        return -np.einsum("np,np->n", loads, z[:, mode]), np.einsum("nq,nq->n", spread, spread)
+        mean, gain, covariance, w, of_w = self._errors_given_data(seen, theta, np.setdiff1d(self._used, mode))
+        own, common = (x[:, mode] for x in self._in_hz(seen, theta))
+        of_common = common - np.einsum("np,npc->nc", own, gain[:, mode])
+        shift = np.einsum("np,np->n", own, mean[:, mode]) + np.einsum("nc,nc->n", of_common, w)
+        variance = np.einsum("np,npq,nq->n", own, covariance[:, mode], own)
+        return -shift, variance + np.einsum("nc,ncd,nd->n", of_common, of_w, of_common)
 
     def _errors_given_data(
         self, seen: ModalPrediction, theta: FloatArray, used: IntArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the mean of z of every mode given the data, (n, m, P), and a root of its covariance."""
-        n, m, P = self._in_hz(seen, theta).shape
-        z, cov = np.zeros((n, m, P)), np.tile(np.eye(P), (n, m, 1, 1))
-        if len(used):
-            of = self.using(used)
-            latent = of._latent(of._linearise(seen, theta), theta)
-            mean, of_z = latent.given_residuals()[0], latent.given_residuals()[2]
-            for i in np.unique(latent.last):
-                rows = self.group == latent.group[i]
-                z[:, rows], cov[:, rows] = mean[:, [i]], of_z[:, [i]]
-        return z, np.linalg.cholesky(cov)
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return `LatentErrors.given_common` of every mode, and mean and covariance of w, given the used data."""
+        own, common = self._in_hz(seen, theta)
+        (n, m, P), C = own.shape, common.shape[2]
+        mean, gain, covariance = np.zeros((n, m, P)), np.zeros((n, m, P, C)), np.tile(np.eye(P), (n, m, 1, 1))
+        if not len(used):
+            return mean, gain, covariance, np.zeros((n, C)), np.tile(np.eye(C), (n, 1, 1))
+        of = self.using(used)
+        latent = of._latent(of._linearise(seen, theta), theta)
+        found = latent.given_common()
+        for i in np.unique(latent.last):
+            rows = self.group == latent.group[i]
+            for all_modes, one in zip((mean, gain, covariance), found, strict=True):
+                all_modes[:, rows] = one[:, [i]]
+        _, w, _, _, of_w = latent.given_residuals()
+        return mean, gain, covariance, w, of_w
 
     def with_discrepancy(
         self,
@@ -225,16 +244,23 @@ class DiscrepantLikelihood(ModalLikelihood):
         if theta is None:
             raise ValueError("theta: must be given where the model has a discrepancy (got None)")
         seen = self.observed(theta)
-        loads = self._in_hz(seen, theta)
-        z = rng.standard_normal((len(theta), len(self.group), loads.shape[2]))[:, self.group]
+        own, common = self._in_hz(seen, theta)
+        z = rng.standard_normal((len(theta), len(self.group), own.shape[2]))[:, self.group]
+        w = rng.standard_normal((len(theta), common.shape[2]))
         if given_data:
-            mean, root = self._errors_given_data(seen, theta, self._used)
-            z = mean + np.einsum("nmpq,nmq->nmp", root, z)
-        return np.asarray(frequencies - np.sum(loads * z, axis=2))
+            mean, gain, covariance, mean_w, of_w = self._errors_given_data(seen, theta, self._used)
+            w = mean_w + np.einsum("ncd,nd->nc", np.linalg.cholesky(of_w), w)
+            z = (
+                mean
+                - np.einsum("nmpc,nc->nmp", gain, w)
+                + np.einsum("nmpq,nmq->nmp", np.linalg.cholesky(covariance), z)
+            )
+        return np.asarray(frequencies - np.sum(own * z, axis=2) - np.einsum("nmc,nc->nm", common, w))
 
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of names and settings in plain Python types."""
-        return super().as_dict() | {"discrepancy": [one.as_dict() for one in self.errors.scatters]}
+        found = [one.as_dict() for one in self.errors.scatters if len(self.errors.scattered)]
+        return super().as_dict() | {"discrepancy": [*found, *(one.as_dict() for one in self.errors.modes)]}
 
     @property
     def _used(self) -> IntArray:
@@ -256,22 +282,26 @@ class DiscrepantLikelihood(ModalLikelihood):
         self, seen: ModalPrediction, theta: FloatArray, terms: Sequence[ErrorTerm] | None = None
     ) -> Linearised:
         """Return the residuals of the used modes, and their derivatives by the parameters of the test."""
-        return Linearised.of(terms or self.terms_of, seen, self._noise(theta), self.of_used)
+        return self.errors.linearise(terms or self.terms_of, seen, self._noise(theta), self.of_used)
 
     def _latent(self, rows: Linearised, theta: FloatArray, by_test: bool = False) -> LatentErrors:
-        """Return the density of the residuals, with z_g common to all tests unless `by_test`."""
+        """Return the density of the residuals, with errors in common with other tests unless `by_test`."""
         group = self._used if by_test else self.group[self._used]
-        return self.errors.latent(rows, self._values(theta)[:, self._test], self._noise(theta), group)
+        found = self.errors.latent(rows, self._values(theta)[:, self._test], self._noise(theta), group)
+        if by_test and self.n_tests > 1:
+            loads = np.concatenate([found.loads, found.common], axis=3)
+            found = LatentErrors(found.residuals, loads, found.common[..., :0], group)
+        return found
 
-    def _in_hz(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return the change of every frequency with z of its mode, (n, n_modes, P), Hz."""
-        J, values = np.asarray(seen.frequency_slopes), self._values(theta)[:, self.model.test_of_modes]
-        return self.errors.loads(J[:, :, None], values, self._noise(theta))[:, :, 0]
+    def _in_hz(self, seen: ModalPrediction, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the change of every frequency with the errors of its mode, and with those in common, Hz."""
+        values = self._values(theta)[:, self.model.test_of_modes]
+        return self.errors.in_hz(seen.frequency_slopes, self.measured, values, self._noise(theta))
 
     def _observed_with_curvature(self, theta: FloatArray) -> tuple[ModalPrediction, Sensitivities | None]:
         """Return `observed`, and second derivatives of the frequencies along directions if these are enough."""
         if self.needs_shapes or self.model.is_uncertain:
-            return self.observed(theta), None
+            return self.observed(theta, True), None
         scale = self.errors.scale(self._values(theta)).reshape(len(theta), -1)
         bounds = np.array([self._bounds[0].min(axis=0), self._bounds[1].max(axis=0)])
         exact = self.model.sensitivities(theta[:, : self.model.n_parameters], Steps(scale, bounds))

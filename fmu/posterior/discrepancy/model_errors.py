@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.discrepancy.embedded import EmbeddedScatter
 from fmu.posterior.discrepancy.latent import LatentErrors
+from fmu.posterior.discrepancy.modes import ModeErrors
 from fmu.posterior.errors.base import ErrorTerm
 from fmu.posterior.errors.slopes import residuals_of_term
 from fmu.types import FloatArray, IntArray
@@ -27,24 +29,15 @@ class Linearised(NamedTuple):
     residuals : ndarray, shape (n, m, k)
         All residuals of the mode, of one error model after the other.
     slopes : ndarray, shape (n, m, k, p)
-        Derivatives by the parameters of the test.
+        Derivatives by the parameters of the test; p = 0 if no parameter scatters.
+    own, common : ndarray, shapes (n, m, k, Q) and (n, m, k, C)
+        Derivatives by errors of the mode itself, and by errors that all modes have in common.
     """
 
     residuals: FloatArray
     slopes: FloatArray
-
-    @classmethod
-    def of(
-        cls,
-        terms: Sequence[ErrorTerm],
-        seen: ModalPrediction,
-        noise: FloatArray,
-        take: Take,
-    ) -> Linearised:
-        """Return the residuals of error models at a prediction."""
-        parts = [residuals_of_term(term, seen, noise, within=True) for term in terms]
-        r, J = parts[0] if len(parts) == 1 else (np.concatenate(x, axis=2) for x in zip(*parts, strict=True))
-        return cls(take(r, 1), take(J, 1))
+    own: FloatArray
+    common: FloatArray
 
 
 class Change(NamedTuple):
@@ -52,8 +45,8 @@ class Change(NamedTuple):
 
     Attributes
     ----------
-    by_residual : ndarray, shape (n, m, k)
-    by_slope : ndarray, shape (n, m, k, p)
+    by_residual, by_slope, by_own, by_common : ndarray
+        Of the shapes in `Linearised`.
     by_value : ndarray, shape (n, m, p)
         By the parameters, through the size of their scatter alone.
     by_noise : ndarray, shape (n, m, n_noise)
@@ -62,80 +55,162 @@ class Change(NamedTuple):
 
     by_residual: FloatArray
     by_slope: FloatArray
+    by_own: FloatArray
+    by_common: FloatArray
     by_value: FloatArray
     by_noise: FloatArray
 
     def of(self, rows: Linearised) -> FloatArray:
-        """Return Σ by_slope · slopes of each row, (n, m)."""
-        return np.einsum("nmkp,nmkp->nm", self.by_slope, rows.slopes)
+        """Return the change of the log-density of each row with its slopes, own and common, (n, m)."""
+        pairs = ((self.by_slope, rows.slopes), (self.by_own, rows.own), (self.by_common, rows.common))
+        found = [np.einsum("nmkp,nmkp->nm", by, x) for by, x in pairs if x.shape[-1]]
+        return np.asarray(sum(found, np.zeros(self.by_residual.shape[:2])))
+
+
+class Variances(NamedTuple):
+    """Variances of the standard normal errors: of τ z of p parameters, of the modes' own, and in common.
+
+    Attributes
+    ----------
+    tau, own, common : ndarray, shapes (n, p), (n, Q) and (n, C)
+    by_tau, by_own, by_common : ndarray, with an axis of n_noise before the last
+        Derivatives of their logarithms by the inferred standard deviations.
+    """
+
+    tau: FloatArray
+    own: FloatArray
+    common: FloatArray
+    by_tau: FloatArray
+    by_own: FloatArray
+    by_common: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class ModelErrors:
-    """All errors of a model: the scatter of its parameters.
+    """All errors of a model: the scatter of its parameters, and errors of the modes themselves.
 
     Attributes
     ----------
     scatters : tuple of EmbeddedScatter
         At least one.
+    modes : tuple of ModeErrors
     """
 
     scatters: tuple[EmbeddedScatter, ...]
+    modes: tuple[ModeErrors, ...] = ()
 
-    @property
+    @cached_property
     def scattered(self) -> IntArray:
         """Indices of the parameters that scatter."""
         every = [(one.fixed > 0.0) | (one.number >= 0) for one in self.scatters]
         return np.flatnonzero(np.any(every, axis=0))
 
+    @property
+    def n_common(self) -> int:
+        """Number of errors that all modes have in common."""
+        return sum(one.n_common for one in self.modes)
+
+    def linearise(
+        self, terms: Sequence[ErrorTerm], seen: ModalPrediction, noise: FloatArray, take: Take
+    ) -> Linearised:
+        """Return the residuals of error models at a prediction; `take` picks the rows."""
+        parts = [residuals_of_term(term, seen, noise, within=True) for term in terms]
+        r = np.concatenate([part[0] for part in parts], axis=2)
+        J = np.empty((*r.shape, 0)) if np.ndim(parts[0][1]) == 0 else np.concatenate([p[1] for p in parts], axis=2)
+        units = [one.units(terms, seen, noise) for one in self.modes]
+        none = np.empty((*r.shape, 0))
+        own, common = (np.concatenate([none, *x], axis=3) for x in (list(zip(*units, strict=True)) or [(), ()]))
+        return Linearised(*(take(x, 1) for x in (r, J, own, common)))
+
     def scale(self, values: FloatArray) -> FloatArray:
         """Return the unit s of the scatter of each parameter at values (…, p), of the same shape."""
         return self.scatters[0].scale(values)
 
-    def variances(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return τ² of the parameters, (n, p), and its derivatives by noise, (n, n_noise, p)."""
+    def variances(self, noise: FloatArray) -> Variances:
+        """Return the variances of the errors at inferred standard deviations (n, n_noise)."""
         value, slopes = zip(*(one.variances(noise) for one in self.scatters), strict=True)
-        return np.asarray(sum(value)), np.asarray(sum(slopes))
+        tau, by_tau = np.asarray(sum(value)), np.asarray(sum(slopes))
+        by_tau = by_tau / np.where(tau > 0.0, tau, 1.0)[:, None]
+        if not self.modes:
+            none, by_none = np.empty((len(noise), 0)), np.empty((*noise.shape, 0))
+            return Variances(tau, none, none, by_tau, by_none, by_none)
+        found = zip(*(one.variances(noise) for one in self.modes), strict=True)
+        own, common, by_own, by_common = (np.concatenate(x, axis=-1) for x in found)
+        return Variances(tau, own, common, by_tau, by_own, by_common)
 
     def sizes(self, values: FloatArray, noise: FloatArray) -> FloatArray:
         """Return the standard deviations s τ of the parameters, (n, m, p), at values (n, m, p)."""
-        return np.asarray(self.scale(values) * np.sqrt(self.variances(noise)[0])[:, None])
+        return np.asarray(self.scale(values) * np.sqrt(self.variances(noise).tau)[:, None])
 
-    def loads(self, slopes: FloatArray, values: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return A, (n, m, k, P), of the quantities whose slopes by the parameters are (n, m, k, p)."""
-        T = self.sizes(values, noise)[:, :, None]
-        return np.asarray(slopes[..., self.scattered] * T[..., self.scattered])
+    def in_hz(
+        self, slopes: FloatArray | None, measured: FloatArray, values: FloatArray, noise: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the change of each frequency with the errors of its mode, and with those in common, Hz.
+
+        Parameters
+        ----------
+        slopes : ndarray, shape (n, m, p), or None if no parameter scatters
+        measured : ndarray, shape (m,), Hz
+        values : ndarray, shape (n, m, p)
+        noise : ndarray, shape (n, n_noise)
+        """
+        v = self.variances(noise)
+        units = [one.in_hz(measured) for one in self.modes]
+        none = np.empty((len(measured), 0))
+        own, common = (np.concatenate([none, *x], axis=1) for x in (list(zip(*units, strict=True)) or [(), ()]))
+        parts = [own * np.sqrt(v.own)[:, None]]
+        if slopes is not None and len(self.scattered):
+            parts.insert(0, (slopes * self.sizes(values, noise))[..., self.scattered])
+        return np.concatenate(parts, axis=2), common * np.sqrt(v.common)[:, None]
 
     def latent(self, rows: Linearised, values: FloatArray, noise: FloatArray, group: IntArray) -> LatentErrors:
         """Return the density of the residuals; values (n, m, p) are the parameters in the test of each row."""
-        loads = self.loads(rows.slopes, values, noise)
-        return LatentErrors(rows.residuals, loads, np.empty((*rows.residuals.shape, 0)), group)
+        v = self.variances(noise)
+        common = rows.common * np.sqrt(v.common)[:, None, None]
+        loads = rows.own * np.sqrt(v.own)[:, None, None]
+        if len(self.scattered):
+            T = self.sizes(values, noise)[:, :, None, self.scattered]
+            loads = np.concatenate([rows.slopes[..., self.scattered] * T, loads], axis=3)
+        return LatentErrors(rows.residuals, loads, common, group)
 
     def change(self, rows: Linearised, latent: LatentErrors, values: FloatArray, noise: FloatArray) -> Change:
         """Return the derivatives of the sum of the terms of `latent`, which is of these rows."""
-        found = latent.slopes()
-        by_slope = np.zeros(rows.slopes.shape)
-        T = self.sizes(values, noise)[:, :, None]
-        by_slope[..., self.scattered] = found.by_loads * T[..., self.scattered]
-        by_log = np.sum(by_slope * rows.slopes, axis=2)  # by log s and by log τ of each parameter
-        relative = self.scatters[0].relative
-        by_value = np.where(relative, by_log / np.where(relative, values, 1.0), 0.0)
-        by_noise = np.einsum("nml,ndl->nmd", by_log, 0.5 * self._relative_slopes(noise))
-        return Change(found.by_residual, by_slope, by_value, by_noise)
+        found, v, E = latent.slopes(), self.variances(noise), len(self.scattered)
+        by_slope, by_value = np.zeros((*rows.residuals.shape, values.shape[-1])), np.zeros(values.shape)
+        by_noise = np.zeros((*rows.residuals.shape[:2], noise.shape[1]))
+        if E:
+            T = self.sizes(values, noise)[:, :, None, self.scattered]
+            by_slope[..., self.scattered] = found.by_loads[..., :E] * T
+            by_log = np.sum(by_slope * rows.slopes, axis=2)  # by log s and by log τ of each parameter
+            relative = self.scatters[0].relative
+            by_value = np.where(relative, by_log / np.where(relative, values, 1.0), 0.0)
+            by_noise += 0.5 * np.einsum("nml,ndl->nmd", by_log, v.by_tau)
+        by_own = found.by_loads[..., E:] * np.sqrt(v.own)[:, None, None]
+        by_common = found.by_common * np.sqrt(v.common)[:, None, None]
+        for by, unit, slopes in ((by_own, rows.own, v.by_own), (by_common, rows.common, v.by_common)):
+            by_noise += 0.5 * np.einsum("nmkl,nmkl,ndl->nmd", by, unit, slopes)
+        return Change(found.by_residual, by_slope, by_own, by_common, by_value, by_noise)
 
     def information(
         self, terms: Sequence[ErrorTerm], latent: LatentErrors, noise: FloatArray, take: Take
     ) -> FloatArray:
-        """Return Fisher's information on standard deviations and τ, shape (n, n_noise, n_noise).
+        """Return Fisher's information on standard deviations, τ and correlations, shape (n, n_noise, n_noise).
 
-        It is ½ tr(S⁻¹ ∂S S⁻¹ ∂S), in which AᵀS⁻¹A = I − Cov and S⁻¹A = A Cov with the covariance Cov of z. What
-        the same mode in another test tells about standard deviations is neglected, and of q sensors each counts
-        by the part (q − 1)/q that is independent of the scale of a shape. `take` picks the rows of `latent`.
+        It is ½ tr(S⁻¹ ∂S S⁻¹ ∂S), in which FᵀS⁻¹F = I − Cov and S⁻¹F = F Cov with the covariance Cov of the errors
+        given the residuals. Between different modes, and the same mode in different tests, only what they have in
+        common is counted. Of q sensors each counts by the part (q − 1)/q that is independent of the scale of a
+        shape. `take` picks the rows of `latent`.
         """
-        of_z = latent.given_residuals()[2]
-        E = self._relative_slopes(noise)[..., self.scattered]
-        K = np.eye(of_z.shape[-1]) - of_z[:, np.unique(latent.last)]
-        found = 0.5 * E @ np.sum(K**2, axis=1) @ np.swapaxes(E, 1, 2)
+        v = self.variances(noise)
+        _, _, of_z, of_both, of_w = latent.given_residuals()
+        E = np.concatenate([v.by_tau[..., self.scattered], v.by_own], axis=2)
+        last = np.unique(latent.last)
+        K = np.sum((np.eye(of_z.shape[-1]) - of_z[:, last]) ** 2, axis=1)
+        found = 0.5 * E @ K @ np.swapaxes(E, 1, 2)
+        if v.common.shape[1]:
+            across = 0.5 * E @ np.sum(of_both[:, last] ** 2, axis=1) @ np.swapaxes(v.by_common, 1, 2)
+            found += 0.5 * v.by_common @ (np.eye(of_w.shape[-1]) - of_w) ** 2 @ np.swapaxes(v.by_common, 1, 2)
+            found += across + np.swapaxes(across, 1, 2)
         delta, share = _relative_changes(terms, noise)
         delta = take(delta, 1)
         if np.any(delta):
@@ -145,11 +220,6 @@ class ModelErrors:
             cross = 0.5 * np.einsum("nmkd,nmkl,nel->nde", delta, (A @ cov) ** 2, E)
             found += cross + np.swapaxes(cross, 1, 2)
         return np.asarray(found)
-
-    def _relative_slopes(self, noise: FloatArray) -> FloatArray:
-        """Return the derivatives of log τ² by the inferred standard deviations, (n, n_noise, p)."""
-        value, slopes = self.variances(noise)
-        return slopes / np.where(value > 0.0, value, 1.0)[:, None]
 
 
 def _relative_changes(terms: Sequence[ErrorTerm], noise: FloatArray) -> tuple[FloatArray, FloatArray]:

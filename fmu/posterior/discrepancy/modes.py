@@ -1,0 +1,190 @@
+"""Errors of the modes themselves: relative errors of the frequencies, and of the components of the shapes.
+
+The frequency of mode i has the relative error σ (√ρ w + √(1 − ρ) z_i) with standard normal w and z_i. The part
+√ρ w is common to all modes, so that the errors of two modes have the correlation ρ. The shape of mode i, whose
+largest component is 1, has the errors σ_s L z at the sensors. LLᵀ has the correlations exp(−d/ℓ) of sensors at a
+distance d that measure in the same direction; others are independent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from fmu.fem.modes.separable import RigidArm, SeparableModel
+from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.posterior.discrepancy.embedded import MOST, Discrepancy
+from fmu.posterior.errors.base import ErrorTerm
+from fmu.posterior.errors.frequency import FrequencyTerm
+from fmu.posterior.errors.noise import NoiseIndex
+from fmu.posterior.errors.shape import ShapeTerm
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors.one_sided import HalfNormal
+from fmu.types import Dof, FloatArray, Plain
+
+_START, _MOST_CORRELATED = 0.3, 0.999
+
+
+class Setting(NamedTuple):
+    """A number that is known, or the index of an inferred one among the inferred standard deviations."""
+
+    fixed: float
+    number: int = -1
+
+    def at(self, noise: FloatArray) -> FloatArray:
+        """Return the values (n,) at inferred standard deviations (n, n_noise)."""
+        return noise[:, self.number] if self.number >= 0 else np.full(len(noise), self.fixed)
+
+
+@dataclass(frozen=True, eq=False)
+class ModeErrors:
+    """Errors of the modes, bound to the errors of their measurement.
+
+    Attributes
+    ----------
+    sd, correlation : Setting or None
+        σ and ρ; None without errors of frequencies.
+    shape_sd : Setting or None
+        σ_s; None without errors of shapes.
+    root : ndarray, shape (n_sensors, n_sensors)
+        L.
+    """
+
+    sd: Setting | None
+    correlation: Setting | None
+    shape_sd: Setting | None
+    root: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        settings: Discrepancy,
+        index: NoiseIndex,
+        terms: Sequence[ErrorTerm],
+        sensors: Sequence[Dof],
+        structure: SeparableModel | None,
+    ) -> ModeErrors:
+        """Return the errors of the modes; `index` and the errors raised are those of `Discrepancy.bind`."""
+        prior, most = HalfNormal(settings.prior_sd), MOST * settings.prior_sd
+
+        def size(name: str, known: float | None) -> Setting:
+            if known is not None:
+                return Setting(known)
+            return Setting(0.0, index(Parameter(name, 0.5 * settings.prior_sd, 0.0, most, prior)))
+
+        sd = correlation = shape_sd = None
+        if any(isinstance(term, FrequencyTerm) for term in terms):
+            sd = size(settings.label, settings.sd)
+            correlation = Setting(settings.correlation or 0.0)
+            if settings.correlation is None:
+                name = f"{settings.label} correlation"
+                correlation = Setting(0.0, index(Parameter(name, _START, 0.0, _MOST_CORRELATED)))
+        if any(isinstance(term, ShapeTerm) for term in terms):
+            shape_sd = size(f"{settings.label} shapes", settings.shape_sd)
+        alike = np.eye(len(sensors))
+        if settings.length is not None:
+            alike = np.exp(-_distances(sensors, structure) / settings.length)
+            alike += 1e-10 * np.eye(len(alike))  # sensors may be at one place
+        return cls(sd, correlation, shape_sd, np.linalg.cholesky(alike))
+
+    @property
+    def n_own(self) -> int:
+        """Number of errors of each mode that are its own."""
+        return (self.sd is not None) + (0 if self.shape_sd is None else len(self.root))
+
+    @property
+    def n_common(self) -> int:
+        """Number of errors that all modes have in common."""
+        return 0 if self.correlation is None or self.correlation == Setting(0.0) else 1
+
+    def units(
+        self, terms: Sequence[ErrorTerm], seen: ModalPrediction, noise: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the residuals (n, n_modes, k, n_own) and (n, n_modes, k, n_common) due to errors of 1."""
+        own, common = [], []
+        for term in terms:
+            V = term.spread.variance(noise)
+            n, m = len(noise), V.shape[-1]
+            q = len(term.labels([""]))
+            part = np.zeros((n, m, q, self.n_own), dtype=V.dtype)
+            shared = np.zeros((n, m, q, self.n_common), dtype=V.dtype)
+            if isinstance(term, FrequencyTerm):
+                unit = (2.0 if term.kind == "eigenvalue" else term.measured) / np.sqrt(V)
+                part[:, :, 0, 0] = unit
+                shared[:, :, 0] = unit[..., None]
+            elif isinstance(term, ShapeTerm):
+                root = np.swapaxes(1.0 / np.sqrt(V), 1, 2)
+                largest = np.max(np.abs(term.unit), axis=0)[:, None, None]
+                columns = root[..., None] * (largest * self.root)
+                psi = root * np.swapaxes(seen.shapes, 1, 2)
+                along = np.sum(psi[..., None] * columns, axis=2) / np.sum(psi**2, axis=2)[..., None]
+                part[..., self.n_own - len(self.root) :] = columns - psi[..., None] * along[:, :, None]
+            own.append(part)
+            common.append(shared)
+        return np.concatenate(own, axis=2), np.concatenate(common, axis=2)
+
+    def variances(self, noise: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return the variances of the errors, and the derivatives of their logarithms.
+
+        Returns
+        -------
+        own, common : ndarray, shapes (n, n_own) and (n, n_common)
+        by_own, by_common : ndarray, shapes (n, n_noise, n_own) and (n, n_noise, n_common)
+            Derivatives by the inferred standard deviations.
+        """
+        own, common = np.empty((len(noise), self.n_own)), np.empty((len(noise), self.n_common))
+        by_own, by_common = (np.zeros((*noise.shape, k)) for k in (self.n_own, self.n_common))
+        if self.sd is not None and self.correlation is not None:
+            sd, rho = self.sd.at(noise), self.correlation.at(noise)
+            own[:, 0] = sd**2 * (1.0 - rho)
+            common[:] = (sd**2 * rho)[:, None]
+            if self.sd.number >= 0:
+                by_own[:, self.sd.number, 0] = 2.0 / sd
+                by_common[:, self.sd.number] = (2.0 / sd)[:, None]
+            if self.correlation.number >= 0:
+                by_own[:, self.correlation.number, 0] = -1.0 / (1.0 - rho)
+                by_common[:, self.correlation.number] = (1.0 / rho)[:, None]
+        if self.shape_sd is not None:
+            first = self.n_own - len(self.root)
+            own[:, first:] = (self.shape_sd.at(noise) ** 2)[:, None]
+            if self.shape_sd.number >= 0:
+                by_own[:, self.shape_sd.number, first:] = (2.0 / self.shape_sd.at(noise))[:, None]
+        return own, common, by_own, by_common
+
+    def in_hz(self, measured: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the frequency's error, (n_modes, n_own) and (n_modes, n_common) in Hz, due to errors of 1."""
+        own = np.zeros((len(measured), self.n_own))
+        if self.sd is not None:
+            own[:, 0] = measured
+        return own, np.repeat(measured[:, None], self.n_common, axis=1)
+
+    def as_dict(self) -> dict[str, Plain]:
+        """Return a dict of the settings in plain Python types."""
+        kept = {"sd": self.sd, "correlation": self.correlation, "shape_sd": self.shape_sd}
+        return {
+            "kind": "modes",
+            **{key: {"known": one.fixed, "inferred": one.number} for key, one in kept.items() if one is not None},
+            "root": self.root.tolist(),
+        }
+
+
+def _distances(sensors: Sequence[Dof], structure: SeparableModel | None) -> FloatArray:
+    """Return the distances of sensors in m; infinite between directions, and without coordinates."""
+    q = len(sensors)
+    found = np.where(np.eye(q) > 0.0, 0.0, np.inf)
+    geometry = None if structure is None else structure.geometry
+    if structure is None or geometry is None:
+        return found
+    places: list[FloatArray | None] = []
+    for place, _ in sensors:
+        arm = place if isinstance(place, RigidArm) else RigidArm(place, (0.0, 0.0, 0.0))
+        row = geometry.row_of.get(arm.node)
+        places.append(None if row is None else np.asarray(geometry.nodes)[row] + np.array(arm.offset))
+    for i, (here, (_, direction)) in enumerate(zip(places, sensors, strict=True)):
+        for j, (there, (_, other)) in enumerate(zip(places, sensors, strict=True)):
+            if here is not None and there is not None and direction == other:
+                found[i, j] = np.linalg.norm(here - there)
+    return found
