@@ -40,6 +40,7 @@ VARIANTS = {
     "inferred": Variant("one error of all modes"),
     "embedded": Variant("embedded", "embedded", "common"),
     "embedded-by-group": Variant("embedded by group", "embedded", "group"),
+    "modes": Variant("errors of the modes", "modes"),
 }
 """The discrepancies by their names on the command line; the first one is the reference of comparisons."""
 
@@ -53,8 +54,9 @@ def with_discrepancy(text: str, variant: str) -> str:
         The content of a valid problem file.
     variant : str
         A key of `VARIANTS`: ``"none"``; ``"inferred"``, an inferred standard deviation for all frequencies alike,
-        relative to them; ``"embedded"`` and ``"embedded-by-group"``, scatter of the parameters over the modes. A
-        table ``[[discrepancy]]`` of the same kind in the file keeps its other keys.
+        relative to them; ``"embedded"`` and ``"embedded-by-group"``, scatter of the parameters over the modes;
+        ``"modes"``, errors of the modes themselves that have a part in common. A table ``[[discrepancy]]`` of the
+        same kind in the file keeps its other keys.
 
     Raises
     ------

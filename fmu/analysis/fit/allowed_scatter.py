@@ -26,6 +26,9 @@ def scatter_sentences(trace: xr.DataTree) -> tuple[str, ...]:
     likelihood: Mapping[str, Any] = problem["likelihood"]
     noise, said = list(likelihood.get("noise", ())), []
     for one in likelihood.get("discrepancy", ()):
+        if one["kind"] == "modes":
+            said += _describe_modes(trace, one, noise)
+            continue
         for number in dict.fromkeys(k for k in one["inferred"] if k >= 0):
             mine = [name for name, k in zip(one["names"], one["inferred"], strict=True) if k == number]
             said.append(_describe_inferred(trace, noise[number], mine, problem["parameters"]))
@@ -40,12 +43,28 @@ def has_remedy(trace: xr.DataTree) -> bool:
     """Return True if a discrepancy could be added to the problem of a trace."""
     problem = problem_of(trace)
     likelihood: Mapping[str, Any] = problem.get("likelihood", {})
-    if "tests" in problem or "discrepancy" in likelihood:
+    if "discrepancy" in likelihood:
         return False
     kinds = [one for one in likelihood.get("errors", [likelihood]) if "frequency" in str(one.get("error", ""))]
     return bool(kinds) and not any(
         key in one for one in kinds for key in ("covariance_hz2", "freedom", "freedom_inferred")
     )
+
+
+def _describe_modes(trace: xr.DataTree, settings: Mapping[str, Any], noise: list[str]) -> list[str]:
+    """Return a sentence on each size of the errors of the modes themselves."""
+    found = []
+    for key, what in (("sd", "relative error of the frequencies"), ("shape_sd", "error of the shapes")):
+        if key not in settings:
+            continue
+        if settings[key]["inferred"] < 0:
+            found.append(f"a given {what} of {significant(100.0 * settings[key]['known'], 2)} %")
+            continue
+        name = noise[settings[key]["inferred"]]
+        draws = 100.0 * trace["posterior"][name].to_numpy().ravel()
+        low, middle, high = (significant(x, 2) for x in np.quantile(draws, [0.05, 0.5, 0.95]))
+        found.append(f"a {what} by the model, {name}, of {middle} % (90 %: {low} to {high} %)")
+    return found
 
 
 def _describe_inferred(trace: xr.DataTree, tau: str, names: list[str], parameters: Any) -> str:

@@ -58,7 +58,7 @@ def scatters(trace: xr.DataTree) -> tuple[Scatter, ...]:
     noise, names = list(likelihood.get("noise", ())), [str(p["name"]) for p in problem.get("parameters", ())]
     of: dict[str, list[str]] = {}
     for one in likelihood.get("discrepancy", ()):
-        for name, k in zip(names, one.get("inferred", ()), strict=False):
+        for name, k in zip(one.get("names", names), one.get("inferred", ()), strict=False):
             if k >= 0:
                 of.setdefault(noise[k], []).append(name)
     draws = {tau: array_of(trace, "posterior", tau) for tau in of}

@@ -13,6 +13,7 @@ from annotated_types import Interval
 from fmu.analysis.identifiability import Identifiability, identifiability
 from fmu.analysis.prediction import measurement_in_words
 from fmu.analysis.repeatability import repeatability
+from fmu.analysis.start.discrepancy_doubts import discrepancy_doubts
 from fmu.analysis.start.gradient_check import GradientCheck, check_gradient
 from fmu.analysis.start.initial_modes import InitialModes, initial_modes, modes_as_text
 from fmu.analysis.start.model_words import model_in_words, parameter_table, structure_drawing
@@ -81,6 +82,8 @@ class Check:
         The assumptions of the posterior (`fmu.posterior.assumptions`).
     priors : tuple of str
         Warnings about priors that hardly fit within their bounds, one sentence each.
+    discrepancy : tuple of str
+        Warnings about discrepancies that have no effect or are alike, one sentence each.
     points : Matching or None
         The test points matched to nodes of the model; None if no coordinates were given.
     """
@@ -100,6 +103,7 @@ class Check:
     shapes: xr.Dataset | None = None
     assumptions: Assumptions | None = None
     priors: tuple[str, ...] = ()
+    discrepancy: tuple[str, ...] = ()
     points: Matching | None = None
 
     @property
@@ -107,6 +111,7 @@ class Check:
         """Warnings about what to examine before sampling, one sentence each."""
         found = [
             *self.priors,
+            *self.discrepancy,
             *self.modes.doubts,
             *self.sensor_doubts,
             *self.tests,
@@ -129,7 +134,7 @@ class Check:
     def sentences(self) -> list[str]:
         """Return the list of all findings: model, pairing, gradient, identifiability and prior prediction."""
         assumed = () if self.assumptions is None else self.assumptions.sentences
-        said = [*self.model, *assumed, *self.priors, *self.modes.notes, *self.modes.doubts]
+        said = [*self.model, *assumed, *self.priors, *self.discrepancy, *self.modes.notes, *self.modes.doubts]
         said += [*self.sensor_doubts, *self.tests]
         said += filter(None, [self.rounding])
         said.append(self.gradient.sentence())
@@ -309,6 +314,7 @@ def check(
             problem.configuration(), _tolerance(problem), elsewhere=largest_tolerance_elsewhere(problem.model)
         ),
         priors=(*prior_doubts(problem.parameters), *_without_purpose(problem)),
+        discrepancy=tuple(discrepancy_doubts(problem)) if informed else (),
         points=problem.data.points,
     )
 

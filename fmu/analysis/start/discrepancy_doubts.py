@@ -1,0 +1,63 @@
+"""Warnings about discrepancies that have no effect, or that the data cannot tell apart."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fmu.numbers import names_in_words
+from fmu.posterior.discrepancy.likelihood import DiscrepantLikelihood
+from fmu.posterior.problem import UpdatingProblem
+
+_NO_EFFECT = 1e-9
+"""Change of all residuals with a parameter, relative to the largest change, below which it has no effect."""
+_ALIKE = 0.999
+"""Correlation of the information on two standard deviations above which the data cannot tell them apart."""
+
+
+def discrepancy_doubts(problem: UpdatingProblem) -> list[str]:
+    """Return a list of warnings about the discrepancies of a problem at its start, one sentence each.
+
+    A parameter that changes no mode has no scatter to infer. Two inferred standard deviations whose information
+    (Fisher's, of Gaussian errors with these variances) is singular have errors of the same pattern.
+    """
+    likelihood = problem.likelihood
+    if not isinstance(likelihood, DiscrepantLikelihood):
+        return []
+    return [*_without_effect(problem, likelihood), *_alike(problem, likelihood)]
+
+
+def _without_effect(problem: UpdatingProblem, likelihood: DiscrepantLikelihood) -> list[str]:
+    theta = problem.layout.of_model(problem.start[None])
+    J = likelihood.errors.linearise(
+        likelihood.terms_of,
+        likelihood.observed(theta, True),
+        theta[:, likelihood.model.n_parameters :],
+        likelihood.of_used,
+    ).slopes
+    parameters, n_tests = problem.layout.structural, len(problem.tests)
+    values = theta[0, : likelihood.model.n_parameters].reshape(n_tests, -1)
+    change = np.max(np.abs(J[0]), axis=(0, 1)) * np.max(likelihood.errors.scale(values), axis=0)
+    scattered = likelihood.errors.scattered
+    names = [parameters[k].name for k in scattered if change[k] <= _NO_EFFECT * change.max()]
+    if not names:
+        return []
+    verb = "changes" if len(names) == 1 else "change"
+    return [
+        f"{names_in_words(names)} {verb} no mode: a scatter has no effect, and an inferred one keeps its prior; "
+        "name other groups in the discrepancy"
+    ]
+
+
+def _alike(problem: UpdatingProblem, likelihood: DiscrepantLikelihood) -> list[str]:
+    names = problem.names[problem.n_structural :]
+    information = problem.quadratic(problem.start[None])[2][0][problem.n_structural :, problem.n_structural :]
+    size = np.sqrt(np.diag(information))
+    found = []
+    for i, name in enumerate(names):
+        for k in range(i):
+            if size[i] > 0.0 and size[k] > 0.0 and information[i, k] > _ALIKE * size[i] * size[k]:
+                found.append(
+                    f"{names[k]} and {name} cannot be told apart, as both give the data the same errors: leave "
+                    "one out, or give its value"
+                )
+    return found

@@ -1,0 +1,52 @@
+"""What the check of a problem says about its discrepancies."""
+
+import numpy as np
+import pytest
+
+import fmu
+from tests.shear_building import shear_building, storey
+
+NAMES = ("k1", "k2", "k3")
+FREQUENCIES = np.array([0.07, 0.2, 0.29])
+
+
+def doubts_of(discrepancy, model=None, errors=None, names=NAMES):
+    parameters = [fmu.Parameter(name, 1.0, 0.3, 3.0) for name in names]
+    problem = fmu.UpdatingProblem(
+        shear_building(NAMES) if model is None else model,
+        fmu.ModalData(FREQUENCIES),
+        parameters,
+        pairing="index",
+        error=errors or fmu.FrequencyErrors("relative", sd=0.01),
+        discrepancy=discrepancy,
+    )
+    return fmu.check(problem, draws=10).discrepancy
+
+
+@pytest.mark.parametrize(
+    "discrepancy",
+    [(), fmu.Discrepancy(), fmu.Discrepancy(by="group"), (fmu.Discrepancy(), fmu.Discrepancy(kind="modes"))],
+    ids=["none", "common", "by group", "both kinds"],
+)
+def test_nothing_is_said_about_what_the_data_tell(discrepancy):
+    assert doubts_of(discrepancy) == ()
+
+
+def test_a_parameter_that_changes_no_mode():
+    """An element of two free nodes without mass has no effect on the modes of the building."""
+    K = {name: storey(j, 3) for j, name in enumerate(NAMES)}
+    terms = [(K[name], name) for name in NAMES] + [(1e-14 * K["k1"], "idle")]
+    model = fmu.SeparableModel.from_terms([*NAMES, "idle"], terms, [np.eye(3)])
+    (said,) = doubts_of(fmu.Discrepancy(tau=0.1), model, names=(*NAMES, "idle"))
+    assert "idle changes no mode" in said
+
+
+def test_two_that_give_the_same_errors():
+    sigma = fmu.Parameter("sigma", 0.02, 1e-4, 0.2)
+    (said,) = doubts_of(
+        fmu.Discrepancy(kind="modes", correlation=0.0), errors=fmu.FrequencyErrors("relative", sd=sigma)
+    )
+    assert "sigma and model error cannot be told apart" in said
+    twice = (fmu.Discrepancy(groups=("k1",)), fmu.Discrepancy(groups=("k1",), name="other"))
+    (said,) = doubts_of(twice)
+    assert "tau and other cannot be told apart" in said
