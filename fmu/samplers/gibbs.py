@@ -9,7 +9,9 @@ One step consists of
    or rejected by itself, as the tests are independent given the main parameters;
 3. where some main parameters act otherwise, or the tests say little about their own values, a proposal for the
    main parameters given the scores, the end of a trajectory in an approximate density (`MainGivenScores`), another
-   solve of all tests.
+   solve of all tests;
+4. where standard deviations of errors are inferred, a random walk of each of them given the predicted modes, which
+   are solved for once more.
 
 The acceptance rate of the second part does not depend on the number of tests. The first part holds the values, the
 third part the scores: alternating between them mixes well whether the tests are precise or not (Yu & Meng 2011,
@@ -27,8 +29,11 @@ from typing import ClassVar
 import numpy as np
 
 from fmu.arguments import check_arguments
+from fmu.box import find_inside
+from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.joint.conditional.both import Conditionals, conditionals
 from fmu.posterior.joint.layout import sum_by_test
+from fmu.posterior.priors.joint import JointPrior
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers.adaptation import DualAveraging
@@ -42,6 +47,8 @@ _FIRST_STEP = 0.5
 _LENGTH, _MOST_STEPS = 1.6, 16
 _JITTER, _MOST_BOUNCES = 0.2, 200
 _ACCEPT = 0.8
+_NOISE_STEPS, _NOISE_SIZE = 4, 2.0
+"""Number of steps of the standard deviations of errors, and their size in deviations at the typical point."""
 _NU = 5.0
 """Degrees of freedom of the Student distributions from which the scores of a test are proposed otherwise."""
 _WALKS = 0.35
@@ -164,6 +171,9 @@ class GibbsKernel:
         if not self.conditionals.is_enough:
             theta, terms, extra["shift_accepted"] = self._shift(rng, theta, terms)
             solves += 1
+        if len(self.conditionals.noise):
+            theta, terms = self._move_noise(rng, theta, terms)
+            solves += 1
         theta = self.problem.layout.restore_scores(theta)
         log_prob = terms.sum(axis=1) + self.problem.log_prior(theta)
         info = Info(moved > 0.0, log_prob, solves, np.zeros_like(solves), extra)
@@ -241,6 +251,32 @@ class GibbsKernel:
         accepted = info.accepted & accept(rng, ratio)
         chosen = accepted[:, None]
         return np.where(chosen, candidate, theta), np.where(chosen, new_terms, terms), accepted
+
+    def _move_noise(
+        self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return theta and terms with new standard deviations of errors.
+
+        One after the other walks on the logarithmic scale. The predicted modes do not change.
+        """
+        problem = self.problem
+        likelihood, first = problem.likelihood, problem.n_structural
+        assert isinstance(likelihood, ModalLikelihood)  # of several tests
+        at = self.conditionals.scores.layout.of_model(theta)
+        seen, begin = likelihood.observed(at), at.shape[1] - len(self.conditionals.noise)
+        prior = JointPrior(problem.parameters[first:])
+        for k in np.tile(np.arange(len(self.conditionals.noise)), _NOISE_STEPS):
+            step = _NOISE_SIZE * self.conditionals.noise[k] * rng.standard_normal(len(theta))
+            candidate = at.copy()
+            candidate[:, begin + k] *= np.exp(step)
+            s, new = at[:, begin:], candidate[:, begin:]
+            new_terms = likelihood.terms_of_observed(seen, candidate)
+            with np.errstate(invalid="ignore"):
+                ratio = (new_terms - terms).sum(axis=1) + prior.log_pdf(new) - prior.log_pdf(s) + step
+            inside = find_inside(new, problem.lower[first:], problem.upper[first:])[0]
+            moved = (inside & accept(rng, ratio))[:, None]
+            at, terms = np.where(moved, candidate, at), np.where(moved, new_terms, terms)
+        return np.concatenate([theta[:, :first], at[:, begin:]], axis=1), terms
 
 
 class GibbsTuner:

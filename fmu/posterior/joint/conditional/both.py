@@ -39,8 +39,10 @@ class Conditionals(NamedTuple):
     shift : MainGivenScores
     curvatures : tuple of two ndarray
         Minus the second derivatives of `main` and `shift` at the typical point, by their coordinates.
+    noise : ndarray, shape (n_noise,)
+        Relative standard deviations of the inferred standard deviations of errors; at most one.
     is_enough : bool
-        Whether steps by `scores` and `main` alone reach all parameters, and mix well.
+        Whether steps by `scores` and `main` alone reach all parameters but these deviations, and mix well.
     typical : ndarray, shape (1, ndim)
         The typical point, with standard normal scores.
     """
@@ -49,6 +51,7 @@ class Conditionals(NamedTuple):
     main: MainGivenValues
     shift: MainGivenScores
     curvatures: tuple[FloatArray, FloatArray]
+    noise: FloatArray
     is_enough: bool
     typical: FloatArray
 
@@ -80,6 +83,7 @@ def scatter_about_typical(
         for noise, curvature in zip(noises, known.curvatures, strict=True)
     ]
     of_scores = rng.standard_normal((n, *known.scores.scores.scored.shape))
+    of_noise = dispersion * known.noise * rng.standard_normal((n, len(known.noise)))
     share, found = np.ones((n, 1)), problem.layout.restore_scores(centre)
     left = np.arange(n)
     for _ in range(_HALVINGS):
@@ -89,6 +93,7 @@ def scatter_about_typical(
         w = known.shift.coordinates(theta) + share[left] * steps[1][left]
         w = np.where(w < low, 2.0 * low - w, np.where(w > high, 2.0 * high - w, w))  # reflected at the bounds
         theta = known.shift.theta_at(w, theta)
+        theta[:, problem.n_structural :] *= np.exp(share[left] * of_noise[left])
         inside = find_inside(theta, problem.lower, problem.upper)[0] & np.all((w > low) & (w < high), axis=1)
         theta[~inside] = centre[left][~inside]
         normal = known.scores.approximate(theta)
@@ -110,7 +115,7 @@ def _compute(problem: UpdatingProblem) -> Conditionals:
     theta = problem.layout.standardise_scores(own)
     expansion = expand(plain.layout, problem.likelihood, theta[0])
     scores, main = _bend(ScoresGivenMain(plain.layout, expansion), plain, theta), MainGivenValues(plain)
-    shift = MainGivenScores(plain, expansion, theta)
+    shift = MainGivenScores(plain, expansion)
     normal, n = scores.approximate(theta), int(np.ceil(_SCORES / len(problem.tests)))
     noise = np.random.default_rng(0).standard_normal((n, *normal.mean.shape[1:]))
     typical = scores.scores.put(np.repeat(theta, n, axis=0), normal.bend(normal.mean + normal.scatter(noise)))
@@ -127,7 +132,10 @@ def _compute(problem: UpdatingProblem) -> Conditionals:
         ),
     )
     is_enough = main.others == 0 and scores.least_information(theta) > _INFORMED
-    return Conditionals(scores, main, shift, curvatures, is_enough, theta)
+    s = theta[:, problem.n_structural :]
+    found = sum((term.information(s)[0] for term in problem.likelihood.terms_of), np.zeros((s.size, s.size)))
+    noise = 1.0 / np.sqrt(1.0 + np.diag(found) * s[0] ** 2)
+    return Conditionals(scores, main, shift, curvatures, noise, is_enough, theta)
 
 
 def _bend(straight: ScoresGivenMain, plain: UpdatingProblem, theta: FloatArray) -> ScoresGivenMain:

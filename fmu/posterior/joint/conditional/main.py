@@ -38,7 +38,7 @@ class MainGivenValues:
     lower, upper : ndarray, shape (n_columns,)
         Bounds of w; infinite for centres and widths, beyond whose bounds the log-density is −inf.
     others : int
-        Number of main parameters that are not included.
+        Number of main parameters that are not included, without inferred standard deviations of errors.
     """
 
     def __init__(self, problem: UpdatingProblem) -> None:
@@ -50,7 +50,7 @@ class MainGivenValues:
             if not isinstance(one.base, Drawn):
                 main -= {int(k) for slope in one(at[:, : len(layout.parameters)])[1] for k in slope.columns}
         self.columns: IntArray = np.array(sorted(main))
-        self.others = len(parameters) - len(self.columns) - int(self.scores.scored.sum())
+        self.others = problem.n_structural - len(self.columns) - int(self.scores.scored.sum())
         self.prior = JointPrior([parameters[k] for k in self.columns])
         self._offset, self._scale = scaled.offset[self.columns], scaled.scale[self.columns]
         self._low, self._high = scaled.theta_lower[self.columns], scaled.theta_upper[self.columns]

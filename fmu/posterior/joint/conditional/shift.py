@@ -13,7 +13,7 @@ from fmu.types import FloatArray, IntArray
 
 
 class MainGivenScores:
-    """An approximate density of the main parameters given the scores.
+    """An approximate density of the main parameters given the scores and the standard deviations of errors.
 
     If populations are correlated, the scores that are given are independent of each other: the scores times the
     inverse Cholesky factor of their correlation matrix. The density of the correlations then contains the data, so
@@ -27,24 +27,17 @@ class MainGivenScores:
         A problem with populations and standard normal scores.
     expansion : Expansion
         The log-likelihoods of the tests about `theta`.
-    theta : ndarray, shape (1, ndim)
-        The typical point, about which the density of inferred standard deviations of errors is normal.
     """
 
-    def __init__(self, problem: UpdatingProblem, expansion: Expansion, theta: FloatArray) -> None:
+    def __init__(self, problem: UpdatingProblem, expansion: Expansion) -> None:
         self.layout, self.expansion, scores = problem.layout, expansion, Scores.of(problem.layout)
         self.scores = scores
-        self.columns: IntArray = np.setdiff1d(np.arange(problem.ndim), scores.columns[scores.scored])
+        self.columns: IntArray = np.setdiff1d(np.arange(problem.n_structural), scores.columns[scores.scored])
         self.prior = JointPrior([problem.parameters[k] for k in self.columns])
         scaled = ScaledDensity(problem)
         self._offset, self._scale = scaled.offset[self.columns], scaled.scale[self.columns]
         self._low, self._high = scaled.theta_lower[self.columns], scaled.theta_upper[self.columns]
         self.lower, self.upper = scaled.lower[self.columns], scaled.upper[self.columns]
-        self._noise = theta[:, problem.n_structural :]
-        self._information = sum(
-            (term.information(self._noise)[0] for term in problem.likelihood.terms_of),
-            np.zeros((self._noise.shape[1], self._noise.shape[1])),
-        )
 
     def coordinates(self, theta: FloatArray) -> FloatArray:
         """Return the main parameters of theta (n, ndim), scaled, shape (n, n_columns)."""
@@ -62,12 +55,9 @@ class MainGivenScores:
         away = self.layout.values(at[:, :n]) - known.values
         turned = np.einsum("tij,ntj->nti", known.information, away)
         value = np.einsum("nti,nti->n", away, known.slope - 0.5 * turned)
-        noise = np.zeros((*away.shape[:2], self._noise.shape[1]))
+        noise = np.zeros((*away.shape[:2], at.shape[1] - n))
         slopes = np.concatenate([known.slope - turned, noise], axis=2)
         gradient = self.layout.gradient(at, slopes, np.arange(away.shape[1]))
-        by_noise = (at[:, n:] - self._noise) @ self._information
-        gradient[:, n:] -= by_noise
-        value -= 0.5 * np.einsum("nk,nk->n", by_noise, at[:, n:] - self._noise)
         copula = self.layout.correlation
         if copula is not None:
             gradient[:, copula.columns] = copula.chain_scores(at, u, self.scores.take(gradient))
