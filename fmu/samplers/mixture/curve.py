@@ -20,9 +20,9 @@ _SWEEPS, _NEWTON_STEPS = 8, 30
 _POINTS = 5
 """Effective points needed per coefficient of a bend."""
 _LEAST, _MOST_SHAPE = 1e-2, 1e3
-_INFINITE, _ENOUGH = 0.8, 100
-"""Shape parameter of a beta distribution below which a density counts as infinite at a wall, and the effective
-points needed to tell."""
+_INFINITE, _ENOUGH, _NEAREST = 0.8, 100, 0.1
+"""Shape parameter of a beta distribution below which a density counts as infinite at a wall, the effective points
+needed to tell, and the share of the points that are nearest to the wall."""
 _PRODUCTS = 8e6
 """Largest product of points and squared number of coefficients in a fit, which takes a tenth of a second."""
 _TINY, _EPS = 1e-300, 2.0**-53
@@ -232,10 +232,26 @@ def fit_infinite_margins(
     shapes = np.full((2, u.shape[1]), np.nan)
     if weight.sum() ** 2 > _ENOUGH * np.sum(weight**2):
         for i in np.flatnonzero(np.isfinite(lower) & np.isfinite(upper)):
-            a, b = _fit_beta((u[:, i] - lower[i]) / (upper[i] - lower[i]), weight / weight.sum())
-            if min(a, b) < _INFINITE:
+            t = (u[:, i] - lower[i]) / (upper[i] - lower[i])
+            a, b = _fit_beta(t, weight / weight.sum())
+            walls = ((a, t), (b, 1.0 - t))
+            if any(shape < _INFINITE and _shape_at_zero(x, weight) < _INFINITE for shape, x in walls):
                 shapes[:, i] = a, b
     return shapes[0], shapes[1]
+
+
+def _shape_at_zero(t: FloatArray, weight: FloatArray) -> float:
+    """Return the power a of the probability t^a near 0, from the tenth of the points that are nearest.
+
+    A beta distribution also has a shape below 1 where a density is finite but falls steeply from the wall. The
+    estimate is the maximum-likelihood one of a power law below the last of these points (Hill 1975, *Annals of
+    Statistics* 3, 1163–1174).
+    """
+    order = np.argsort(t)
+    below = order[: np.searchsorted(np.cumsum(weight[order]), _NEAREST * weight.sum()) + 1]
+    logs = np.log(np.maximum(t[below], _TINY))
+    spread = float(weight[below] @ (logs[-1] - logs)) / float(weight[below].sum())
+    return 1.0 / spread if spread > 0.0 else np.inf
 
 
 def _fit_beta(t: FloatArray, weight: FloatArray) -> tuple[float, float]:

@@ -229,3 +229,15 @@ def test_the_remedy_for_a_funnel_works_when_it_is_followed():
     v, z = (trace["posterior"][name].to_numpy() for name in ("x0", "x1"))
     for one, mean in ((v, 0.0), (v**2, 9.0), (np.sign(z) * np.log1p(np.abs(np.exp(v / 2) * z)), 0.0)):
         assert abs(one.mean() - mean) < 5 * mcse_mean(one)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_density_that_falls_steeply_from_a_wall_is_not_infinite_there(seed):
+    """A beta distribution fitted to it has a shape of 0.33 at that wall."""
+    rng, n = np.random.default_rng(seed), 2000
+    steep = np.where(rng.uniform(size=n) < 0.6, rng.exponential(0.02, n), rng.uniform(size=n)).clip(0.0, 1.0)
+    infinite = rng.beta(0.5, 2.0, n)
+    u = np.stack([steep, 1.0 - steep, infinite, 1.0 - infinite], axis=1)
+    a, b = fit_infinite_margins(u, np.ones(n), np.zeros(4), np.ones(4))
+    assert np.isnan(a).tolist() == np.isnan(b).tolist() == [True, True, False, False]
+    assert max(abs(a[2] - 0.5), abs(b[3] - 0.5)) < 0.1
