@@ -11,6 +11,8 @@ from .analysis.information import information as information
 from .analysis.maxima.search import find_map as find_map
 from .analysis.next_test import predict_tests as predict_tests
 from .analysis.pairing_changes import pairing_changes as pairing_changes
+from .analysis.plan.options import Change as Change
+from .analysis.plan.plan import plan as plan
 from .analysis.prediction import expectation as expectation
 from .analysis.start.check import check as check
 from .analysis.trace.conversion import load_trace as load_trace

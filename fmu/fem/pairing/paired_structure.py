@@ -62,6 +62,8 @@ class PairedStructure(ModalModel):
         ``choose(theta, gradient=False)`` returns all candidate modes, for a pairing by shape; otherwise None.
     softness : float
         Temperature of the weights of a soft pairing, otherwise 0.
+    sensors : tuple of (node, direction)
+        The sensors given to `seen_by`; otherwise empty.
     why_full : str
         Sentence on why there is no reduced model although one was trained; otherwise empty.
     """
@@ -84,6 +86,7 @@ class PairedStructure(ModalModel):
         self.by_shape, self.is_soft, self.softness = rule.by_shape, rule.is_soft, rule.softness
         self.pairing: IndexPairing | ShapePairing | RankPairing = pairing or rule
         self.why_full = ""
+        self.sensors: tuple[Dof, ...] = ()
         self._sensors, self._at_sensors = sensors, at_sensors
         self.solve = self.pairing.bind(blocks)
         self.see = SensorView(blocks, self.solve, sensors)
@@ -175,6 +178,13 @@ class PairedStructure(ModalModel):
         """Return the same structure and measured modes, solved with other blocks and another pairing."""
         own = (self.rule, self.n_modes, self._sensors, self._at_sensors)
         return PairedStructure(self.structure, blocks, *own, pairing)
+
+    def seen_by(self, sensors: tuple[Dof, ...]) -> PairedStructure:
+        """Return the same structure and pairing, whose `observed` gives shapes at other sensors."""
+        own = (self.structure, self.blocks, self.rule, self.n_modes, self.structure.observation(sensors))
+        other = PairedStructure(*own, self._at_sensors, self.pairing)
+        other.sensors = sensors
+        return other
 
     def kept_full(self, size: int) -> PairedStructure:
         """Return a copy whose `why_full` says that a reduced model of `size` unknowns is of no use."""

@@ -1,0 +1,90 @@
+"""Choices of sensors by the customary rules, which compare shapes and not what they tell of the parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fmu.analysis.plan.choice import Limits
+from fmu.fem.modes.modal import mac
+from fmu.types import FloatArray, IntArray
+
+
+def effective_independence(shapes: FloatArray, groups: IntArray, limits: Limits) -> tuple[int, ...]:
+    """Return a choice by effective independence (Kammer 1991, *J. Guid. Control Dyn.* 14, 251–259).
+
+    The candidate that contributes least to the independence of the shapes, E = diag Φ(ΦᵀΦ)⁻¹Φᵀ summed over the
+    directions of a sensor, is removed again and again.
+
+    Parameters
+    ----------
+    shapes : ndarray, shape (rows, m)
+        Shapes at the start.
+    groups : ndarray of int, shape (n_candidates, d)
+    limits : Limits
+    """
+    shapes = np.concatenate([shapes, np.zeros((1, shapes.shape[1]))])
+    left = list(range(len(groups)))
+    while len(left) > limits.count + len(limits.mounted):
+        rows = groups[left]
+        phi = shapes[rows.ravel()]
+        contribution = np.sum(phi * (phi @ np.linalg.pinv(phi.T @ phi)), axis=1).reshape(rows.shape).sum(axis=1)
+        fixed = np.isin(left, limits.mounted)
+        left.pop(int(np.argmin(np.where(fixed, np.inf, contribution))))
+    return tuple(k for k in left if k not in limits.mounted)
+
+
+def kinetic_energy(energy: FloatArray, groups: IntArray, limits: Limits) -> tuple[int, ...]:
+    """Return the candidates with the largest share of the modes' kinetic energy.
+
+    Parameters
+    ----------
+    energy : ndarray, shape (rows,)
+        Kinetic energy φ_q (Mφ)_q at each row, summed over the modes, each of unit modal mass.
+    groups, limits
+        As in `effective_independence`.
+    """
+    score = np.sum(np.append(energy, 0.0)[groups], axis=1)
+    return _best(score, limits)
+
+
+def smallest_auto_mac(shapes: FloatArray, groups: IntArray, limits: Limits) -> tuple[int, ...]:
+    """Return a choice with small AutoMAC off the diagonal (Carne & Dohrmann 1995).
+
+    From as many candidates by effective independence as there are modes, the candidate that makes the largest
+    off-diagonal entry smallest is added again and again.
+    """
+    few = Limits(min(limits.count, shapes.shape[1]), limits.mounted, limits.cost)
+    found = list(effective_independence(shapes, groups, few))
+    padded = np.concatenate([shapes, np.zeros((1, shapes.shape[1]))])
+    products = np.einsum("gdi,gdj->gij", padded[groups], padded[groups])
+    while len(found) < limits.count:
+        total = np.sum(products[[*limits.mounted, *found]], axis=0)
+        largest = largest_off_diagonal(total + products)
+        largest[[*limits.mounted, *found]] = np.inf
+        found.append(int(np.argmin(largest)))
+    return tuple(found)
+
+
+def largest_off_diagonal(products: FloatArray) -> FloatArray:
+    """Return the largest MAC of two different shapes, from their products ΦᵀΦ (…, m, m)."""
+    m = products.shape[-1]
+    if m == 1:
+        return np.zeros(products.shape[:-2])
+    size = np.diagonal(products, axis1=-2, axis2=-1)
+    scale = size[..., :, None] * size[..., None, :]
+    found = np.divide(products**2, scale, out=np.zeros_like(products), where=scale > 0.0)
+    found[..., range(m), range(m)] = 0.0
+    return np.asarray(np.max(found, axis=(-2, -1)))
+
+
+def auto_mac(shapes: FloatArray, rows: Sequence[int]) -> FloatArray:
+    """Return the AutoMAC (m, m) of shapes (rows, m) at some rows."""
+    picked = shapes[list(rows)]
+    return mac(picked, picked)
+
+
+def _best(score: FloatArray, limits: Limits) -> tuple[int, ...]:
+    order = [int(k) for k in np.argsort(-score, kind="stable") if int(k) not in limits.mounted]
+    return tuple(order[: limits.count])

@@ -1,0 +1,153 @@
+"""Candidate sensors of a planned test: where they may be, what they cost, and which are mounted already."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fmu.analysis.plan.choice import Limits, near_pairs
+from fmu.arguments import ArgumentError
+from fmu.fem.modes.separable import SeparableModel
+from fmu.types import Dof, FloatArray, IntArray
+
+_TRANSLATIONS = ("x", "y", "z")
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """The candidates of a plan.
+
+    Attributes
+    ----------
+    sensors : tuple of (place, direction)
+        All readings, one per row of the shapes.
+    groups : ndarray of int, shape (n_candidates, d)
+        Rows of each candidate: one, or up to three of a triaxial sensor; −1 stands for no row.
+    mounted : tuple of int
+        The candidates that are mounted already.
+    cost : ndarray, shape (n_candidates,)
+    """
+
+    sensors: tuple[Dof, ...]
+    groups: IntArray
+    mounted: tuple[int, ...]
+    cost: FloatArray
+
+    def rows(self, chosen: Sequence[int]) -> list[int]:
+        """Return the rows of some candidates, in their order."""
+        return [int(row) for k in chosen for row in self.groups[k] if row >= 0]
+
+    def places(self, structure: SeparableModel) -> FloatArray | None:
+        """Return the coordinates of the candidates in m, (n_candidates, 3); None if one of them is unknown."""
+        if structure.geometry is None:
+            return None
+        nodes, row_of = np.asarray(structure.geometry.nodes), structure.geometry.row_of
+        found = np.empty((len(self.groups), 3))
+        for k, rows in enumerate(self.groups):
+            place, offset = self.sensors[rows[0]][0], np.zeros(3)
+            if place in structure.arms:
+                arm = structure.arms[place]
+                place, offset = arm.node, np.array(arm.offset)
+            if place not in row_of:
+                return None
+            found[k] = nodes[row_of[place]] + offset
+        return found
+
+    def limits(self, count: int, budget: float, places: FloatArray | None, distance: float) -> Limits:
+        """Return the limits of a choice of `count` further candidates.
+
+        Raises
+        ------
+        ValueError
+            If there are fewer candidates than sensors, or a distance is given and coordinates are not known.
+        """
+        free = len(self.groups) - len(self.mounted)
+        if count > free:
+            raise ArgumentError("sensors", f"must be at most {free}, the number of candidates", count)
+        near = None
+        if distance > 0.0:
+            if places is None:
+                rule = "must be 0 where the coordinates of candidates are not known"
+                raise ArgumentError("min_distance", rule, distance)
+            near = near_pairs(places, distance)
+        return Limits(count, self.mounted, self.cost, budget, near)
+
+
+def find_candidates(
+    structure: SeparableModel,
+    given: Sequence[Dof] | None,
+    mounted: Sequence[Dof],
+    exclude: Collection[Any],
+    triaxial: bool,
+    costs: Mapping[Any, float],
+) -> Candidates:
+    """Return the candidates on a structure given by its matrices.
+
+    Parameters
+    ----------
+    structure : SeparableModel
+    given : sequence of (place, direction), optional
+        All translations of the nodes by default.
+    mounted : sequence of (place, direction)
+    exclude : collection of place
+        Places out of reach.
+    triaxial : bool
+        Whether one sensor reads all candidate directions of its place.
+    costs : mapping of place to float
+        Costs of the sensors at these places; 1 elsewhere.
+
+    Raises
+    ------
+    ValueError
+        If a sensor does not exist, is given twice, or no candidate is left.
+    """
+    for key, sensors in (("candidates", given or ()), ("mounted", mounted)):
+        for i, sensor in enumerate(sensors):
+            if not structure.sees(sensor):
+                rule = "must be a place and a direction that are free to move"
+                raise ArgumentError(f"{key}.{i}", rule, repr(list(sensor)))
+    every = given
+    if every is None:
+        every = [dof for dof in structure.dofs if dof[1] in _TRANSLATIONS]
+    return group_candidates(every, mounted, exclude, triaxial, costs)
+
+
+def group_candidates(
+    given: Sequence[Dof],
+    mounted: Sequence[Dof],
+    exclude: Collection[Any],
+    triaxial: bool,
+    costs: Mapping[Any, float],
+) -> Candidates:
+    """Return candidates that are known to exist; see `find_candidates`."""
+    for key, sensors in (("candidates", given), ("mounted", mounted)):
+        twice = (
+            next((i for i, one in enumerate(sensors) if one in sensors[:i]), None) if len(sensors) < 100 else None
+        )
+        if twice is not None:
+            raise ArgumentError(f"{key}.{twice}", "must be given once", repr(list(sensors[twice])))
+    there = {place for place, _ in (*given, *mounted)}
+    for key, places in (("exclude", exclude), ("costs", costs)):
+        unknown = next((place for place in places if place not in there), None)
+        if unknown is not None:
+            raise ArgumentError(key, "must name places of candidates", repr(unknown))
+    fixed = [(place, direction) for place, direction in mounted]
+    free = [dof for dof in dict.fromkeys(given) if dof[0] not in exclude and dof not in fixed]
+    if not free:
+        raise ArgumentError("candidates", "must have a place that is not excluded or taken", "none")
+    sensors = (*fixed, *free)
+    keys: dict[object, list[int]] = {}
+    for row, (place, direction) in enumerate(sensors):
+        is_fixed = row < len(fixed)
+        keys.setdefault((is_fixed, place) if triaxial else (is_fixed, place, direction), []).append(row)
+    groups = np.full((len(keys), max(map(len, keys.values()))), -1, dtype=np.int64)
+    for k, rows in enumerate(keys.values()):
+        groups[k, : len(rows)] = rows
+    cost = np.array([float(costs.get(sensors[rows[0]][0], 1.0)) for rows in groups])
+    if np.any(cost <= 0.0):
+        raise ArgumentError("costs", "must be positive", float(cost.min()))
+    taken = tuple(k for k, rows in enumerate(groups) if rows[0] < len(fixed))
+    return Candidates(sensors, groups, taken, cost)

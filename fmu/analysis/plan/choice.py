@@ -1,0 +1,158 @@
+"""Choice of sensors: greedy by expected information, then exchanges of one sensor at a time.
+
+For independent errors the greedy choice reaches at least 1 − 1/e of the largest gain (Nemhauser, Wolsey & Fisher
+1978, *Math. Program.* 14, 265–294); shapes of unknown scale have no such guarantee, so that `bound` says how far
+from the best a choice can be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmu.analysis.plan.information import Readings
+from fmu.types import BoolArray, FloatArray, IntArray
+
+_MOST_SWEEPS = 10
+_TRIED = 8  # candidates that take the place of a sensor, the best first, until one is accepted
+# A gain below this is rounding, in nats.
+_LEAST_GAIN = 1e-9
+
+Accept = Callable[[Sequence[int]], bool]
+"""Whether a choice of candidates, without mounted ones, may be taken."""
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """What restricts a choice of candidates.
+
+    Attributes
+    ----------
+    count : int
+        Number of sensors to choose, besides those that are mounted.
+    mounted : tuple of int
+        Candidates that are part of every choice.
+    cost : ndarray, shape (n_candidates,)
+    budget : float
+        Largest total cost of the chosen sensors; infinite without a budget.
+    near : ndarray of bool, shape (n_candidates, n_candidates), or None
+        Pairs of candidates that are too close to each other.
+    """
+
+    count: int
+    mounted: tuple[int, ...]
+    cost: FloatArray
+    budget: float = np.inf
+    near: BoolArray | None = None
+
+    def allowed(self, chosen: Sequence[int]) -> BoolArray:
+        """Return a mask (n_candidates,) of the candidates that may be added to those chosen."""
+        every = [*self.mounted, *chosen]
+        found = np.ones(len(self.cost), dtype=bool)
+        found[every] = False
+        if self.near is not None and every:
+            found &= ~self.near[every].any(axis=0)
+        left = self.budget - float(np.sum(self.cost[list(chosen)]))
+        return found & (self.cost <= left * (1.0 + 1e-12))
+
+
+def choose(
+    readings: Readings, limits: Limits, starts: Sequence[Sequence[int]] = (), accept: Accept | None = None
+) -> tuple[int, ...] | None:
+    """Return the candidates chosen, the most needed first, without those that are mounted.
+
+    Greedy choices and `starts`, which may break limits, are improved by exchanges; the best is returned. With
+    `accept`, only choices that it accepts count, from their start on; None if it accepts no start.
+    """
+    found = [greedy(readings, limits)]
+    if np.isfinite(limits.budget):
+        found.append(greedy(readings, limits, by_cost=True))
+    found += [repaired(readings, limits, start) for start in starts]
+    distinct = {frozenset(one): one for one in found}.values()
+    tried = [exchange(readings, limits, one, accept) for one in distinct if accept is None or accept(one)]
+    if not tried:
+        return None
+    best = max(tried, key=lambda one: readings.value_of([*limits.mounted, *one]))
+    return in_order(readings, limits, best)
+
+
+def greedy(
+    readings: Readings, limits: Limits, by_cost: bool = False, chosen: Sequence[int] = ()
+) -> tuple[int, ...]:
+    """Return candidates chosen one after another, each with the largest gain, or the largest gain per cost.
+
+    One sensor alone tells nothing of a shape whose scale is unknown. The first one is where the modes move most.
+    """
+    found = list(chosen)
+    state = readings.with_sensors([*limits.mounted, *found])
+    while len(found) < limits.count:
+        allowed = limits.allowed(found)
+        if not allowed.any():
+            break
+        gain = readings.gains(state)
+        if not np.any(gain[allowed] > _LEAST_GAIN) and not np.any(state.size):
+            gain = visibility(readings)
+        k = int(np.argmax(np.where(allowed, gain / limits.cost if by_cost else gain, -np.inf)))
+        found.append(k)
+        state = readings.with_sensors([k], state)
+    return tuple(found)
+
+
+def repaired(readings: Readings, limits: Limits, start: Sequence[int]) -> tuple[int, ...]:
+    """Return a choice that keeps the limits: the candidates of `start` that fit, and further ones by gain."""
+    found: list[int] = []
+    for k in start:
+        if len(found) < limits.count and limits.allowed(found)[k]:
+            found.append(k)
+    return greedy(readings, limits, chosen=found)
+
+
+def exchange(
+    readings: Readings, limits: Limits, chosen: Sequence[int], accept: Accept | None = None
+) -> tuple[int, ...]:
+    """Return a choice that no exchange of one of its sensors improves, of those that `accept` accepts."""
+    found = list(chosen)
+    value = readings.value_of([*limits.mounted, *found])
+    for _ in range(_MOST_SWEEPS):
+        before = value
+        for i in range(len(found)):
+            rest = found[:i] + found[i + 1 :]
+            state = readings.with_sensors([*limits.mounted, *rest])
+            gained = readings.value(state) + np.where(limits.allowed(rest), readings.gains(state), -np.inf)
+            for k in np.argsort(-gained, kind="stable")[:_TRIED]:
+                other = [*rest[:i], int(k), *rest[i:]]
+                if gained[k] <= value + _LEAST_GAIN:
+                    break
+                if accept is None or accept(other):
+                    found, value = other, float(gained[k])
+                    break
+        if value <= before + _LEAST_GAIN:
+            break
+    return tuple(found)
+
+
+def in_order(readings: Readings, limits: Limits, chosen: Sequence[int]) -> tuple[int, ...]:
+    """Return the chosen sensors in the order in which they should be given up last: the most needed first."""
+    left, order = list(chosen), []
+    while left:
+        values = [readings.value_of([*limits.mounted, *left[:i], *left[i + 1 :]]) for i in range(len(left))]
+        order.append(left.pop(int(np.argmax(values))))
+    return tuple(reversed(order))
+
+
+def visibility(readings: Readings) -> FloatArray:
+    """Return how much the modes move each candidate: φ² relative to its largest, summed over modes, the mean."""
+    square = readings.shapes**2
+    largest = np.max(square, axis=1, keepdims=True)
+    share = np.mean(np.sum(square / np.where(largest > 0.0, largest, 1.0), axis=2), axis=0)
+    return np.asarray(np.sum(share[readings.groups], axis=1))
+
+
+def near_pairs(places: FloatArray, distance: float) -> BoolArray:
+    """Return a mask (n, n) of the pairs of places (n, 3) that are closer to each other than a distance, in m."""
+    square = np.sum((places[:, None] - places[None]) ** 2, axis=2)
+    near: IntArray | BoolArray = square < (distance * (1.0 - 1e-9)) ** 2
+    np.fill_diagonal(near, False)
+    return near.astype(bool)

@@ -1,0 +1,182 @@
+"""Expected information of a modal test about the parameters, by the model linearised at draws.
+
+At each draw, the parameters are scaled so that their covariance before the test is the identity matrix. Mode i at
+sensor q reads y = a_i φ_i(θ)_q + e with an unknown scale a_i. With rows divided by the standard deviation of e, the
+shapes add to the information matrix
+
+    Σ_i [ J_iᵀJ_i − (J_iᵀφ_i)(φ_iᵀJ_i) / (φ_iᵀφ_i) ],
+
+where the second part is lost to the scales. One more sensor, with row (φ, j) of a mode, adds
+
+    r rᵀ with r = (j − φ b) / √(1 + φ²/N), N = φ_iᵀφ_i and b = J_iᵀφ_i / N
+
+over the sensors before it, which is the recursion of least squares. The expected information gain is
+½ E log det A, the mean over the draws, with the information matrix A (identity matrix included).
+
+References
+----------
+Lindley (1956), *Ann. Math. Statist.* 27, 986–1005; Papadimitriou (2004), *J. Vib. Control* 10, 1637–1665.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fmu.types import FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """What the candidate sensors read of the modes, linearised at n draws of p parameters.
+
+    Attributes
+    ----------
+    prior : ndarray, shape (n, p, p)
+        Information before any sensor: the identity matrix and the information of the frequencies.
+    shapes : ndarray, shape (n, rows, modes)
+        Shapes in standard deviations of their errors; the last row is zero.
+    slopes : ndarray, shape (n, rows, modes, p)
+        Their derivatives by the scaled parameters.
+    groups : ndarray of int, shape (n_candidates, d)
+        Rows of each candidate: one of a uniaxial sensor, three of a triaxial one. −1 stands for no row.
+    target : ndarray, shape (n, t, p), or None
+        Combinations of the scaled parameters that matter; None if all parameters matter alike.
+    """
+
+    prior: FloatArray
+    shapes: FloatArray
+    slopes: FloatArray
+    groups: IntArray
+    target: FloatArray | None = None
+
+    def start(self) -> State:
+        """Return the information before any sensor is placed."""
+        n, _, m, p = self.slopes.shape
+        return State(self.prior, np.zeros((n, m, p)), np.zeros((n, m)))
+
+    def with_sensors(self, chosen: Sequence[int], state: State | None = None) -> State:
+        """Return the information with further candidates, by their numbers from 0."""
+        found = self.start() if state is None else state
+        for k in chosen:
+            for row in self.groups[k][self.groups[k] >= 0]:
+                found = found.with_row(self.shapes[:, row], self.slopes[:, row])
+        return found
+
+    def value(self, state: State) -> float:
+        """Return the expected information gain about the target in nats."""
+        if self.target is None:
+            return 0.5 * float(np.mean(np.linalg.slogdet(state.matrix)[1]))
+        left = self.target @ np.linalg.solve(state.matrix, np.swapaxes(self.target, 1, 2))
+        before = self.target @ np.swapaxes(self.target, 1, 2)
+        return 0.5 * float(np.mean(np.linalg.slogdet(before)[1] - np.linalg.slogdet(left)[1]))
+
+    def value_of(self, chosen: Sequence[int]) -> float:
+        """Return the expected information gain of a choice of candidates in nats."""
+        return self.value(self.with_sensors(chosen))
+
+    def gains(self, state: State) -> FloatArray:
+        """Return the increase of `value` by each candidate, (n_candidates,).
+
+        With the new rows R of a candidate and P = A⁻¹, log det A grows by log det(I + R P Rᵀ). Where a target T
+        matters, V = P Tᵀ (T P Tᵀ)⁻¹ T P takes the place of P: log det(I + R P Rᵀ) − log det(I + R (P − V) Rᵀ).
+        """
+        rows = self._new_rows(state)
+        whole, rest = self._factors(state)
+        found = _log_det_of_one_plus(rows @ whole[:, None])
+        if rest is not None and rest.shape[2]:
+            found = found - _log_det_of_one_plus(rows @ rest[:, None])
+        return 0.5 * np.mean(found, axis=0)
+
+    def weights_of_directions(self, state: State) -> FloatArray:
+        """Return F (n, p, t) with F Fᵀ = V: the derivative of 2 `value` by A, at each draw."""
+        whole, rest = self._factors(state)
+        if rest is None:
+            return whole
+        T = self.target
+        assert T is not None  # for the type checker: there is a rest only with a target
+        W = np.swapaxes(whole, 1, 2) @ np.swapaxes(T, 1, 2)
+        return np.asarray(whole @ np.linalg.qr(W)[0])
+
+    def _factors(self, state: State) -> tuple[FloatArray, FloatArray | None]:
+        """Return C (n, p, p) with C Cᵀ = P, and D (n, p, p − t) with D Dᵀ = P − V; None without a target."""
+        L = np.linalg.cholesky(state.matrix)
+        C = np.swapaxes(np.linalg.inv(L), 1, 2)
+        if self.target is None:
+            return C, None
+        W = np.swapaxes(C, 1, 2) @ np.swapaxes(self.target, 1, 2)
+        Q = np.linalg.qr(W, mode="complete")[0]
+        return C, C @ Q[:, :, W.shape[2] :]
+
+    def _new_rows(self, state: State) -> FloatArray:
+        """Return the rows r that each candidate adds, shape (n, n_candidates, d · modes, p)."""
+        b, N = state.lost[:, None], state.size[:, None]
+        parts = []
+        for t in range(self.groups.shape[1]):
+            phi, j = self.shapes[:, self.groups[:, t]], self.slopes[:, self.groups[:, t]]
+            total = N + phi**2
+            share = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0.0)
+            off = j - phi[..., None] * b
+            parts.append(off * np.sqrt(N * share)[..., None])
+            if t + 1 < self.groups.shape[1]:
+                b, N = b + (phi * share)[..., None] * off, total
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=2)
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """The information of the sensors placed so far, at each draw.
+
+    Attributes
+    ----------
+    matrix : ndarray, shape (n, p, p)
+        A.
+    lost : ndarray, shape (n, modes, p)
+        b of each mode.
+    size : ndarray, shape (n, modes)
+        N of each mode.
+    """
+
+    matrix: FloatArray
+    lost: FloatArray
+    size: FloatArray
+
+    def with_row(self, phi: FloatArray, j: FloatArray) -> State:
+        """Return the information with one more row: shapes (n, modes) and slopes (n, modes, p)."""
+        total = self.size + phi**2
+        share = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0.0)
+        off = j - phi[..., None] * self.lost
+        r = off * np.sqrt(self.size * share)[..., None]
+        return State(self.matrix + np.swapaxes(r, 1, 2) @ r, self.lost + (phi * share)[..., None] * off, total)
+
+    def covariance(self) -> FloatArray:
+        """Return A⁻¹, the covariance of the scaled parameters after the test, shape (n, p, p)."""
+        return np.asarray(np.linalg.inv(self.matrix))
+
+
+def with_modes(readings: Readings, prior: FloatArray, modes: Sequence[int]) -> Readings:
+    """Return the readings of some modes only, by index, with the information `prior` of their frequencies."""
+    picked = list(modes)
+    return replace(
+        readings, prior=prior, shapes=readings.shapes[:, :, picked], slopes=readings.slopes[:, :, picked]
+    )
+
+
+def _log_det_of_one_plus(rows: FloatArray) -> FloatArray:
+    """Return log det(I + R Rᵀ) of each matrix R (…, k, p), by the smaller of R Rᵀ and RᵀR."""
+    k, p = rows.shape[-2:]
+    gram = rows @ np.swapaxes(rows, -1, -2) if k <= p else np.swapaxes(rows, -1, -2) @ rows
+    size = min(k, p)
+    # Cholesky's factorisation of all matrices at once: LAPACK takes ten times as long for thousands of small ones
+    G = np.moveaxis(gram.reshape(-1, size, size), 0, 2).copy()
+    G[range(size), range(size)] += 1.0
+    found = np.zeros(G.shape[2])
+    for i in range(size):
+        pivot = G[i, i]
+        found += np.log(pivot)
+        scaled = G[i + 1 :, i] / pivot
+        for a in range(i + 1, size):
+            G[a, i + 1 : a + 1] -= scaled[a - i - 1] * G[i + 1 : a + 1, i]
+    return found.reshape(rows.shape[:-2])

@@ -1,0 +1,168 @@
+"""What else a test could be: other modes, repeats, and changes of the structure, with the information of each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fmu.analysis.plan.design import Design
+from fmu.analysis.plan.sensitivities import Sensitivities
+from fmu.arguments import Place, check_arguments
+from fmu.tables import data_frame
+from fmu.types import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+AGAIN = "the same test again"
+"""Row of the table of changes for a second test of the unchanged structure."""
+REPEATS = (1, 2, 3, 5, 10, 20)
+ENOUGH = 0.95
+"""Twice as many repeats are not worth it if the sds remain above this share."""
+
+
+@check_arguments
+@dataclass(frozen=True)
+class Change:
+    """A known change of the structure for one more test.
+
+    Attributes
+    ----------
+    masses : mapping of place to float, kg
+        Added point masses; a negative mass was taken away.
+    springs : mapping of (place, direction) to float, N/m or N·m/rad
+        Added springs to the ground, such as a support.
+    """
+
+    masses: Mapping[Place, float] = field(default_factory=dict)
+    springs: Mapping[tuple[Place, str], float] = field(default_factory=dict)
+
+
+def mode_table(design: Design, chosen: Sequence[int], labels: Sequence[str]) -> pd.DataFrame:
+    """Return a table of what each mode tells at the chosen sensors, in nats.
+
+    Columns: ``frequency_hz`` at the start; ``alone``, the information of this mode only; ``needed``, the
+    information that is lost without it; ``frequency_only``, the information lost if its shape is not measured;
+    ``twice_as_accurate``, the gain if the error of its frequency is halved.
+    """
+    every = list(design.modes)
+    whole = design.readings().value_of(chosen)
+    rows = []
+    for place, i in enumerate(every):
+        others = [k for k in every if k != i]
+        alone = design.readings([i]).value_of(chosen)
+        without = design.readings(others).value_of(chosen) if others else 0.0
+        p = len(design.names)
+        frequency = design.frequency_information([i], design.frequency_sd[[place]])
+        prior = np.eye(p) + frequency
+        shapeless = design.readings(others, prior=prior).value_of(chosen) if others else _of(design, prior)
+        halved = design.frequency_sd.copy()
+        halved[place] *= 0.5
+        better = design.readings(frequency_sd=halved).value_of(chosen)
+        rows.append((alone, whole - without, whole - shapeless, better - whole))
+    alone, needed, shape, better = np.array(rows).T
+    columns = {
+        "frequency_hz": design.found.nominal.frequencies[0, every],
+        "alone": alone,
+        "needed": needed,
+        "frequency_only": shape,
+        "twice_as_accurate": better,
+    }
+    return data_frame(columns, "mode", labels)
+
+
+def _of(design: Design, matrix: FloatArray) -> float:
+    readings = design.readings()
+    return readings.value(replace(readings.start(), matrix=matrix))
+
+
+def repeat_table(design: Design, chosen: Sequence[int], drift: float) -> pd.DataFrame:
+    """Return a table of the information of the mean of repeated tests, by their number.
+
+    Repeats divide the variance of scatter by their number; a drift, of the same relative size in all frequencies,
+    remains. Columns: ``information`` in nats, ``median_sd``, the median over the parameters of the expected
+    standard deviation relative to the one before the test.
+
+    Parameters
+    ----------
+    design : Design
+        Its errors are those of one test, without the drift.
+    chosen : sequence of int
+    drift : float
+        Relative standard deviation of the frequencies that repeats do not reduce.
+    """
+    rows = []
+    for n in REPEATS:
+        readings = design.readings(
+            frequency_sd=np.sqrt(design.frequency_sd**2 / n + drift**2), shape_sd=design.shape_sd / np.sqrt(n)
+        )
+        state = readings.with_sensors(chosen)
+        rows.append((readings.value(state), float(np.median(design.sd_of(state) / design.prior_sd))))
+    information, sd = np.array(rows).T
+    return data_frame({"information": information, "median_sd": sd}, "tests", REPEATS)
+
+
+def enough_repeats(table: pd.DataFrame) -> int | None:
+    """Return the smallest number of tests after which more of them hardly reduce the sds; None if all help."""
+    sd = table["median_sd"].to_numpy()
+    return next((int(table.index[k]) for k in range(len(sd) - 1) if sd[k + 1] > ENOUGH * sd[k]), None)
+
+
+def change_table(
+    design: Design, chosen: Sequence[int], changes: Mapping[str, Sensitivities], drift: float
+) -> pd.DataFrame:
+    """Return a table of second tests with a change of the structure, the most informative first.
+
+    Columns: ``gain``, the information in nats added to the test of the unchanged structure; ``median_sd`` and
+    ``largest_sd`` over the parameters after both tests, relative to the standard deviation before them. The row
+    `AGAIN` is a second test without change.
+    """
+    sd = np.sqrt(design.frequency_sd**2 + drift**2)
+    first = design.readings(frequency_sd=sd)
+    state = first.with_sensors(chosen)
+    rows: dict[str, tuple[float, float, float]] = {}
+    for name, found in {AGAIN: design.found, **changes}.items():
+        mine, others = _common(design.found, found)
+        other = replace(design, found=_rows(found, others), target=_part(design.target, mine))
+        before = replace(other, found=_rows(design.found, mine)).readings(frequency_sd=sd)
+        start = replace(state, matrix=state.matrix[mine], lost=state.lost[mine], size=state.size[mine])
+        readings = other.readings(frequency_sd=sd, prior=start.matrix)
+        after = readings.with_sensors(chosen)
+        ratio = design.sd_of(after) / design.prior_sd
+        rows[name] = (
+            readings.value(after) - before.value(start),
+            float(np.median(ratio)),
+            float(np.max(ratio)),
+        )
+    order = sorted(rows, key=lambda name: -rows[name][0])
+    columns = zip(*(rows[name] for name in order), strict=True)
+    return data_frame(
+        {key: np.array(c) for key, c in zip(("gain", "median_sd", "largest_sd"), columns, strict=True)},
+        "second_test",
+        order,
+    )
+
+
+def _common(one: Sensitivities, other: Sensitivities) -> tuple[IntArray, IntArray]:
+    """Return the rows of both that belong to draws which both have."""
+    n = max(len(s.seen.frequencies) if s.kept is None else len(s.kept) for s in (one, other))
+    masks = [np.ones(n, dtype=bool) if s.kept is None else s.kept for s in (one, other)]
+    both = masks[0] & masks[1]
+    first, second = (np.flatnonzero(both[mask]) for mask in masks)
+    return first, second
+
+
+def _rows(found: Sensitivities, rows: IntArray) -> Sensitivities:
+    seen = found.seen
+    parts = (seen.frequencies, seen.shapes, seen.frequency_slopes, seen.shape_slopes)
+    f, phi, df, dphi = (None if part is None else part[rows] for part in parts)
+    assert f is not None  # for the type checker: only slopes may be missing
+    assert phi is not None
+    return replace(found, seen=replace(seen, frequencies=f, shapes=phi, frequency_slopes=df, shape_slopes=dphi))
+
+
+def _part(target: FloatArray | None, rows: IntArray) -> FloatArray | None:
+    return None if target is None else target[rows]

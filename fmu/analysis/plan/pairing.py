@@ -1,0 +1,63 @@
+"""Whether the modes of a planned test could be told apart by MAC at its sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmu.analysis.plan.design import Design
+from fmu.fem.modes.modal import mac
+from fmu.fem.pairing.rules import assign
+from fmu.types import FloatArray
+
+MOST_WRONG = 0.05
+"""Largest share of simulated tests in which a mode may be paired with another one."""
+_TESTS = 10  # simulated tests at each draw
+
+
+@dataclass(frozen=True, eq=False)
+class Pairing:
+    """Pairing by MAC in simulated tests.
+
+    Attributes
+    ----------
+    wrong : ndarray, shape (m,)
+        Share of the tests in which each measured mode was paired with another mode.
+    taken_for : ndarray of int, shape (m,)
+        Index of the mode that each mode was most often taken for; its own if it never was.
+    """
+
+    wrong: FloatArray
+    taken_for: FloatArray
+
+    @property
+    def ok(self) -> bool:
+        """Whether every mode is paired correctly in enough tests."""
+        return bool(np.all(self.wrong <= MOST_WRONG))
+
+
+def check_pairing(design: Design, rows: Sequence[int], rng: np.random.Generator) -> Pairing:
+    """Simulate shapes with their errors at the sensors, and pair them with all modes of the model by MAC.
+
+    Parameters
+    ----------
+    design : Design
+    rows : sequence of int
+        Rows of the sensors.
+    rng : Generator
+    """
+    shapes, picked = design.found.seen.shapes[:, list(rows)], list(design.modes)
+    n, q, k = shapes.shape
+    counts = np.zeros((len(picked), k))
+    sd = design.shape_sd * design.largest[:, :, picked]
+    for _ in range(_TESTS):
+        measured = shapes[:, :, picked] + sd * rng.standard_normal((n, q, len(picked)))
+        column = assign(np.nan_to_num(mac(shapes, measured)))
+        for i in range(len(picked)):
+            counts[i] += np.bincount(column[:, i], minlength=k)
+    right = counts[range(len(picked)), picked].copy()
+    counts[range(len(picked)), picked] = 0.0
+    wrong = 1.0 - right / (n * _TESTS)
+    return Pairing(wrong, np.where(counts.any(axis=1), np.argmax(counts, axis=1), picked))

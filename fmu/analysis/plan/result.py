@@ -1,0 +1,253 @@
+"""The result of `fmu.plan`: the sensors, what they are expected to tell, and what stands against the plan."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fmu.analysis.plan.baselines import auto_mac, largest_off_diagonal
+from fmu.analysis.plan.choice import Limits
+from fmu.analysis.plan.design import Design
+from fmu.analysis.plan.information import Readings
+from fmu.analysis.plan.options import AGAIN, enough_repeats
+from fmu.analysis.plan.pairing import MOST_WRONG, Pairing, check_pairing
+from fmu.analysis.plan.sensitivities import SHAPE_ERROR
+from fmu.numbers import fixed, names_in_words, share, significant
+from fmu.posterior.problem import UpdatingProblem
+from fmu.tables import data_frame, text_table, wrap_text
+from fmu.types import Dof, FloatArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+PLANNED = "this plan"
+UNKNOWN = 0.9
+"""A parameter stays unknown if its expected sd is above this share of its sd before the test."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A plan of a modal test.
+
+    Attributes
+    ----------
+    problem : UpdatingProblem
+    design : Design
+        Derivatives, candidates and errors.
+    limits : Limits
+    chosen : tuple of int
+        Candidates chosen, the most needed first; mounted ones are in `limits`.
+    usual : dict of str to tuple of int
+        Choices by the customary rules.
+    places : ndarray, shape (n_candidates, 3), m, or None
+    information : float
+        Expected information gain in nats.
+    bound : float
+        Information that no choice of as many sensors exceeds, in nats.
+    curve : DataFrame
+        ``information`` by the number of the first sensors, and its ``bound``.
+    choices : DataFrame
+        The plan and the customary choices: ``information``, ``median_sd`` (relative to the one before the test),
+        ``largest_auto_mac`` off the diagonal, ``wrong_pairs``, the largest share of wrong pairings of a mode.
+    modes, repeats, second_tests : DataFrame
+        See `fmu.analysis.plan.options`; `second_tests` is None without changes.
+    pairing : Pairing
+    drift : float
+        Relative standard deviation of frequencies that repeats do not reduce.
+    """
+
+    problem: UpdatingProblem
+    design: Design
+    limits: Limits
+    chosen: tuple[int, ...]
+    usual: Mapping[str, tuple[int, ...]]
+    places: FloatArray | None
+    information: float
+    bound: float
+    curve: pd.DataFrame
+    choices: pd.DataFrame
+    modes: pd.DataFrame
+    repeats: pd.DataFrame
+    second_tests: pd.DataFrame | None
+    pairing: Pairing
+    drift: float
+
+    @property
+    def every(self) -> tuple[int, ...]:
+        """The candidates of the test: mounted ones, then those chosen."""
+        return (*self.limits.mounted, *self.chosen)
+
+    @property
+    def sensors(self) -> tuple[Dof, ...]:
+        """All readings (place, direction) of the test, mounted ones first, then in the order of the choice."""
+        there = self.design.candidates
+        return tuple(there.sensors[row] for row in there.rows(self.every))
+
+    @property
+    def gap(self) -> float:
+        """Largest share of the best possible information that the plan may miss."""
+        return (self.bound - self.information) / self.bound if self.bound > 0.0 else 0.0
+
+    @property
+    def frequency_sd(self) -> FloatArray:
+        """Relative standard deviation of each measured frequency, drift included, (n_modes,)."""
+        return np.sqrt(self.design.frequency_sd**2 + self.drift**2)
+
+    @property
+    def auto_mac(self) -> FloatArray:
+        """AutoMAC of the measured modes at the sensors, at the start, shape (n_modes, n_modes)."""
+        shapes = self.design.found.nominal.shapes[0][:, list(self.design.modes)]
+        return auto_mac(shapes, self.design.candidates.rows(self.every))
+
+    def parameters(self) -> pd.DataFrame:
+        """Return a table of expected standard deviations, SI units, a row per parameter.
+
+        Columns: ``before`` the test, with ``frequencies`` alone, and ``after`` the test.
+        """
+        readings = self.design.readings(frequency_sd=self.frequency_sd)
+        columns = {
+            "before": self.design.prior_sd,
+            "frequencies": self.design.sd_of(readings.start()),
+            "after": self.design.sd_of(readings.with_sensors(self.every)),
+        }
+        return data_frame(columns, "parameter", self.design.names)
+
+    def sensor_table(self) -> pd.DataFrame:
+        """Return a table of the readings: number of the sensor, place, direction, and coordinates in m if known."""
+        there = self.design.candidates
+        rows: list[dict[str, object]] = []
+        for number, k in enumerate(self.every, 1):
+            for row in there.rows([k]):
+                place, direction = there.sensors[row]
+                one: dict[str, object] = {"sensor": number, "place": place, "direction": direction}
+                if self.places is not None:
+                    one |= dict(zip("xyz", self.places[k].tolist(), strict=True))
+                rows.append(one | {"mounted": k in self.limits.mounted})
+        return data_frame(rows, "channel", range(1, len(rows) + 1))
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Sentences on what stands against the plan; it is recommended if there are none."""
+        found, sd = [], self.parameters()
+        for i, wrong in enumerate(self.pairing.wrong):
+            if wrong > MOST_WRONG:
+                mode, other = self.design.modes[i] + 1, int(self.pairing.taken_for[i]) + 1
+                found.append(
+                    f"In {share(wrong)} of the simulated tests mode {mode} is paired with another mode, most "
+                    f"often with mode {other}. Take more sensors, or leave mode {mode} out."
+                )
+        certificate = self.design.found.certificate
+        if certificate is not None and not certificate.ok:
+            found.append(
+                f"Shapes of the reduced model err by {significant(certificate.shape, 2)} of their largest "
+                f"component (allowed: {SHAPE_ERROR:g}); narrow the bounds."
+            )
+        if np.all(sd["after"] > UNKNOWN * sd["before"]):
+            found.append("The test tells little about any parameter: measure more accurately, or more modes.")
+        return tuple(found)
+
+    @property
+    def recommended(self) -> bool:
+        """Whether nothing stands against the plan."""
+        return not self.doubts
+
+    def sentences(self) -> list[str]:
+        """Return sentences on what the plan is expected to tell."""
+        sd = self.parameters()
+        ratio = sd["after"] / sd["before"]
+        unknown = [str(name) for name, one in ratio.items() if one > UNKNOWN]
+        said = [
+            f"{len(self.chosen)} sensors are expected to give {fixed(self.information, 2)} nats of information. "
+            f"No other choice of as many gives more than {fixed(self.bound, 2)} nats: the plan is within "
+            f"{share(self.gap)} of the best.",
+            f"The expected standard deviation of a parameter is {share(float(ratio.min()))} to "
+            f"{share(float(ratio.max()))} of the one before the test; with frequencies alone "
+            f"{share(float((sd['frequencies'] / sd['before']).min()))} to "
+            f"{share(float((sd['frequencies'] / sd['before']).max()))}.",
+        ]
+        if unknown:
+            said.append(f"Nearly unknown after the test: {names_in_words(unknown)}.")
+        enough = enough_repeats(self.repeats)
+        said.append(
+            "Repeats go on reducing the standard deviations."
+            if enough is None
+            else f"More than {enough} repeat{'s' if enough > 1 else ''} of the test would change little."
+        )
+        if self.second_tests is not None:
+            gain = self.second_tests["gain"]
+            best = str(gain.index[0])
+            said.append(
+                "No change of the structure tells more than the same test again."
+                if best == AGAIN
+                else f"The second test that tells most: {best}, {fixed(gain.iloc[0], 2)} nats more (the same test "
+                f"again: {fixed(gain[AGAIN], 2)})."
+            )
+        said += self._origin()
+        return said
+
+    def _origin(self) -> list[str]:
+        found = self.design.found
+        n = len(found.seen.frequencies)
+        said = [f"Linearised at {n} draws with {found.n_solves} solves."]
+        if found.kept is not None:
+            said.append(f"{int(np.sum(~found.kept))} draws were left out, as their modes have no derivative.")
+        if found.certificate is not None:
+            c = found.certificate
+            said.append(
+                f"A reduced model of {c.size} unknowns gave them. At {c.draws} draws its shapes differ from those "
+                f"of the full model by at most {significant(c.shape, 2)} of their largest component."
+            )
+        return said
+
+    def __str__(self) -> str:
+        verdict = "Recommended." if self.recommended else "Not recommended."
+        parts = [wrap_text(one) for one in (verdict, *self.doubts, *self.sentences())]
+        for title, table in (
+            ("Sensors", self.sensor_table()),
+            ("Expected standard deviations, SI units", self.parameters()),
+            ("Choices", self.choices),
+            ("Modes", self.modes),
+            ("Repeats", self.repeats),
+            ("Second tests", self.second_tests),
+        ):
+            if table is not None:
+                rows = [[str(i), *map(cell, row)] for i, row in zip(table.index, table.to_numpy(), strict=True)]
+                parts += [f"\n{title}", text_table([str(table.index.name), *map(str, table.columns)], rows)]
+        return "\n".join(parts)
+
+    def _repr_html_(self) -> str:
+        said = "".join(f"<p>{html.escape(one)}</p>" for one in (*self.doubts, *self.sentences()))
+        return said + str(self.sensor_table().to_html()) + str(self.parameters().to_html(float_format=significant))
+
+
+def cell(value: object) -> str:
+    """Return the text of a table's cell: three digits of a number, and other values as they are."""
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else ""
+    return significant(float(value)) if isinstance(value, float) else str(value)
+
+
+def choice_row(design: Design, readings: Readings, every: Sequence[int], seed: int) -> dict[str, float]:
+    """Return the row of `Plan.choices` of a choice of candidates."""
+    state, rows = readings.with_sensors(every), design.candidates.rows(every)
+    shapes = design.found.nominal.shapes[0][:, list(design.modes)][rows]
+    return {
+        "information": readings.value(state),
+        "median_sd": float(np.median(design.sd_of(state) / design.prior_sd)),
+        "largest_auto_mac": float(largest_off_diagonal(shapes.T @ shapes)),
+        "wrong_pairs": float(np.max(check_pairing(design, rows, np.random.default_rng(seed)).wrong)),
+    }
+
+
+def information_curve(readings: Readings, limits: Limits, chosen: Sequence[int]) -> pd.DataFrame:
+    """Return a table of the information of the first sensors of a plan, by their number."""
+    state = readings.with_sensors(limits.mounted)
+    values = [readings.value(state)]
+    for k in chosen:
+        state = readings.with_sensors([k], state)
+        values.append(readings.value(state))
+    return data_frame({"information": np.array(values)}, "sensors", range(len(values)))

@@ -1,0 +1,191 @@
+"""Modes at draws of the parameters, with derivatives, at all candidate sensors of a planned test."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fmu.arguments import ArgumentError
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.pairing.modal_model import ModalModel
+from fmu.fem.pairing.paired_structure import PairedStructure
+from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.fem.reduced.anchors import SingularAnchorError
+from fmu.fem.reduced.reduced_structure import ReducedStructure, train
+from fmu.posterior.problem import UpdatingProblem
+from fmu.progress.phases import phase
+from fmu.types import BoolArray, Dof, FloatArray
+
+SPARE = 2
+"""Modes above those to be measured, which the measured modes must not be taken for."""
+SHAPE_ERROR = 1e-3
+"""Largest error of a reduced model's shapes at the candidates, relative to the largest component."""
+UNSEEN = 1e-6
+"""Share of a mode's largest displacement below which a candidate does not see the mode."""
+_FULL = 500  # up to this size, full solves at all draws take less time than training
+_TOLERANCES = (1e-6, 1e-8)
+_CHECKED = 3
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Errors of the reduced model at draws where the full model was solved too.
+
+    Attributes
+    ----------
+    frequency, shape : float
+        Largest relative error of a frequency; largest error of a shape at a candidate, relative to the shape's
+        largest component there.
+    draws : int
+        Number of these draws.
+    size : int
+        Number of unknowns of the reduced model.
+    """
+
+    frequency: float
+    shape: float
+    draws: int
+    size: int
+
+    @property
+    def ok(self) -> bool:
+        """Whether the shapes are accurate to `SHAPE_ERROR`."""
+        return self.shape <= SHAPE_ERROR
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivities:
+    """Modes and their derivatives at n draws, at all candidate rows.
+
+    Attributes
+    ----------
+    seen : ModalPrediction
+        Frequencies (n, m), shapes (n, rows, m) and their derivatives by the parameters; the last modes are spare.
+    nominal : ModalPrediction
+        The same modes at the start, n = 1, without derivatives.
+    n_solves : int
+        Solves of the model, or calls of a user's function.
+    certificate : Certificate or None
+    kept : ndarray of bool, shape (n_draws,), or None
+        Draws that `seen` has; at the others a solve failed or a mode had no derivative. None if it has all.
+    """
+
+    seen: ModalPrediction
+    nominal: ModalPrediction
+    n_solves: int
+    certificate: Certificate | None = None
+    kept: BoolArray | None = None
+
+
+def paired_with_itself(
+    structure: SeparableModel, start: FloatArray, sensors: Sequence[Dof], n_modes: int
+) -> PairedStructure:
+    """Return a structure paired by shape with its own lowest elastic modes at the start, seen by sensors.
+
+    Up to `SPARE` further modes follow, as many as the structure has.
+
+    Raises
+    ------
+    ValueError
+        If the structure has too few modes.
+    """
+    for spare in range(SPARE, -1, -1):
+        try:
+            paired = PairedStructure.of(
+                structure,
+                pairing="shape",
+                numbers=tuple(range(1, n_modes + spare + 1)),
+                sensors=(),
+                reference=start,
+            )
+        except ValueError:
+            if not spare:
+                rule = "must be modes of finite frequency that the model has, rigid-body modes not counted"
+                raise ArgumentError("modes", rule, f"mode {n_modes}") from None
+        else:
+            return paired.seen_by(tuple(sensors))
+    raise AssertionError("unreachable")
+
+
+def require_visible(paired: PairedStructure, start: FloatArray, modes: Sequence[int]) -> None:
+    """Raise ValueError if none of the candidates sees one of the modes (indices from 0) at the start."""
+    structure = paired.structure
+    everywhere = np.abs(paired.shapes(start)[structure.translations])
+    largest = np.max(np.abs(paired.observed(start[None]).shapes[0]), axis=0, initial=0.0)
+    for i in modes:
+        if not largest[i] > UNSEEN * np.max(everywhere[:, i]):
+            rule = f"must include a place and a direction in which mode {i + 1} moves"
+            raise ArgumentError("candidates", rule, "none", "; add candidates, or leave the mode out of modes")
+
+
+def of_structure(paired: PairedStructure, theta: FloatArray, start: FloatArray) -> Sensitivities:
+    """Return the sensitivities of a structure given by its matrices, at theta (n, n_parameters).
+
+    A large structure is reduced in the box of the draws. The reduced basis has all degrees of freedom, so that it
+    gives shapes at all candidates. Its shapes are compared with the full model's at a few draws.
+    """
+    nominal = paired.observed(start[None])
+    n = len(theta)
+    if paired.structure.n_dof <= _FULL or n <= _CHECKED:
+        with phase("derivatives at draws", n):
+            return _complete(paired.observed(theta, True), nominal, n)
+    full = None
+    found = None
+    for tolerance in _TOLERANCES:
+        with phase("training"):
+            try:
+                model, _ = train(paired, np.min(theta, axis=0), np.max(theta, axis=0), tolerance)
+            except SingularAnchorError:
+                break
+        if not isinstance(model, ReducedStructure):
+            break
+        with phase("derivatives at draws", n):
+            seen = model.observed(theta, True)
+        with phase("certificate", _CHECKED):
+            full = paired.observed(theta[:_CHECKED]) if full is None else full
+        found = seen, _compare(seen, full, sum(model.sizes))
+        if found[1].ok:
+            break
+    if found is None:
+        with phase("derivatives at draws", n):
+            return _complete(paired.observed(theta, True), nominal, n)
+    return replace(_complete(found[0], nominal, n), certificate=found[1])
+
+
+def of_model(problem: UpdatingProblem, theta: FloatArray) -> Sensitivities:
+    """Return the sensitivities of a user's function or a surrogate, at theta (n, n_parameters)."""
+    model: ModalModel = problem.model
+    with phase("derivatives at draws", len(theta)):
+        seen = model.observed(theta, True)
+    start = problem.start[: model.n_parameters]
+    return _complete(seen, model.observed(start[None]), model.solves_per_shape_gradient * len(theta))
+
+
+def _complete(seen: ModalPrediction, nominal: ModalPrediction, n_solves: int) -> Sensitivities:
+    """Return the sensitivities at the draws that have all derivatives; ValueError if there is none."""
+    assert seen.frequency_slopes is not None  # for the type checker: derivatives were requested
+    assert seen.shape_slopes is not None
+    parts = (seen.frequencies, seen.frequency_slopes, seen.shapes, seen.shape_slopes)
+    good = np.all([np.isfinite(part).reshape(len(part), -1).all(axis=1) for part in parts], axis=0)
+    if not good.any():
+        f = nominal.frequencies[0]
+        close = int(np.argmin(np.diff(f) / f[1:])) if len(f) > 1 else 0
+        raise ArgumentError(
+            "problem",
+            "modes must have derivatives at some draws of the parameters",
+            f"none at {len(good)} draws; at the start modes {close + 1} and {close + 2} are closest",
+        )
+    kept = ModalPrediction(seen.frequencies[good], seen.shapes[good], parts[1][good], parts[3][good])
+    return Sensitivities(kept, nominal, n_solves, None, None if good.all() else good)
+
+
+def _compare(seen: ModalPrediction, full: ModalPrediction, size: int) -> Certificate:
+    n = len(full.frequencies)
+    reduced = seen.shapes[:n]
+    sign = np.where(np.sum(reduced * full.shapes, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
+    largest = np.max(np.abs(full.shapes), axis=1, keepdims=True)
+    off = np.abs(sign * reduced - full.shapes) / np.where(largest > 0.0, largest, 1.0)
+    frequency = np.max(np.abs(seen.frequencies[:n] / full.frequencies - 1.0))
+    return Certificate(float(frequency), float(np.max(off)), n, size)
