@@ -6,6 +6,7 @@ import html
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -266,9 +267,16 @@ def kept_identifiability(trace: xr.DataTree) -> dict[str, Identifiability]:
 def truncated_sd(parameter: Parameter) -> float:
     """Return the standard deviation of a parameter's prior within its bounds, by Gauss–Legendre quadrature."""
     lower, upper = parameter.prior.box(parameter.lower, parameter.upper)
-    node, weight = np.polynomial.legendre.leggauss(_NODES)
+    node, weight = _legendre_nodes()
     x = 0.5 * (lower + upper) + 0.5 * (upper - lower) * node
     log_pdf = parameter.prior.log_pdf(x)
     weight = weight * np.exp(log_pdf - np.max(log_pdf))
     mean = np.sum(weight * x) / np.sum(weight)
     return float(np.sqrt(np.sum(weight * (x - mean) ** 2) / np.sum(weight)))
+
+
+@cache
+def _legendre_nodes() -> tuple[FloatArray, FloatArray]:
+    """Return nodes and weights of the quadrature, which take 0.1 s to find."""
+    node, weight = np.polynomial.legendre.leggauss(_NODES)
+    return node, weight

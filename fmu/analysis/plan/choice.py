@@ -16,6 +16,7 @@ from fmu.analysis.plan.information import Readings
 from fmu.types import BoolArray, FloatArray, IntArray
 
 _MOST_SWEEPS = 10
+_IMPROVED = 2  # starts that are improved by exchanges, the best ones
 _TRIED = 8  # candidates that take the place of a sensor, the best first, until one is accepted
 # A gain below this is rounding, in nats.
 _LEAST_GAIN = 1e-9
@@ -71,9 +72,11 @@ def choose(
         found.append(greedy(readings, limits, by_cost=True))
     found += [repaired(readings, limits, start) for start in starts]
     distinct = {frozenset(one): one for one in found}.values()
-    tried = [exchange(readings, limits, one, accept) for one in distinct if accept is None or accept(one)]
-    if not tried:
+    ranked = sorted(distinct, key=lambda one: -readings.value_of([*limits.mounted, *one]))
+    good = [one for one in ranked if accept is None or accept(one)][:_IMPROVED]
+    if not good:
         return None
+    tried = [exchange(readings, limits, one, accept) for one in good]
     best = max(tried, key=lambda one: readings.value_of([*limits.mounted, *one]))
     return in_order(readings, limits, best)
 

@@ -1,8 +1,8 @@
 """Expected information of a modal test about the parameters, by the model linearised at draws.
 
 At each draw, the parameters are scaled so that their covariance before the test is the identity matrix. Mode i at
-sensor q reads y = a_i φ_i(θ)_q + e with an unknown scale a_i. With rows divided by the standard deviation of e, the
-shapes add to the information matrix
+sensor q reads y = a_i φ_i(θ)_q + e with an unknown scale a_i. With rows divided by the standard deviation of e,
+the shapes add to the information matrix
 
     Σ_i [ J_iᵀJ_i − (J_iᵀφ_i)(φ_iᵀJ_i) / (φ_iᵀφ_i) ],
 
@@ -83,12 +83,14 @@ class Readings:
         With the new rows R of a candidate and P = A⁻¹, log det A grows by log det(I + R P Rᵀ). Where a target T
         matters, V = P Tᵀ (T P Tᵀ)⁻¹ T P takes the place of P: log det(I + R P Rᵀ) − log det(I + R (P − V) Rᵀ).
         """
-        rows = self._new_rows(state)
         whole, rest = self._factors(state)
-        found = _log_det_of_one_plus(rows @ whole[:, None])
-        if rest is not None and rest.shape[2]:
-            found = found - _log_det_of_one_plus(rows @ rest[:, None])
-        return 0.5 * np.mean(found, axis=0)
+        found = np.zeros(len(self.groups))
+        for i in range(len(whole)):  # one draw at a time, whose arrays stay in the processor's cache
+            rows = self._new_rows(i, state)
+            found += _log_det_of_one_plus(rows @ whole[i])
+            if rest is not None and rest.shape[2]:
+                found -= _log_det_of_one_plus(rows @ rest[i])
+        return 0.5 * found / len(whole)
 
     def weights_of_directions(self, state: State) -> FloatArray:
         """Return F (n, p, t) with F Fᵀ = V: the derivative of 2 `value` by A, at each draw."""
@@ -110,19 +112,19 @@ class Readings:
         Q = np.linalg.qr(W, mode="complete")[0]
         return C, C @ Q[:, :, W.shape[2] :]
 
-    def _new_rows(self, state: State) -> FloatArray:
-        """Return the rows r that each candidate adds, shape (n, n_candidates, d · modes, p)."""
-        b, N = state.lost[:, None], state.size[:, None]
+    def _new_rows(self, i: int, state: State) -> FloatArray:
+        """Return the rows r that each candidate adds at a draw, shape (n_candidates, d · modes, p)."""
+        b, N = state.lost[i, None], state.size[i, None]
         parts = []
-        for t in range(self.groups.shape[1]):
-            phi, j = self.shapes[:, self.groups[:, t]], self.slopes[:, self.groups[:, t]]
+        for t, column in enumerate(self.groups.T):
+            phi, j = self.shapes[i, column], self.slopes[i, column]
             total = N + phi**2
             share = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0.0)
             off = j - phi[..., None] * b
             parts.append(off * np.sqrt(N * share)[..., None])
             if t + 1 < self.groups.shape[1]:
                 b, N = b + (phi * share)[..., None] * off, total
-        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=2)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,18 +167,17 @@ def with_modes(readings: Readings, prior: FloatArray, modes: Sequence[int]) -> R
 
 
 def _log_det_of_one_plus(rows: FloatArray) -> FloatArray:
-    """Return log det(I + R Rᵀ) of each matrix R (…, k, p), by the smaller of R Rᵀ and RᵀR."""
-    k, p = rows.shape[-2:]
-    gram = rows @ np.swapaxes(rows, -1, -2) if k <= p else np.swapaxes(rows, -1, -2) @ rows
+    """Return log det(I + R Rᵀ) of each matrix R (n, k, p), by the smaller of R Rᵀ and RᵀR."""
+    n, k, p = rows.shape
     size = min(k, p)
-    # Cholesky's factorisation of all matrices at once: LAPACK takes ten times as long for thousands of small ones
-    G = np.moveaxis(gram.reshape(-1, size, size), 0, 2).copy()
+    first = rows if k <= p else np.swapaxes(rows, 1, 2)
+    G = np.moveaxis(first @ np.swapaxes(first, 1, 2), 0, 2).copy()
     G[range(size), range(size)] += 1.0
-    found = np.zeros(G.shape[2])
+    # elimination in all matrices at once: LAPACK takes several times as long for thousands of small ones
+    found = np.zeros(n)
     for i in range(size):
         pivot = G[i, i]
         found += np.log(pivot)
         scaled = G[i + 1 :, i] / pivot
-        for a in range(i + 1, size):
-            G[a, i + 1 : a + 1] -= scaled[a - i - 1] * G[i + 1 : a + 1, i]
-    return found.reshape(rows.shape[:-2])
+        G[i + 1 :, i + 1 :] -= scaled[:, None] * G[i, i + 1 :][None]
+    return found

@@ -117,7 +117,7 @@ class Plan:
         return data_frame(columns, "parameter", self.design.names)
 
     def sensor_table(self) -> pd.DataFrame:
-        """Return a table of the readings: number of the sensor, place, direction, and coordinates in m if known."""
+        """Return a table of the readings: number of the sensor, place, direction, coordinates in m if known."""
         there = self.design.candidates
         rows: list[dict[str, object]] = []
         for number, k in enumerate(self.every, 1):

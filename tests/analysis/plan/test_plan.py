@@ -1,0 +1,179 @@
+"""Plans of tests of small structures, from their matrices and from users' functions."""
+
+import numpy as np
+import pytest
+
+import fmu
+from fmu.analysis.plan.options import AGAIN
+from tests.shear_building import frequencies_hz, shear_building
+
+NAMES = ["k1", "k1", "k2", "k2", "k3", "k3"]
+
+
+def parameter(name, sd=0.1):
+    return fmu.Parameter(name, 1.0, 0.5, 1.5, fmu.Normal(sd, mean=1.0))
+
+
+def problem_of(model, names, n_modes=3):
+    parameters = [parameter(name) for name in names]
+    start = np.ones(len(names))
+    f = frequencies_hz(model, start)[0][:n_modes]
+    return fmu.UpdatingProblem(model, fmu.ModalData(f, sd_hz=0.005 * f), parameters)
+
+
+@pytest.fixture(scope="module")
+def tower():
+    return problem_of(shear_building(NAMES, 3e6, 1000.0), ["k1", "k2", "k3"])
+
+
+@pytest.fixture(scope="module")
+def planned(tower):
+    return fmu.plan(tower, 3, draws=16)
+
+
+def test_a_plan_is_within_its_bound_and_above_the_customary_choices(planned):
+    assert planned.recommended, planned.doubts
+    assert len(planned.sensors) == 3
+    assert 0.0 <= planned.gap < 0.2
+    assert np.all(planned.choices["information"] <= planned.bound)
+    assert planned.information >= planned.choices["information"].drop("this plan").max() - 1e-9
+    assert planned.curve["information"].iloc[-1] == pytest.approx(planned.information)
+
+
+def test_expected_sds_are_those_of_the_linearised_posterior(planned, tower):
+    """With one draw at the start, the expected information is JᵀJ of the likelihood of such data."""
+    model, theta = tower.model.structure, np.ones(3)
+    f, shapes = frequencies_hz(model, theta)
+    rows = [model.dof(*sensor) for sensor in planned.sensors]
+    seen = shapes[rows, :3]
+    largest = np.max(np.abs(shapes[:, :3]), axis=0)
+    sd = 0.02 * largest / np.linalg.norm(seen, axis=0)
+    data = fmu.ModalData(
+        f[:3], sensors=planned.sensors, shapes=seen, sd_hz=0.005 * f[:3], shapes_sd=np.tile(sd, (3, 1))
+    )
+    errors = [fmu.FrequencyErrors("absolute"), fmu.ShapeErrors()]
+    updated = fmu.UpdatingProblem(model, data, tower.parameters, error=errors)
+    information = updated.likelihood.quadratic(theta[None])[2][0] + np.eye(3) / planned.design.prior_sd**2
+    expected = np.sqrt(np.diag(np.linalg.inv(information)))
+    np.testing.assert_allclose(planned.parameters()["after"], expected, rtol=0.1)
+
+
+def test_a_prediction_as_target_is_its_combination_of_parameters(tower):
+    by_names = fmu.plan(tower, 2, draws=4, target={"k1": 1.0, "k3": 2.0})
+    by_function = fmu.plan(tower, 2, draws=4, target=lambda theta: theta[:, 0] + 2.0 * theta[:, 2])
+    assert by_function.information == pytest.approx(by_names.information, rel=1e-6)
+    assert by_function.sensors == by_names.sensors
+    one, every = fmu.plan(tower, 3, draws=4, target="k3"), fmu.plan(tower, 3, draws=4)
+    assert one.parameters().loc["k3", "after"] <= every.parameters().loc["k3", "after"] * (1 + 1e-9)
+
+
+def test_the_known_mass_separates_stiffness_from_mass():
+    model = shear_building(["k", "k"], 1e6, 1000.0, "m")
+    problem = problem_of(model, ["k", "m"], 2)
+    changes = {f"400 kg on floor {i + 1}": fmu.Change(masses={i: 400.0}) for i in range(2)}
+    found = fmu.plan(problem, 2, draws=16, changes=changes)
+    assert np.all(found.parameters()["after"] > 0.6 * found.parameters()["before"])
+    table = found.second_tests
+    assert set(table.index[:2]) == set(changes)
+    assert table.index[2] == AGAIN
+    assert table["largest_sd"].iloc[0] < 0.6 * table.loc[AGAIN, "largest_sd"]
+    assert table["gain"].iloc[0] > table.loc[AGAIN, "gain"] + 0.3
+
+
+def test_repeats_help_until_the_drift_remains(tower):
+    alone = fmu.plan(tower, 2, draws=4).repeats["median_sd"]
+    drifting = fmu.plan(tower, 2, draws=4, drift=0.05, shape_sd=1.0).repeats["median_sd"]
+    assert np.all(np.diff(alone) < 0.0)
+    assert drifting.loc[20] > 0.9 * drifting.loc[1]
+
+
+def test_a_users_function_has_differences_that_are_counted():
+    model = shear_building(NAMES, 3e6, 1000.0)
+
+    def solve(theta):
+        f, shapes = frequencies_hz(model, theta)
+        return f[:3], shapes[:, :3]
+
+    sensors = tuple((i, "x") for i in range(6))
+    f, shapes = solve(np.ones(3))
+    data = fmu.ModalData(f, sensors=sensors, shapes=shapes, sd_hz=0.005 * f)
+    parameters = [parameter(name) for name in ("k1", "k2", "k3")]
+    function = fmu.UpdatingProblem(fmu.BlackBoxModel(solve, 3), data, parameters)
+    exact = fmu.UpdatingProblem(model, data, parameters)
+    found, expected = (fmu.plan(problem, 3, draws=4) for problem in (function, exact))
+    assert found.sensors == expected.sensors
+    assert found.information == pytest.approx(expected.information, rel=1e-4)
+    assert found.design.found.n_solves == 4 * 7
+    with pytest.raises(ValueError, match=r"changes: need a model with matrices"):
+        fmu.plan(function, 2, changes={"mass": fmu.Change(masses={1: 1.0})})
+
+
+def test_triaxial_sensors_read_all_directions_of_their_place():
+    steel = fmu.Material(E=2.1e11, nu=0.3, rho=7850.0)
+    section = fmu.Section.rectangle(0.1, 0.2)
+    group = fmu.ElementGroup("beam", np.stack([np.arange(8), np.arange(1, 9)], axis=1), section, steel)
+    nodes = np.stack([np.linspace(0.0, 4.0, 9), np.zeros(9), np.zeros(9)], axis=1)
+    held = {0: ("x", "y", "z", "rx", "ry", "rz")}
+    frame = fmu.Frame(nodes=nodes, groups=[group], supports=held)
+    model = frame.separable({"E": [("E", "beam")]})
+    data = fmu.ModalData([5.0, 10.0, 32.0, 63.0], sd_hz=0.1)
+    prior = fmu.Normal(2e10, mean=2.1e11)
+    problem = fmu.UpdatingProblem(model, data, [fmu.Parameter("E", 2.1e11, 1e11, 3e11, prior)])
+    sides = [(node, direction) for node in range(1, 9) for direction in ("y", "z")]
+    found = fmu.plan(problem, 3, candidates=sides, triaxial=True, mounted=[(8, "y")], exclude=[8], draws=4)
+    assert found.sensors[0] == (8, "y")
+    assert len(found.sensors) == 1 + 2 * 3
+    apart = fmu.plan(problem, 3, candidates=sides, min_distance=1.2, draws=4)
+    at = nodes[[place for place, _ in apart.sensors], 0]
+    assert np.min(np.diff(np.sort(at))) >= 1.2 - 1e-9
+    assert not {8, 7} & {place for place, _ in fmu.plan(problem, 3, exclude=[8, 7], draws=4).sensors}
+
+
+def test_a_mode_that_looks_like_another_is_not_recommended(tower):
+    found = fmu.plan(tower, 2, draws=8, shape_sd=0.9)
+    assert not found.recommended
+    assert "is paired with another mode" in " ".join(found.doubts)
+    assert "Not recommended." in str(found)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"sensors": 7}, r"sensors: must be at most 6, the number of candidates \(got 7\)"),
+        ({"mounted": [(9, "x")]}, r"mounted\.0: must be a place and a direction that are free to move"),
+        ({"candidates": [(0, "x"), (4, "y")]}, r"candidates\.1: must be a place and a direction that are free"),
+        ({"candidates": [(0, "x"), (0, "x")]}, r"candidates\.1: must be given once"),
+        ({"exclude": [17]}, r"exclude: must name places of candidates \(got 17\)"),
+        ({"modes": [1, 9]}, r"modes: must be modes of finite frequency"),
+        ({"modes": [1, 1]}, r"modes: must be distinct numbers"),
+        ({"target": "E"}, r"target: must name parameters, k1, k2, k3 \(got 'E'\)"),
+        ({"frequency_sd": [0.1, 0.2]}, r"frequency_sd: must be a number or 3 numbers"),
+        ({"min_distance": 1.0}, r"min_distance: must be 0 where the coordinates"),
+        ({"changes": {"m": fmu.Change(masses={9: 1.0})}}, r"changes\.m\.masses\.9: must be a place"),
+    ],
+)
+def test_bad_input(tower, options, message):
+    with pytest.raises(ValueError, match=message):
+        fmu.plan(tower, **{"sensors": 2, "draws": 4} | options)
+
+
+def two_towers():
+    """Return a problem whose third mode belongs to a second tower, beside the first."""
+    K = np.zeros((3, 3))
+    K[:2, :2], K[2, 2] = [[2.0, -1.0], [-1.0, 1.0]], 9.0
+    model = fmu.SeparableModel.from_terms(["k"], [(1e5 * K, "k")], [np.eye(3) * 100.0])
+    return problem_of(model, ["k"], 3)
+
+
+def test_a_mode_that_no_candidate_sees():
+    with pytest.raises(
+        ValueError, match=r"candidates: must include a place and a direction in which mode 3 moves"
+    ):
+        fmu.plan(two_towers(), 2, candidates=[(0, "x"), (1, "x")], draws=4)
+
+
+def test_a_candidate_that_no_mode_moves():
+    with pytest.raises(ValueError, match=r"candidates: must be moved by a mode to be measured, not as .*2, 'x'"):
+        fmu.plan(two_towers(), 2, candidates=[(0, "x"), (1, "x"), (2, "x")], modes=2, draws=4)
+    found = fmu.plan(two_towers(), 2, modes=2, draws=4)
+    assert (2, "x") not in found.design.candidates.sensors
