@@ -11,7 +11,6 @@ from .analysis.information import information as information
 from .analysis.maxima.search import find_map as find_map
 from .analysis.next_test import predict_tests as predict_tests
 from .analysis.pairing_changes import pairing_changes as pairing_changes
-from .analysis.plan.options import Change as Change
 from .analysis.plan.plan import plan as plan
 from .analysis.prediction import expectation as expectation
 from .analysis.start.check import check as check
@@ -34,6 +33,7 @@ from .fem.frame.components import PointMass as PointMass
 from .fem.frame.components import Section as Section
 from .fem.frame.frame import Frame as Frame
 from .fem.frame.updates import Factor as Factor
+from .fem.modes.changes import Change as Change
 from .fem.modes.separable import Geometry as Geometry
 from .fem.modes.separable import RigidArm as RigidArm
 from .fem.modes.separable import SeparableModel as SeparableModel
@@ -46,6 +46,7 @@ from .fem.programs.opensees import from_opensees as from_opensees
 from .fem.programs.store import SolveStore as SolveStore
 from .formats.models.read import read_mesh as read_mesh
 from .formats.models.read import read_model as read_model
+from .posterior.data.expected import expected_modes as expected_modes
 from .posterior.data.modal_data import ModalData as ModalData
 from .posterior.discrepancy.embedded import Discrepancy as Discrepancy
 from .posterior.errors.frequency import FrequencyErrors as FrequencyErrors
@@ -85,6 +86,7 @@ from .samplers.tempering.tempering import Tempering as Tempering
 from .sampling import StoppedRun as StoppedRun
 from .sampling import sample as sample
 from .sampling.models import compare_models as compare_models
+from .sampling.simulated_tests import simulate_plan as simulate_plan
 from .surrogates.delayed_acceptance import delayed_acceptance as delayed_acceptance
 from .surrogates.learning import surrogate as surrogate
 

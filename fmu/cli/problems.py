@@ -1,4 +1,4 @@
-"""Commands on problem files, ``fmu cases``, ``init``, ``schema`` and ``check``; and the loading of a problem."""
+"""Commands on problem files, ``fmu cases``, ``init``, ``schema``, ``check`` and ``plan``; and the loading of a problem."""
 
 from __future__ import annotations
 
@@ -144,4 +144,54 @@ def check(case: str, pairing: str | None, draws: int, seed: int, out: Path | Non
     click.echo(f"Next: {first}fmu run {case}{option} samples the posterior.")
 
 
-COMMANDS = (cases, init, schema, check)
+@click.command()
+@click.argument("case")
+@click.option("--sensors", type=click.IntRange(min=1), help="Number of sensors.  [default: as in the file, or 12]")
+@click.option("--run", "run_directory", type=click.Path(path_type=Path, exists=True, file_okay=False),
+              help="Directory of a run of CASE, whose posterior takes the place of the prior.")  # fmt: skip
+@click.option("--draws", type=click.IntRange(min=2), default=32, show_default=True,
+              help="Draws at which the model is linearised. Use fewer if the model is slow.")  # fmt: skip
+@click.option("--tests", type=click.IntRange(min=0), default=0, show_default=True,
+              help="Simulated tests that are updated with, to check the expected accuracy.")  # fmt: skip
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True,
+              help="Seed of the random numbers.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path), help="Output directory.  [default: plan/CASE]")
+def plan(
+    case: str,
+    sensors: int | None,
+    run_directory: Path | None,
+    draws: int,
+    tests: int,
+    seed: int,
+    out: Path | None,
+) -> None:
+    """Plan a modal test of CASE: a built-in problem, or a TOML file, which needs no measurement if it has a [plan].
+
+    Chooses the sensors that reduce the uncertainty of the parameters most, and says what they are expected to
+    tell. Writes a page (index.html), the sensors as CSV and as a universal file, and a [measurement] to fill in.
+    """
+    with progress_lines(f"planning {case}"):
+        asked = problem_of(case, None)
+        from fmu.analysis.plan.plan import plan as plan_test
+        from fmu.report.export import read_choice
+        from fmu.report.plan.files import write_plan
+        from fmu.sampling.simulated_tests import simulate_plan
+
+        directory = out or Path("plan") / asked.file.stem
+        with warnings_as_notes():
+            file = config.read(asked.file)
+            problem = file.build(asked.file.name, asked.folder, planning=True)
+            options = file.plan_options(asked.file.name, asked.folder)
+            options |= {} if sensors is None else {"sensors": sensors}
+            trace = None if run_directory is None else read_choice(run_directory, None)[1]
+            make_writable(directory)
+            found = plan_test(problem, **options, trace=trace, draws=draws, seed=seed)
+            simulated = simulate_plan(found, tests, seed=seed) if tests else None
+        page = write_plan(found, directory, simulated)
+    click.echo(found)
+    if simulated is not None:
+        click.echo(f"\n{simulated}")
+    click.echo(f"\nWritten to {page}")
+
+
+COMMANDS = (cases, init, schema, check, plan)

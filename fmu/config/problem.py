@@ -23,11 +23,14 @@ from fmu.config.models.matrices import MatricesTable
 from fmu.config.models.opensees import OpenSeesTable
 from fmu.config.models.python import PythonTable
 from fmu.config.parameters import NoiseTable, ParameterTable, build_parameters, of_several_tests
+from fmu.config.plan import PlanTable
 from fmu.config.tables import Built, FileName, Name, Positive, TomlTable, by_kind
 from fmu.config.tests import MOST_TESTS, TestTable, build_tests, in_the_file, variations
 from fmu.engines.base import Engine
+from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.rules import SOFTNESS
 from fmu.formats.decks import EXPORTED, fill_deck, filled_name, read_deck
+from fmu.posterior.data.expected import expected_modes
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import ErrorModel
 from fmu.posterior.joint.modal_test import TestsError
@@ -106,6 +109,8 @@ class ProblemFile(TomlTable):
     """The modes of a test."""
     tests: Annotated[list[TestTable], Field(min_length=1, max_length=MOST_TESTS)] | None = None
     """Several tests of the structure, instead of one measurement."""
+    plan: PlanTable | None = None
+    """A test that is planned, for ``fmu plan``; instead of a measurement, if there is none yet."""
     reference: str | None = None
     """The group of tests that losses refer to; that of the first one if not given."""
     correlation: float | None = None
@@ -123,6 +128,7 @@ class ProblemFile(TomlTable):
         pairing: str | None = None,
         beta: ArrayLike | None = None,
         engine: Engine | None = None,
+        planning: bool = False,
     ) -> UpdatingProblem:
         """Return the updating problem that the file describes.
 
@@ -136,6 +142,9 @@ class ProblemFile(TomlTable):
             Values to use instead of those in the file; see `fmu.load`.
         engine : Engine, optional
             Trains the reduced model.
+        planning : bool
+            Whether a test is planned: the modes that the model predicts stand for a measurement that is missing,
+            and no reduced model is trained.
 
         Raises
         ------
@@ -147,7 +156,8 @@ class ProblemFile(TomlTable):
         noise, wrong = build_parameters("noise", self.noise, [table.name for table in self.parameters])
         tables = [] if isinstance(self.error, str) else self.error
         errors, unnamed = build_error_models(tables, noise, [table.name for table in self.noise])
-        found += wrong + unnamed + self._of_measurements(needs_trust=not any(map(is_of_modes, errors)))
+        needs_trust = not any(map(is_of_modes, errors))
+        found += wrong + unnamed + ([] if self._is_unmeasured(planning) else self._of_measurements(needs_trust))
         if self.export is not None:
             found += self.export.mistakes(folder, [table.name for table in (*self.parameters, *self.noise)])
         if found:
@@ -159,6 +169,8 @@ class ProblemFile(TomlTable):
                 tell_fact(f"{structure.separable.n_dof} degrees of freedom, {len(self.parameters)} parameters")
             if self.tests is not None:
                 return self._joint(folder, structure, parameters, errors, pairing, beta, engine)
+            if self._is_unmeasured(planning):
+                return self._planned(structure, parameters)
             data = self._data(folder, structure, beta, errors)
             errors = with_places(errors, structure.places)
             wrong = beside_tests(tables, errors, data) or vanishing(noise, errors, data, len(parameters))
@@ -171,7 +183,7 @@ class ProblemFile(TomlTable):
                 list(parameters.values()),
                 pairing=pairing or self.pairing,
                 softness=self.softness,
-                reduction=self.reduction,
+                reduction=False if planning else self.reduction,
                 beta=None if any(map(is_of_modes, errors)) else trust,
                 error=errors or self.error,
                 discrepancy=[table.build() for table in self.discrepancy],
@@ -183,10 +195,37 @@ class ProblemFile(TomlTable):
         except ValueError as error:
             raise ConfigurationError(source, [ArgumentError.of(error)]) from error
 
+    def plan_options(self, source: str, folder: Path) -> dict[str, Any]:
+        """Return the arguments of `fmu.plan` in the table ``[plan]``, or its defaults; errors as for `build`."""
+        try:
+            return (self.plan or PlanTable()).options(self.model.build(folder, self.parameters))
+        except BrokenError as error:
+            raise ConfigurationError(source, error.mistakes) from None
+        except ValueError as error:
+            raise ConfigurationError(source, [ArgumentError.of(error)]) from error
+
+    def _is_unmeasured(self, planning: bool) -> bool:
+        """Return True if a test is planned and the file has no measurement."""
+        return planning and self.plan is not None and self.measurement is None and self.tests is None
+
+    def _planned(self, built: Built, parameters: Mapping[str, Parameter]) -> UpdatingProblem:
+        """Return the problem with the modes that the model predicts as its data."""
+        assert self.plan is not None  # for the type checker: see `_is_unmeasured`
+        if isinstance(built.model, ModalModel):
+            raise BrokenError(
+                ArgumentError("measurement", "must be given for this type of model", self.model.type)
+            )
+        given, n_modes = list(parameters.values()), self.plan.count_modes()
+        sensors = () if built.separable is not None else self.plan.all_sensors(built)
+        data = expected_modes(built.model, given, n_modes, sensors=sensors)
+        return UpdatingProblem(built.model, data, given, name=self.name)
+
     def _of_measurements(self, needs_trust: bool) -> list[ArgumentError]:
         """Return the list of errors in the tables of the measurements that are found without the model."""
         if (self.measurement is None) == (self.tests is None):
             given = "none" if self.tests is None else "both"
+            if self.plan is not None and self.tests is None:
+                given = "a plan only, which fmu plan reads"
             return [ArgumentError("measurement", f"must be given, or several [[tests]] instead (got {given})")]
         if self.tests is None:
             keys = {"reference": self.reference, "correlation": self.correlation}
@@ -273,7 +312,8 @@ def schema() -> dict[str, object]:
         the section of a member exists, are checked only by `fmu.load`.
     """
     found = json.loads(json.dumps(ProblemFile.model_json_schema()), object_hook=_for_toml)
-    one = [{"required": [key]} for key in ("measurement", "tests")]
+    measured = [{"required": [key]} for key in ("measurement", "tests")]
+    one = [*measured, {"required": ["plan"], "not": {"anyOf": measured}}]
     return {"$schema": DIALECT, "title": TITLE} | found | {"oneOf": one}
 
 

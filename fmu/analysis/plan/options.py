@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fmu.analysis.plan.design import Design
 from fmu.analysis.plan.sensitivities import Sensitivities
-from fmu.arguments import Place, check_arguments
 from fmu.tables import data_frame
 from fmu.types import FloatArray, IntArray
 
@@ -22,23 +21,6 @@ AGAIN = "the same test again"
 REPEATS = (1, 2, 3, 5, 10, 20)
 ENOUGH = 0.95
 """Twice as many repeats are not worth it if the sds remain above this share."""
-
-
-@check_arguments
-@dataclass(frozen=True)
-class Change:
-    """A known change of the structure for one more test.
-
-    Attributes
-    ----------
-    masses : mapping of place to float, kg
-        Added point masses; a negative mass was taken away.
-    springs : mapping of (place, direction) to float, N/m or N·m/rad
-        Added springs to the ground, such as a support.
-    """
-
-    masses: Mapping[Place, float] = field(default_factory=dict)
-    springs: Mapping[tuple[Place, str], float] = field(default_factory=dict)
 
 
 def mode_table(design: Design, chosen: Sequence[int], labels: Sequence[str]) -> pd.DataFrame:

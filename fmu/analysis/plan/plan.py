@@ -16,7 +16,7 @@ from fmu.analysis.plan.bound import relax
 from fmu.analysis.plan.candidates import Candidates, find_candidates, group_candidates
 from fmu.analysis.plan.choice import Limits, choose
 from fmu.analysis.plan.design import Design, Target, target_of
-from fmu.analysis.plan.options import Change, change_table, mode_table, repeat_table
+from fmu.analysis.plan.options import change_table, mode_table, repeat_table
 from fmu.analysis.plan.pairing import check_pairing
 from fmu.analysis.plan.result import PLANNED, Plan, choice_row, information_curve
 from fmu.analysis.plan.sensitivities import (
@@ -30,7 +30,7 @@ from fmu.analysis.plan.sensitivities import (
 from fmu.analysis.trace.densities import is_updating
 from fmu.analysis.trace.reading import check_trace, parameter_draws, parameter_names
 from fmu.arguments import ArgumentError, Count, OwnRule, Seed, check_arguments
-from fmu.fem.modes.changes import changed_model
+from fmu.fem.modes.changes import Change, changed_model
 from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
 from fmu.posterior.problem import UpdatingProblem
 from fmu.progress.phases import phase

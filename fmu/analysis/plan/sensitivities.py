@@ -65,6 +65,8 @@ class Sensitivities:
         Frequencies (n, m), shapes (n, rows, m) and their derivatives by the parameters; the last modes are spare.
     nominal : ModalPrediction
         The same modes at the start, n = 1, without derivatives.
+    model : ModalModel
+        The model that gave them, reduced or not.
     n_solves : int
         Solves of the model, or calls of a user's function.
     certificate : Certificate or None
@@ -74,6 +76,7 @@ class Sensitivities:
 
     seen: ModalPrediction
     nominal: ModalPrediction
+    model: ModalModel
     n_solves: int
     certificate: Certificate | None = None
     kept: BoolArray | None = None
@@ -130,7 +133,7 @@ def of_structure(paired: PairedStructure, theta: FloatArray, start: FloatArray) 
     n = len(theta)
     if paired.structure.n_dof <= _FULL or n <= _CHECKED:
         with phase("derivatives at draws", n):
-            return _complete(paired.observed(theta, True), nominal, n)
+            return _complete(paired, paired.observed(theta, True), nominal, n)
     full = None
     found = None
     for tolerance in _TOLERANCES:
@@ -145,13 +148,13 @@ def of_structure(paired: PairedStructure, theta: FloatArray, start: FloatArray) 
             seen = model.observed(theta, True)
         with phase("certificate", _CHECKED):
             full = paired.observed(theta[:_CHECKED]) if full is None else full
-        found = seen, _compare(seen, full, sum(model.sizes))
+        found = seen, _compare(seen, full, sum(model.sizes)), model
         if found[1].ok:
             break
     if found is None:
         with phase("derivatives at draws", n):
-            return _complete(paired.observed(theta, True), nominal, n)
-    return replace(_complete(found[0], nominal, n), certificate=found[1])
+            return _complete(paired, paired.observed(theta, True), nominal, n)
+    return replace(_complete(found[2], found[0], nominal, n), certificate=found[1])
 
 
 def of_model(problem: UpdatingProblem, theta: FloatArray) -> Sensitivities:
@@ -160,10 +163,10 @@ def of_model(problem: UpdatingProblem, theta: FloatArray) -> Sensitivities:
     with phase("derivatives at draws", len(theta)):
         seen = model.observed(theta, True)
     start = problem.start[: model.n_parameters]
-    return _complete(seen, model.observed(start[None]), model.solves_per_shape_gradient * len(theta))
+    return _complete(model, seen, model.observed(start[None]), model.solves_per_shape_gradient * len(theta))
 
 
-def _complete(seen: ModalPrediction, nominal: ModalPrediction, n_solves: int) -> Sensitivities:
+def _complete(model: ModalModel, seen: ModalPrediction, nominal: ModalPrediction, n_solves: int) -> Sensitivities:
     """Return the sensitivities at the draws that have all derivatives; ValueError if there is none."""
     assert seen.frequency_slopes is not None  # for the type checker: derivatives were requested
     assert seen.shape_slopes is not None
@@ -178,7 +181,7 @@ def _complete(seen: ModalPrediction, nominal: ModalPrediction, n_solves: int) ->
             f"none at {len(good)} draws; at the start modes {close + 1} and {close + 2} are closest",
         )
     kept = ModalPrediction(seen.frequencies[good], seen.shapes[good], parts[1][good], parts[3][good])
-    return Sensitivities(kept, nominal, n_solves, None, None if good.all() else good)
+    return Sensitivities(kept, nominal, model, n_solves, None, None if good.all() else good)
 
 
 def _compare(seen: ModalPrediction, full: ModalPrediction, size: int) -> Certificate:

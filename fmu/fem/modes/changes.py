@@ -3,17 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.arguments import ArgumentError
+from fmu.arguments import ArgumentError, Place, check_arguments
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import Term, merge_terms, monomial
 from fmu.types import FloatArray
 
 _TRANSLATIONS = ("x", "y", "z")
+
+
+@check_arguments
+@dataclass(frozen=True)
+class Change:
+    """A known change of the structure for one more test.
+
+    Attributes
+    ----------
+    masses : mapping of place to float, kg
+        Added point masses; a negative mass was taken away.
+    springs : mapping of (place, direction) to float, N/m or N·m/rad
+        Added springs to the ground, such as a support.
+    """
+
+    masses: Mapping[Place, float] = field(default_factory=dict)
+    springs: Mapping[tuple[Place, str], float] = field(default_factory=dict)
 
 
 def changed_model(

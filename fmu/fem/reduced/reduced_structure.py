@@ -23,7 +23,7 @@ from fmu.fem.reduced.points import Trained
 from fmu.fem.reduced.residuals import FrequencyBound
 from fmu.fem.reduced.training import LOOSE, Training
 from fmu.progress.phases import count_solves
-from fmu.types import BoolArray, FloatArray, IntArray
+from fmu.types import BoolArray, Dof, FloatArray, IntArray
 
 # Largest number of elements of an array in a batch of reduced solves: 128 MiB.
 _MOST_NUMBERS = 2**24
@@ -103,6 +103,13 @@ class ReducedStructure(Approximation):
         """Return a model that uses the reduced basis in a larger box than it was trained for, for a first look."""
         other = copy(self)
         other.lower, other.upper = np.minimum(lower, self.lower), np.maximum(upper, self.upper)
+        return other
+
+    def seen_by(self, sensors: tuple[Dof, ...]) -> Self:
+        """Return the same model, whose `observed` gives shapes at other sensors."""
+        other = copy(self)
+        other._truth = self._truth.seen_by(sensors)
+        other._answer_by(self.cheap.seen_by(sensors))
         return other
 
     def keeping(self, elsewhere: float) -> Self:

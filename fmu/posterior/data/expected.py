@@ -1,0 +1,66 @@
+"""The modes that a model predicts, in place of measured ones while a test is planned."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+
+from fmu.arguments import ArgumentError, Count, OwnRule, check_arguments
+from fmu.fem.black_box import BlackBoxModel
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.pairing.paired_structure import PairedStructure
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.parameters import Parameter
+from fmu.types import Dof, Positive
+
+
+@check_arguments
+def expected_modes(
+    model: Annotated[SeparableModel | BlackBoxModel, OwnRule()],
+    parameters: Sequence[Parameter],
+    n_modes: Count = 6,
+    frequency_sd: Positive = 0.005,
+    sensors: Annotated[Sequence[Dof], OwnRule()] = (),
+) -> ModalData:
+    """Return the modes of a model before updating, for a problem whose test has not been made yet.
+
+    Parameters
+    ----------
+    model : SeparableModel or BlackBoxModel
+    parameters : sequence of Parameter
+        Parameters of the model, whose starts are used.
+    n_modes : int
+        Number of modes, from the lowest elastic one.
+    frequency_sd : float
+        Relative standard deviation of the errors of measured frequencies.
+    sensors : sequence of (place, direction)
+        For a user's function: the sensors at which it gives shapes, in the order of their rows.
+
+    Returns
+    -------
+    ModalData
+        Frequencies with their standard deviations; shapes of a user's function too.
+
+    Raises
+    ------
+    ValueError
+        If the model has too few modes, or a function gives no shapes at these sensors.
+    """
+    start = np.array([p.start for p in parameters], dtype=float)
+    if isinstance(model, SeparableModel):
+        numbers = tuple(range(1, n_modes + 1))
+        paired = PairedStructure.of(model, pairing="shape", numbers=numbers, sensors=(), reference=start)
+        frequencies = paired.frequencies(start[None])[0]
+        return ModalData(frequencies, sd_hz=frequency_sd * frequencies)
+    answer = model.at_sensors(tuple(sensors)).at(start)
+    if answer.shapes is None or len(answer.shapes) != len(sensors):
+        rows = "none" if answer.shapes is None else f"{len(answer.shapes)} rows"
+        raise ArgumentError("sensors", "must be one for each row of shapes that the function gives", rows)
+    if len(answer.frequencies) < n_modes:
+        raise ArgumentError("n_modes", f"must be at most {len(answer.frequencies)}, as the model gives", n_modes)
+    frequencies = answer.frequencies[:n_modes]
+    return ModalData(
+        frequencies, sensors=tuple(sensors), shapes=answer.shapes[:, :n_modes], sd_hz=frequency_sd * frequencies
+    )
