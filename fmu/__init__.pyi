@@ -73,6 +73,7 @@ from .posterior.priors.spike_and_slab import SpikeAndSlab as SpikeAndSlab
 from .posterior.problem import UpdatingProblem as UpdatingProblem
 from .report.export import export as export
 from .report.pages import write_report as write_report
+from .report.plan.files import write_plan as write_plan
 from .runs import Checkpoint as Checkpoint
 from .samplers.ensemble import Ensemble as Ensemble
 from .samplers.gibbs import GibbsSampler as GibbsSampler

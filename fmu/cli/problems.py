@@ -1,4 +1,4 @@
-"""Commands on problem files, ``fmu cases``, ``init``, ``schema``, ``check`` and ``plan``; and the loading of a problem."""
+"""Commands on problem files, `cases`, `init`, `schema`, `check` and `plan`; and the loading of a problem."""
 
 from __future__ import annotations
 
@@ -165,10 +165,11 @@ def plan(
     seed: int,
     out: Path | None,
 ) -> None:
-    """Plan a modal test of CASE: a built-in problem, or a TOML file, which needs no measurement if it has a [plan].
+    """Plan a modal test of CASE: a built-in problem, or a TOML file.
 
     Chooses the sensors that reduce the uncertainty of the parameters most, and says what they are expected to
-    tell. Writes a page (index.html), the sensors as CSV and as a universal file, and a [measurement] to fill in.
+    tell. A file with a table [plan] needs no measurement. Writes a page (index.html), the sensors as CSV and as a
+    universal file, and a table [measurement] to be filled in.
     """
     with progress_lines(f"planning {case}"):
         asked = problem_of(case, None)

@@ -51,7 +51,7 @@ class PlanTable(TomlTable):
     modes: Annotated[int, Field(ge=1, le=MOST_MODES)] | Annotated[list[ModeNumber], Field(min_length=1)] | None = (
         None
     )
-    """Number of the lowest elastic modes to be measured, or their numbers from 1."""
+    """Number of modes to be measured, the lowest elastic ones that candidates see; or their numbers, from 1."""
     frequency_sd: NumberOrNumbers | None = None
     """Relative standard deviation of the frequencies in one test: one, or one per mode."""
     shape_sd: Annotated[float, Field(gt=0, le=1)] = 0.02

@@ -109,10 +109,25 @@ def find_candidates(
             if not structure.sees(sensor):
                 rule = "must be a place and a direction that are free to move"
                 raise ArgumentError(f"{key}.{i}", rule, repr(list(sensor)))
+    require_places({place for place, _ in structure.dof_of} | _places(structure), exclude, costs)
     every = given
     if every is None:
         every = [dof for dof in structure.dofs if dof[1] in _TRANSLATIONS]
     return group_candidates(every, mounted, exclude, triaxial, costs)
+
+
+def _places(structure: SeparableModel) -> set[Any]:
+    """Return the places of a structure that may be fixed: points of its drawing, and ends of rigid arms."""
+    drawn = set() if structure.geometry is None else set(structure.geometry.row_of)
+    return drawn | set(structure.arms) | {place for place, _ in structure.motions}
+
+
+def require_places(there: Collection[Any], exclude: Collection[Any], costs: Collection[Any]) -> None:
+    """Raise ValueError if a place that is excluded, or has a cost, does not exist."""
+    for key, places in (("exclude", exclude), ("costs", costs)):
+        unknown = next((place for place in places if place not in there), None)
+        if unknown is not None:
+            raise ArgumentError(key, "must name places of the model", repr(unknown))
 
 
 def group_candidates(
@@ -129,11 +144,6 @@ def group_candidates(
         )
         if twice is not None:
             raise ArgumentError(f"{key}.{twice}", "must be given once", repr(list(sensors[twice])))
-    there = {place for place, _ in (*given, *mounted)}
-    for key, places in (("exclude", exclude), ("costs", costs)):
-        unknown = next((place for place in places if place not in there), None)
-        if unknown is not None:
-            raise ArgumentError(key, "must name places of candidates", repr(unknown))
     fixed = [(place, direction) for place, direction in mounted]
     free = [dof for dof in dict.fromkeys(given) if dof[0] not in exclude and dof not in fixed]
     if not free:

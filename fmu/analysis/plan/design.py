@@ -94,8 +94,12 @@ class Design:
 
     def sd_of(self, state: State) -> FloatArray:
         """Return the expected standard deviations of the parameters, the mean over the draws, (p,), SI units."""
+        return np.asarray(np.mean(self.sd_at_draws(state), axis=0))
+
+    def sd_at_draws(self, state: State) -> FloatArray:
+        """Return the standard deviations of the parameters after a test at each draw, (n, p), SI units."""
         covariance = self.scale @ state.covariance() @ self.scale.T
-        return np.asarray(np.mean(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)), axis=0))
+        return np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
 
     @property
     def prior_sd(self) -> FloatArray:

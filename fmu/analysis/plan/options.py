@@ -94,22 +94,27 @@ def enough_repeats(table: pd.DataFrame) -> int | None:
 
 
 def change_table(
-    design: Design, chosen: Sequence[int], changes: Mapping[str, Sensitivities], drift: float
+    design: Design,
+    chosen: Sequence[int],
+    changes: Mapping[str, tuple[Sensitivities, tuple[int, ...]]],
+    drift: float,
 ) -> pd.DataFrame:
     """Return a table of second tests with a change of the structure, the most informative first.
 
     Columns: ``gain``, the information in nats added to the test of the unchanged structure; ``median_sd`` and
     ``largest_sd`` over the parameters after both tests, relative to the standard deviation before them. The row
-    `AGAIN` is a second test without change.
+    `AGAIN` is a second test without change. `changes` has the sensitivities of each changed structure, and the
+    indices of its modes that are measured.
     """
     sd = np.sqrt(design.frequency_sd**2 + drift**2)
     first = design.readings(frequency_sd=sd)
     state = first.with_sensors(chosen)
     rows: dict[str, tuple[float, float, float]] = {}
-    for name, found in {AGAIN: design.found, **changes}.items():
+    for name, (found, modes) in {AGAIN: (design.found, design.modes), **changes}.items():
         mine, others = _common(design.found, found)
-        other = replace(design, found=_rows(found, others), target=_part(design.target, mine))
-        before = replace(other, found=_rows(design.found, mine)).readings(frequency_sd=sd)
+        target = _part(design.target, mine)
+        other = replace(design, found=_rows(found, others), modes=modes, target=target)
+        before = replace(design, found=_rows(design.found, mine), target=target).readings(frequency_sd=sd)
         start = replace(state, matrix=state.matrix[mine], lost=state.lost[mine], size=state.size[mine])
         readings = other.readings(frequency_sd=sd, prior=start.matrix)
         after = readings.with_sensors(chosen)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from fmu.analysis.identifiability import truncated_sd
 from fmu.analysis.plan import baselines
 from fmu.analysis.plan.bound import relax
-from fmu.analysis.plan.candidates import Candidates, find_candidates, group_candidates
+from fmu.analysis.plan.candidates import Candidates, find_candidates, group_candidates, require_places
 from fmu.analysis.plan.choice import Limits, choose
 from fmu.analysis.plan.design import Design, Target, target_of
 from fmu.analysis.plan.options import change_table, mode_table, repeat_table
@@ -25,13 +25,15 @@ from fmu.analysis.plan.sensitivities import (
     of_model,
     of_structure,
     paired_with_itself,
-    require_visible,
+    pick_modes,
 )
 from fmu.analysis.trace.densities import is_updating
 from fmu.analysis.trace.reading import check_trace, parameter_draws, parameter_names
 from fmu.arguments import ArgumentError, Count, OwnRule, Seed, check_arguments
 from fmu.fem.modes.changes import Change, changed_model
+from fmu.fem.modes.modal import mac
 from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
+from fmu.fem.pairing.rules import assign
 from fmu.posterior.problem import UpdatingProblem
 from fmu.progress.phases import phase
 from fmu.tables import data_frame
@@ -97,8 +99,8 @@ def plan(
     budget : float, optional
         Largest total cost of the chosen sensors.
     modes : int or sequence of int, optional
-        Number of the lowest elastic modes to be measured, or the numbers of these modes from 1. As many as
-        the problem has by default.
+        Number of modes to be measured, the lowest elastic ones that the candidates see; or the numbers of these
+        modes, from 1, among all elastic modes. As many as the problem has by default.
     frequency_sd : float or array_like, shape (n_modes,), optional
         Relative standard deviation of the frequencies in one test; by default the one of the problem, or 0.005.
     shape_sd : float
@@ -129,22 +131,22 @@ def plan(
     if not is_updating(problem) or problem.model.n_tests > 1:
         raise ArgumentError("problem", "must be an UpdatingProblem of one test", type(problem).__name__)
     theta, scale = _draws(problem, trace, draws, np.random.default_rng(seed))
-    picked = _modes(problem, modes)
+    asked = _modes(problem, modes)
     costs, changes = costs or {}, changes or {}
     known = structure_of(problem.model)
-    second: dict[str, Sensitivities] = {}
+    second: dict[str, tuple[Sensitivities, tuple[int, ...]]] = {}
     energy: FloatArray | None = None
     places: FloatArray | None = None
     if known is None:
         if changes:
             raise ArgumentError("changes", "need a model with matrices", problem.model.name)
         there = _own_candidates(problem, candidates, mounted, exclude, triaxial, costs)
+        picked = tuple(range(asked)) if isinstance(asked, int) else asked
         found = _of_own_model(problem, theta, there, picked)
     else:
         structure, start = known.structure, problem.start[: problem.n_structural]
         there = find_candidates(structure, candidates, mounted, exclude, triaxial, costs)
-        paired = paired_with_itself(structure, start, there.sensors, max(picked) + 1)
-        require_visible(paired, start, picked)
+        picked, paired = pick_modes(structure, start, there.sensors, asked)
         nominal = paired.observed(start[None]).shapes[0][:, list(picked)]
         there = _moving(there, nominal, are_named=candidates is not None)
         paired, places = paired.seen_by(there.sensors), there.places(structure)
@@ -206,11 +208,11 @@ def _draws(
     return every[rng.choice(len(every), n, replace=len(every) < n)], np.linalg.cholesky(covariance)
 
 
-def _modes(problem: UpdatingProblem, modes: int | Sequence[int] | None) -> tuple[int, ...]:
-    """Return the indices of the modes to be measured, from 0, ascending."""
-    if modes is None:
-        modes = problem.data.n_modes
-    found = tuple(range(modes)) if isinstance(modes, int) else tuple(sorted(int(i) - 1 for i in modes))
+def _modes(problem: UpdatingProblem, modes: int | Sequence[int] | None) -> int | tuple[int, ...]:
+    """Return the number of modes, or their indices from 0, ascending."""
+    if modes is None or isinstance(modes, int):
+        return problem.data.n_modes if modes is None else modes
+    found = tuple(sorted(int(i) - 1 for i in modes))
     if not found or len(set(found)) < len(found):
         raise ArgumentError("modes", "must be distinct numbers of modes, at least one", modes)
     return found
@@ -256,6 +258,7 @@ def _own_candidates(
         for i, sensor in enumerate(sensors):
             if tuple(sensor) not in own:
                 raise ArgumentError(f"{key}.{i}", "must be a sensor of the problem's data", repr(list(sensor)))
+    require_places({place for place, _ in own}, exclude, costs)
     return group_candidates(own if candidates is None else candidates, mounted, exclude, triaxial, costs)
 
 
@@ -288,14 +291,18 @@ def _of_change(
     theta: FloatArray,
     start: FloatArray,
     picked: tuple[int, ...],
-) -> Sensitivities:
-    """Return the sensitivities of the changed structure at the same candidates."""
+) -> tuple[Sensitivities, tuple[int, ...]]:
+    """Return the sensitivities of the changed structure at the same candidates, and its modes to be measured.
+
+    These are the modes most like those of the unchanged structure, by MAC at the candidates.
+    """
+    before = paired.observed(start[None]).shapes[0][:, list(picked)]
     try:
         changed = changed_model(paired.structure, change.masses, change.springs)
-        sensors = paired.sensors
-        return of_structure(paired_with_itself(changed, start, sensors, max(picked) + 1), theta, start)
+        found = of_structure(paired_with_itself(changed, start, paired.sensors, max(picked) + 1), theta, start)
     except ValueError as error:
         raise ArgumentError.of(error).under(f"changes.{name}") from None
+    return found, tuple(int(i) for i in assign(np.nan_to_num(mac(found.nominal.shapes[0], before))[None])[0])
 
 
 def kinetic_energies(paired: PairedStructure, start: FloatArray, modes: Sequence[int]) -> FloatArray:

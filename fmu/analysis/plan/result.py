@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import html
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fmu.analysis.plan.baselines import auto_mac, largest_off_diagonal
+from fmu.analysis.plan.bound import relax
 from fmu.analysis.plan.choice import Limits
 from fmu.analysis.plan.design import Design
 from fmu.analysis.plan.information import Readings
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 PLANNED = "this plan"
+_BOUNDS, _STEPS = 8, 24  # numbers of sensors whose bound is computed, and steps of each
 UNKNOWN = 0.9
 """A parameter stays unknown if its expected sd is above this share of its sd before the test."""
 
@@ -49,7 +51,7 @@ class Plan:
     bound : float
         Information that no choice of as many sensors exceeds, in nats.
     curve : DataFrame
-        ``information`` by the number of the first sensors, and its ``bound``.
+        ``information`` by the number of the first sensors.
     choices : DataFrame
         The plan and the customary choices: ``information``, ``median_sd`` (relative to the one before the test),
         ``largest_auto_mac`` off the diagonal, ``wrong_pairs``, the largest share of wrong pairings of a mode.
@@ -115,6 +117,22 @@ class Plan:
             "after": self.design.sd_of(readings.with_sensors(self.every)),
         }
         return data_frame(columns, "parameter", self.design.names)
+
+    def with_bounds(self) -> pd.DataFrame:
+        """Return `curve` with a column ``bound``: the information that no choice of as many sensors exceeds.
+
+        The bound is computed for up to eight numbers of sensors, and NaN for the others. It is NaN everywhere with
+        a budget, which is not a number of sensors.
+        """
+        found, n = self.curve.copy(), len(self.chosen)
+        bounds = np.full(n + 1, np.nan)
+        if np.isfinite(self.limits.budget):
+            return found.assign(bound=bounds)
+        readings = self.design.readings(frequency_sd=self.frequency_sd)
+        for k in np.unique(np.linspace(min(2, n), n, _BOUNDS).astype(int)):
+            relaxed = relax(readings, replace(self.limits, count=int(k)), _STEPS) if k < n else None
+            bounds[k] = self.bound if relaxed is None else relaxed.bound
+        return found.assign(bound=bounds)
 
     def sensor_table(self) -> pd.DataFrame:
         """Return a table of the readings: number of the sensor, place, direction, coordinates in m if known."""
@@ -206,16 +224,20 @@ class Plan:
     def __str__(self) -> str:
         verdict = "Recommended." if self.recommended else "Not recommended."
         parts = [wrap_text(one) for one in (verdict, *self.doubts, *self.sentences())]
-        for title, table in (
+        tables: tuple[tuple[str, pd.DataFrame | None], ...] = (
             ("Sensors", self.sensor_table()),
             ("Expected standard deviations, SI units", self.parameters()),
             ("Choices", self.choices),
             ("Modes", self.modes),
             ("Repeats", self.repeats),
             ("Second tests", self.second_tests),
-        ):
+        )
+        for title, table in tables:
             if table is not None:
-                rows = [[str(i), *map(cell, row)] for i, row in zip(table.index, table.to_numpy(), strict=True)]
+                rows = [
+                    [str(i), *map(cell, row)]
+                    for i, row in zip(table.index, table.itertuples(index=False), strict=True)
+                ]
                 parts += [f"\n{title}", text_table([str(table.index.name), *map(str, table.columns)], rows)]
         return "\n".join(parts)
 

@@ -24,7 +24,7 @@ SHAPE_ERROR = 1e-3
 """Largest error of a reduced model's shapes at the candidates, relative to the largest component."""
 UNSEEN = 1e-6
 """Share of a mode's largest displacement below which a candidate does not see the mode."""
-_FULL = 500  # up to this size, full solves at all draws take less time than training
+_FULL = 100  # up to this size, full solves at all draws take less time than training
 _TOLERANCES = (1e-6, 1e-8)
 _CHECKED = 3
 
@@ -112,15 +112,46 @@ def paired_with_itself(
     raise AssertionError("unreachable")
 
 
-def require_visible(paired: PairedStructure, start: FloatArray, modes: Sequence[int]) -> None:
-    """Raise ValueError if none of the candidates sees one of the modes (indices from 0) at the start."""
-    structure = paired.structure
-    everywhere = np.abs(paired.shapes(start)[structure.translations])
-    largest = np.max(np.abs(paired.observed(start[None]).shapes[0]), axis=0, initial=0.0)
-    for i in modes:
-        if not largest[i] > UNSEEN * np.max(everywhere[:, i]):
-            rule = f"must include a place and a direction in which mode {i + 1} moves"
-            raise ArgumentError("candidates", rule, "none", "; add candidates, or leave the mode out of modes")
+def pick_modes(
+    structure: SeparableModel, start: FloatArray, sensors: Sequence[Dof], modes: int | Sequence[int]
+) -> tuple[tuple[int, ...], PairedStructure]:
+    """Return indices of the modes to be measured, from 0, and the structure paired with its modes up to them.
+
+    Parameters
+    ----------
+    structure : SeparableModel
+    start : ndarray, shape (n_parameters,)
+    sensors : sequence of (place, direction)
+        All candidates.
+    modes : int or sequence of int
+        The number of modes, which are the lowest that the candidates see; or indices, from 0.
+
+    Raises
+    ------
+    ValueError
+        If the candidates see none of the modes given, or too few modes.
+    """
+    count = modes if isinstance(modes, int) else max(modes) + 1
+    while True:
+        try:
+            paired = paired_with_itself(structure, start, sensors, count)
+        except ArgumentError:
+            if isinstance(modes, int) and count > modes:
+                rule = f"must see {modes} modes of the model"
+                raise ArgumentError("candidates", rule, "fewer", "; add candidates, or plan fewer modes") from None
+            raise
+        everywhere = np.max(np.abs(paired.shapes(start)[structure.translations]), axis=0)
+        seen = np.max(np.abs(paired.observed(start[None]).shapes[0]), axis=0, initial=0.0) > UNSEEN * everywhere
+        if not isinstance(modes, int):
+            unseen = next((i for i in modes if not seen[i]), None)
+            if unseen is not None:
+                rule = f"must include a place and a direction in which mode {unseen + 1} moves"
+                raise ArgumentError("candidates", rule, "none", "; add candidates, or leave the mode out of modes")
+            return tuple(modes), paired
+        found = tuple(int(i) for i in np.flatnonzero(seen[:count])[:modes])
+        if len(found) == modes:
+            return found, paired
+        count += modes - len(found)
 
 
 def of_structure(paired: PairedStructure, theta: FloatArray, start: FloatArray) -> Sensitivities:

@@ -42,7 +42,7 @@ from fmu.formats.shown import in_words, quote
 from fmu.types import DIRECTIONS, AnyArray, Dof, FloatArray
 
 SHAPES = 55
-NODES, ELEMENTS = (15, 2411), 2412
+NODES, ELEMENTS, TRACE_LINES = (15, 2411), 2412, 82
 REAL, COMPLEX = (2,), (3, 7)
 """Analysis types: normal modes; complex eigenvalues of first and second order."""
 MOST_DATASETS = 10_000
@@ -364,6 +364,24 @@ def computed_uff(path: Path, sensors: Sensors, _deck: Path | None = None) -> Com
     """Return all modes of a file; see `fmu.formats.modes.measured_modes.ModesFormat`."""
     modes = read_uff(path, sensors=tuple(sensors) or None)
     return modes.frequencies_hz, modes.shapes if len(sensors) else None
+
+
+def write_test_geometry(points: FloatArray) -> str:
+    """Return the points of a test as a universal file: nodes in dataset 15, a trace line through them in 82.
+
+    The points are numbered from 1. The text is written here, as the two datasets are short and pyuff need not be
+    installed.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3), m
+    """
+    lines = ["    -1", f"{NODES[0]:6d}"]
+    lines += [f"{k:10d}{0:10d}{0:10d}{11:10d}{x:13.5E}{y:13.5E}{z:13.5E}" for k, (x, y, z) in enumerate(points, 1)]
+    lines += ["    -1", "    -1", f"{TRACE_LINES:6d}", f"{1:10d}{len(points):10d}{11:10d}", "sensors"]
+    numbers = [f"{k:10d}" for k in range(1, len(points) + 1)]
+    lines += ["".join(numbers[i : i + 8]) for i in range(0, len(numbers), 8)]
+    return "\n".join([*lines, "    -1", ""])
 
 
 FORMAT = ModesFormat(read_uff, "{job}.uff", computed_uff)

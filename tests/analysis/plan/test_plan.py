@@ -143,7 +143,7 @@ def test_a_mode_that_looks_like_another_is_not_recommended(tower):
         ({"mounted": [(9, "x")]}, r"mounted\.0: must be a place and a direction that are free to move"),
         ({"candidates": [(0, "x"), (4, "y")]}, r"candidates\.1: must be a place and a direction that are free"),
         ({"candidates": [(0, "x"), (0, "x")]}, r"candidates\.1: must be given once"),
-        ({"exclude": [17]}, r"exclude: must name places of candidates \(got 17\)"),
+        ({"exclude": [17]}, r"exclude: must name places of the model \(got 17\)"),
         ({"modes": [1, 9]}, r"modes: must be modes of finite frequency"),
         ({"modes": [1, 1]}, r"modes: must be distinct numbers"),
         ({"target": "E"}, r"target: must name parameters, k1, k2, k3 \(got 'E'\)"),
@@ -169,6 +169,8 @@ def test_a_mode_that_no_candidate_sees():
     with pytest.raises(
         ValueError, match=r"candidates: must include a place and a direction in which mode 3 moves"
     ):
+        fmu.plan(two_towers(), 2, candidates=[(0, "x"), (1, "x")], modes=[1, 3], draws=4)
+    with pytest.raises(ValueError, match=r"candidates: must see 3 modes of the model \(got fewer\)"):
         fmu.plan(two_towers(), 2, candidates=[(0, "x"), (1, "x")], draws=4)
 
 

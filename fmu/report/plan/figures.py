@@ -1,0 +1,128 @@
+"""Figures of a planned test: sensors on the structure, information and bound, expected accuracy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fmu.analysis.plan.result import PLANNED, Plan
+from fmu.fem.modes.separable import SeparableModel
+from fmu.report.plots import style
+from fmu.sampling.simulated_tests import SimulatedTests
+from fmu.types import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_ARROW = 0.06  # length of an arrow, relative to the structure
+_UNIT = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_MOST_NAMES = 40
+
+
+def plot_sensors_on_structure(plan: Plan, structure: SeparableModel) -> Axes:
+    """Draw the structure in 3-D with the sensors, numbered in their order; mounted ones are grey.
+
+    Parameters
+    ----------
+    plan : Plan
+        With the places of its candidates.
+    structure : SeparableModel
+        With a geometry.
+
+    Returns
+    -------
+    Axes
+    """
+    geometry, places = structure.geometry, plan.places
+    if geometry is None or places is None:
+        raise ValueError("plan: must have the coordinates of its candidates to be drawn (it has none)")
+    nodes, ends = np.asarray(geometry.nodes), np.asarray(geometry.elements)
+    size = float(np.max(np.ptp(nodes, axis=0)))
+    view = view_of(nodes)
+    flat = nodes @ view.T
+    width, height = np.ptp(flat, axis=0) + 2.5 * _ARROW * size
+    scale = min(6.4 / width, 6.4 / height)
+    axes = style.new_figure(max(scale * width, 2.5), max(scale * height, 1.8)).subplots()
+    lines = flat[ends]
+    x, y = (np.append(lines[:, :, k], np.full((len(lines), 1), np.nan), axis=1).ravel() for k in range(2))
+    axes.plot(x, y, color=style.GREY, linewidth=0.7, rasterized=len(lines) > 300)
+    for number, k in enumerate(plan.every, 1):
+        colour = style.GREY if k in plan.limits.mounted else style.VERMILLION
+        at = places[k]
+        for row in plan.design.candidates.rows([k]):
+            direction = plan.design.candidates.sensors[row][1]
+            sign = -1.0 if direction.startswith("-") else 1.0
+            tip = at + sign * _ARROW * size * np.array(_UNIT.get(direction[-1], (0.0, 0.0, 0.0)))
+            start, end = at @ view.T, tip @ view.T
+            axes.plot(*zip(start, end, strict=True), color=colour, linewidth=1.8)
+            axes.plot([end[0]], [end[1]], marker="o", markersize=3, color=colour)
+        left, up = at @ view.T
+        axes.annotate(str(number), (left, up), xytext=(4, 4), textcoords="offset points", fontsize=style.FONT)
+    axes.set_aspect("equal")
+    axes.axis("off")
+    return axes
+
+
+def view_of(nodes: FloatArray) -> FloatArray:
+    """Return the axes of the picture, shape (2, 3): face-on for a plane structure, otherwise from a corner."""
+    extent = np.ptp(nodes, axis=0)
+    flat = extent <= 1e-6 * extent.max()
+    if not flat.any():
+        return np.array([[0.87, 0.5, 0.0], [-0.25, 0.43, 0.87]])
+    if flat[1] or flat.sum() == 2:
+        return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) if extent[2] >= 0.0 else np.eye(3)[:2]
+    return np.eye(3)[:2] if flat[2] else np.eye(3)[1:]
+
+
+def plot_information(plan: Plan) -> Axes:
+    """Draw the expected information over the number of sensors, with the bound and the customary choices."""
+    curve = plan.with_bounds()
+    axes = style.new_figure(style.NARROW, 3.4).subplots()
+    axes.plot(curve.index, curve["information"], marker="o", markersize=4, color=style.VERMILLION, label=PLANNED)
+    known = curve["bound"].notna()
+    axes.plot(curve.index[known], curve["bound"][known], linestyle="--", color=style.BLACK, label="upper bound")
+    marks = ("s", "^", "D", "v", "P")
+    for mark, (name, one) in zip(marks, plan.choices.drop(PLANNED)["information"].items(), strict=False):
+        axes.plot([len(plan.chosen)], [one], linestyle="none", marker=mark, color=style.GREY, label=str(name))
+    style.finish(axes, "sensors chosen", "expected information / nats")
+    style.legend_below(axes)
+    return axes
+
+
+def plot_expected_sds(plan: Plan) -> Axes:
+    """Draw the expected standard deviations relative to those before the test, for each parameter."""
+    table = plan.parameters()
+    names = [style.literal(str(name)) for name in table.index[:_MOST_NAMES]]
+    axes = style.new_figure(style.NARROW, 0.9 + 0.28 * len(names)).subplots()
+    rows = np.arange(len(names))
+    for column, colour, mark, label in (
+        ("frequencies", style.GREY, "s", "frequencies alone"),
+        ("after", style.VERMILLION, "o", "frequencies and shapes"),
+    ):
+        ratio = (table[column] / table["before"]).to_numpy()[: len(names)]
+        axes.plot(ratio, rows, linestyle="none", marker=mark, color=colour, label=label)
+    axes.set_yticks(rows, names)
+    axes.invert_yaxis()
+    axes.axvline(1.0, color=style.BLACK, linewidth=0.8)
+    axes.set_xlim(left=0.0)
+    style.finish(axes, "expected sd / sd before the test")
+    style.legend_below(axes)
+    return axes
+
+
+def plot_simulated(found: SimulatedTests, choices: Sequence[str] | None = None) -> Axes:
+    """Draw real against expected standard deviations of simulated tests, relative to those of the plan."""
+    axes = style.new_figure(style.NARROW, 3.6).subplots()
+    unit = found.expected[PLANNED]
+    colours = (style.VERMILLION, style.GREY, style.BLACK)
+    for colour, name in zip(colours, choices or list(found.real), strict=False):
+        expected = np.broadcast_to(found.expected[name] / unit, found.real[name].shape)
+        axes.plot(expected.ravel(), (found.real[name] / unit).ravel(), linestyle="none", marker=".", color=colour,
+                  label=name, alpha=0.6)  # fmt: skip
+    ends = axes.get_xlim()
+    axes.plot(ends, ends, color=style.BLACK, linewidth=0.8)
+    style.finish(axes, "expected sd (this plan: 1)", "real sd of simulated tests")
+    style.legend_below(axes)
+    return axes

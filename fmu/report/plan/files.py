@@ -1,0 +1,84 @@
+"""The files of a planned test: its page, the sensors as CSV and universal file, and a measurement to fill in."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from fmu.analysis.plan.result import Plan
+from fmu.formats.modes.uff import write_test_geometry
+from fmu.numbers import significant, typed
+from fmu.report.files import OutputDirectory
+from fmu.report.pages import INDEX, render
+from fmu.report.plan.page import plan_page
+from fmu.sampling.simulated_tests import SimulatedTests
+
+SENSORS, GEOMETRY, MEASUREMENT = "sensors.csv", "geometry.uff", "measurement.toml"
+
+
+def write_plan(plan: Plan, directory: str | os.PathLike[str], simulated: SimulatedTests | None = None) -> Path:
+    """Write the page of a plan (index.html), sensors.csv, measurement.toml and, if places are known, geometry.uff.
+
+    Parameters
+    ----------
+    plan : Plan
+    directory : path-like
+        Output directory, created if it does not exist.
+    simulated : SimulatedTests, optional
+        Of `fmu.simulate_plan`, for the page.
+
+    Returns
+    -------
+    Path
+        The path of ``index.html`` in that directory.
+
+    Raises
+    ------
+    ValueError
+        If a file would be overwritten that fmu did not write.
+    """
+    output = OutputDirectory(directory)
+    page = f"{INDEX}.html"
+    names = [page, SENSORS, MEASUREMENT, *([GEOMETRY] if plan.places is not None else [])]
+    output.check(names)
+    with output.stage_files() as stage:
+        (stage / page).write_text(render(plan_page(plan, simulated)), encoding="utf-8")
+        plan.sensor_table().to_csv(stage / SENSORS)
+        (stage / MEASUREMENT).write_text(measurement_table(plan), encoding="utf-8")
+        if plan.places is not None:
+            points = plan.places[list(plan.every)]
+            (stage / GEOMETRY).write_text(write_test_geometry(points), encoding="ascii")
+    return output.root / page
+
+
+def measurement_table(plan: Plan) -> str:
+    """Return ``[measurement]`` of a problem file with the planned sensors, and expected values to be replaced."""
+    seen, modes = plan.design.found.nominal, list(plan.design.modes)
+    f = seen.frequencies[0, modes]
+    rows = plan.design.candidates.rows(plan.every)
+    shapes = seen.shapes[0][rows][:, modes]
+    shapes = shapes / np.max(np.abs(shapes), axis=0)
+    lines = [
+        "# Replace frequencies and shapes, which the model predicts before updating, by what is measured.",
+        "[measurement]",
+        f"frequencies = [{', '.join(significant(float(x), 6) for x in f)}]  # Hz",
+        f"sd = [{', '.join(typed(float(x)) for x in np.round(f * plan.frequency_sd, 6))}]  # Hz, expected",
+        f"labels = [{', '.join(_quoted(str(i + 1)) for i in modes)}]",
+        "sensors = [",
+        *(f"    [{_quoted(place)}, {_quoted(direction)}]," for place, direction in plan.sensors),
+        "]",
+        "shapes = [",
+        *(f"    [{', '.join(f'{x:.4f}' for x in shape)}]," for shape in shapes.T),
+        "]",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _quoted(value: object) -> str:
+    """Return a place or a name as TOML writes it."""
+    if isinstance(value, int | np.integer):
+        return str(int(value))
+    text = str(value).replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{text}"'
