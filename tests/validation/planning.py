@@ -212,8 +212,8 @@ Real over expected standard deviation: median {middle:.2f}, 90 % between {low:.2
 | :-- | --: | --: | --: | --: |
 {chr(10).join(rows)}
 
-Sds are relative to those before the test, in {max(1, tests // 4)} of the tests with either choice of sensors. At the
-same number of sensors the plan's is the smaller one in {better} of {len(found)} structures.
+Sds are relative to those before the test, in {max(1, tests // 4)} of the tests with either choice of sensors. At
+the same number of sensors the plan's is the smaller one in {better} of {len(found)} structures.
 
 {said}
 """
