@@ -23,7 +23,7 @@ from fmu.config.models.matrices import MatricesTable
 from fmu.config.models.opensees import OpenSeesTable
 from fmu.config.models.python import PythonTable
 from fmu.config.parameters import NoiseTable, ParameterTable, build_parameters, of_several_tests
-from fmu.config.plan import PlanTable
+from fmu.config.planned.plan import PlanTable
 from fmu.config.tables import Built, FileName, Name, Positive, TomlTable, by_kind
 from fmu.config.tests import MOST_TESTS, TestTable, build_tests, in_the_file, variations
 from fmu.engines.base import Engine

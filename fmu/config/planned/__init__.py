@@ -1,0 +1,1 @@
+"""Tables of tests that have not been made yet."""
