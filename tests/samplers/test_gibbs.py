@@ -59,7 +59,7 @@ def test_the_posterior_is_that_of_hmc():
     )
     gibbs = fmu.sample(problem, "gibbs", draws=1000, warmup=100)
     hmc = fmu.sample(problem, "hmc", draws=300, warmup=300)
-    assert chain_ess(draws_of(gibbs, "noise")) > 60
+    assert chain_ess(draws_of(gibbs, "noise")) > 200
     for name in problem.names:
         centre = np.median(draws_of(hmc, name))
         drawn = [draws_of(trace, name) for trace in (gibbs, hmc)]

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fmu.posterior.errors.likelihood import ModalLikelihood
+from fmu.posterior.errors.noise import Spread
 from fmu.posterior.joint.layout import Layout, sum_by_test
 from fmu.types import FloatArray, IntArray
 
@@ -22,11 +23,35 @@ class Expansion(NamedTuple):
         The gradient of the log-likelihood of each test.
     information : ndarray, shape (n_tests, P, P)
         The Gauss–Newton approximation of minus its second derivatives.
+    noise : ndarray, shape (1, n_noise)
+        The inferred standard deviations of errors at which the log-likelihood is expanded.
+    spreads : tuple of Spread
+        The variances of the errors of the measured modes.
+    test_of_modes : ndarray of int, shape (n_modes,)
     """
 
     values: FloatArray
     slope: FloatArray
     information: FloatArray
+    noise: FloatArray
+    spreads: tuple[Spread, ...]
+    test_of_modes: IntArray
+
+    def weigh(self, noise: FloatArray) -> FloatArray:
+        """Return factors of slope and information, (n, n_tests, 1), for other standard deviations (n, n_noise).
+
+        They are the means over the errors of a test of their variances in the expansion, relative to the variances
+        now: exact where one standard deviation belongs to all errors of the test.
+        """
+        if not noise.shape[1]:
+            return np.ones((1, 1, 1))
+        n_tests, ratios = len(self.values), np.zeros((len(noise), len(self.test_of_modes)))
+        for spread in self.spreads:
+            ratio = spread.variance(self.noise) / spread.variance(noise)
+            ratios += ratio.reshape(len(noise), -1, ratio.shape[-1]).mean(axis=1) / len(self.spreads)
+        counts = np.bincount(self.test_of_modes, minlength=n_tests)
+        total = sum_by_test(ratios, self.test_of_modes, n_tests)
+        return np.where(counts > 0, total / np.maximum(counts, 1), 1.0)[..., None]
 
 
 def expand(layout: Layout, likelihood: ModalLikelihood, theta: FloatArray) -> Expansion:
@@ -34,7 +59,9 @@ def expand(layout: Layout, likelihood: ModalLikelihood, theta: FloatArray) -> Ex
     slopes = likelihood.terms_and_gradient(layout.of_model(theta[None]))[1][..., : len(layout.structural)]
     slope = sum_by_test(slopes, likelihood.test_of_terms, len(layout.tests))[0]
     values = layout.values(theta[None, : len(layout.parameters)])[0]
-    return Expansion(values, slope, information_by_test(layout, likelihood, theta))
+    information, noise = information_by_test(layout, likelihood, theta), theta[None, len(layout.parameters) :].copy()
+    spreads = tuple(term.spread for term in likelihood.terms_of)
+    return Expansion(values, slope, information, noise, spreads, likelihood.model.test_of_modes)
 
 
 def information_by_test(layout: Layout, likelihood: ModalLikelihood, theta: FloatArray) -> FloatArray:

@@ -182,8 +182,10 @@ class ScoresGivenMain:
         at = self.scores.put(of, z)
         slopes = np.where(scored, np.stack([one.slope(at) for one in self.scores.every], axis=2), 0.0)
         away = self.layout.values(at) - known.values
-        gradient = known.slope - np.einsum("tij,ntj->nti", known.information, away)
+        weight = known.weigh(theta[:, len(self.layout.parameters) :])
+        gradient = weight * (known.slope - np.einsum("tij,ntj->nti", known.information, away))
         precision = known.information[:, numbers[:, None], numbers] * slopes[..., :, None] * slopes[..., None, :]
+        precision = weight[..., None] * precision
         of_prior = np.broadcast_to(np.eye(z.shape[2]), precision.shape)
         if self.layout.correlation is not None:
             of_prior = of_prior + self.layout.correlation.precision(of)

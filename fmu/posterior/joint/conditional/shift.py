@@ -53,10 +53,11 @@ class MainGivenScores:
         at = self._put(w, theta, u)
         known, n = self.expansion, len(self.layout.parameters)
         away = self.layout.values(at[:, :n]) - known.values
-        turned = np.einsum("tij,ntj->nti", known.information, away)
-        value = np.einsum("nti,nti->n", away, known.slope - 0.5 * turned)
+        weight = known.weigh(at[:, n:])
+        turned, pull = weight * np.einsum("tij,ntj->nti", known.information, away), weight * known.slope
+        value = np.einsum("nti,nti->n", away, pull - 0.5 * turned)
         noise = np.zeros((*away.shape[:2], at.shape[1] - n))
-        slopes = np.concatenate([known.slope - turned, noise], axis=2)
+        slopes = np.concatenate([pull - turned, noise], axis=2)
         gradient = self.layout.gradient(at, slopes, np.arange(away.shape[1]))
         copula = self.layout.correlation
         if copula is not None:

@@ -7,6 +7,7 @@ from scipy.stats import multivariate_t
 
 import fmu
 from fmu.posterior.joint.conditional.both import conditionals
+from fmu.posterior.joint.conditional.expansion import expand
 from fmu.posterior.joint.layout import sum_by_test
 from fmu.posterior.joint.typical import typical_point
 from fmu.posterior.scaled import ScaledDensity
@@ -17,7 +18,7 @@ N, P = 7, 3
 NAMES = tuple(f"k{j + 1}" for j in range(P))
 
 
-def campaign(distribution="normal", correlation=None, slopes=(), shared=()):
+def campaign(distribution="normal", correlation=None, slopes=(), shared=(), noise=0.01):
     """Return the problem of seven tests of three storeys whose stiffnesses scatter by 5 % and bounds are near."""
     rng = np.random.default_rng(2)
     model = shear_building(list(NAMES), 2e8, 1e5)
@@ -34,7 +35,7 @@ def campaign(distribution="normal", correlation=None, slopes=(), shared=()):
         varies={name: fmu.Population(distribution) for name in NAMES if name not in shared},
         slopes={name: {"temperature": fmu.Normal(0.01)} for name in slopes},
         correlation=correlation,
-        error=fmu.FrequencyErrors("relative", sd=0.01),
+        error=fmu.FrequencyErrors("relative", sd=noise),
     )
 
 
@@ -165,3 +166,16 @@ def test_student_density_counts_the_scores_that_a_test_has(campaign_points):
         student = multivariate_t(normal.mean[0, t, here], np.linalg.inv(precision), nu)
         expected = student.logpdf(z[0, t, here]) - student.logpdf(normal.mean[0, t, here])
         assert_allclose(gain[0, t], expected, rtol=1e-9)
+
+
+def test_expansion_is_weighed_exactly_where_one_deviation_belongs_to_all_errors():
+    problem = campaign(noise=fmu.Parameter("noise", 0.01, 0.002, 0.1, prior=fmu.HalfNormal(0.02)))
+    plain = problem.with_layout(problem.layout.remove_centring())
+    theta = conditionals(problem).typical
+    before = expand(plain.layout, plain.likelihood, theta[0])
+    theta[:, -1] *= 1.7
+    after = expand(plain.layout, plain.likelihood, theta[0])
+    weight = before.weigh(theta[:, -1:])
+    assert_allclose(weight, 1.7**-2)
+    assert_allclose(weight[0, :, :, None] * before.information, after.information, rtol=1e-9, atol=1e-9)
+    assert_allclose(weight[0] * before.slope, after.slope, rtol=1e-6, atol=1e-6)
