@@ -19,6 +19,7 @@ import fmu
 from fmu.cli import main
 from fmu.config.problem import ProblemFile
 from fmu.config.template import template
+from fmu.engines import dask_cluster
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("notebooks/guide/*.md"))]
@@ -129,6 +130,8 @@ def test_the_cluster_of_contributing_md_is_asked_for_as_it_says(tmp_path, monkey
     (code,) = blocks(ROOT / "CONTRIBUTING.md", "python")
     (tmp_path / "beam.toml").write_text(template("frame"), encoding="utf-8")
     monkeypatch.chdir(tmp_path)
+    ask = dask_cluster._check_scheduler
+    monkeypatch.setattr(dask_cluster, "_check_scheduler", lambda address, _: ask(address, 0.5))
     monkeypatch.setitem(sys.modules, "dask_jobqueue", types.SimpleNamespace(SLURMCluster=SLURMCluster))
     with pytest.raises(ValueError, match="127\\.0\\.0\\.1:1"):
         exec(compile(code, "CONTRIBUTING.md", "exec"), {"__name__": "__main__"})

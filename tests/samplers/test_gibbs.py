@@ -34,7 +34,9 @@ def without_data(distribution, correlation):
 
 def test_without_information_the_draws_are_those_of_the_prior():
     problem = without_data("log-normal", 1.0)
-    trace = fmu.sample(problem, fmu.GibbsSampler(step_size=0.4), draws=250, warmup=0, seed=3)
+    trace = fmu.sample(
+        problem, fmu.GibbsSampler(step_size=0.4), draws=50, warmup=0, chains=20, init="prior", seed=3
+    )
     prior = problem.sample_prior(np.random.default_rng(1), 20_000)
     for k, name in enumerate(problem.names):
         drawn = draws_of(trace, name)

@@ -154,7 +154,11 @@ def test_rounds_that_find_nothing_in_the_box_end():
     assert n_solves <= 2000
 
 
-@pytest.mark.parametrize("density", [Banana(), Ridges(), Shell(), Beta()], ids=lambda one: one.name)
+@pytest.mark.parametrize(
+    "density",
+    [Banana(), Ridges(), *(pytest.param(one, marks=pytest.mark.validate) for one in (Shell(), Beta()))],
+    ids=lambda one: one.name,
+)
 def test_bent_hollow_and_infinite_densities_converge_within_50_000_evaluations(density):
     trace = fmu.sample(density, draws=250, until_ess=400, max_solves=50_000)
     stats_of = [trace["sample_stats"], trace["warmup_sample_stats"]]
