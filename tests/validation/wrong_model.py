@@ -16,30 +16,43 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 import fmu
+from fmu.analysis.models.comparison import compare_traces
 from fmu.config import read
 from fmu.config.discrepancy import DiscrepancyTable
-from fmu.numbers import given, significant
+from fmu.numbers import MISSING, decimals, fixed, given, interval, significant, with_sd
 from fmu.posterior.problem import UpdatingProblem
 from fmu.tables import markdown_table
 
-CASES = ("cantilever-young",)
+CASES = (
+    ("cantilever-young", "shape"),
+    ("cantilever-young", "index"),
+    ("cantilever-section", "shape"),
+    ("cantilever-section", "index"),
+    ("garteur", "shape"),
+    ("shear-2dof", "shape"),
+    ("shear-10dof", "shape"),
+    ("shear-4dof-repeated", "shape"),
+)
+PAIRED = {"shape": "by shape", "index": "by number"}
 HEADER = ["mode", "measured, Hz", "without: 90 %, Hz", "off by, sd", "with scatter: 90 %, Hz", "off by, sd"]
+SUMMARY = ["case", "inside, without", "with", "rms error, sd, without", "with", "log-evidence, with less without"]
 
 
-def problems(case: str) -> tuple[UpdatingProblem, UpdatingProblem]:
-    """Return a built-in problem by shape, without and with embedded scatter."""
+def problems(case: str, pairing: str = "shape") -> tuple[UpdatingProblem, UpdatingProblem]:
+    """Return a built-in problem, without and with embedded scatter."""
     with as_file(files("fmu.cases") / f"{case}.toml") as path:
         file = read(path)
         wrong = file.model_copy(update={"discrepancy": [DiscrepancyTable(kind="embedded")]})
-        return file.build(path.name, path.parent, "shape"), wrong.build(path.name, path.parent, "shape")
+        return file.build(path.name, path.parent, pairing), wrong.build(path.name, path.parent, pairing)
 
 
-def section(case: str) -> tuple[str, bool]:
-    """Return the part of the page on one case, and whether both runs have converged."""
-    tables, said, converged = [], [], True
-    for name, problem in zip(("Without", "With scatter"), problems(case), strict=True):
+def section(case: str, pairing: str) -> tuple[list[str], str, bool]:
+    """Return a row of the summary, the part of the page on one case, and whether both runs have converged."""
+    tables, traces, said, converged = [], {}, [], True
+    title = f"{case}, {PAIRED[pairing]}"
+    for name, problem in zip(("Without", "With scatter"), problems(case, pairing), strict=True):
         began = time.process_time()
-        trace = fmu.sample(problem, until_ess=400, seed=1)
+        trace = traces[name] = fmu.sample(problem, until_ess=400, seed=1)
         seconds = time.process_time() - began
         verdict = fmu.diagnose(trace, problem)
         converged &= verdict.converged
@@ -55,21 +68,38 @@ def section(case: str) -> tuple[str, bool]:
     for (mode, one), (_, other) in zip(*(table.iterrows() for table in tables), strict=True):
         cells = [str(mode), given(one["measured"])]
         for row in (one, other):
-            off = (row["measured"] - row["mean"]) / row["sd"]
-            cells += [f"{row['eti90_lb']:.1f} to {row['eti90_ub']:.1f}", f"{off:.1f}"]
+            off = fixed((row["measured"] - row["mean"]) / row["sd"], 1)
+            n = decimals(row["sd"])
+            cells += [interval(row["eti90_lb"], row["eti90_ub"], n) if np.isfinite(row["sd"]) else MISSING, off]
         rows.append(cells)
-    z = [(t["measured"] - t["mean"]) / t["sd"] for t in tables]
-    size = " and ".join(f"{np.sqrt(np.mean(one**2)):.1f}" for one in z)
-    text = "\n\n".join([*said, f"Root mean square of the errors in standard deviations: {size}."])
-    return f"## {case}, by shape\n\n{markdown_table(HEADER, rows)}\n{text}\n", converged
+    compared = compare_traces(traces).table
+    inside = [
+        int(((t["measured"] >= t["eti90_lb"]) & (t["measured"] <= t["eti90_ub"])).sum()) for t in tables
+    ]  # fmt: skip
+    known = [int(t["sd"].notna().sum()) for t in tables]
+    z = [((t["measured"] - t["mean"]) / t["sd"]).dropna() for t in tables]
+    errors = with_sd(compared["log_evidence"]["With scatter"] - compared["log_evidence"]["Without"],
+                     float(np.hypot(*compared["error"])))  # fmt: skip
+    row = [
+        title,
+        *(f"{k} of {n}" for k, n in zip(inside, known, strict=True)),
+        *(f"{np.sqrt(np.mean(one**2)):.1f}" for one in z),
+        errors,
+    ]
+    return row, f"## {title}\n\n{markdown_table(HEADER, rows)}\n{'\n\n'.join(said)}\n", converged
 
 
 def main(out: str, *cases: str) -> int:
     """Write the page; return the exit code."""
+    wanted = [one for one in CASES if not cases or one[0] in cases]
+    found = []
     with threadpool_limits(1):
-        found = [section(case) for case in cases or CASES]
-    Path(out, "wrong-model.md").write_text(PAGE + "\n".join(text for text, _ in found))
-    return 0 if all(converged for _, converged in found) else 1
+        for case, pairing in wanted:
+            found.append(section(case, pairing))
+            print(*found[-1][0], sep="  ", flush=True)
+    summary = markdown_table(SUMMARY, [row for row, _, _ in found])
+    Path(out, "wrong-model.md").write_text(f"{PAGE}{summary}\n" + "\n".join(text for _, text, _ in found))
+    return 0 if all(converged for _, _, converged in found) else 1
 
 
 PAGE = """# Models that may be wrong
@@ -79,7 +109,8 @@ Written by `python -m tests.validation.wrong_model results`.
 Each measured mode is predicted by the others (`fmu.leave_one_out`): by the model as it is, and by the same model
 with `[[discrepancy]]` of `kind = "embedded"`, whose parameters scatter from mode to mode by an inferred τ.
 The intervals are of the measurement and contain 90 % of the prediction; "off by" is the distance of the measured
-frequency from its prediction, in standard deviations of the prediction.
+frequency from its prediction, in standard deviations of the prediction. The difference of the log-evidences is in
+favour of the scatter if it is positive.
 
 """
 

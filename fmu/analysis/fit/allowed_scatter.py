@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fmu.analysis.fit.reweighting import estimated_scatter
 from fmu.analysis.trace.reading import problem_of
 from fmu.numbers import names_in_words, significant
 
@@ -14,9 +15,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 REMEDY = (
-    'If no cause is found: [[discrepancy]] with kind = "embedded" in the problem file (Python: discrepancy='
-    "fmu.Discrepancy()) allows for a model that is wrong, and widens the posterior and every prediction. "
-    "Then fmu run FILE again"
+    "If no cause is found: fmu run FILE --discrepancy embedded (Python: discrepancy=fmu.Discrepancy()) allows for "
+    "a model that is wrong, and widens the posterior and every prediction; --discrepancy all compares all kinds"
 )
 
 
@@ -39,8 +39,15 @@ def scatter_sentences(trace: xr.DataTree) -> tuple[str, ...]:
     return tuple(said)
 
 
-def has_remedy(trace: xr.DataTree) -> bool:
-    """Return True if a discrepancy could be added to the problem of a trace."""
+def remedy(trace: xr.DataTree) -> str:
+    """Return what allows for a wrong model, and what it would do; empty if the problem can have no discrepancy."""
+    if not _may_have_discrepancy(trace):
+        return ""
+    estimate = estimated_scatter(trace)
+    return f"{REMEDY}. {estimate}" if estimate else REMEDY
+
+
+def _may_have_discrepancy(trace: xr.DataTree) -> bool:
     problem = problem_of(trace)
     likelihood: Mapping[str, Any] = problem.get("likelihood", {})
     if "discrepancy" in likelihood:

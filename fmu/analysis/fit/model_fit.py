@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.analysis.fit.allowed_scatter import REMEDY, has_remedy, scatter_sentences
+from fmu.analysis.fit.allowed_scatter import remedy, scatter_sentences
 from fmu.analysis.fit.check import (
     HELD_OUT,
     LAW,
@@ -208,9 +208,10 @@ def model_fit(trace: xr.DataTree) -> ModelFit:
         return ModelFit((), 0, len(parameter_names(trace)))
     told = trace[GROUP].attrs
     n_data, n_parameters = int(told["n_data"]), effective_parameters(trace)
-    remedy = REMEDY if has_remedy(trace) else ""
-    of_model = scatter_sentences(trace), remedy
-    return ModelFit(tuple(checks_of(trace)), n_data, n_parameters, str(told["other"]), *of_model)
+    checks = tuple(checks_of(trace))
+    way_out = remedy(trace) if any(check.failed for check in checks) else ""
+    of_model = scatter_sentences(trace), way_out
+    return ModelFit(checks, n_data, n_parameters, str(told["other"]), *of_model)
 
 
 def _modes(checks: Sequence[Check]) -> str:

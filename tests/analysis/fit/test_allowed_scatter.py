@@ -4,15 +4,18 @@ import numpy as np
 
 import fmu
 from fmu.analysis.fit.allowed_scatter import REMEDY
-from fmu.analysis.fit.model_fit import ALLOWED, CONTRADICTED, NOT_TESTABLE, model_fit
+from fmu.analysis.fit.model_fit import ALLOWED, CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, model_fit
 from tests.shear_building import frequencies_hz, shear_building
 
 STOREYS = ["k1", "k2", "k3", "k4", "k5"]
 
 
-def fit_of(discrepancy=(), n_modes=5):
+WRONG = np.array([1.0, 1.4, 0.8, 1.2, 0.7])
+
+
+def fit_of(discrepancy=(), n_modes=5, truth=WRONG):
     """Return the verdict on a model whose storeys have the same stiffness; those measured differ by up to 40 %."""
-    truth = frequencies_hz(shear_building(STOREYS), np.array([1.0, 1.4, 0.8, 1.2, 0.7]))[0]
+    truth = frequencies_hz(shear_building(STOREYS), truth)[0]
     problem = fmu.UpdatingProblem.reduced(
         shear_building(["k"] * 5),
         fmu.ModalData(truth[:n_modes]),
@@ -27,12 +30,21 @@ def fit_of(discrepancy=(), n_modes=5):
 def test_a_contradicted_model_has_a_remedy_and_then_a_verdict_that_is_not_good():
     found = fit_of()
     assert found.verdict == CONTRADICTED
-    assert found.said[-1] == f"{REMEDY}."
+    assert found.said[-1].startswith(f"{REMEDY}. ")
+    assert "fmu run FILE --discrepancy embedded" in REMEDY
+    assert "roughly, it would be " in found.said[-1]
     rescued = fit_of(fmu.Discrepancy(prior_sd=0.2))
     assert rescued.verdict == ALLOWED
     assert "may be wrong" in rescued.answer
     assert rescued.said[0].startswith("k: a scatter over the modes, tau, of ")
     assert REMEDY not in " ".join(rescued.said)
+
+
+def test_a_model_that_is_not_contradicted_needs_no_remedy():
+    found = fit_of(truth=np.ones(5))
+    assert found.verdict == NOT_CONTRADICTED
+    assert found.remedy == ""
+    assert REMEDY not in " ".join(found.said)
 
 
 def test_a_given_scatter_is_stated():

@@ -1,0 +1,175 @@
+"""What a scatter of the parameters would be, and do, estimated from the draws of a model without it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy.special import logsumexp
+
+from fmu.analysis.convergence.pareto import GOOD_K, smoothed_weights
+from fmu.analysis.trace.misfit import GROUP
+from fmu.analysis.trace.modal_states import MAXIMUM
+from fmu.analysis.trace.reading import array_of, has, parameter_draws, parameter_names
+from fmu.numbers import significant
+from fmu.samplers.mixture.importance import effective_size
+from fmu.types import FloatArray
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+PRIOR_SD = 0.1
+"""Standard deviation of the half-normal prior of τ: the default of `fmu.Discrepancy`."""
+_FEWEST = 100.0
+"""Smallest number of effective draws for an estimate."""
+TAU = np.linspace(0.0, 5.0 * PRIOR_SD, 201)[1:]
+"""Scatters at which densities are computed, shape (n_tau,)."""
+
+
+class Estimate(NamedTuple):
+    """The scatter that a discrepancy would have, and what it would do.
+
+    Attributes
+    ----------
+    by_tau : ndarray, shape (n_tau,)
+        Posterior probability of each τ of `TAU`.
+    wider : ndarray, shape (ndim,)
+        Standard deviation of each parameter with scatter, over that without.
+    """
+
+    by_tau: FloatArray
+    wider: FloatArray
+
+    @property
+    def quantiles(self) -> tuple[float, float, float]:
+        """The quantiles 5 %, 50 % and 95 % of τ."""
+        below = np.cumsum(self.by_tau)
+        low, middle, high = (float(np.interp(q, below, TAU)) for q in (0.05, 0.5, 0.95))
+        return low, middle, high
+
+
+def estimated_scatter(trace: xr.DataTree) -> str:
+    """Return a sentence with the estimated scatter τ and the standard deviations with it; empty if not known.
+
+    The draws are reweighted (`by_draws`). Where they do not cover the posterior with scatter, which is wider, the
+    sentence says so, and the estimate is that of the linearised model (`by_linearised_model`).
+    """
+    found, how = by_draws(trace), "By these draws, reweighted,"
+    if found is None:
+        found = by_linearised_model(trace)
+        how = (
+            "These draws cannot tell how large the scatter would be, as they do not cover the wider posterior. By "
+            "the model linearised at its maximum, roughly,"
+        )
+    if found is None:
+        return ""
+    low, middle, high = (significant(100.0 * x, 2) for x in found.quantiles)
+    least, most = (significant(float(x), 2) for x in (found.wider.min(), found.wider.max()))
+    widest = parameter_names(trace)[int(np.argmax(found.wider))]
+    times = f"{most} times as large" if len(found.wider) == 1 else f"{least} to {most} times as large"
+    which = "" if len(found.wider) == 1 else f", that of {widest} the most"
+    return (
+        f"{how} it would be {middle} % (90 %: {low} to {high} %), and the standard deviations of the parameters "
+        f"{times}{which}"
+    )
+
+
+def by_draws(trace: xr.DataTree) -> Estimate | None:
+    """Return the estimate from the draws, weighted by the ratio of the densities with scatter and without.
+
+    With residuals r_i in standard deviations of the measurement, g_i = Σ_k (∂r_i/∂ln θ_k)² at the maximum, and the
+    half-normal prior p of τ, the ratio at a draw is the integral of
+    p(τ) Π_i (1 + τ² g_i)^(−1/2) exp(½ r_i² τ² g_i/(1 + τ² g_i)) over τ.
+
+    Returns
+    -------
+    Estimate or None
+        None if the residuals are not of frequencies alone, their derivatives are not known, or the weights are not
+        reliable (Pareto k, effective draws).
+    """
+    linear = _linearised(trace)
+    if linear is None:
+        return None
+    squares = array_of(trace, GROUP, "squares")[:, :, 0].reshape(-1, len(linear.g))
+    log_w = _log_ratios(squares, linear.g)
+    try:
+        weights, k = smoothed_weights(logsumexp(log_w, axis=1))
+    except ValueError:  # so many draws are equal that the weights have no tail
+        return None
+    if not (k <= GOOD_K and effective_size(weights) >= _FEWEST):
+        return None
+    by_tau = np.exp(logsumexp(log_w - logsumexp(log_w, axis=1)[:, None] + weights[:, None], axis=0))
+    theta, w = parameter_draws(trace).reshape(len(squares), -1), np.exp(weights)
+    return Estimate(by_tau, np.sqrt(w @ (theta - w @ theta) ** 2) / theta.std(axis=0))
+
+
+def by_linearised_model(trace: xr.DataTree) -> Estimate | None:
+    """Return the estimate of a model that is linear about the maximum, with Gaussian priors.
+
+    Let the parameters x, in standard deviations of the prior, have the prior N(x₀, I), and r = r* + S (x − x*).
+    Then r* + S (x₀ − x*) ~ N(0, S Sᵀ + V) with V = diag(1 + τ² g), which gives the posterior of τ. The covariance
+    of x is (I + Sᵀ V⁻¹ S)⁻¹, to which the spread of its means over τ adds. Bounds count only in the prior's
+    moments.
+    """
+    linear = _linearised(trace)
+    if linear is None or linear.expected is None:
+        return None
+    S, mu = linear.S, linear.expected
+    log_p, spreads, means = [], [], []
+    for tau in TAU:
+        V = 1.0 + tau**2 * linear.g
+        C = S @ S.T + np.diag(V)
+        log_p.append(-0.5 * mu @ np.linalg.solve(C, mu) - 0.5 * np.linalg.slogdet(C)[1])
+        covariance = np.linalg.inv(np.eye(S.shape[1]) + S.T / V @ S)
+        spreads.append(np.diag(covariance))
+        means.append(-covariance @ (S.T / V) @ mu)
+    log_w = np.array(log_p) - 0.5 * (TAU / PRIOR_SD) ** 2
+    w = np.exp(log_w - logsumexp(log_w))
+    mean = w @ np.array(means)
+    variance = w @ (np.array(spreads) + (np.array(means) - mean) ** 2)
+    before = parameter_draws(trace).reshape(-1, len(parameter_names(trace))).std(axis=0)[: S.shape[1]]
+    return Estimate(w, np.sqrt(variance) * linear.prior_sd / before)
+
+
+class _Linearised(NamedTuple):
+    """Slopes S (n_modes, p) of the residuals in prior sds (p,), g, and the residuals at the prior's mean."""
+
+    S: FloatArray
+    prior_sd: FloatArray
+    g: FloatArray
+    expected: FloatArray | None
+
+
+def _linearised(trace: xr.DataTree) -> _Linearised | None:
+    """Return the model linearised at the maximum; None if its derivatives are not known."""
+    if not has(trace, "identifiability") or list(trace[GROUP]["quantity"].to_numpy()) != ["frequencies"]:
+        return None
+    known, used = trace["identifiability"].to_dataset(), trace[GROUP]["mode"].to_numpy()
+    labels = [str(label).removesuffix(", frequency") for label in known["mode"].to_numpy()]
+    if MAXIMUM not in known["state"].to_numpy() or labels != used.tolist():
+        return None
+    at = known.sel(state=MAXIMUM)
+    S, sd, theta = (at[name].to_numpy() for name in ("sensitivity", "prior_sd", "theta"))
+    g = np.sum((S * theta / sd) ** 2, axis=1)
+    names = [str(name) for name in at["parameter"].to_numpy()]
+    if not has(trace, "maxima") or not has(trace, "prior"):
+        return _Linearised(S, sd, g, None)
+    maximum, measured = trace["maxima"].to_dataset(), trace["observed_data"]["frequency"].sel(mode=used).to_numpy()
+    off = array_of(trace, "posterior_predictive", "model_frequency").reshape(
+        -1, trace["observed_data"].sizes["mode"]
+    )
+    every = [str(mode) for mode in trace["observed_data"]["mode"].to_numpy()]
+    off = off[:, [every.index(str(mode)) for mode in used]] - measured
+    r = np.sqrt(array_of(trace, GROUP, "squares")[:, :, 0].reshape(off.shape))
+    sigma = np.median(np.abs(off) / np.where(r > 0.0, r, np.nan), axis=0)
+    best = maximum["frequencies"].isel(maximum=0).sel(mode=used).to_numpy()
+    before = np.array([float(trace["prior"][name].mean()) for name in names])
+    return _Linearised(S, sd, g, (best - measured) / sigma + S @ ((before - theta) / sd))
+
+
+def _log_ratios(squares: FloatArray, g: FloatArray) -> FloatArray:
+    """Return log p(τ) plus the log-ratio of densities, (n, n_tau), for squared residuals (n, n_modes)."""
+    inflation = TAU[:, None] ** 2 * g
+    prior = -0.5 * (TAU / PRIOR_SD) ** 2 + np.log(np.sqrt(2.0 / np.pi) / PRIOR_SD * (TAU[1] - TAU[0]))
+    gained = 0.5 * squares @ (inflation / (1.0 + inflation)).T
+    return np.asarray(gained - 0.5 * np.log1p(inflation).sum(axis=1) + prior)
