@@ -55,10 +55,10 @@ def scatters(trace: xr.DataTree) -> tuple[Scatter, ...]:
     """Return the inferred scatters of a trace, in the order of theta; empty without a discrepancy."""
     problem = problem_of(trace)
     likelihood = problem.get("likelihood", {})
-    noise, names = list(likelihood.get("noise", ())), [str(p["name"]) for p in problem.get("parameters", ())]
+    noise = list(likelihood.get("noise", ()))
     of: dict[str, list[str]] = {}
     for one in likelihood.get("discrepancy", ()):
-        for name, k in zip(one.get("names", names), one.get("inferred", ()), strict=False):
+        for name, k in zip(one.get("names", ()), one.get("inferred", ()), strict=True):
             if k >= 0:
                 of.setdefault(noise[k], []).append(name)
     draws = {tau: array_of(trace, "posterior", tau) for tau in of}

@@ -45,7 +45,7 @@ def trace_of(draws):
     parameters = [{"name": name, "prior": prior if name.startswith("tau") else {}} for name in names]
     likelihood = {
         "noise": ["sigma", "tau a", "tau b"],
-        "discrepancy": [{"kind": "embedded", "inferred": [1, 2, 1]}],
+        "discrepancy": [{"kind": "embedded", "names": names[:3], "inferred": [1, 2, 1]}],
     }
     trace = xr.DataTree.from_dict(
         {"posterior": xr.Dataset({name: (("chain", "draw"), x) for name, x in values.items()})}
