@@ -98,13 +98,14 @@ def main(out: str, *cases: str) -> int:
             found.append(section(case, pairing))
             print(*found[-1][0], sep="  ", flush=True)
     summary = markdown_table(SUMMARY, [row for row, _, _ in found])
-    Path(out, "wrong-model.md").write_text(f"{PAGE}{summary}\n" + "\n".join(text for _, text, _ in found))
+    page = PAGE.replace("{arguments}", " ".join(("results", *cases)))
+    Path(out, "wrong-model.md").write_text(f"{page}{summary}\n" + "\n".join(text for _, text, _ in found))
     return 0 if all(converged for _, _, converged in found) else 1
 
 
 PAGE = """# Models that may be wrong
 
-Written by `python -m tests.validation.wrong_model results`.
+Written by `python -m tests.validation.wrong_model {arguments}`.
 
 Each measured mode is predicted by the others (`fmu.leave_one_out`): by the model as it is, and by the same model
 with `[[discrepancy]]` of `kind = "embedded"`, whose parameters scatter from mode to mode by an inferred τ.
