@@ -170,7 +170,7 @@ class ProblemFile(TomlTable):
             if self.tests is not None:
                 return self._joint(folder, structure, parameters, errors, pairing, beta, engine)
             if self._is_unmeasured(planning):
-                return self._planned(structure, parameters)
+                return self._build_unmeasured(structure, parameters)
             data = self._data(folder, structure, beta, errors)
             errors = with_places(errors, structure.places)
             wrong = beside_tests(tables, errors, data) or vanishing(noise, errors, data, len(parameters))
@@ -208,7 +208,7 @@ class ProblemFile(TomlTable):
         """Return True if a test is planned and the file has no measurement."""
         return planning and self.plan is not None and self.measurement is None and self.tests is None
 
-    def _planned(self, built: Built, parameters: Mapping[str, Parameter]) -> UpdatingProblem:
+    def _build_unmeasured(self, built: Built, parameters: Mapping[str, Parameter]) -> UpdatingProblem:
         """Return the problem with the modes that the model predicts as its data."""
         assert self.plan is not None  # for the type checker: see `_is_unmeasured`
         if isinstance(built.model, ModalModel):

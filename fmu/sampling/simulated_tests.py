@@ -195,14 +195,14 @@ def model_of(plan: Plan, every: Sequence[int]) -> ModalModel:
     there, whole = plan.design.candidates, plan.design.found.model
     rows = there.rows(every)
     if isinstance(whole, ReducedStructure | PairedStructure):
-        whole = _reduced(plan, whole)
+        whole = _reduce(plan, whole)
         whole = whole.seen_by(tuple(there.sensors[row] for row in rows))
         return PartialModel(whole, plan.design.modes, range(len(rows)))
     own = [plan.problem.data.sensors.index(there.sensors[row]) for row in rows]
     return PartialModel(whole, plan.design.modes, own)
 
 
-def _reduced(plan: Plan, whole: ReducedStructure | PairedStructure) -> ReducedStructure | PairedStructure:
+def _reduce(plan: Plan, whole: ReducedStructure | PairedStructure) -> ReducedStructure | PairedStructure:
     """Return the plan's reduced model, used everywhere within the bounds, or one that is trained there."""
     lower, upper = training_box(plan.problem.parameters[: whole.n_parameters])
     if isinstance(whole, ReducedStructure):

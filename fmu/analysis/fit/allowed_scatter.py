@@ -40,7 +40,7 @@ def scatter_sentences(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def remedy(trace: xr.DataTree) -> str:
-    """Return what allows for a wrong model, and what it would do; empty if the problem can have no discrepancy."""
+    """Return sentences on a discrepancy and its effect; empty if the problem can have no discrepancy."""
     if not _may_have_discrepancy(trace):
         return ""
     estimate = estimated_scatter(trace)

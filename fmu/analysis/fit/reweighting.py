@@ -27,7 +27,7 @@ TAU = np.linspace(0.0, 5.0 * PRIOR_SD, 201)[1:]
 
 
 class Estimate(NamedTuple):
-    """The scatter that a discrepancy would have, and what it would do.
+    """The scatter that a discrepancy would have, and its effect on the parameters.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ def by_draws(trace: xr.DataTree) -> Estimate | None:
         None if the residuals are not of frequencies alone, their derivatives are not known, or the weights are not
         reliable (Pareto k, effective draws).
     """
-    linear = _linearised(trace)
+    linear = _linearise(trace)
     if linear is None:
         return None
     squares = array_of(trace, GROUP, "squares")[:, :, 0].reshape(-1, len(linear.g))
@@ -111,7 +111,7 @@ def by_linearised_model(trace: xr.DataTree) -> Estimate | None:
     of x is (I + Sᵀ V⁻¹ S)⁻¹, to which the spread of its means over τ adds. Bounds count only in the prior's
     moments.
     """
-    linear = _linearised(trace)
+    linear = _linearise(trace)
     if linear is None or linear.expected is None:
         return None
     S, mu = linear.S, linear.expected
@@ -140,7 +140,7 @@ class _Linearised(NamedTuple):
     expected: FloatArray | None
 
 
-def _linearised(trace: xr.DataTree) -> _Linearised | None:
+def _linearise(trace: xr.DataTree) -> _Linearised | None:
     """Return the model linearised at the maximum; None if its derivatives are not known."""
     if not has(trace, "identifiability") or list(trace[GROUP]["quantity"].to_numpy()) != ["frequencies"]:
         return None

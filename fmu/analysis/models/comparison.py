@@ -113,12 +113,12 @@ def require_same_data(traces: Mapping[str, xr.DataTree]) -> None:
                 f"must have the same data as {first}, or the evidences cannot be compared; different: "
                 f"{names_in_words(different)}"
             )
-            got = f"{_shown(other[different[0]])}, {first} has {_shown(one[different[0]])}"
+            got = f"{_shorten(other[different[0]])}, {first} has {_shorten(one[different[0]])}"
             raise ArgumentError(f"models.{name}", rule, got)
 
 
 def _data(trace: xr.DataTree) -> dict[str, object]:
-    """Return what was measured and used, by its kind, and the unit of its density."""
+    """Return the measurements and the modes used, by their kinds, and the unit of the errors."""
     observed, configured = trace["observed_data"].to_dataset(), problem_of(trace)
     modes = map(str, observed["mode"].to_numpy().tolist())
     used = observed["used"].to_numpy().tolist() if "used" in observed else []
@@ -142,7 +142,7 @@ def _data(trace: xr.DataTree) -> dict[str, object]:
     return found
 
 
-def _shown(value: object) -> str:
+def _shorten(value: object) -> str:
     text = str(value)
     return text if len(text) <= 60 else f"{text[:57]}…"
 
@@ -228,7 +228,7 @@ def _cells(row: pd.Series) -> list[str]:
 def _sentences(
     table: pd.DataFrame, doubts: Mapping[str, Sequence[str]], held_out: Mapping[str, pd.DataFrame]
 ) -> list[str]:
-    """Return what the table says: of the evidences, of the modes left out, and of what is missing or in doubt."""
+    """Return sentences on the evidences, the modes left out, missing values and doubts."""
     said = [*_of_evidences(table), *_of_held_out(table, held_out)]
     for name, reasons in doubts.items():
         if not np.isfinite(table["log_evidence"][name]):

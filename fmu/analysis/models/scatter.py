@@ -145,7 +145,7 @@ def _of_one(one: Scatter) -> str:
 
 
 def interval_ratios(traces: Mapping[str, xr.DataTree], reference: str) -> pd.DataFrame:
-    """Return the widths of 90 % intervals over those of a reference model.
+    """Return the widths of 90 % intervals relative to the intervals of a reference model.
 
     Returns
     -------

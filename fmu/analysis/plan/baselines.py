@@ -1,4 +1,4 @@
-"""Choices of sensors by the customary rules, which compare shapes and not what they tell of the parameters."""
+"""Choices of sensors by the customary rules, which compare shapes and ignore the parameters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Candidate sensors of a planned test: where they may be, what they cost, and which are mounted already."""
+"""Candidate sensors of a planned test: their places, their cost, and sensors that are mounted already."""
 
 from __future__ import annotations
 

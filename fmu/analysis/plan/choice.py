@@ -48,7 +48,7 @@ class Limits:
     budget: float = np.inf
     near: BoolArray | None = None
 
-    def allowed(self, chosen: Sequence[int]) -> BoolArray:
+    def find_allowed(self, chosen: Sequence[int]) -> BoolArray:
         """Return a mask (n_candidates,) of the candidates that may be added to those chosen."""
         every = [*self.mounted, *chosen]
         found = np.ones(len(self.cost), dtype=bool)
@@ -70,7 +70,7 @@ def choose(
     found = [greedy(readings, limits)]
     if np.isfinite(limits.budget):
         found.append(greedy(readings, limits, by_cost=True))
-    found += [repaired(readings, limits, start) for start in starts]
+    found += [repair(readings, limits, start) for start in starts]
     distinct = {frozenset(one): one for one in found}.values()
     ranked = sorted(distinct, key=lambda one: -readings.value_of([*limits.mounted, *one]))
     good = [one for one in ranked if accept is None or accept(one)][:_IMPROVED]
@@ -91,7 +91,7 @@ def greedy(
     found = list(chosen)
     state = readings.with_sensors([*limits.mounted, *found])
     while len(found) < limits.count:
-        allowed = limits.allowed(found)
+        allowed = limits.find_allowed(found)
         if not allowed.any():
             break
         gain = readings.gains(state)
@@ -103,11 +103,11 @@ def greedy(
     return tuple(found)
 
 
-def repaired(readings: Readings, limits: Limits, start: Sequence[int]) -> tuple[int, ...]:
+def repair(readings: Readings, limits: Limits, start: Sequence[int]) -> tuple[int, ...]:
     """Return a choice that keeps the limits: the candidates of `start` that fit, and further ones by gain."""
     found: list[int] = []
     for k in start:
-        if len(found) < limits.count and limits.allowed(found)[k]:
+        if len(found) < limits.count and limits.find_allowed(found)[k]:
             found.append(k)
     return greedy(readings, limits, chosen=found)
 
@@ -123,7 +123,7 @@ def exchange(
         for i in range(len(found)):
             rest = found[:i] + found[i + 1 :]
             state = readings.with_sensors([*limits.mounted, *rest])
-            gained = readings.value(state) + np.where(limits.allowed(rest), readings.gains(state), -np.inf)
+            gained = readings.value(state) + np.where(limits.find_allowed(rest), readings.gains(state), -np.inf)
             for k in np.argsort(-gained, kind="stable")[:_TRIED]:
                 other = [*rest[:i], int(k), *rest[i:]]
                 if gained[k] <= value + _LEAST_GAIN:

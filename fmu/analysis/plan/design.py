@@ -110,7 +110,7 @@ class Design:
 def target_of(
     target: Target | None, problem: UpdatingProblem, theta: FloatArray, scale: FloatArray
 ) -> FloatArray | None:
-    """Return the combinations of scaled parameters that a target stands for, (n, t, p); None without one.
+    """Return the combinations of scaled parameters of a target, (n, t, p); None without a target.
 
     A prediction is linearised at theta (n, p) by central differences.
 

@@ -230,14 +230,16 @@ def _moving(there: Candidates, shapes: FloatArray, are_named: bool) -> Candidate
     if not still.any():
         return there
     lost = {there.sensors[row] for row in np.flatnonzero(still)}
-    free = [sensor for row, sensor in enumerate(there.sensors) if sensor not in lost and row not in _fixed(there)]
-    fixed = [there.sensors[row] for row in _fixed(there) if there.sensors[row] not in lost]
+    free = [
+        sensor for row, sensor in enumerate(there.sensors) if sensor not in lost and row not in _find_fixed(there)
+    ]
+    fixed = [there.sensors[row] for row in _find_fixed(there) if there.sensors[row] not in lost]
     costs = {there.sensors[rows[0]][0]: cost for rows, cost in zip(there.groups, there.cost, strict=True)}
     kept = {place: cost for place, cost in costs.items() if any(place == one for one, _ in (*free, *fixed))}
     return group_candidates(free, fixed, (), there.groups.shape[1] > 1, kept)
 
 
-def _fixed(there: Candidates) -> list[int]:
+def _find_fixed(there: Candidates) -> list[int]:
     return there.rows(there.mounted)
 
 

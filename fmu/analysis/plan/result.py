@@ -1,4 +1,4 @@
-"""The result of `fmu.plan`: the sensors, what they are expected to tell, and what stands against the plan."""
+"""The result of `fmu.plan`: the sensors, the expected information, and reasons against the plan."""
 
 from __future__ import annotations
 

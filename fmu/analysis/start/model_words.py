@@ -32,7 +32,7 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
         n, unknowns = len(problem.model.parts), " + ".join(map(str, problem.model.sizes))
         many = "" if n == 1 else f" in {n} configurations, each with matrices of its own"
         reduced = f" The reduced models have {unknowns} unknowns." if unknowns else ""
-        return [f"{len(problem.tests)} tests of one structure{many}.{reduced}", *_held(problem)]
+        return [f"{len(problem.tests)} tests of one structure{many}.{reduced}", *_describe_held(problem)]
     if model is None:
         return [f"The model is {problem.model.name}, treated as a black box."]
     structure = model.structure
@@ -41,7 +41,7 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
     if 1 < len(sizes) <= _MOST_BLOCKS:
         parts += f" of {names_in_words(sizes)}"
     said = [f"The model has {structure.n_dof} free degrees of freedom, {parts}."]
-    said += [*structure.notes, *_masses(problem, structure), *_held(problem)]
+    said += [*structure.notes, *_masses(problem, structure), *_describe_held(problem)]
     if problem.model.sizes:
         said.append(f"Its reduced model has {' + '.join(map(str, problem.model.sizes))} unknowns.")
     said += [model.why_full] if model.why_full else []
@@ -49,7 +49,7 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
     return said
 
 
-def _held(problem: UpdatingProblem) -> list[str]:
+def _describe_held(problem: UpdatingProblem) -> list[str]:
     """Return a list with a sentence on the parameters that are not updated; an empty list without them."""
     held = [f"{p.name} = {with_unit(p.start, p.unit)}" for p in problem.layout.structural if not p.updated]
     return [f"Not updated: {', '.join(held)}."] if held else []

@@ -28,7 +28,7 @@ class ChangeTable(TomlTable):
 
 
 class PlanTable(TomlTable):
-    """A modal test that is planned: where sensors may be, what is measured, and what it is for."""
+    """A modal test that is planned: places of sensors, modes, errors and the target."""
 
     sensors: Annotated[int, Field(ge=1)] = 12
     """Number of sensors to choose, besides those that are mounted."""

@@ -57,7 +57,7 @@ class ScatteredFrequencies:
             error, slope = self._term.errors(f)
             # einsum without `optimize` adds term by term: a result does not depend on the rest of the batch
             v = np.einsum("nmk,nmk,nk->nm", J, J, self._squares(values) * self._tau_squared(noise))
-            V = self._measured(noise) + slope**2 * v
+            V = self._error_variances(noise) + slope**2 * v
             return np.asarray(-0.5 * (error**2 / V + np.log(V) + LOG_2PI))
 
     def terms_and_slopes(
@@ -74,7 +74,7 @@ class ScatteredFrequencies:
             d = J * (squares * tau_squared)[:, None]
             by_tau_squared = J**2 * squares[:, None]
             v = np.einsum("nmk,nmk->nm", J, d)
-            V = self._measured(noise) + slope**2 * v
+            V = self._error_variances(noise) + slope**2 * v
             terms = -0.5 * (error**2 / V + np.log(V) + LOG_2PI)
             by_V = 0.5 * (error**2 / V - 1.0) / V
             by_v = by_V * slope**2
@@ -108,6 +108,6 @@ class ScatteredFrequencies:
             total = total + noise[:, d, None] ** 2 * count
         return np.asarray(total)
 
-    def _measured(self, noise: FloatArray) -> FloatArray:
+    def _error_variances(self, noise: FloatArray) -> FloatArray:
         """Return the variances σ² of the measurement, shape (n, n_modes)."""
         return self._term.spread.variance(noise) if self._known is None else self._known

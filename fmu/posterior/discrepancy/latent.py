@@ -75,7 +75,7 @@ class LatentErrors:
     group: IntArray
 
     def terms(self) -> FloatArray:
-        """Return the log-density of each row given the rows before it, less that of independent residuals, (n, m).
+        """Return log-densities of rows given the rows before, relative to independent residuals, (n, m).
 
         The terms are log N(r; 0, S) − log N(r; 0, I) in sum. If all groups have one row and C is 0, each term is
         the one of its row alone.

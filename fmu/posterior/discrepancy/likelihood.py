@@ -145,7 +145,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         """
         seen, exact = self._observed_with_curvature(theta)
         terms, slopes = self._terms_and_slopes(seen, exact, theta, chain)
-        J = self._whitened(seen, theta, chain)[1]
+        J = self._whiten(seen, theta, chain)[1]
         N = J.shape[-1]
         information = np.zeros((len(theta), slopes.shape[-1], slopes.shape[-1]))
         information[:, :N, :N] = np.einsum("nrk,nrl->nkl", J, J)
@@ -161,7 +161,7 @@ class DiscrepantLikelihood(ModalLikelihood):
 
         S is the covariance of the residuals of a mode in all tests, or, without a `chain`, in each test alone.
         """
-        return self._whitened(self.observed(theta, True), theta, chain)
+        return self._whiten(self.observed(theta, True), theta, chain)
 
     def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
         """Return the squared residuals, in standard deviations that include the model's own errors.
@@ -376,7 +376,7 @@ class DiscrepantLikelihood(ModalLikelihood):
             found[..., d] = (of_residuals + change.of(rows)) / step[:, None]
         return found
 
-    def _whitened(
+    def _whiten(
         self, seen: ModalPrediction, theta: FloatArray, chain: Chain | None
     ) -> tuple[FloatArray, FloatArray]:
         """Return the residuals and their derivatives times S^(−½), in the order of `labels`."""

@@ -22,7 +22,7 @@ type Take = Callable[[FloatArray, int], FloatArray]
 
 
 class Linearised(NamedTuple):
-    """The residuals of m rows, each a mode in a test, and what they are linear in.
+    """The residuals of m rows, each a mode in a test, and their derivatives.
 
     Attributes
     ----------

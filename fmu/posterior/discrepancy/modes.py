@@ -67,7 +67,7 @@ class ModeErrors:
         sensors: Sequence[Dof],
         structure: SeparableModel | None,
     ) -> ModeErrors:
-        """Return the errors of the modes; `index` and the errors raised are those of `Discrepancy.bind`."""
+        """Return the errors of the modes; arguments and exceptions are as in `Discrepancy.bind`."""
         prior, most = HalfNormal(settings.prior_sd), MOST * settings.prior_sd
 
         def size(name: str, known: float | None) -> Setting:

@@ -113,7 +113,7 @@ def plot_expected_sds(plan: Plan) -> Axes:
 
 
 def plot_simulated(found: SimulatedTests, choices: Sequence[str] | None = None) -> Axes:
-    """Draw real against expected standard deviations of simulated tests, relative to those of the plan."""
+    """Draw real against expected standard deviations of simulated tests, relative to the plan."""
     axes = style.new_figure(style.NARROW, 3.6).subplots()
     unit = found.expected[PLANNED]
     colours = (style.VERMILLION, style.GREY, style.BLACK)

@@ -65,9 +65,9 @@ def measurement_table(plan: Plan) -> str:
         "[measurement]",
         f"frequencies = [{', '.join(significant(float(x), 6) for x in f)}]  # Hz",
         f"sd = [{', '.join(typed(float(x)) for x in np.round(f * plan.frequency_sd, 6))}]  # Hz, expected",
-        f"labels = [{', '.join(_quoted(str(i + 1)) for i in modes)}]",
+        f"labels = [{', '.join(_quote(str(i + 1)) for i in modes)}]",
         "sensors = [",
-        *(f"    [{_quoted(place)}, {_quoted(direction)}]," for place, direction in plan.sensors),
+        *(f"    [{_quote(place)}, {_quote(direction)}]," for place, direction in plan.sensors),
         "]",
         "shapes = [",
         *(f"    [{', '.join(f'{x:.4f}' for x in shape)}]," for shape in shapes.T),
@@ -76,7 +76,7 @@ def measurement_table(plan: Plan) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _quoted(value: object) -> str:
+def _quote(value: object) -> str:
     """Return a place or a name as TOML writes it."""
     if isinstance(value, int | np.integer):
         return str(int(value))

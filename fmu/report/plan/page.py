@@ -26,7 +26,7 @@ def plan_page(plan: Plan, simulated: SimulatedTests | None = None) -> Page:
     lead = f"{len(plan.design.names)} parameters, {len(plan.design.modes)} modes, {n} sensors. {date.today()}."
     sections = [_sensors(plan), _accuracy(plan), _choices(plan), _further(plan)]
     if simulated is not None:
-        sections.append(_simulated(simulated))
+        sections.append(_show_simulated_tests(simulated))
     footer = (
         "Written by fmu plan. Information: ½ E log det(I + Σ Jᵀ Σ_e⁻¹ J), linearised at draws of the parameters."
     )
@@ -72,7 +72,7 @@ def _sensors(plan: Plan) -> PageSection:
     structure = plan.problem.model.structure
     if structure is not None and structure.geometry is not None and plan.places is not None:
         axes = plot_sensors_on_structure(plan, structure)
-        alt = f"The structure with {len(plan.every)} sensors, numbered: {_listed(plan)}."
+        alt = f"The structure with {len(plan.every)} sensors, numbered: {_list_sensors(plan)}."
         caption = "Sensors, the most needed first. Grey: mounted already. Arrows: directions."
         parts.append(Pictures((picture(axes, "sensors", alt, caption),)))
     parts.append(table_of("Sensors, mounted ones first, then in the order of the choice.", plan.sensor_table()))
@@ -83,7 +83,7 @@ def _sensors(plan: Plan) -> PageSection:
     return PageSection("sensors", "Sensors", tuple(parts))
 
 
-def _listed(plan: Plan) -> str:
+def _list_sensors(plan: Plan) -> str:
     return "; ".join(f"{place} {direction}" for place, direction in plan.sensors)
 
 
@@ -135,7 +135,7 @@ def _further(plan: Plan) -> PageSection:
     return PageSection("further", "Modes, repeats and further tests", tuple(parts))
 
 
-def _simulated(found: SimulatedTests) -> PageSection:
+def _show_simulated_tests(found: SimulatedTests) -> PageSection:
     table = found.table()
     alt = f"Real over expected sd: {'; '.join(f'{i} {fixed(x, 2)}' for i, x in table['median'].items())}."
     figure = picture(plot_simulated(found), "simulated", alt, "A point is a parameter in a simulated test.")

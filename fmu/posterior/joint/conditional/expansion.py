@@ -59,7 +59,10 @@ def expand(layout: Layout, likelihood: ModalLikelihood, theta: FloatArray) -> Ex
     slopes = likelihood.terms_and_gradient(layout.of_model(theta[None]))[1][..., : len(layout.structural)]
     slope = sum_by_test(slopes, likelihood.test_of_terms, len(layout.tests))[0]
     values = layout.values(theta[None, : len(layout.parameters)])[0]
-    information, noise = information_by_test(layout, likelihood, theta), theta[None, len(layout.parameters) :].copy()
+    information, noise = (
+        information_by_test(layout, likelihood, theta),
+        theta[None, len(layout.parameters) :].copy(),
+    )
     spreads = tuple(term.spread for term in likelihood.terms_of)
     return Expansion(values, slope, information, noise, spreads, likelihood.model.test_of_modes)
 

@@ -129,7 +129,7 @@ class Normal(NamedTuple):
         return z if self.curve is None else self.curve.straighten(z)
 
     def scatter(self, noise: FloatArray) -> FloatArray:
-        """Return the deviations from the mean that standard normal `noise`, (n, n_tests, p), stands for."""
+        """Return deviations from the mean, made of standard normal `noise`, (n, n_tests, p) each."""
         return np.asarray(np.linalg.solve(np.swapaxes(self.factor, 2, 3), noise[..., None])[..., 0])
 
     def log_density(self, z: FloatArray, nu: float = np.inf) -> FloatArray:

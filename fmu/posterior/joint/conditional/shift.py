@@ -45,12 +45,12 @@ class MainGivenScores:
 
     def theta_at(self, w: FloatArray, theta: FloatArray) -> FloatArray:
         """Return theta with the scaled main parameters w and the same independent scores as `theta`."""
-        return self._put(w, theta, self._independent_scores(theta))
+        return self._set_main(w, theta, self._independent_scores(theta))
 
     def log_prob_and_grad(self, w: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the log-density (n,) of w, (n, n_columns), and its gradient; theta has the scores."""
         u = self._independent_scores(theta)
-        at = self._put(w, theta, u)
+        at = self._set_main(w, theta, u)
         known, n = self.expansion, len(self.layout.parameters)
         away = self.layout.values(at[:, :n]) - known.values
         weight = known.weigh(at[:, n:])
@@ -71,7 +71,7 @@ class MainGivenScores:
         z, copula = self.scores.take(theta), self.layout.correlation
         return z if copula is None else copula.whiten(theta, z)
 
-    def _put(self, w: FloatArray, theta: FloatArray, u: FloatArray) -> FloatArray:
+    def _set_main(self, w: FloatArray, theta: FloatArray, u: FloatArray) -> FloatArray:
         """Return theta with the scaled main parameters w and the scores that have the independent scores u."""
         found, copula = theta.copy(), self.layout.correlation
         found[:, self.columns] = np.clip(self._offset + self._scale * w, self._low, self._high)

@@ -118,7 +118,7 @@ class InTests:
 
 @dataclass(frozen=True)
 class Multiplied(InTests):
-    """A structural parameter whose values are those of another `InTests`, times a factor in each test.
+    """A structural parameter with the values of another `InTests`, times a factor in each test.
 
     Attributes
     ----------
