@@ -12,6 +12,7 @@ number of rows: with M_g = I + Σ_i A_iᵀA_i (Woodbury's identity), the quadrat
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -133,7 +134,7 @@ class LatentErrors:
             return mean[..., 0], np.empty((n, 0)), of_z, np.empty((*mean.shape[:3], 0)), np.empty((n, 0, 0))
         last = np.unique(self.last)
         total = np.sum(self._groups.quadratic[:, last], axis=1)
-        of_w = np.linalg.inv(np.eye(C) + total[:, 1:, 1:])
+        of_w = _solve(np.eye(C) + total[:, 1:, 1:], np.eye(C))
         w = np.einsum("ncd,nd->nc", of_w, total[:, 1:, 0])
         gain = mean[..., 1:]
         of_both = -gain @ of_w[:, None]
@@ -202,7 +203,7 @@ class LatentErrors:
             return _Groups(np.swapaxes(X, 2, 3) * scaled, np.log(self._variance), np.swapaxes(A, 2, 3) * scaled)
         At = np.swapaxes(A, 2, 3)
         B = self._sum(At @ X)
-        mean = np.linalg.solve(self._precision, B)
+        mean = _solve(self._precision, B)
         quadratic = self._sum(np.swapaxes(X, 2, 3) @ X) - np.swapaxes(B, 2, 3) @ mean
         return _Groups(quadratic, np.linalg.slogdet(self._precision)[1], mean)
 
@@ -215,7 +216,7 @@ class LatentErrors:
     def _covariance(self) -> FloatArray:
         """M⁻¹, shape (n, m, P, P)."""
         if not self._is_single:
-            return np.asarray(np.linalg.inv(self._precision))
+            return _solve(self._precision, np.eye(self.loads.shape[3]))
         A = self.loads
         return np.asarray(np.eye(A.shape[3]) - np.swapaxes(A, 2, 3) * (A / self._variance[..., None, None]))
 
@@ -240,7 +241,7 @@ class LatentErrors:
         """Return the quadratic form of r and log det without w, of the sums (n, m, 1 + C, 1 + C) over the rows."""
         N = np.eye(self.common.shape[-1]) + so_far[..., 1:, 1:]
         right = so_far[..., 1:, :1]
-        found = so_far[..., 0, 0] - (so_far[..., :1, 1:] @ np.linalg.solve(N, right))[..., 0, 0]
+        found = so_far[..., 0, 0] - (so_far[..., :1, 1:] @ _solve(N, right))[..., 0, 0]
         return np.asarray(found + np.linalg.slogdet(N)[1] if with_log_det else found)
 
 
@@ -249,3 +250,19 @@ def _half_root(gram: FloatArray) -> FloatArray:
     values, V = np.linalg.eigh(np.where(np.isfinite(gram), gram, 0.0))  # LAPACK fails at NaN
     s = np.sqrt(1.0 + np.maximum(values, 0.0))
     return np.asarray((V / (s * (1.0 + s))[..., None, :]) @ np.swapaxes(V, -1, -2))
+
+
+def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the solutions (…, P, q) of systems with positive definite matrices (…, P, P).
+
+    A solution is NaN where the loads are so large that rounding makes the matrix singular.
+    """
+    right = np.broadcast_to(right, (*matrix.shape[:-1], right.shape[-1]))
+    try:
+        return np.asarray(np.linalg.solve(matrix, right))
+    except np.linalg.LinAlgError:
+        found = np.full(right.shape, np.nan)
+        for place in np.ndindex(matrix.shape[:-2]):
+            with suppress(np.linalg.LinAlgError):
+                found[place] = np.linalg.solve(matrix[place], right[place])
+        return found

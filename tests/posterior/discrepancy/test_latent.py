@@ -131,3 +131,12 @@ def test_rows_do_not_depend_on_the_batch(group, sizes):
         one = LatentErrors(errors.residuals[[i]], errors.loads[[i]], errors.common[[i]], errors.group)
         assert one.terms().tolist() == errors.terms()[[i]].tolist()
         assert all(np.array_equal(a, b[[i]]) for a, b in zip(one.slopes(), errors.slopes(), strict=True))
+
+
+def test_loads_that_drown_the_unit_matrix_give_no_number_and_no_exception():
+    """Rounding makes I + AᵀA singular; the rows of moderate loads keep their terms."""
+    loads = np.stack([np.full((2, 2, 3), 1e20), np.full((2, 2, 3), 0.5)])
+    errors = LatentErrors(np.ones((2, 2, 2)), loads, np.zeros((2, 2, 2, 0)), np.array([0, 0]))
+    assert np.all(np.isnan(errors.terms()[0]))
+    assert np.all(np.isfinite(errors.terms()[1]))
+    assert np.all(np.isfinite(errors.slopes().by_residual[1]))
