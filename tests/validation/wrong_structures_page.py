@@ -61,6 +61,10 @@ def page(study: Study, replicates: int) -> str:
     """Return the page; `replicates` is the number of structures that `make validate` updates."""
     failures, n = study.failures, len(study.structures)
     verdict = "**All gates pass.**" if not failures else "\n".join(f"- **{one}**" for one in failures)
+    if n < replicates and not failures:
+        verdict = (
+            f"**No gate fails, but {n} of the {replicates} structures of `make validate` decide nothing yet.**"
+        )
     rows, sizes = [], []
     for kind in ("joint", "mass", "thickness", "right"):
         of = study.of(kind)
@@ -70,7 +74,7 @@ def page(study: Study, replicates: int) -> str:
         for quantity in QUANTITIES:
             for with_discrepancy in (False, True):
                 held, of_all = study.held(quantity, with_discrepancy, kind)
-                cells.append(f"{held / of_all:.1%}")
+                cells.append(f"{100 * held / of_all:.1f} %")
         rows.append([*cells, f"{study.widening(kind):.2f}"])
         contradicted = [sum(one.fit[k] == "contradicted" for one in of) for k in (0, 1)]
         converged = [sum(one.converged[k] for one in of) for k in (0, 1)]
@@ -93,7 +97,7 @@ def page(study: Study, replicates: int) -> str:
     ]
     return PAGE.format(
         verdict=verdict, n=n, replicates=replicates, coverage=markdown_table(head, rows, (0,)),
-        sizes=markdown_table(other, sizes, (0,)), low=BAND[0], high=BAND[1], wider=WIDER, interval=INTERVAL,
+        sizes=markdown_table(other, sizes, (0,)), low=100 * BAND[0], high=100 * BAND[1], wider=WIDER, interval=100 * INTERVAL,
     )  # fmt: skip
 
 
@@ -104,9 +108,9 @@ Written by `python -m tests.validation.wrong_structures results`, whose first li
 {verdict}
 
 {n} structures of the {replicates} of `make validate` are updated without a discrepancy, and with embedded
-scatter, common to all regions (`fmu.Discrepancy()`). The first table has the shares of {interval:.0%} intervals
+scatter, common to all regions (`fmu.Discrepancy()`). The first table has the shares of {interval:.0f} % intervals
 that hold the true value of a modulus, or the measurement of a mode that the others predict. With a discrepancy
-{low:.0%} to {high:.0%} of the intervals of wrong models must hold, and intervals of the moduli of right models may
+{low:.0f} to {high:.0f} % of the intervals of wrong models must hold, and intervals of the moduli of right models may
 be wider by a factor of {wider} in the median. Runs that did not converge are counted.
 
 {coverage}
