@@ -97,7 +97,8 @@ def page(study: Study, replicates: int) -> str:
     ]
     return PAGE.format(
         verdict=verdict, n=n, replicates=replicates, coverage=markdown_table(head, rows, (0,)),
-        sizes=markdown_table(other, sizes, (0,)), low=100 * BAND[0], high=100 * BAND[1], wider=WIDER, interval=100 * INTERVAL,
+        sizes=markdown_table(other, sizes, (0,)), low=100 * BAND[0], high=100 * BAND[1], wider=WIDER,
+        interval=100 * INTERVAL,
     )  # fmt: skip
 
 
@@ -110,8 +111,8 @@ Written by `python -m tests.validation.wrong_structures results`, whose first li
 {n} structures of the {replicates} of `make validate` are updated without a discrepancy, and with embedded
 scatter, common to all regions (`fmu.Discrepancy()`). The first table has the shares of {interval:.0f} % intervals
 that hold the true value of a modulus, or the measurement of a mode that the others predict. With a discrepancy
-{low:.0f} to {high:.0f} % of the intervals of wrong models must hold, and intervals of the moduli of right models may
-be wider by a factor of {wider} in the median. Runs that did not converge are counted.
+{low:.0f} to {high:.0f} % of the intervals of wrong models must hold, and intervals of the moduli of right models
+may be wider by a factor of {wider} in the median. Runs that did not converge are counted.
 
 {coverage}
 {sizes}"""
