@@ -202,6 +202,8 @@ SYNTAX = {
     "config/parameters.py": "a power of ten that no float can hold",
     "formats/decks.py": "fields of other programs",
     "fem/exports/entries.py": "how many digits a file has",
+    "formats/modes/uff.py": "fields of a universal file",
+    "report/plan/files.py": "numbers of a TOML file",
 }
 """Where numbers are not for people."""
 

@@ -401,6 +401,7 @@ def calls(folder: Path) -> Iterator[Call]:
         {"kind": "modes", "prior_sd": 0.1, "sd": 0.02, "correlation": 0.5, "shape_sd": 0.1, "length": 2.0},
     )
     yield Call("GibbsSampler", fmu.GibbsSampler, {"step_size": 0.5})
+    yield Call("Change", fmu.Change, {"masses": {"a": 1.0}, "springs": {("a", "x"): 1.0}})
     yield Call(
         "Tempering", fmu.Tempering, {"kernel": "slice", "temperatures": [1.0, 0.0], "rungs": None, "swap_every": 1}
     )
@@ -451,6 +452,8 @@ def calls(folder: Path) -> Iterator[Call]:
     yield Call("cases.load", fmu.cases.load, {"pairing": "none", "beta": 1.0, "engine": None, **case})
     yield Call("check", fmu.check, {"problem": watched, "draws": 100, "seed": 1})
     yield Call("compare", fmu.compare, {"traces": {"a": trace}, "problem": watched})
+    yield Call("compare_models", fmu.compare_models, {"models": {"a": trace}, "until_ess": 100.0, "seed": 1})
+    yield Call("plan", fmu.plan, {"problem": watched, "sensors": 1, "draws": 2, "seed": 1})
     yield Call("craig_bampton", fmu.craig_bampton, {"K": K, "M": M, "boundary": [0], "n_modes": 1})
     yield Call("guyan", fmu.guyan, {"K": K, "M": M, "masters": [0]})
     yield Call("damage", fmu.damage, {"trace": trace, "beyond": (0.05, 0.1)})

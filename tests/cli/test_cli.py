@@ -490,7 +490,7 @@ def test_paper_hands_over_the_directory(invoke, monkeypatch, tmp_path):
 
 def test_commands_are_listed_in_the_order_of_their_use(invoke):
     listed = re.findall(r"^  (\w+)  ", invoke("--help").stdout.split("Commands:")[1], flags=re.MULTILINE)
-    assert listed[:5] == ["cases", "init", "schema", "check", "run"]
+    assert listed[:6] == ["cases", "init", "schema", "check", "plan", "run"]
     assert listed.index("run") < listed.index("compare") < listed.index("export") < listed.index("paper")
 
 

@@ -455,14 +455,14 @@ IN_THE_POSTERIOR = (
         "fmu/posterior/discrepancy/likelihood.py",
         "group = self._used if by_test else self.group[self._used]",
         "group = self._used",
-        ("tests/posterior/discrepancy/test_several_tests.py",),
+        ("tests/posterior/discrepancy/test_discrepancy_in_several_tests.py",),
     ),
     Fault(
         "discrepancy: the correlation of the modes left out",
         "fmu/posterior/discrepancy/modes.py",
         "common[:] = (sd**2 * rho)[:, None]",
         "common[:] = 0.0",
-        ("tests/posterior/discrepancy/test_modes.py",),
+        ("tests/posterior/discrepancy/test_errors_of_modes.py",),
     ),
     Fault(
         "discrepancy: the gradients of another theta",

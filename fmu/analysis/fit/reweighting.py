@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 PRIOR_SD = 0.1
 """Standard deviation of the half-normal prior of τ: the default of `fmu.Discrepancy`."""
+_EQUAL = 1e-6
+"""Standard deviation of draws, relative to the linear model, below which they count as equal."""
 _FEWEST = 100.0
 """Smallest number of effective draws for an estimate."""
 TAU = np.linspace(0.0, 5.0 * PRIOR_SD, 201)[1:]
@@ -109,7 +111,8 @@ def by_linearised_model(trace: xr.DataTree) -> Estimate | None:
     Let the parameters x, in standard deviations of the prior, have the prior N(x₀, I), and r = r* + S (x − x*).
     Then r* + S (x₀ − x*) ~ N(0, S Sᵀ + V) with V = diag(1 + τ² g), which gives the posterior of τ. The covariance
     of x is (I + Sᵀ V⁻¹ S)⁻¹, to which the spread of its means over τ adds. Bounds count only in the prior's
-    moments.
+    moments. The standard deviations without scatter are those of the draws or, where all draws are equal, of the
+    linear model.
     """
     linear = _linearise(trace)
     if linear is None or linear.expected is None:
@@ -127,7 +130,9 @@ def by_linearised_model(trace: xr.DataTree) -> Estimate | None:
     w = np.exp(log_w - logsumexp(log_w))
     mean = w @ np.array(means)
     variance = w @ (np.array(spreads) + (np.array(means) - mean) ** 2)
-    before = parameter_draws(trace).reshape(-1, len(parameter_names(trace))).std(axis=0)[: S.shape[1]]
+    without = linear.prior_sd * np.sqrt(np.diag(np.linalg.inv(np.eye(S.shape[1]) + S.T @ S)))
+    drawn = parameter_draws(trace).reshape(-1, len(parameter_names(trace))).std(axis=0)[: S.shape[1]]
+    before = np.where(drawn > _EQUAL * without, drawn, without)
     return Estimate(w, np.sqrt(variance) * linear.prior_sd / before)
 
 

@@ -267,9 +267,10 @@ def _of_evidences(table: pd.DataFrame) -> list[str]:
 def _times(log_ratio: float) -> str:
     """Return ``"16 000 times"``, or a power of ten."""
     if log_ratio < np.log(1e6):
-        ratio = float(f"{np.exp(log_ratio):.2g}")
-        return f"{significant(ratio, 2) if ratio < 100 else whole(ratio)} times"
-    return f"about 10^{log_ratio / np.log(10.0):.0f} times"
+        ratio = np.exp(log_ratio)
+        rounded = round(ratio, 1 - int(np.floor(np.log10(ratio))))
+        return f"{significant(ratio, 2) if rounded < 100 else whole(rounded)} times"
+    return f"about 10^{whole(round(log_ratio / np.log(10.0)))} times"
 
 
 def _of_held_out(table: pd.DataFrame, held_out: Mapping[str, pd.DataFrame]) -> list[str]:

@@ -162,7 +162,7 @@ class Plan:
         if certificate is not None and not certificate.ok:
             found.append(
                 f"Shapes of the reduced model err by {significant(certificate.shape, 2)} of their largest "
-                f"component (allowed: {SHAPE_ERROR:g}); narrow the bounds."
+                f"component (allowed: {significant(SHAPE_ERROR, 1)}); narrow the bounds."
             )
         if np.all(sd["after"] > UNKNOWN * sd["before"]):
             found.append("The test tells little about any parameter: measure more accurately, or more modes.")

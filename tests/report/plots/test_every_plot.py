@@ -62,6 +62,7 @@ def test_all_plots_of_traces_are_here():
     # frequencies are no trace; every column of a corner plot has a label, see below; traces of several tests, too
     others = {"plot_frequency_errors", "plot_corner", "plot_marginals", "plot_values", "plot_losses"}
     others |= {"plot_damage_by_test"}
+    others |= {"plot_held_out", "plot_intervals"}  # of several models
     others |= {"plot_mac_matrix", "plot_sensors"}  # of shapes alone
     others |= {"plot_forest", "plot_overlaid_marginals", "plot_ranks_of_samplers", "plot_growth"}  # of several
     assert set(Y_LABELS) == set(X_LABELS) == public - others
