@@ -453,6 +453,11 @@ def calls(folder: Path) -> Iterator[Call]:
     yield Call("check", fmu.check, {"problem": watched, "draws": 100, "seed": 1})
     yield Call("compare", fmu.compare, {"traces": {"a": trace}, "problem": watched})
     yield Call("compare_models", fmu.compare_models, {"models": {"a": trace}, "until_ess": 100.0, "seed": 1})
+    yield Call(
+        "expected_modes",
+        fmu.expected_modes,
+        {"model": model, "parameters": [parameter], "n_modes": 1, "frequency_sd": 0.01},
+    )
     yield Call("plan", fmu.plan, {"problem": watched, "sensors": 1, "draws": 2, "seed": 1})
     yield Call("craig_bampton", fmu.craig_bampton, {"K": K, "M": M, "boundary": [0], "n_modes": 1})
     yield Call("guyan", fmu.guyan, {"K": K, "M": M, "masters": [0]})
@@ -636,7 +641,16 @@ def _raising_lines(file: str) -> set[int]:
 _FREE = {"at", "mean", "low", "lower", "nu", "load", "displacement"}
 """Arguments that may be negative."""
 _ZERO = {"seconds", "retries", "jitter", "max_bounces", "max_steps_out", "mass", "n_modes", "seed", "warmup"}
-_ZERO |= {"max_failure_rate", "node", "least_mpc", "discard", "at_supports"}
+_ZERO |= {
+    "max_failure_rate",
+    "node",
+    "least_mpc",
+    "discard",
+    "at_supports",
+    "correlation",
+    "drift",
+    "min_distance",
+}
 
 
 def may_be_accepted(call: Call, name: str, key: str) -> bool:
@@ -651,6 +665,8 @@ def may_be_accepted(call: Call, name: str, key: str) -> bool:
     annotation = str(published[name].annotation)
     is_path = "Path" in annotation
     kinds = re.findall(r"\w+", annotation)
+    if "Target" in kinds and key in ("x", "empty text", "['x!']", "words", "class", "[]", "()", "{}"):
+        return True  # names and functions, which are looked up when the model is solved
     if key in ("None", "True"):
         is_optional = published[name].annotation == "Any" and published[name].default is None
         return {"None": "None", "True": "bool"}[key] in kinds or (key == "None" and is_optional)
@@ -666,7 +682,7 @@ def may_be_accepted(call: Call, name: str, key: str) -> bool:
     if key in ("[]", "()", "{}", "['x!']", "words"):
         empty = {"Sequence", "tuple", "Iterable", "ArrayLike", "IntArray"} if key in ("[]", "()") else {"Mapping"}
         return (
-            (bool({"Sequence", "tuple"} & set(kinds)) and "str" in kinds)
+            (bool({"Sequence", "tuple"} & set(kinds)) and bool({"str", "Place"} & set(kinds)))
             or bool(empty & set(kinds))
             or (key == "words" and "Place" in kinds)
         )

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from fmu.analysis.models.comparison import ModelComparison, compare_traces
-from fmu.arguments import ArgumentError, OwnRule, Seed, check_arguments
+from fmu.arguments import ArgumentError, Seed, check_arguments
 from fmu.posterior.problem import UpdatingProblem
 from fmu.sampling import sample
 from fmu.types import Positive
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @check_arguments
 def compare_models(
-    models: Annotated[Mapping[str, UpdatingProblem | xr.DataTree], OwnRule()],
+    models: Mapping[str, UpdatingProblem | xr.DataTree],
     *,
     until_ess: Positive = 400.0,
     seed: Seed = 1,

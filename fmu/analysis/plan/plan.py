@@ -29,7 +29,7 @@ from fmu.analysis.plan.sensitivities import (
 )
 from fmu.analysis.trace.densities import is_updating
 from fmu.analysis.trace.reading import check_trace, parameter_draws, parameter_names
-from fmu.arguments import ArgumentError, Count, OwnRule, Seed, check_arguments
+from fmu.arguments import ArgumentError, Count, Place, Seed, check_arguments
 from fmu.fem.modes.changes import Change, changed_model
 from fmu.fem.modes.modal import mac
 from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
@@ -51,19 +51,19 @@ def plan(
     problem: UpdatingProblem,
     sensors: Count = 12,
     *,
-    candidates: Annotated[Sequence[Dof], OwnRule()] | None = None,
+    candidates: Sequence[Dof] | None = None,
     triaxial: bool = False,
-    mounted: Annotated[Sequence[Dof], OwnRule()] = (),
-    exclude: Annotated[Collection[Any], OwnRule()] = (),
+    mounted: Sequence[Dof] = (),
+    exclude: Sequence[Place] = (),
     min_distance: NotNegative = 0.0,
-    costs: Annotated[Mapping[Any, float] | None, OwnRule()] = None,
+    costs: Mapping[Place, float] | None = None,
     budget: Positive | None = None,
     modes: Annotated[int, Ge(1)] | Sequence[Annotated[int, Ge(1)]] | None = None,
     frequency_sd: Annotated[ArrayLike, Gt(0.0)] | None = None,
     shape_sd: Annotated[float, Interval(gt=0.0, le=1.0)] = 0.02,
     drift: NotNegative = 0.0,
-    target: Annotated[Target | None, OwnRule()] = None,
-    changes: Annotated[Mapping[str, Change] | None, OwnRule()] = None,
+    target: Target | None = None,
+    changes: Mapping[str, Change] | None = None,
     trace: xr.DataTree | None = None,
     draws: Annotated[int, Interval(ge=2, le=10_000)] = 32,
     seed: Seed = 1,
@@ -90,7 +90,7 @@ def plan(
         Whether one sensor reads all candidate directions of its place.
     mounted : sequence of (place, direction)
         Sensors that stay where they are.
-    exclude : collection of place
+    exclude : sequence of place
         Places out of reach.
     min_distance : float, m
         Smallest distance of two sensors.

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 
-from fmu.arguments import ArgumentError, Count, OwnRule, check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.paired_structure import PairedStructure
@@ -18,11 +19,11 @@ from fmu.types import Dof, Positive
 
 @check_arguments
 def expected_modes(
-    model: Annotated[SeparableModel | BlackBoxModel, OwnRule()],
+    model: SeparableModel | BlackBoxModel,
     parameters: Sequence[Parameter],
-    n_modes: Count = 6,
+    n_modes: Annotated[int, Interval(ge=1, le=10_000)] = 6,
     frequency_sd: Positive = 0.005,
-    sensors: Annotated[Sequence[Dof], OwnRule()] = (),
+    sensors: Sequence[Dof] = (),
 ) -> ModalData:
     """Return the modes of a model before updating, for a problem whose test has not been made yet.
 

@@ -90,6 +90,7 @@ class Discrepancy:
 
     def __post_init__(self) -> None:
         require_name(self.label)
+        object.__setattr__(self, "groups", tuple(self.groups))
         of_other = {
             "embedded": {k: vars(self)[k] for k in ("sd", "correlation", "shape_sd", "length")},
             "modes": {
