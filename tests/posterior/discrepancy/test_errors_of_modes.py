@@ -9,8 +9,8 @@ import fmu
 from fmu.posterior.discrepancy.modes import _distances
 from fmu.posterior.errors.slopes import residuals_of_term
 from tests.gradients import assert_gradient
-from tests.posterior.discrepancy import test_embedded as embedded
 from tests.posterior.discrepancy import test_discrepancy_in_several_tests as several
+from tests.posterior.discrepancy import test_embedded as embedded
 
 KINDS = {
     "inferred": fmu.Discrepancy(kind="modes"),
