@@ -33,7 +33,6 @@ from fmu.box import find_inside
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.joint.conditional.both import Conditionals, conditionals
 from fmu.posterior.joint.layout import sum_by_test
-from fmu.posterior.priors.joint import JointPrior
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers.adaptation import DualAveraging
@@ -264,7 +263,7 @@ class GibbsKernel:
         assert isinstance(likelihood, ModalLikelihood)  # of several tests
         at = self.conditionals.scores.layout.of_model(theta)
         seen, begin = likelihood.observed(at), at.shape[1] - len(self.conditionals.noise)
-        prior = JointPrior(problem.parameters[first:])
+        prior = self.conditionals.noise_prior
         for k in np.tile(np.arange(len(self.conditionals.noise)), _NOISE_STEPS):
             step = _NOISE_SIZE * self.conditionals.noise[k] * rng.standard_normal(len(theta))
             candidate = at.copy()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -104,11 +104,7 @@ def find_candidates(
     ValueError
         If a sensor does not exist, is given twice, or no candidate is left.
     """
-    for key, sensors in (("candidates", given or ()), ("mounted", mounted)):
-        for i, sensor in enumerate(sensors):
-            if not structure.sees(sensor):
-                rule = "must be a place and a direction that are free to move"
-                raise ArgumentError(f"{key}.{i}", rule, repr(list(sensor)))
+    require_sensors(given, mounted, structure.sees, "must be a place and a direction that are free to move")
     require_places({place for place, _ in structure.dof_of} | _places(structure), exclude, costs)
     every = given
     if every is None:
@@ -120,6 +116,16 @@ def _places(structure: SeparableModel) -> set[Any]:
     """Return the places of a structure that may be fixed: points of its drawing, and ends of rigid arms."""
     drawn = set() if structure.geometry is None else set(structure.geometry.row_of)
     return drawn | set(structure.arms) | {place for place, _ in structure.motions}
+
+
+def require_sensors(
+    candidates: Sequence[Dof] | None, mounted: Sequence[Dof], exists: Callable[[Dof], bool], rule: str
+) -> None:
+    """Raise ValueError with a rule if a candidate or a mounted sensor does not exist."""
+    for key, sensors in (("candidates", candidates or ()), ("mounted", mounted)):
+        for i, sensor in enumerate(sensors):
+            if not exists(sensor):
+                raise ArgumentError(f"{key}.{i}", rule, repr(list(sensor)))
 
 
 def require_places(there: Collection[Any], exclude: Collection[Any], costs: Collection[Any]) -> None:

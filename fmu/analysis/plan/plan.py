@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -13,11 +14,17 @@ from numpy.typing import ArrayLike
 from fmu.analysis.identifiability import truncated_sd
 from fmu.analysis.plan import baselines
 from fmu.analysis.plan.bound import relax
-from fmu.analysis.plan.candidates import Candidates, find_candidates, group_candidates, require_places
+from fmu.analysis.plan.candidates import (
+    Candidates,
+    find_candidates,
+    group_candidates,
+    require_places,
+    require_sensors,
+)
 from fmu.analysis.plan.choice import Limits, choose
 from fmu.analysis.plan.design import Design, Target, target_of
 from fmu.analysis.plan.options import change_table, mode_table, repeat_table
-from fmu.analysis.plan.pairing import check_pairing
+from fmu.analysis.plan.pairing import Pairing, check_pairing
 from fmu.analysis.plan.result import PLANNED, Plan, choice_row, information_curve
 from fmu.analysis.plan.sensitivities import (
     UNSEEN,
@@ -164,14 +171,17 @@ def plan(
         most = choose(readings, limits, [usual[INDEPENDENCE], rounded])
         assert most is not None  # for the type checker: every choice is accepted
 
+        @cache
+        def pairing_of(chosen: tuple[int, ...]) -> Pairing:
+            return check_pairing(design, there.rows([*limits.mounted, *chosen]), np.random.default_rng(seed))
+
         def can_pair(chosen: Sequence[int]) -> bool:
-            rows = there.rows([*limits.mounted, *chosen])
-            return check_pairing(design, rows, np.random.default_rng(seed)).ok
+            return pairing_of(tuple(chosen)).ok
 
         chosen = most if can_pair(most) else choose(readings, limits, [*usual.values(), rounded], can_pair) or most
     every = [*limits.mounted, *chosen]
     rows = {
-        name: choice_row(design, readings, [*limits.mounted, *one], seed)
+        name: choice_row(design, readings, [*limits.mounted, *one], pairing_of(one))
         for name, one in {PLANNED: chosen, **({} if chosen == most else {MOST: most}), **usual}.items()
     }
     return Plan(
@@ -188,7 +198,7 @@ def plan(
         modes=mode_table(design, every, [str(i + 1) for i in picked]),
         repeats=repeat_table(design, every, drift),
         second_tests=change_table(design, every, second, drift) if second else None,
-        pairing=check_pairing(design, there.rows(every), np.random.default_rng(seed)),
+        pairing=pairing_of(chosen),
         drift=drift,
     )
 
@@ -229,18 +239,12 @@ def _moving(there: Candidates, shapes: FloatArray, are_named: bool) -> Candidate
             raise ArgumentError(key, "must be moved by a mode to be measured, not as", sensor, "; remove it")
     if not still.any():
         return there
-    lost = {there.sensors[row] for row in np.flatnonzero(still)}
-    free = [
-        sensor for row, sensor in enumerate(there.sensors) if sensor not in lost and row not in _find_fixed(there)
-    ]
-    fixed = [there.sensors[row] for row in _find_fixed(there) if there.sensors[row] not in lost]
+    lost, mounted = {there.sensors[row] for row in np.flatnonzero(still)}, there.rows(there.mounted)
+    free = [sensor for row, sensor in enumerate(there.sensors) if sensor not in lost and row not in mounted]
+    fixed = [there.sensors[row] for row in mounted if there.sensors[row] not in lost]
     costs = {there.sensors[rows[0]][0]: cost for rows, cost in zip(there.groups, there.cost, strict=True)}
     kept = {place: cost for place, cost in costs.items() if any(place == one for one, _ in (*free, *fixed))}
     return group_candidates(free, fixed, (), there.groups.shape[1] > 1, kept)
-
-
-def _find_fixed(there: Candidates) -> list[int]:
-    return there.rows(there.mounted)
 
 
 def _own_candidates(
@@ -256,10 +260,7 @@ def _own_candidates(
     if not (problem.model.gives_shapes and own):
         rule = "must give shapes at the sensors of its data, which are the candidates of a model without matrices"
         raise ArgumentError("problem", rule, problem.model.name)
-    for key, sensors in (("candidates", candidates or ()), ("mounted", mounted)):
-        for i, sensor in enumerate(sensors):
-            if tuple(sensor) not in own:
-                raise ArgumentError(f"{key}.{i}", "must be a sensor of the problem's data", repr(list(sensor)))
+    require_sensors(candidates, mounted, lambda one: tuple(one) in own, "must be a sensor of the problem's data")
     require_places({place for place, _ in own}, exclude, costs)
     return group_candidates(own if candidates is None else candidates, mounted, exclude, triaxial, costs)
 

@@ -15,7 +15,7 @@ from fmu.analysis.plan.choice import Limits
 from fmu.analysis.plan.design import Design
 from fmu.analysis.plan.information import Readings
 from fmu.analysis.plan.options import AGAIN, enough_repeats
-from fmu.analysis.plan.pairing import MOST_WRONG, Pairing, check_pairing
+from fmu.analysis.plan.pairing import MOST_WRONG, Pairing
 from fmu.analysis.plan.sensitivities import SHAPE_ERROR
 from fmu.numbers import fixed, names_in_words, share, significant
 from fmu.posterior.problem import UpdatingProblem
@@ -253,7 +253,7 @@ def cell(value: object) -> str:
     return significant(float(value)) if isinstance(value, float) else str(value)
 
 
-def choice_row(design: Design, readings: Readings, every: Sequence[int], seed: int) -> dict[str, float]:
+def choice_row(design: Design, readings: Readings, every: Sequence[int], pairing: Pairing) -> dict[str, float]:
     """Return the row of `Plan.choices` of a choice of candidates."""
     state, rows = readings.with_sensors(every), design.candidates.rows(every)
     shapes = design.found.nominal.shapes[0][:, list(design.modes)][rows]
@@ -261,7 +261,7 @@ def choice_row(design: Design, readings: Readings, every: Sequence[int], seed: i
         "information": readings.value(state),
         "median_sd": float(np.median(design.sd_of(state) / design.prior_sd)),
         "largest_auto_mac": float(largest_off_diagonal(shapes.T @ shapes)),
-        "wrong_pairs": float(np.max(check_pairing(design, rows, np.random.default_rng(seed)).wrong)),
+        "wrong_pairs": float(np.max(pairing.wrong)),
     }
 
 

@@ -167,7 +167,7 @@ class LatentErrors:
         return rest[..., 0], rest[..., 1:]
 
     def _half(self, B: FloatArray) -> FloatArray:
-        return np.asarray(_half_root(self._sum(np.swapaxes(self.loads, 2, 3) @ self.loads)) @ B)
+        return np.asarray(_half_root(self._gram) @ B)
 
     @cached_property
     def _before(self) -> IntArray:
@@ -210,7 +210,12 @@ class LatentErrors:
     @cached_property
     def _precision(self) -> FloatArray:
         """M of each group's rows up to each row, shape (n, m, P, P)."""
-        return np.asarray(np.eye(self.loads.shape[3]) + self._sum(np.swapaxes(self.loads, 2, 3) @ self.loads))
+        return np.asarray(np.eye(self.loads.shape[3]) + self._gram)
+
+    @cached_property
+    def _gram(self) -> FloatArray:
+        """AᵀA of each group's rows up to each row, shape (n, m, P, P)."""
+        return self._sum(np.swapaxes(self.loads, 2, 3) @ self.loads)
 
     @cached_property
     def _covariance(self) -> FloatArray:

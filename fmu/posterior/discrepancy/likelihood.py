@@ -131,7 +131,10 @@ class DiscrepantLikelihood(ModalLikelihood):
         """
         seen, exact = self._observed_with_curvature(theta)
         if self._alone is None or exact is None:
-            return self._terms_and_slopes(seen, exact, theta, None)
+            with np.errstate(all="ignore"):
+                rows = self._linearise(seen, theta)
+                latent = self._latent(rows, theta)
+            return self._terms_and_slopes(seen, exact, theta, None, rows, latent)
         terms, slopes = self._alone.terms_and_slopes(exact, self._values(theta)[:, 0], self._noise(theta))
         return self._with_quantities_and_slopes(self.of_used(terms), self.of_used(slopes, 1), theta)
 
@@ -144,13 +147,16 @@ class DiscrepantLikelihood(ModalLikelihood):
         Fisher's. The change of S with the parameters is neglected.
         """
         seen, exact = self._observed_with_curvature(theta)
-        terms, slopes = self._terms_and_slopes(seen, exact, theta, chain)
-        J = self._whiten(seen, theta, chain)[1]
+        with np.errstate(all="ignore"):
+            rows = self._linearise(seen, theta)
+            latent = self._latent(rows, theta)
+            of_test = self._latent(rows, theta, by_test=True) if chain is None else latent
+        terms, slopes = self._terms_and_slopes(seen, exact, theta, chain, rows, latent)
+        J = self._whiten(seen, theta, chain, of_test)[1]
         N = J.shape[-1]
         information = np.zeros((len(theta), slopes.shape[-1], slopes.shape[-1]))
         information[:, :N, :N] = np.einsum("nrk,nrl->nkl", J, J)
         with np.errstate(all="ignore"):
-            latent = self._latent(self._linearise(seen, theta), theta)
             information[:, N:, N:] = self.errors.information(
                 self.terms_of, latent, self._noise(theta), self.of_used
             )
@@ -161,7 +167,10 @@ class DiscrepantLikelihood(ModalLikelihood):
 
         S is the covariance of the residuals of a mode in all tests, or, without a `chain`, in each test alone.
         """
-        return self._whiten(self.observed(theta, True), theta, chain)
+        seen = self.observed(theta, True)
+        with np.errstate(all="ignore"):
+            latent = self._latent(self._linearise(seen, theta), theta, by_test=chain is None)
+        return self._whiten(seen, theta, chain, latent)
 
     def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
         """Return the squared residuals, in standard deviations that include the model's own errors.
@@ -308,15 +317,19 @@ class DiscrepantLikelihood(ModalLikelihood):
         return without_shapes(exact.frequencies, exact.gradient), exact
 
     def _terms_and_slopes(
-        self, seen: ModalPrediction, exact: Sensitivities | None, theta: FloatArray, chain: Chain | None
+        self,
+        seen: ModalPrediction,
+        exact: Sensitivities | None,
+        theta: FloatArray,
+        chain: Chain | None,
+        rows: Linearised,
+        latent: LatentErrors,
     ) -> tuple[FloatArray, FloatArray]:
         """Return the terms and the derivatives of their sum through each of them."""
         of_errors = seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
         terms, slopes = self._terms_and_gradient(of_errors, theta, chain)
         m, N = len(self._used), slopes.shape[-1] - len(self.noise)
         with np.errstate(all="ignore"):
-            rows = self._linearise(seen, theta)
-            latent = self._latent(rows, theta)
             change = self.errors.change(rows, latent, self._values(theta)[:, self._test], self._noise(theta))
             by_theta = change.by_value + self._by_changing_rows(seen, exact, theta, rows, change)
             slopes[:, :m, :N] += by_theta if chain is None else chain(by_theta, self._test)
@@ -377,13 +390,12 @@ class DiscrepantLikelihood(ModalLikelihood):
         return found
 
     def _whiten(
-        self, seen: ModalPrediction, theta: FloatArray, chain: Chain | None
+        self, seen: ModalPrediction, theta: FloatArray, chain: Chain | None, latent: LatentErrors
     ) -> tuple[FloatArray, FloatArray]:
         """Return the residuals and their derivatives times S^(−½), in the order of `labels`."""
         n, noise = len(theta), self._noise(theta)
         chained = seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
         with np.errstate(all="ignore"):
-            latent = self._latent(self._linearise(seen, theta), theta, by_test=chain is None)
             J = [self.of_used(residuals_of_term(t, chained, noise, within=True)[1], 1) for t in self.terms_of]
             r, slopes = latent.whiten(np.concatenate(J, axis=2))
         cuts = np.cumsum([one.shape[2] for one in J])[:-1]

@@ -16,6 +16,7 @@ from fmu.posterior.joint.conditional.main import MainGivenValues
 from fmu.posterior.joint.conditional.scores import ScoresGivenMain
 from fmu.posterior.joint.conditional.shift import MainGivenScores
 from fmu.posterior.joint.typical import typical_point
+from fmu.posterior.priors.joint import JointPrior
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.scaled import ScaledDensity
 from fmu.types import FloatArray
@@ -41,6 +42,8 @@ class Conditionals(NamedTuple):
         Minus the second derivatives of `main` and `shift` at the typical point, by their coordinates.
     noise : ndarray, shape (n_noise,)
         Relative standard deviations of the inferred standard deviations of errors; at most one.
+    noise_prior : JointPrior
+        Prior of these standard deviations.
     is_enough : bool
         Whether steps by `scores` and `main` alone reach all parameters but these deviations, and mix well.
     typical : ndarray, shape (1, ndim)
@@ -52,6 +55,7 @@ class Conditionals(NamedTuple):
     shift: MainGivenScores
     curvatures: tuple[FloatArray, FloatArray]
     noise: FloatArray
+    noise_prior: JointPrior
     is_enough: bool
     typical: FloatArray
 
@@ -135,7 +139,8 @@ def _compute(problem: UpdatingProblem) -> Conditionals:
     s = theta[:, problem.n_structural :]
     found = sum((term.information(s)[0] for term in problem.likelihood.terms_of), np.zeros((s.size, s.size)))
     noise = 1.0 / np.sqrt(1.0 + np.diag(found) * s[0] ** 2)
-    return Conditionals(scores, main, shift, curvatures, noise, is_enough, theta)
+    noise_prior = JointPrior(problem.parameters[problem.n_structural :])
+    return Conditionals(scores, main, shift, curvatures, noise, noise_prior, is_enough, theta)
 
 
 def _bend(straight: ScoresGivenMain, plain: UpdatingProblem, theta: FloatArray) -> ScoresGivenMain:
