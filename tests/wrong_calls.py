@@ -89,6 +89,13 @@ def at_the_door(problem):
     return other
 
 
+def at_the_door_of(plan):
+    """Return a plan whose first simulated test, or page, is noticed."""
+    other = copy(plan)
+    vars(other).update(problem=at_the_door(plan.problem), parameters=stop)
+    return other
+
+
 @cache
 def material() -> dict[str, Any]:
     """Return what the calls are made of."""
@@ -102,8 +109,9 @@ def material() -> dict[str, Any]:
     errors = [fmu.FrequencyErrors(sd=0.02)]
     problem = fmu.UpdatingProblem(model, data, [parameter], pairing="index", error=errors)
     trace = fmu.sample(problem, "mh", draws=6, warmup=6, chains=2, init="start")
+    plan = fmu.plan(problem, 2, draws=2)
     return {"model": model, "data": data, "parameter": parameter, "errors": errors, "problem": problem} | {
-        "trace": trace, "sensors": sensors, "shapes": shapes
+        "trace": trace, "sensors": sensors, "shapes": shapes, "plan": plan
     }  # fmt: skip
 
 
@@ -459,6 +467,9 @@ def calls(folder: Path) -> Iterator[Call]:
         {"model": model, "parameters": [parameter], "n_modes": 1, "frequency_sd": 0.01},
     )
     yield Call("plan", fmu.plan, {"problem": watched, "sensors": 1, "draws": 2, "seed": 1})
+    planned = at_the_door_of(made["plan"])
+    yield Call("simulate_plan", fmu.simulate_plan, {"plan": planned, "tests": 1, "draws": 4})
+    yield Call("write_plan", fmu.write_plan, {"plan": planned, "directory": folder / "plan", "simulated": None})
     yield Call("craig_bampton", fmu.craig_bampton, {"K": K, "M": M, "boundary": [0], "n_modes": 1})
     yield Call("guyan", fmu.guyan, {"K": K, "M": M, "masters": [0]})
     yield Call("damage", fmu.damage, {"trace": trace, "beyond": (0.05, 0.1)})

@@ -18,89 +18,16 @@ import fmu
 from fmu.analysis.plan.bound import relax
 from fmu.analysis.plan.choice import exchange, greedy
 from fmu.analysis.plan.options import AGAIN
-from fmu.analysis.plan.result import PLANNED, Plan
-from fmu.fem.frame.components import DIRECTIONS
-from fmu.posterior.data.expected import expected_modes
+from fmu.analysis.plan.result import Plan
 from tests.shear_building import shear_building
-from tests.validation.scale_model import Size, frame_model
+from tests.validation.kept import completed, kept_lines
+from tests.validation.planned_accuracy import INDEPENDENCE, accuracy
+from tests.validation.planned_structures import frame_problem, grid, problem_of, translations
+from tests.validation.scale_model import Size
 
-INDEPENDENCE = "effective independence"
 _RANDOM = 200
 
 
-def problem_of(model: fmu.SeparableModel, sd: float, start: float = 1.0, n_modes: int = 4) -> fmu.UpdatingProblem:
-    """Return the problem of a test that has not been made: Gaussian priors, truncated at three sds."""
-    parameters = [
-        fmu.Parameter(
-            f"p{k + 1}", start, start * (1 - 3 * sd), start * (1 + 3 * sd), fmu.Normal(sd * start, mean=start)
-        )
-        for k in range(model.n_parameters)
-    ]
-    model.names = None
-    return fmu.UpdatingProblem(model, expected_modes(model, parameters, n_modes), parameters)
-
-
-def frame_problem(size: Size, n_parameters: int, n_modes: int) -> fmu.UpdatingProblem:
-    """Return the problem of a regular frame with moduli of 7 %."""
-    return problem_of(frame_model(size, n_parameters), 0.07, 3.3e10, n_modes)
-
-
-def translations(problem: fmu.UpdatingProblem, most: int = 10**9) -> list[tuple[object, str]]:
-    """Return all translations of a structure, or the first of them in even steps."""
-    assert problem.model.structure is not None
-    every = [dof for dof in problem.model.structure.dofs if dof[1] in "xyz"]
-    return every[:: max(1, len(every) // most)][:most]
-
-
-# ---------------------------------------------------------------------------------------------------- structures
-def beam() -> fmu.SeparableModel:
-    """Return a cantilever of ten elements with four moduli."""
-    steel, section = fmu.Material(E=2.1e11, nu=0.3, rho=7850.0), fmu.Section.rectangle(0.04, 0.08)
-    cuts = np.array_split(np.arange(10), 4)
-    groups = [
-        fmu.ElementGroup(f"part {k}", np.stack([one, one + 1], axis=1), section, steel)
-        for k, one in enumerate(cuts)
-    ]
-    nodes = np.stack([np.linspace(0.0, 3.0, 11), np.zeros(11), np.zeros(11)], axis=1)
-    plane = dict.fromkeys(range(1, 11), ("x", "y", "rx", "rz"))
-    frame = fmu.Frame(nodes=nodes, groups=groups, supports={0: DIRECTIONS, **plane})
-    return frame.separable({f"E{k}": fmu.Factor([("E", f"part {k}")]) for k in range(4)})
-
-
-def grid(seed: int, n: int = 12, p: int = 3) -> fmu.SeparableModel:
-    """Return masses on a random net of springs in p groups, tied to the ground at two of them."""
-    rng = np.random.default_rng(seed)
-    pairs = [(i, i + 1) for i in range(n - 1)]
-    pairs += [tuple(sorted(rng.choice(n, 2, replace=False))) for _ in range(n)]
-    K = np.zeros((p, n, n))
-    for i, j in pairs:
-        k = rng.integers(p)
-        d = np.zeros(n)
-        d[i], d[j] = 1.0, -1.0
-        K[k] += 1e5 * rng.uniform(0.5, 2.0) * np.outer(d, d)
-    ground = np.zeros((n, n))
-    ground[0, 0] = ground[n // 2, n // 2] = 1e5
-    M = np.diag(rng.uniform(5.0, 20.0, n))
-    names = [f"p{k + 1}" for k in range(p)]
-    return fmu.SeparableModel.from_terms(names, [ground, *zip(K, names, strict=True)], [M])
-
-
-def structures() -> dict[str, tuple[Callable[[], fmu.UpdatingProblem], int]]:
-    """Return five structures by name, and how many sensors each gets."""
-    storeys = ["p1"] * 2 + ["p2"] * 2 + ["p3"] * 2 + ["p4"] * 2
-    return {
-        "shear building, 8 storeys": (lambda: problem_of(shear_building(storeys, 5e6, 2000.0), 0.15), 4),
-        "shear building with an unknown mass": (
-            lambda: problem_of(shear_building(storeys[:6], 5e6, 2000.0, "m"), 0.1),
-            3,
-        ),
-        "cantilever": (lambda: problem_of(beam(), 0.1), 4),
-        "net of springs": (lambda: problem_of(grid(3, 16, 4), 0.15, n_modes=5), 5),
-        "net of springs, larger": (lambda: problem_of(grid(8, 20, 5), 0.2, n_modes=6), 6),
-    }
-
-
-# ------------------------------------------------------------------------------------------------------- studies
 def random_best(plan: Plan, count: int, n: int = _RANDOM) -> tuple[float, float]:
     """Return the largest and the median log-determinant of random choices."""
     readings, rng = plan.design.readings(), np.random.default_rng(0)
@@ -169,53 +96,6 @@ Greedy with exchange finds the best of the 495 choices in {int(np.sum(off < 1e-9
 and misses at most {100 * off.max():.2f} % of the information. The bound is below the best in {below}
 structures; it exceeds the best by
 {100 * float(np.median(gaps)):.2f} % (median), {100 * float(np.max(gaps)):.2f} % at most.
-"""
-
-
-@dataclass
-class Accuracy:
-    """Ratios and sds of simulated tests of one structure."""
-
-    name: str
-    ratios: np.ndarray
-    by_sensors: dict[str, float]
-    said: list[str]
-
-
-def accuracy(tests: int = 20) -> str:
-    """Return the section on simulated tests of five structures."""
-    found = []
-    for name, (build, count) in structures().items():
-        plan = fmu.plan(build(), count)
-        simulated = fmu.simulate_plan(plan, tests, choices=[])
-        both = fmu.simulate_plan(plan, max(1, tests // 4), choices=[INDEPENDENCE])
-        unit = plan.design.prior_sd
-        sds = {choice: float(np.median(real / unit)) for choice, real in both.real.items()}
-        found.append(Accuracy(name, simulated.ratios(), sds, simulated.sentences()))
-        print(name, simulated, flush=True)
-    every = np.concatenate([one.ratios.ravel() for one in found])
-    low, middle, high = np.quantile(every, [0.05, 0.5, 0.95])
-    better = sum(one.by_sensors[PLANNED] < one.by_sensors[INDEPENDENCE] for one in found)
-    rows = []
-    for one in found:
-        a, b, c = np.quantile(one.ratios, [0.05, 0.5, 0.95])
-        mine, other = one.by_sensors[PLANNED], one.by_sensors[INDEPENDENCE]
-        rows.append(f"| {one.name} | {b:.2f} | {a:.2f}–{c:.2f} | {mine:.3f} | {other:.3f} |")
-    said = "\n".join(f"- {one.name}: {' '.join(one.said)}" for one in found)
-    return f"""## Expected against real standard deviations
-
-{tests} simulated tests of each of five structures, really updated (`fmu.sample`, 4 × 200 draws of the mixture).
-Real over expected standard deviation: median {middle:.2f}, 90 % between {low:.2f} and {high:.2f}, over
-{tests * len(found)} tests.
-
-| structure | real / expected | 90 % | median real sd, this plan | effective independence |
-| :-- | --: | --: | --: | --: |
-{chr(10).join(rows)}
-
-Sds are relative to those before the test, in {max(1, tests // 4)} of the tests with either choice of sensors. At
-the same number of sensors the plan's is the smaller one in {better} of {len(found)} structures.
-
-{said}
 """
 
 
@@ -288,19 +168,50 @@ The plan is within {100 * plan.gap:.2f} % of the best.
 """
 
 
+@dataclass
+class Section:
+    """A section of the page, and the seconds of one core that it took."""
+
+    name: str
+    text: str
+    seconds: float
+
+
+SECTIONS: dict[str, Callable[[], str]] = {
+    "medium": medium,
+    "exhaustive": exhaustive,
+    "known mass": known_mass,
+    "large": large,
+}
+
+
+def write(name: str) -> Section:
+    """Return a section of the page."""
+    began = time.process_time()
+    text = SECTIONS[name]()
+    print(text, flush=True)
+    return Section(name, text, time.process_time() - began)
+
+
 @click.command()
 @click.argument("out", type=click.Path(path_type=Path, file_okay=False))
 @click.option("--tests", default=20, show_default=True, help="Simulated tests of each structure.")
-def main(out: Path, tests: int) -> None:
+@click.option("--kept", type=click.Path(path_type=Path), help="Directory of what is done; it is continued.")
+def main(out: Path, tests: int, kept: Path | None) -> None:
     """Write planning.md to OUT."""
-    parts = []
-    for section in (medium, exhaustive, known_mass, large, lambda: accuracy(tests)):
-        parts.append(section())
-        print(parts[-1], flush=True)
+    if kept is not None:
+        kept.mkdir(exist_ok=True)
+    file = None if kept is None else kept / "sections.jsonl"
+    known = {one.name: one for one in (Section(**fields) for fields in kept_lines(file))}
+    parts = completed(((name, name) for name in SECTIONS), known, write, file)
+    simulated = accuracy(tests, None if kept is None else kept / "accuracy.jsonl")
+    minutes = sum(one.seconds for one in parts) / 60.0
     head = (
-        "# Plans of modal tests\n\nWritten by `make validate` (`python -m tests.validation.planning results`).\n"
+        "# Plans of modal tests\n\n"
+        "Written by `make validate` (`python -m tests.validation.planning results`). The sections before the\n"
+        f"simulated tests took {minutes:.1f} minutes of one core.\n"
     )
-    (out / "planning.md").write_text("\n".join([head, *parts]), encoding="utf-8")
+    (out / "planning.md").write_text("\n".join([head, *(one.text for one in parts), simulated]), encoding="utf-8")
 
 
 if __name__ == "__main__":

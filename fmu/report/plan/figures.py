@@ -10,7 +10,7 @@ import numpy as np
 from fmu.analysis.plan.result import PLANNED, Plan
 from fmu.fem.modes.separable import SeparableModel
 from fmu.report.plots import style
-from fmu.sampling.simulated_tests import SimulatedTests
+from fmu.sampling.simulated_updates import SimulatedTests
 from fmu.types import FloatArray
 
 if TYPE_CHECKING:
@@ -117,9 +117,10 @@ def plot_simulated(found: SimulatedTests, choices: Sequence[str] | None = None) 
     axes = style.new_figure(style.NARROW, 3.6).subplots()
     unit = found.expected[PLANNED]
     colours = (style.VERMILLION, style.GREY, style.BLACK)
-    for colour, name in zip(colours, choices or list(found.real), strict=False):
-        expected = np.broadcast_to(found.expected[name] / unit, found.real[name].shape)
-        axes.plot(expected.ravel(), (found.real[name] / unit).ravel(), linestyle="none", marker=".", color=colour,
+    for colour, name in zip(colours, choices or list(found.updates), strict=False):
+        real = found.updates[name].real / unit
+        expected = np.broadcast_to(found.expected[name] / unit, real.shape)
+        axes.plot(expected.ravel(), real.ravel(), linestyle="none", marker=".", color=colour,
                   label=name, alpha=0.6)  # fmt: skip
     ends = axes.get_xlim()
     axes.plot(ends, ends, color=style.BLACK, linewidth=0.8)

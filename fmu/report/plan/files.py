@@ -8,16 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from fmu.analysis.plan.result import Plan
+from fmu.arguments import check_arguments
 from fmu.formats.modes.uff import write_test_geometry
 from fmu.numbers import significant, typed
 from fmu.report.files import OutputDirectory
 from fmu.report.pages import INDEX, render
 from fmu.report.plan.page import plan_page
-from fmu.sampling.simulated_tests import SimulatedTests
+from fmu.sampling.simulated_updates import SimulatedTests
 
 SENSORS, GEOMETRY, MEASUREMENT = "sensors.csv", "geometry.uff", "measurement.toml"
 
 
+@check_arguments
 def write_plan(plan: Plan, directory: str | os.PathLike[str], simulated: SimulatedTests | None = None) -> Path:
     """Write the page of a plan (index.html), sensors.csv, measurement.toml and, if places are known, geometry.uff.
 

@@ -14,10 +14,18 @@ from fmu.numbers import customary_unit, fixed, share, significant
 from fmu.report.document import Items, Page, PageSection, PageTable, Part, Picture, Pictures, Verdict, picture
 from fmu.report.plan.figures import plot_expected_sds, plot_information, plot_sensors_on_structure, plot_simulated
 from fmu.report.plots.correlation import plot_mac_matrix
-from fmu.sampling.simulated_tests import SimulatedTests
+from fmu.sampling.simulated_updates import SimulatedTests
 
 if TYPE_CHECKING:
     import pandas as pd
+
+_MOST_CASES = 12
+_CASES = (
+    "Tests in which expected and real differ. The ratio of the sds is a product. True values: the sd "
+    "linearised at the true parameters over the expected one. Noise: the sd linearised at the posterior "
+    "mean over that. Shape: the real sd over that. At bounds: share of draws close to a bound. Crossed: "
+    "with modes in another order."
+)
 
 
 def plan_page(plan: Plan, simulated: SimulatedTests | None = None) -> Page:
@@ -140,8 +148,12 @@ def _show_simulated_tests(found: SimulatedTests) -> PageSection:
     alt = f"Real over expected sd: {'; '.join(f'{i} {fixed(x, 2)}' for i, x in table['median'].items())}."
     figure = picture(plot_simulated(found), "simulated", alt, "A point is a parameter in a simulated test.")
     caption = "Real over expected standard deviation of simulated tests, and the median real sd over the plan's."
-    parts = (Items(tuple(found.sentences())), table_of(caption, table), Pictures((figure,)))
-    return PageSection("simulated", "What the expected accuracy is worth", parts)
+    parts: list[Part] = [Items(tuple(found.sentences())), table_of(caption, table), Pictures((figure,))]
+    cases = found.cases()
+    if len(cases):
+        rest = f" The worst {_MOST_CASES} of {len(cases)}." if len(cases) > _MOST_CASES else ""
+        parts.append(table_of(_CASES + rest, cases.iloc[:_MOST_CASES]))
+    return PageSection("simulated", "What the expected accuracy is worth", tuple(parts))
 
 
 def table_of(caption: str, table: pd.DataFrame) -> PageTable:
