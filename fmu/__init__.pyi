@@ -47,6 +47,7 @@ from .fem.programs.store import SolveStore as SolveStore
 from .formats.models.read import read_mesh as read_mesh
 from .formats.models.read import read_model as read_model
 from .posterior.data.expected import expected_modes as expected_modes
+from .posterior.data.frf_data import FRFData as FRFData
 from .posterior.data.modal_data import ModalData as ModalData
 from .posterior.discrepancy.embedded import Discrepancy as Discrepancy
 from .posterior.errors.frequency import FrequencyErrors as FrequencyErrors

@@ -408,6 +408,15 @@ def calls(folder: Path) -> Iterator[Call]:
         fmu.Discrepancy,
         {"kind": "modes", "prior_sd": 0.1, "sd": 0.02, "correlation": 0.5, "shape_sd": 0.1, "length": 2.0},
     )
+    frf = {"drives": ((1, "x"),), "responses": ((1, "x"),), "kind": "mobility"}
+    yield Call("FRFData", fmu.FRFData, frf | {
+        "frequencies_hz": [5.0, 10.0], "values": [[1j, 2.0]], "sd": 0.1, "coherence": [[0.9, 0.8]], "averages": 5,
+        "use": None, "band": (4.0, 8.0), "hits": None, "notes": ()})  # fmt: skip
+    yield Call("FRFData.from_hits", fmu.FRFData.from_hits, frf | {
+        "frequencies_hz": [5.0, 10.0], "values": [[[1j, 2.0]], [[1.1j, 2.0]]]})  # fmt: skip
+    yield Call("FRFData.from_records", fmu.FRFData.from_records, frf | {
+        "force": np.sin(np.arange(64.0) ** 2), "response": np.arange(64.0)[None], "sampling_hz": 100.0,
+        "window": "hann", "segment": 16, "overlap": 0.5})  # fmt: skip
     yield Call("GibbsSampler", fmu.GibbsSampler, {"step_size": 0.5})
     yield Call("Change", fmu.Change, {"masses": {"a": 1.0}, "springs": {("a", "x"): 1.0}})
     yield Call(
@@ -661,6 +670,7 @@ _ZERO |= {
     "correlation",
     "drift",
     "min_distance",
+    "overlap",
 }
 
 

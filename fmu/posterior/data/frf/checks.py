@@ -1,0 +1,138 @@
+"""Checks of the arrays of measured frequency response functions."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Hashable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu.arguments import ArgumentError, shown
+from fmu.formats.modes.measured_modes import is_node
+from fmu.numbers import given, significant, whole
+from fmu.types import BoolArray, Dof, FloatArray
+
+ComplexArray = NDArray[np.complex128]
+_DIRECTION = re.compile(r"-?r?[xyz]")
+_ROUNDING = 1e-5
+"""A coherence that a file rounded to six digits may exceed 1 by this."""
+
+
+def checked_frequencies(frequencies_hz: Any) -> FloatArray:
+    """Return the frequencies of lines as an array (n_lines,), which may begin at 0 Hz; ValueError if invalid."""
+    f = np.array(frequencies_hz, dtype=float)
+    if f.ndim != 1 or len(f) == 0:
+        raise ArgumentError("frequencies_hz", "must be a list of numbers, one per line", f"shape {f.shape}")
+    wrong = ~(np.isfinite(f) & (f >= 0.0))
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        raise ArgumentError(f"frequencies_hz.{at}", "must be positive and finite", f"{f[at]} Hz")
+    back = np.diff(f) <= 0.0
+    if back.any():
+        at = int(np.argmax(back)) + 1
+        got = f"{given(f[at])} Hz after {given(f[at - 1])} Hz"
+        raise ArgumentError(f"frequencies_hz.{at}", "must ascend; sort the lines and their values", got)
+    if f[-1] == 0.0:
+        raise ArgumentError("frequencies_hz", "must have a line above 0 Hz", "0 Hz only")
+    return f
+
+
+def complex_array(name: str, values: Any) -> ComplexArray:
+    """Return values as a complex array; ValueError if they are not numbers."""
+    try:
+        array = np.asarray(values)
+    except (TypeError, ValueError, OverflowError):
+        array = np.asarray(None)
+    if array.dtype.kind not in "iufc":
+        raise ArgumentError(name, "must be complex numbers (an array or a list of lists)", shown(values))
+    return array.astype(complex)
+
+
+def checked_values(values: Any, n_lines: int) -> ComplexArray:
+    """Return the values of FRFs as an array (n_frfs, n_lines); ValueError if they have another shape."""
+    array = complex_array("values", values)
+    if array.ndim == 1 and len(array) == n_lines:
+        rule = f"must have shape (n_frfs, {n_lines}); put the values of one FRF in a list"
+        raise ArgumentError("values", rule, array.shape)
+    if array.ndim != 2 or array.shape[1] != n_lines or len(array) == 0:
+        advice = "; transpose them" if array.ndim == 2 and array.shape[0] == n_lines else ""
+        raise ArgumentError("values", f"must have shape (n_frfs, {n_lines}), FRFs x lines", array.shape, advice)
+    return array
+
+
+def checked_dofs(name: str, dofs: Sequence[tuple[Hashable, str]], n_frfs: int) -> tuple[Dof, ...]:
+    """Return the (place, direction) of each FRF; ValueError if their number or a direction is wrong."""
+    if len(dofs) != n_frfs:
+        advice = "; repeat the point that stays where it is" if len(dofs) == 1 else ""
+        raise ArgumentError(name, f"must be {n_frfs}, one per FRF", len(dofs), advice)
+    for i, (place, direction) in enumerate(dofs):
+        if not isinstance(place, str) and not is_node(place):
+            raise ArgumentError(f"{name}.{i}.0", "must be the number or the name of a node", shown(place))
+        if not _DIRECTION.fullmatch(direction):
+            rule = "must be x, y, z, rx, ry or rz, with or without a leading minus"
+            raise ArgumentError(f"{name}.{i}.1", rule, shown(direction))
+    return tuple((int(str(place)) if is_node(place) else place, str(direction)) for place, direction in dofs)
+
+
+def checked_sd(sd: Any, shape: tuple[int, int]) -> FloatArray:
+    """Return standard deviations as an array (n_frfs, n_lines); ValueError if one is negative or infinite."""
+    array = np.array(sd, dtype=float)
+    if array.shape not in ((), (shape[0], 1), shape):
+        rule = f"must be a number or have shape {shape}, FRFs x lines, or {(shape[0], 1)}"
+        raise ArgumentError("sd", rule, array.shape)
+    wrong = (array < 0.0) | np.isinf(array)
+    if wrong.any():
+        raise ArgumentError("sd", "must be positive and finite, or NaN", significant(float(array[wrong].flat[0])))
+    if not np.any(array > 0.0):
+        raise ArgumentError("sd", "must be positive at a line", "0 or NaN at every line")
+    return np.broadcast_to(array, shape).copy()
+
+
+def checked_coherence(coherence: Any, shape: tuple[int, int]) -> FloatArray:
+    """Return the coherence γ² as an array (n_frfs, n_lines); ValueError if a value is not from 0 to 1."""
+    array = np.array(coherence, dtype=float)
+    if array.shape != shape:
+        raise ArgumentError("coherence", f"must have shape {shape}, FRFs x lines", array.shape)
+    wrong = (array < 0.0) | (array > 1.0 + _ROUNDING)
+    if wrong.any():
+        value = float(array[wrong][0])
+        advice = "; divide per cent by 100" if 1.0 < value <= 100.0 else ""
+        raise ArgumentError("coherence", "must be from 0 to 1, or NaN", significant(value), advice)
+    return np.minimum(array, 1.0)
+
+
+def checked_bools(name: str, values: Any, shape: tuple[int, int]) -> BoolArray:
+    """Return booleans as an array (n_frfs, n_lines) from shape (n_lines,) or (n_frfs, n_lines)."""
+    try:
+        array = np.asarray(values)
+    except (TypeError, ValueError, OverflowError):
+        array = np.asarray(None)
+    if array.dtype.kind != "b":
+        raise ArgumentError(name, "must be True or False, one per line", shown(values))
+    if array.shape not in (shape[1:], shape):
+        raise ArgumentError(name, f"must have shape {shape[1:]} or {shape}", array.shape)
+    return np.broadcast_to(array, shape).copy()
+
+
+def check_rows(labels: Sequence[str], missing: BoolArray) -> list[str]:
+    """Return a sentence for each FRF that lacks values; ValueError if one has none, or a label is there twice.
+
+    Parameters
+    ----------
+    labels : sequence of str
+    missing : ndarray of bool, shape (n_frfs, n_lines)
+    """
+    twice = next((label for i, label in enumerate(labels) if label in labels[:i]), None)
+    if twice is not None:
+        advice = "; average repeated FRFs with FRFData.from_hits"
+        raise ArgumentError("responses", "each pair of response and drive must be there once", twice, advice)
+    empty = missing.all(axis=1)
+    if empty.any():
+        at = int(np.argmax(empty))
+        rule = f"must have an FRF with values in each row; delete the row of {labels[at]!r}"
+        raise ArgumentError(f"values.{at}", rule, "0 or NaN at every line")
+    counts = zip(labels, missing.sum(axis=1).tolist(), strict=True)
+    of = f"of {whole(missing.shape[1])} lines"
+    return [f"The FRF {label} has no value (0 or NaN) at {whole(n)} {of}." for label, n in counts if n]

@@ -1,0 +1,207 @@
+"""Doubts about measured frequency response functions: signs that they are not what they are said to be.
+
+With H = (iω)^k × receptance, k = 0 for a receptance, 1 for a mobility and 2 for an accelerance, a structure with
+little damping has these signs (Ewins 2000, *Modal Testing*, 2nd ed., chapter 2):
+
+- below the first resonance |H| rises with the power k of the frequency if the structure is supported, and with
+  k − 2 if it is free; at a driving point the phase is then 90° ahead of the phase at a resonance, or behind it;
+- at a resonance a receptance and an accelerance are imaginary, a mobility is real;
+- the real part of the mobility of a driving point is nowhere negative, since the force puts power in;
+- H_jk = H_kj.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fmu.numbers import fixed, share, significant, whole
+from fmu.posterior.data.frf.peaks import Spectra, lines_near, pick_peaks
+from fmu.types import BoolArray
+
+KINDS = ("receptance", "mobility", "accelerance")
+"""Kinds by the power k of iω by which the receptance is multiplied."""
+_OF_FIRST = 0.4
+"""Lines below this share of the first resonance give the slope."""
+_FEWEST_LINES, _LEAST_RATIO = 5, 1.3
+"""The slope needs so many lines, and so large a ratio of their highest to their lowest frequency."""
+_WHOLE = 0.3
+"""Largest distance of a slope from a whole number; another slope says nothing."""
+_CLEAR = 0.5
+"""Smallest modulus of the mean phase at resonances, which is 1 where all agree."""
+_STANDS_OUT = 4.0
+"""Number of standard deviations of a value that is surely not noise."""
+_PART, _PART_UNKNOWN = 0.1, 0.2
+"""Smallest share of |H| of a real part that counts, with and without standard deviations."""
+_FEWEST_WRONG, _WRONG_SHARE = 3, 0.05
+_RECIPROCAL = 0.1
+"""Smallest relative difference of reciprocal FRFs without standard deviations that is told."""
+_TOO_FAR = 5.0
+"""Number of standard deviations by which χ² of reciprocal FRFs must exceed its mean."""
+_FEWEST_FREEDOM = 8.0
+
+
+class _Signs(NamedTuple):
+    """Signs of the kind of FRFs; None or NaN where the FRFs do not tell.
+
+    Attributes
+    ----------
+    slope : float
+        Power of the frequency below the first resonance.
+    is_free : bool or None
+        Whether the structure is free, by the phases at driving points.
+    is_imaginary : bool or None
+        Whether the FRFs are imaginary at resonances.
+    """
+
+    slope: float
+    is_free: bool | None
+    is_imaginary: bool | None
+
+    def slope_fits(self, k: int) -> bool:
+        """Return True if the slope is possible for the kind k."""
+        slopes = {None: (k, k - 2), False: (k,), True: (k - 2,)}[self.is_free]
+        return bool(np.isnan(self.slope)) or round(self.slope) in slopes
+
+    def phase_fits(self, k: int) -> bool:
+        """Return True if the phase at resonances is possible for the kind k."""
+        return self.is_imaginary is None or self.is_imaginary == (k != 1)
+
+
+def doubts(spectra: Spectra, k: int, freedom: float) -> tuple[str, ...]:
+    """Return sentences on signs that FRFs are not what they are said to be.
+
+    Parameters
+    ----------
+    spectra : Spectra
+    k : int
+        The power of iω by which receptances were multiplied to get the measured FRFs.
+    freedom : float
+        Degrees of freedom of the standard deviations.
+    """
+    of_kind = _kind_doubts(spectra, k)
+    of_power = [] if of_kind else _power_doubts(spectra)
+    few = []
+    if freedom < _FEWEST_FREEDOM:
+        few = [
+            f"The standard deviations have {significant(freedom)} degrees of freedom only, too few for Gaussian "
+            "errors. Measure at least 5 hits, or 5 averages."
+        ]
+    return (*of_kind, *of_power, *_reciprocal_doubts(spectra), *few)
+
+
+def _kind_doubts(spectra: Spectra, k: int) -> list[str]:
+    """Return a sentence if the slope below the first resonance, or the phase at resonances, is of another kind."""
+    signs = _signs(spectra, k)
+    if signs is None or (signs.slope_fits(k) and signs.phase_fits(k)):
+        return []
+    why = []
+    if not signs.slope_fits(k):
+        usual = {None: f"{k} or {k - 2}", False: str(k), True: str(k - 2)}[signs.is_free]
+        slope = fixed(signs.slope, 1)
+        why.append(f"below the first resonance they rise with the power {slope} of the frequency, not {usual}")
+    if not signs.phase_fits(k):
+        part, other = ("imaginary", "real") if signs.is_imaginary else ("real", "imaginary")
+        why.append(f"at the resonances they are {part}, not {other}")
+    fitting = [name for other, name in enumerate(KINDS) if signs.slope_fits(other) and signs.phase_fits(other)]
+    advice = f"They look like {' or '.join(fitting)}" if fitting else "Check the channels and their delays"
+    return [f"The FRFs are said to be {KINDS[k]}, but {', and '.join(why)}. {advice}."]
+
+
+def _signs(spectra: Spectra, k: int) -> _Signs | None:
+    """Return the signs of the kind of the FRFs; None if they have no resonance."""
+    peaks = pick_peaks(spectra).frequencies_hz
+    if not len(peaks):
+        return None
+    measured = spectra.receptance * (1j * spectra.omega) ** k
+    at = np.array([int(np.argmin(np.abs(spectra.frequencies_hz - peak))) for peak in peaks])
+    height = np.sqrt(np.nansum(np.abs(spectra.receptance * spectra.omega) ** 2, axis=0))
+    resonant = np.zeros((spectra.n_frfs, len(peaks)), dtype=complex)
+    for j, i in enumerate(at.tolist()):
+        near = lines_near(height, i)
+        values = np.nan_to_num(measured[:, near])
+        resonant[:, j] = np.trapezoid(values, spectra.omega[near], axis=1)  # ∫ dω/(λ − ω² + icω) is imaginary
+    size = np.sum(np.abs(resonant) ** 2, axis=0)
+    turn = float(np.mean((np.sum(resonant**2, axis=0) / size).real))
+    slopes, ahead = [], 0.0
+    is_drive = spectra.at_drive
+    for i in np.flatnonzero(is_drive | ~is_drive.any()).tolist():
+        low = _clear(spectra, i) & (spectra.frequencies_hz < _OF_FIRST * peaks[0])
+        f, h = spectra.frequencies_hz[low], measured[i, low]
+        if len(f) < _FEWEST_LINES or f[-1] < _LEAST_RATIO * f[0]:
+            continue
+        rise = np.log(np.abs(h) * (1.0 - (f / peaks[0]) ** 2))  # without the part of the first mode
+        slopes.append(float(np.polyfit(np.log(f), rise, 1)[0]))
+        if is_drive[i]:
+            ahead += float((np.mean(h / np.abs(h)) * resonant[i].sum().conj() / np.abs(resonant[i]).sum()).imag)
+    slope = float(np.median(slopes)) if slopes else np.nan
+    known = abs(slope - np.round(slope)) < _WHOLE
+    is_free = ahead < 0.0 if known and abs(ahead) > _CLEAR * int(is_drive.sum()) else None
+    return _Signs(slope if known else np.nan, is_free, turn < 0.0 if abs(turn) > _CLEAR else None)
+
+
+def _clear(spectra: Spectra, i: int) -> BoolArray:
+    """Return whether the values of an FRF stand out of the noise, shape (n_lines,)."""
+    height = np.abs(spectra.receptance[i])
+    if spectra.sd is None:
+        return np.isfinite(height)
+    return np.asarray(height > _STANDS_OUT * np.nan_to_num(spectra.sd[i], nan=np.inf))
+
+
+def _power_doubts(spectra: Spectra) -> list[str]:
+    """Return a sentence for each driving point at which the force seems to take power out."""
+    told = []
+    for i in np.flatnonzero(spectra.at_drive).tolist():
+        mobility = 1j * spectra.omega * spectra.receptance[i] * spectra.signs[i]
+        height, power = np.abs(mobility), mobility.real
+        if spectra.sd is None:
+            counts = (np.abs(power) > _PART_UNKNOWN * height) & (height > _PART * np.nanmax(height))
+        else:
+            least = np.maximum(_STANDS_OUT * spectra.sd[i] * spectra.omega, _PART * height)
+            counts = np.abs(power) > least
+        n, negative = int(np.sum(counts)), int(np.sum(counts & (power < 0.0)))
+        if negative < max(_FEWEST_WRONG, _WRONG_SHARE * n):
+            continue
+        label = f"The FRF {spectra.labels[i]} is of a driving point"
+        if negative > (1.0 - _WRONG_SHARE) * n:
+            told.append(
+                f"{label}, but its phase is reversed: reverse the direction of its sensor or of its force, if the "
+                "polarity of a channel is wrong."
+            )
+        else:
+            told.append(
+                f"{label}, but the sign of the power changes: it is negative at {whole(negative)} of {whole(n)} "
+                "lines. Check whether force and sensor are at one point, and the delay of the channels."
+            )
+    return told
+
+
+def _reciprocal_doubts(spectra: Spectra) -> list[str]:
+    """Return a sentence for each pair of reciprocal FRFs that differ by more than their errors explain."""
+    row = {pair: i for i, pair in enumerate(spectra.axes)}
+    values, told = spectra.receptance * spectra.signs, []
+    for (response, drive), i in row.items():
+        j = row.get((drive, response), i)
+        if j <= i:
+            continue
+        both = spectra.used[i] & spectra.used[j]
+        one, other = values[i, both], values[j, both]
+        if not both.any():
+            continue
+        squares = np.abs(one - other) ** 2
+        relative = float(np.median(np.sqrt(2.0 * squares / (np.abs(one) ** 2 + np.abs(other) ** 2))))
+        explained = ""
+        if spectra.sd is not None:
+            variance = spectra.sd[i, both] ** 2 + spectra.sd[j, both] ** 2
+            chi2, n = float(np.sum(squares / variance)), 2 * int(both.sum())
+            if chi2 < n + _TOO_FAR * np.sqrt(2.0 * n):
+                continue
+            explained = f", {significant(np.sqrt(chi2 / n), 2)} times what their standard deviations explain"
+        elif relative < _RECIPROCAL:
+            continue
+        told.append(
+            f"The reciprocal FRFs {spectra.labels[i]} and {spectra.labels[j]} differ by {share(relative)} "
+            f"(median over the lines){explained}. Check the points, the directions and the calibration of both."
+        )
+    return told

@@ -1,0 +1,158 @@
+"""Estimates of frequency response functions: from repeated hits, and from time records by Welch's method."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from fmu.arguments import ArgumentError
+from fmu.posterior.data.frf.checks import ComplexArray, complex_array
+from fmu.types import FloatArray
+
+Estimator = Literal["H1", "H2"]
+_SEGMENTS = 8
+"""Number of segments, without overlap, of a long record by default."""
+
+
+class Estimate(NamedTuple):
+    """FRFs estimated from records, at the lines of their segments.
+
+    Attributes
+    ----------
+    frequencies_hz : ndarray, shape (n_lines,)
+        From 0 Hz.
+    values : ndarray of complex, shape (n_frfs, n_lines)
+    coherence : ndarray, shape (n_frfs, n_lines)
+    averages : float
+        Number of independent averages.
+    """
+
+    frequencies_hz: FloatArray
+    values: ComplexArray
+    coherence: FloatArray
+    averages: float
+
+
+def average_hits(values: Any, invert: bool) -> tuple[ComplexArray, FloatArray, int]:
+    """Return the mean (n_frfs, n_lines) of repeated FRFs, its standard deviation, and the number of hits.
+
+    Parameters
+    ----------
+    values : array_like of complex, shape (n_hits, n_frfs, n_lines)
+        NaN where a hit failed.
+    invert : bool
+        Whether to average the reciprocals, of dynamic stiffnesses.
+
+    Returns
+    -------
+    mean : ndarray of complex, shape (n_frfs, n_lines)
+    sd : ndarray, shape (n_frfs, n_lines)
+        Standard deviation of the real and of the imaginary part of the mean; NaN at a line with fewer than two
+        hits.
+    hits : int
+        Smallest number of hits at a line with at least two.
+
+    Raises
+    ------
+    ValueError
+        If the shape is wrong, no line has two hits, or the hits do not differ.
+    """
+    hits = complex_array("values", values)
+    if hits.ndim != 3 or hits.size == 0:
+        raise ArgumentError("values", "must have shape (n_hits, n_frfs, n_lines)", hits.shape)
+    there = np.isfinite(hits) & (hits != 0.0)
+    hits = np.where(there, hits, 1.0)
+    hits = np.where(there, 1.0 / hits if invert else hits, 0.0)
+    n = there.sum(axis=0)
+    if n.max() < 2:
+        rule = "must have at least 2 hits with a value at a line"
+        raise ArgumentError("values", rule, int(n.max()), "; give FRFData the sd or the coherence of a single FRF")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = hits.sum(axis=0) / n
+        squares = np.sum(np.where(there, np.abs(hits - mean) ** 2, 0.0), axis=0)
+        sd = np.where(n > 1, np.sqrt(squares / (2.0 * (n - 1) * n)), np.nan)
+    if not np.any(sd > 0.0):
+        raise ArgumentError(
+            "values", "the hits must differ: their scatter is the standard deviation", "equal hits"
+        )
+    return np.where(n > 1, mean, np.nan), sd, int(n[n > 1].min())
+
+
+def estimate_frfs(
+    force: Any,
+    response: Any,
+    sampling_hz: float,
+    estimator: Estimator,
+    window: str,
+    segment: int | None,
+    overlap: float,
+) -> Estimate:
+    """Return FRFs estimated from one force and the responses to it; see `fmu.FRFData.from_records`.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ, a record is not finite or shorter than a segment, the window is unknown, or there are
+        fewer than two averages.
+    """
+    from scipy.signal import csd, get_window, welch
+
+    f, x = _records(force, response)
+    n_records, n_samples = f.shape
+    n = segment or (n_samples if n_records > 1 else n_samples // _SEGMENTS)
+    if not 4 <= n <= n_samples:
+        raise ArgumentError("segment", f"must be from 4 samples to the {n_samples} of a record", n)
+    try:
+        weights = get_window(window, n)
+    except (ValueError, TypeError) as error:
+        raise ArgumentError("window", "must be a window of scipy.signal.get_window", repr(window)) from error
+    step = n - int(overlap * n)
+    averages = independent_averages(weights, step, (n_samples - n) // step + 1) * n_records
+    if averages <= 1.0:
+        advice = "; shorten the segment, or give more records"
+        raise ArgumentError("segment", "must give at least two averages", f"{n} of {n_samples} samples", advice)
+    settings = {"fs": sampling_hz, "window": weights, "noverlap": n - step}
+    lines, of_force = welch(f, **settings)
+    s_ff = of_force.mean(axis=0)
+    s_xx = welch(x, **settings)[1].mean(axis=0)
+    s_fx = csd(f[:, None, :], x, **settings)[1].mean(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        values = s_fx / s_ff if estimator == "H1" else s_xx / s_fx.conj()
+        coherence = np.clip(np.abs(s_fx) ** 2 / (s_ff * s_xx), 0.0, 1.0)
+    return Estimate(lines, values, coherence, averages)
+
+
+def independent_averages(window: FloatArray, step: int, n_segments: int) -> float:
+    """Return the number of independent averages with the same variance as overlapping segments.
+
+    K/(1 + 2 Σ_j (1 − j/K) ρ_j) with ρ_j = (Σ_i w_i w_{i + j step})²/(Σ_i w_i²)² (Welch 1967, IEEE Transactions on
+    Audio and Electroacoustics 15, 70).
+
+    Parameters
+    ----------
+    window : ndarray, shape (n_samples,)
+    step : int
+        Number of samples from the start of one segment to the start of the next.
+    n_segments : int
+    """
+    n, power = len(window), float(window @ window)
+    j = np.arange(1, min(n_segments, -(-n // step)))
+    rho = np.array([float(window[k * step :] @ window[: n - k * step]) / power for k in j]) ** 2
+    return float(n_segments / (1.0 + 2.0 * np.sum((1.0 - j / n_segments) * rho)))
+
+
+def _records(force: Any, response: Any) -> tuple[FloatArray, FloatArray]:
+    """Return the forces (n_records, n_samples) and the responses (n_records, n_frfs, n_samples)."""
+    f, x = np.asarray(force, dtype=float), np.asarray(response, dtype=float)
+    if f.ndim not in (1, 2) or f.size == 0:
+        raise ArgumentError("force", "must have shape (n_samples,) or (n_records, n_samples)", f.shape)
+    if x.ndim != f.ndim + 1 or x.shape[-1] != f.shape[-1] or x.shape[:-2] != f.shape[:-1] or x.size == 0:
+        shape = ", ".join([str(f.shape[0])] * (f.ndim - 1) + ["n_frfs", str(f.shape[-1])])
+        raise ArgumentError("response", f"must have shape ({shape})", x.shape)
+    for name, array in (("force", f), ("response", x)):
+        if not np.all(np.isfinite(array)):
+            raise ArgumentError(name, "must be finite; cut the record where a sensor failed", "NaN or infinity")
+    if not np.any(f):
+        raise ArgumentError("force", "must not be zero at every sample", "0")
+    return (f[None], x[None]) if f.ndim == 1 else (f, x)

@@ -1,0 +1,248 @@
+"""Resonances of measured frequency response functions, from the complex mode indicator function (CMIF)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fmu.posterior.data.frf.checks import ComplexArray
+from fmu.types import BoolArray, Dof, FloatArray
+
+PROMINENCE = 2.0
+"""Smallest ratio of a peak to the higher of the valleys beside it."""
+_NOISE = 6.0
+"""Smallest height of a peak above that valley, in standard deviations of the noise."""
+_NEAR = 0.3
+"""Share of a peak's height down to which lines belong to the resonance."""
+_OF_LARGEST = 0.25
+"""Smallest share that the second singular value must have of the first at a second mode."""
+_WIDTHS = 3.0
+"""Number of half bandwidths within which two peaks of one shape are of one mode."""
+_MOST_LINES = 60
+"""Largest number of lines on each side of a peak in a fit."""
+_RESIDUAL_FROM = 9
+"""Smallest number of lines in a fit that has terms of the other modes."""
+_NEIGHBOURS = 31
+"""Number of lines over which noise is estimated where no standard deviation is known."""
+
+
+class Peaks(NamedTuple):
+    """Resonances in ascending order.
+
+    Attributes
+    ----------
+    frequencies_hz : ndarray, shape (m,)
+    damping : ndarray, shape (m,)
+        Damping ratios; NaN where the lines are too few.
+    """
+
+    frequencies_hz: FloatArray
+    damping: FloatArray
+
+
+class Spectra(NamedTuple):
+    """What the search for resonances and the doubts need of measured FRFs.
+
+    Attributes
+    ----------
+    frequencies_hz : ndarray, shape (n_lines,)
+    receptance : ndarray of complex, shape (n_frfs, n_lines)
+        NaN where there is no value.
+    sd : ndarray, shape (n_frfs, n_lines), optional
+        Standard deviation of the real and of the imaginary part of the receptance.
+    used : ndarray of bool, shape (n_frfs, n_lines)
+    drives, responses : tuple of (place, direction)
+        Of each FRF.
+    labels : tuple of str
+        Of each FRF.
+    """
+
+    frequencies_hz: FloatArray
+    receptance: ComplexArray
+    sd: FloatArray | None
+    used: BoolArray
+    drives: tuple[Dof, ...]
+    responses: tuple[Dof, ...]
+    labels: tuple[str, ...]
+
+    @property
+    def n_frfs(self) -> int:
+        """Number of FRFs."""
+        return len(self.drives)
+
+    @property
+    def at_drive(self) -> BoolArray:
+        """Whether the response of each FRF is at its drive and along it, shape (n_frfs,)."""
+        return np.array([response == drive for response, drive in self.axes])
+
+    @property
+    def omega(self) -> FloatArray:
+        """Angular frequencies, rad/s, shape (n_lines,)."""
+        return 2.0 * np.pi * self.frequencies_hz
+
+    @property
+    def signs(self) -> FloatArray:
+        """-1 for each FRF of which one direction has a minus, else 1, shape (n_frfs, 1)."""
+        minus = [
+            drive[1].startswith("-") != response[1].startswith("-")
+            for drive, response in zip(self.drives, self.responses, strict=True)
+        ]
+        return np.where(minus, -1.0, 1.0)[:, None]
+
+    @property
+    def axes(self) -> list[tuple[Dof, Dof]]:
+        """The response and the drive of each FRF, without the minus of a direction."""
+        return [
+            ((response[0], response[1].removeprefix("-")), (drive[0], drive[1].removeprefix("-")))
+            for drive, response in zip(self.drives, self.responses, strict=True)
+        ]
+
+
+class _Peak(NamedTuple):
+    """A resonance: log prominence, angular frequency, damping ratio, and the shape at the responses."""
+
+    prominence: float
+    omega: float
+    damping: float
+    shape: ComplexArray
+
+    def is_same(self, other: _Peak) -> bool:
+        """Return True if another peak is near and has a similar shape, so that it is of the same mode."""
+        wide = _WIDTHS * np.nan_to_num(max(self.damping, other.damping)) * self.omega
+        return bool(abs(self.omega - other.omega) < wide and abs(np.vdot(self.shape, other.shape)) ** 2 > 0.5)
+
+
+def pick_peaks(spectra: Spectra, n: int | None = None) -> Peaks:
+    """Return the resonances at the peaks of the complex mode indicator function.
+
+    The CMIF is the singular values of the matrix of mobilities (responses × drives) at each line (Shih, Tsuei,
+    Allemang & Brown 1988, Mechanical Systems and Signal Processing 2, 367). A peak of the largest one must be
+    twice as high as the valley beside it and stand out of the noise. A peak of another one is a second mode near
+    the first if it is not much smaller, and has another shape and a resonance of its own; elsewhere it is where
+    two modes change places. Where some FRFs of the matrix were not measured, the root of the sum of the squares of
+    all FRFs takes the place of the CMIF, and two modes within a half-power bandwidth are one peak.
+
+    The singular vectors of a peak combine the FRFs into one with one mode; a rational function of order two,
+    fitted to the lines near the peak, gives frequency and damping. The half-power bandwidth takes its place where
+    the fit fails.
+
+    Parameters
+    ----------
+    spectra : Spectra
+    n : int, optional
+        Largest number of resonances; those of the most prominent peaks are kept.
+    """
+    from scipy.signal import find_peaks
+
+    omega = spectra.omega
+    mobility = 1j * omega * _filled(spectra) * spectra.signs
+    matrix = _matrix(mobility, spectra.axes)
+    left, values, right = np.linalg.svd(matrix, full_matrices=False)
+    noise = _noise(spectra, mobility)
+    used = spectra.used.any(axis=0)
+    found: list[_Peak] = []
+    for k, curve in enumerate(values.T if len(omega) > 2 else []):
+        at, of = find_peaks(np.log(np.maximum(curve, np.finfo(float).tiny)), prominence=np.log(PROMINENCE))
+        for i, prominence in zip(at.tolist(), of["prominences"].tolist(), strict=True):
+            stands_out = curve[i] * (1.0 - np.exp(-prominence)) > _NOISE * noise[i]
+            if not (used[i] and stands_out and curve[i] >= _OF_LARGEST * values[i, 0]):
+                continue
+            near, shape = lines_near(curve, i), left[i, :, k]
+            one = np.einsum("r,lrd,d->l", shape.conj(), matrix[near], right[i, k].conj()) / (1j * omega[near])
+            fitted = _fit(omega[near], one)
+            if k == 0:
+                damping = _half_power(omega[near], curve[near])
+                found.append(_Peak(prominence, *(fitted or (float(omega[i]), damping)), shape))
+            elif fitted and omega[max(i - 2, 0)] <= fitted[0] <= omega[min(i + 2, len(omega) - 1)]:
+                second = _Peak(prominence, *fitted, shape)
+                found += [] if any(second.is_same(other) for other in found) else [second]
+    kept = sorted(sorted(found, key=lambda peak: -peak.prominence)[:n], key=lambda peak: peak.omega)
+    frequencies = np.array([peak.omega for peak in kept]) / (2.0 * np.pi)
+    return Peaks(frequencies, np.array([peak.damping for peak in kept]))
+
+
+def _filled(spectra: Spectra) -> ComplexArray:
+    """Return the receptances with missing values interpolated between the lines beside them."""
+    filled = spectra.receptance.copy()
+    for row in filled:
+        missing = np.isnan(row)
+        if missing.any():
+            row[missing] = np.interp(
+                spectra.frequencies_hz[missing], spectra.frequencies_hz[~missing], row[~missing]
+            )
+    return filled
+
+
+def _matrix(mobility: ComplexArray, axes: list[tuple[Dof, Dof]]) -> ComplexArray:
+    """Return the FRFs as matrices (n_lines, n_responses, n_drives); one column of all FRFs if some are missing."""
+    responses, drives = (list(dict.fromkeys(column)) for column in zip(*axes, strict=True))
+    if len(set(axes)) < len(responses) * len(drives) or len(axes) > len(set(axes)):
+        return np.ascontiguousarray(mobility.T)[:, :, None]
+    matrix = np.empty((mobility.shape[1], len(responses), len(drives)), dtype=complex)
+    for row, (response, drive) in zip(mobility, axes, strict=True):
+        matrix[:, responses.index(response), drives.index(drive)] = row
+    return matrix
+
+
+def _noise(spectra: Spectra, mobility: ComplexArray) -> FloatArray:
+    """Return the root mean square over the FRFs of the standard deviation of the mobility, shape (n_lines,).
+
+    Where it is not known, it is the running median of the second differences over the lines.
+    """
+    from scipy.ndimage import median_filter
+
+    if spectra.sd is not None:
+        sd = np.where(np.isfinite(spectra.sd), spectra.sd, 0.0) * spectra.omega
+        return np.asarray(np.sqrt(np.mean(sd**2, axis=0)))
+    n = mobility.shape[1]
+    if n < _NEIGHBOURS:
+        return np.zeros(n)
+    bend = np.mean(np.abs(np.diff(mobility, 2, axis=1)) ** 2, axis=0) / 12.0
+    return np.sqrt(np.pad(median_filter(bend, _NEIGHBOURS), 1, mode="edge"))
+
+
+def lines_near(curve: FloatArray, i: int) -> slice:
+    """Return the lines around the peak at line i, down to `_NEAR` of its height or to the next valley."""
+    ends = []
+    for side in (curve[i::-1], curve[i:]):
+        side = side[: _MOST_LINES + 1]
+        low = np.flatnonzero(side < _NEAR * side[0])
+        end = int(low[0]) + 1 if len(low) else len(side)
+        ends.append(min(max(end, 4), len(side)))
+    return slice(i - ends[0] + 1, i + ends[1])
+
+
+def _fit(omega: FloatArray, h: ComplexArray) -> tuple[float, float] | None:
+    """Return the angular frequency and the damping ratio of a receptance with one mode; None if the fit fails.
+
+    h (k − x² + i c x) = p_0 + p_1 x + p_2 x² with x = ω/ω_0 is linear in the real k and c and the complex p;
+    p_1 and p_2 stand for the other modes and are left out where lines are few.
+    """
+    at, scale = omega[len(omega) // 2], np.abs(h).max()
+    x, g = omega / at, h / scale
+    powers = [x**j for j in range(3 if len(x) >= _RESIDUAL_FROM else 1)]
+    terms = np.stack([g, 1j * x * g, *(-power for power in powers), *(-1j * power for power in powers)], axis=1)
+    right = x**2 * g
+    k, c = np.linalg.lstsq(np.concatenate([terms.real, terms.imag]), np.concatenate([right.real, right.imag]))[0][
+        :2
+    ]
+    if k > 0.0 and 0.0 < c < 1.0 and x[0] <= np.sqrt(k) <= x[-1]:
+        return float(at * np.sqrt(k)), float(c / (2.0 * np.sqrt(k)))
+    return None
+
+
+def _half_power(omega: FloatArray, height: FloatArray) -> float:
+    """Return the damping ratio (ω_2 − ω_1)/(2 ω_r) by the lines where the height is 1/√2 of its peak, or NaN."""
+    i = int(np.argmax(height))
+    level = height[i] / np.sqrt(2.0)
+    ends = []
+    for direction in (-1, 1):
+        side = np.arange(i, -1 if direction < 0 else len(height), direction)
+        low = np.flatnonzero(height[side] < level)
+        if not len(low):
+            return float("nan")
+        inner, outer = side[low[0] - 1], side[low[0]]
+        part = (height[inner] - level) / (height[inner] - height[outer])
+        ends.append(omega[inner] + part * (omega[outer] - omega[inner]))
+    return float((ends[1] - ends[0]) / (2.0 * omega[i]))

@@ -1,0 +1,400 @@
+"""Measured frequency response functions (FRFs) and their uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Annotated, Any, Literal, NamedTuple, Self
+
+import numpy as np
+from annotated_types import Gt, Interval
+from numpy.typing import ArrayLike
+
+from fmu.arguments import ArgumentError, Count, OwnRule, check_arguments, shown
+from fmu.durable_files import digest
+from fmu.numbers import given, whole
+from fmu.posterior.data.frf.checks import (
+    ComplexArray,
+    check_rows,
+    checked_bools,
+    checked_coherence,
+    checked_dofs,
+    checked_frequencies,
+    checked_sd,
+    checked_values,
+)
+from fmu.posterior.data.frf.doubts import KINDS, doubts
+from fmu.posterior.data.frf.estimates import Estimator, average_hits, estimate_frfs
+from fmu.posterior.data.frf.peaks import Peaks, Spectra, pick_peaks
+from fmu.types import BoolArray, FloatArray, Plain
+
+FRFKind = Literal["receptance", "mobility", "accelerance", "dynamic-stiffness"]
+
+
+class Receptance(NamedTuple):
+    """Receptances (n_frfs, n_lines) in m/N, and their standard deviations of the same shape if they are known."""
+
+    values: ComplexArray
+    sd: FloatArray | None
+
+
+@check_arguments
+@dataclass(frozen=True, eq=False)
+class FRFData:
+    """The frequency response functions (FRFs) measured in a test, and their uncertainty.
+
+    An FRF is the response at one point divided by the force at another, at each line (frequency) of a spectrum.
+    Units are SI: m/N, m/s/N or m/s²/N; rotations are in rad, moments in N·m.
+
+    Attributes
+    ----------
+    frequencies_hz : ndarray, shape (n_lines,)
+        Frequencies of the lines, ascending, evenly spaced or not. A line at 0 Hz is dropped.
+    values : ndarray of complex, shape (n_frfs, n_lines)
+        One FRF per row. NaN and 0 are no values: such lines of an FRF are not used.
+    drives : tuple of (place, direction)
+        Node, and direction x, y, z, rx, ry or rz with or without a minus, of the force of each FRF.
+    responses : tuple of (place, direction)
+        Node and direction of the response of each FRF.
+    kind : {"receptance", "mobility", "accelerance", "dynamic-stiffness"}
+        Displacement, velocity or acceleration per force; or force per displacement. A dynamic stiffness is
+        converted at once to its reciprocal, the receptance. This is right for the quotient of one force and one
+        response, with no other force applied; it is wrong for an entry of the inverse of a matrix of receptances.
+    sd : ndarray, shape (n_frfs, n_lines), optional
+        Standard deviation of the real part and of the imaginary part, each, in the unit of `values`. A scalar
+        applies to all values, one number per FRF with shape (n_frfs, 1) to all lines of the FRF. NaN and 0 are no
+        values.
+    coherence : ndarray, shape (n_frfs, n_lines), optional
+        Ordinary coherence γ², from 0 to 1. With `averages` it gives the standard deviations where `sd` is not
+        given: |H| √((1 − γ²)/(2 γ² n)) of the real and the imaginary part (Bendat & Piersol 2010, *Random Data*,
+        4th ed., section 9.2.4).
+    averages : float, optional
+        Number n of independent averages behind the coherence.
+    use : ndarray of bool, shape (n_lines,) or (n_frfs, n_lines), optional
+        The lines to use in updating; all lines by default. The others validate the updated model.
+    band : (float, float), optional
+        Lowest and highest frequency to use, Hz.
+    hits : int, optional
+        Number of repeated hits whose scatter gave `sd`, see `from_hits`.
+    notes : tuple of str
+        Sentences on what was converted, dropped or not used.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ, the frequencies do not ascend, an FRF has no values, two FRFs have the same points,
+        an sd is negative, a coherence is not from 0 to 1 or has no `averages`, or no line is used.
+    """
+
+    frequencies_hz: ArrayLike
+    values: Annotated[ArrayLike, OwnRule()]
+    drives: tuple[tuple[Any, str], ...]
+    responses: tuple[tuple[Any, str], ...]
+    kind: FRFKind = "accelerance"
+    sd: ArrayLike | None = None
+    coherence: ArrayLike | None = None
+    averages: Annotated[float, Gt(1.0)] | None = None
+    use: Annotated[ArrayLike | None, OwnRule()] = None
+    band: tuple[float, float] | None = None
+    hits: Count | None = None
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        frequencies = checked_frequencies(self.frequencies_hz)
+        n = len(frequencies)
+        values = checked_values(self.values, n)
+        shape = values.shape
+        drives = checked_dofs("drives", self.drives, shape[0])
+        responses = checked_dofs("responses", self.responses, shape[0])
+        sd = None if self.sd is None else checked_sd(self.sd, shape)
+        coherence = None if self.coherence is None else checked_coherence(self.coherence, shape)
+        if (coherence is None) != (self.averages is None):
+            name, other = ("averages", "coherence") if self.averages is None else ("coherence", "averages")
+            raise ArgumentError(name, f"must be given together with {other}", "None")
+        use = None if self.use is None else checked_bools("use", self.use, shape)
+        notes = list(self.notes)
+        kept = frequencies > 0.0
+        if not kept.all():
+            notes.append("The line at 0 Hz is dropped: an FRF has no resonance there, and sensors drift.")
+        if self.kind == "dynamic-stiffness":
+            with np.errstate(divide="ignore", invalid="ignore"):
+                sd = None if sd is None else sd / np.abs(values) ** 2
+                values = 1.0 / values
+            notes.append("The dynamic stiffness of each FRF was converted to its reciprocal, the receptance.")
+            object.__setattr__(self, "kind", "receptance")
+        missing = ~np.isfinite(values) | (values == 0.0)
+        arrays = {"frequencies_hz": frequencies, "values": np.where(missing, np.nan, values), "sd": sd}
+        arrays |= {"coherence": coherence, "use": use}
+        for name, array in arrays.items():
+            if array is not None:
+                array = np.array(array[..., kept])
+                array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        object.__setattr__(self, "drives", drives)
+        object.__setattr__(self, "responses", responses)
+        self._check_lines(notes)
+        object.__setattr__(self, "notes", tuple(dict.fromkeys(notes)))
+
+    def _check_lines(self, notes: list[str]) -> None:
+        """Append to `notes` the number of lines without values; ValueError if an FRF has none, or none is used."""
+        missing = np.isnan(np.asarray(self.values))
+        notes += check_rows(self.labels, missing)
+        if self.band is not None and not 0.0 <= self.band[0] < self.band[1]:
+            raise ArgumentError("band", "must have a lower frequency below its upper one", shown(self.band))
+        chosen = self._chosen & ~missing
+        if not chosen.any():
+            low, high = map(given, np.asarray(self.frequencies_hz)[[0, -1]])
+            name = "use" if self.band is None else "band"
+            raise ArgumentError(name, "must leave a line with a value", "none", f"; lines are {low} to {high} Hz")
+        without = int(np.sum(chosen & ~self.used))
+        if without == chosen.sum():
+            name, value = ("sd", "0 or NaN") if self.sd is not None else ("coherence", "0, 1 or NaN")
+            raise ArgumentError(name, "must give a standard deviation above 0 at a line that is used", value)
+        if without:
+            why = "has no standard deviation" if self.sd is not None else "has a coherence of 0, 1 or NaN"
+            notes.append(f"{whole(without)} of {whole(missing.size)} values are not used: each {why}.")
+
+    @classmethod
+    @check_arguments
+    def from_hits(
+        cls,
+        frequencies_hz: ArrayLike,
+        values: Annotated[ArrayLike, OwnRule()],
+        drives: tuple[tuple[Any, str], ...],
+        responses: tuple[tuple[Any, str], ...],
+        kind: FRFKind = "accelerance",
+        **options: Any,
+    ) -> Self:
+        """Return the mean of the FRFs of repeated hits, with its standard deviation from their scatter.
+
+        With n hits at a line, s² = Σ |H_j − mean|²/(2 (n − 1)) is the variance of the real part and of the
+        imaginary part of one hit; `sd` is s/√n, and has 2 (n − 1) degrees of freedom (`freedom`). The error of the
+        mean divided by this `sd` has Student's distribution, not a Gaussian one: of 20 errors taken for Gaussian,
+        one should exceed 1.96 sd; of 3 hits 2.4 do, of 5 hits 1.7, of 10 hits 1.3. Ten hits or more are safe.
+
+        Parameters
+        ----------
+        frequencies_hz : array_like, shape (n_lines,)
+        values : array_like of complex, shape (n_hits, n_frfs, n_lines)
+            One FRF per hit; NaN where a hit failed. A line needs the values of at least two hits.
+        drives, responses, kind
+            The attributes of the class with these names.
+        **options
+            ``use``, ``band`` and ``notes`` of the class.
+
+        Raises
+        ------
+        ValueError
+            If there are fewer than two hits, or the arguments of the class are invalid.
+        """
+        mean, sd, hits = average_hits(values, kind == "dynamic-stiffness")
+        kind = "receptance" if kind == "dynamic-stiffness" else kind
+        return cls(frequencies_hz, mean, drives, responses, kind, sd, hits=hits, **options)
+
+    @classmethod
+    @check_arguments
+    def from_records(
+        cls,
+        force: ArrayLike,
+        response: ArrayLike,
+        sampling_hz: Annotated[float, Interval(gt=0.0, le=1e9)],
+        drives: tuple[tuple[Any, str], ...],
+        responses: tuple[tuple[Any, str], ...],
+        kind: FRFKind = "accelerance",
+        *,
+        estimator: Estimator = "H1",
+        window: str = "hann",
+        segment: Count | None = None,
+        overlap: Annotated[float, Interval(ge=0.0, lt=1.0)] = 0.5,
+        **options: Any,
+    ) -> Self:
+        """Return FRFs estimated from time records of one force and the responses to it.
+
+        The spectra are Welch's, by `scipy.signal`. H1 = S_fx/S_ff is right where the noise is in the responses,
+        H2 = S_xx/S_xf where it is in the force. The coherence gives the standard deviations. Segments that
+        overlap are correlated: `averages` is the number of independent segments with the same variance (Welch
+        1967, IEEE Transactions on Audio and Electroacoustics 15, 70).
+
+        A segment must be several times longer than the structure's decay 1/(2π ζ f); otherwise leakage makes the
+        resonances too low and too wide, and the coherence shows only part of this bias.
+
+        Parameters
+        ----------
+        force : array_like, shape (n_samples,) or (n_records, n_samples)
+            One long record, N; or one record per hit, from before the hit until the response has decayed.
+        response : array_like, shape (n_frfs, n_samples) or (n_records, n_frfs, n_samples)
+            Displacements (m), velocities (m/s) or accelerations (m/s²), as `kind` says.
+        sampling_hz : float
+            Sampling frequency.
+        drives, responses, kind
+            The attributes of the class; all drives are the same.
+        estimator : {"H1", "H2"}
+        window : str
+            Window of each segment, a name in `scipy.signal.get_window`; "boxcar" for the records of hits.
+        segment : int, optional
+            Number of samples per segment. By default an eighth of a long record, or the whole record of a hit.
+        overlap : float
+            Share of a segment that the next one overlaps, from 0 to less than 1.
+        **options
+            ``use``, ``band`` and ``notes`` of the class.
+
+        Raises
+        ------
+        ValueError
+            If the shapes differ, a record is shorter than a segment or not finite, or there are fewer than two
+            averages.
+        """
+        if kind == "dynamic-stiffness":
+            raise ArgumentError("kind", 'must be "receptance", "mobility" or "accelerance"', repr(kind))
+        if len(set(drives)) > 1:
+            raise ArgumentError("drives", "must be the same for all FRFs of one force", shown(drives))
+        found = estimate_frfs(force, response, sampling_hz, estimator, window, segment, overlap)
+        options = dict[str, Any](coherence=found.coherence, averages=found.averages) | options
+        return cls(found.frequencies_hz, found.values, drives, responses, kind, **options)
+
+    @property
+    def power(self) -> int:
+        """Power of iω by which receptances are multiplied: 0, 1 for mobilities, 2 for accelerances."""
+        return KINDS.index(self.kind)
+
+    @property
+    def n_frfs(self) -> int:
+        """Number of FRFs."""
+        return len(self.drives)
+
+    @property
+    def n_lines(self) -> int:
+        """Number of lines."""
+        return len(np.asarray(self.frequencies_hz))
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The response and the drive of each FRF: ``"tip z / root y"``."""
+        pairs = zip(self.responses, self.drives, strict=True)
+        return tuple(f"{response[0]} {response[1]} / {drive[0]} {drive[1]}" for response, drive in pairs)
+
+    @cached_property
+    def used(self) -> BoolArray:
+        """Whether each value is used, shape (n_frfs, n_lines): in `use` and `band`, with a value and an sd > 0."""
+        there = self._chosen & np.isfinite(np.asarray(self.values))
+        sd = self._sd
+        return there if sd is None else np.asarray(there & np.isfinite(sd) & (sd > 0.0))
+
+    @property
+    def standard_deviation(self) -> FloatArray:
+        """Standard deviation of the real and the imaginary part, each, shape (n_frfs, n_lines), SI units.
+
+        Raises
+        ------
+        ValueError
+            If neither `sd` nor `coherence` was given.
+        """
+        if self._sd is None:
+            advice = "; give coherence and averages instead, use FRFData.from_hits, or infer the sd"
+            raise ArgumentError("sd", "must be known", "None", advice)
+        return self._sd
+
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom of each standard deviation; infinite if `sd` was given without `hits`."""
+        if self.hits is not None:
+            return 2.0 * (self.hits - 1)
+        return 2.0 * (self.averages - 1.0) if self.sd is None and self.averages is not None else np.inf
+
+    @cached_property
+    def _chosen(self) -> BoolArray:
+        """Whether each value is in `use` and `band`, shape (n_frfs, n_lines)."""
+        chosen = np.ones((self.n_frfs, self.n_lines), dtype=bool)
+        if self.use is not None:
+            chosen &= np.asarray(self.use)
+        return chosen if self.band is None else chosen & self._within([self.band])
+
+    @property
+    def _spectra(self) -> Spectra:
+        values, sd = self.as_receptance()
+        frequencies = np.asarray(self.frequencies_hz)
+        return Spectra(frequencies, values, sd, self.used, self.drives, self.responses, self.labels)
+
+    @cached_property
+    def _sd(self) -> FloatArray | None:
+        if self.sd is not None or self.coherence is None or self.averages is None:
+            return None if self.sd is None else np.asarray(self.sd)
+        coherence = np.asarray(self.coherence)
+        with np.errstate(divide="ignore"):
+            relative = np.sqrt((1.0 - coherence) / (2.0 * coherence * self.averages))
+        return np.asarray(np.abs(np.asarray(self.values)) * relative)
+
+    def _within(self, bands: Sequence[tuple[float, float]]) -> BoolArray:
+        f = np.asarray(self.frequencies_hz)
+        return np.asarray(np.any([(low <= f) & (f <= high) for low, high in bands], axis=0))
+
+    @check_arguments
+    def with_bands(self, bands: Sequence[tuple[float, float]]) -> Self:
+        """Return the same FRFs, of whose used lines only those in one of the bands (low, high), Hz, are used.
+
+        Raises
+        ------
+        ValueError
+            If no line is left.
+        """
+        if len(bands) == 0:
+            raise ArgumentError("bands", "must have a band (low, high)", "none")
+        return replace(self, use=self._chosen & self._within(bands), band=None)
+
+    @check_arguments
+    def without_lines(self, mask: Annotated[ArrayLike, OwnRule()]) -> Self:
+        """Return the same FRFs without the lines where `mask`, (n_lines,) or (n_frfs, n_lines), is true.
+
+        Raises
+        ------
+        ValueError
+            If `mask` has another shape or is not of True and False, or no line is left.
+        """
+        left_out = checked_bools("mask", mask, (self.n_frfs, self.n_lines))
+        return replace(self, use=self._chosen & ~left_out, band=None)
+
+    def as_receptance(self) -> Receptance:
+        """Return the receptances, H/(iω)^k with k = 1 for mobilities and 2 for accelerances, and their sd."""
+        omega = 2.0 * np.pi * np.asarray(self.frequencies_hz)
+        values = np.asarray(self.values) / (1j * omega) ** self.power
+        return Receptance(values, None if self._sd is None else self._sd / omega**self.power)
+
+    @check_arguments
+    def pick_frequencies(self, n: Count | None = None) -> Peaks:
+        """Return the frequencies (m,) in Hz and the damping ratios (m,) of the resonances, ascending.
+
+        The resonances are the peaks of the complex mode indicator function; see
+        `fmu.posterior.data.frf.peaks.pick_peaks`. They are starting values for updating, not data.
+
+        Parameters
+        ----------
+        n : int, optional
+            Largest number of resonances; those of the most prominent peaks are kept.
+        """
+        return pick_peaks(self._spectra, n)
+
+    def doubts(self) -> tuple[str, ...]:
+        """Return sentences on signs that the FRFs are not what they are said to be.
+
+        The signs are a slope or a phase that belongs to another kind of FRF, reciprocal FRFs that differ, a
+        driving point that gives energy back, and standard deviations from few hits; see
+        `fmu.posterior.data.frf.doubts`.
+        """
+        return doubts(self._spectra, self.power, self.freedom)
+
+    def as_dict(self) -> dict[str, Plain]:
+        """Return a dict of the settings in plain Python types, with a hash of the numbers."""
+        frequencies = np.asarray(self.frequencies_hz)
+        arrays = [frequencies, np.asarray(self.values), self.used]
+        arrays += [] if self._sd is None else [self._sd]
+        return {
+            "kind": self.kind,
+            "drives": [list(drive) for drive in self.drives],
+            "responses": [list(response) for response in self.responses],
+            "n_lines": self.n_lines,
+            "n_used": int(self.used.sum()),
+            "frequencies_hz": [float(frequencies[0]), float(frequencies[-1])],
+            "freedom": None if np.isinf(self.freedom) else float(self.freedom),
+            "sha256": digest(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)),
+        }
