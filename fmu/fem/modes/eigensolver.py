@@ -31,6 +31,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
 
 from fmu.fem.modes.solver import Factor, Matrix, factorise
+from fmu.fem.modes.stacks import WIDE, rayleigh_quotients
 from fmu.types import BoolArray, FloatArray
 
 # Up to this size LAPACK on dense matrices is faster than a sparse factorisation with Lanczos iterations.
@@ -42,9 +43,6 @@ ZERO = 2e-14
 # the matrix was exported with ten digits.
 NEGATIVE = 1e-8
 _AT_ONCE = 12
-# Modes with λ above this multiple of the lowest λ are improved by a separate Ritz problem, because the error of
-# the inverse problem is relative to the lowest mode.
-_WIDE = 1e4
 # Largest energy of a motion without strain, in units of the rounding error of the terms that cancel in it. Values
 # up to 1.1 were observed in frames, shells and solids.
 _STRAINED = 10.0
@@ -249,18 +247,14 @@ def _polish(
 ) -> tuple[FloatArray, FloatArray]:
     """Return Rayleigh quotients and mass-normalised vectors of a space that is given lowest mode first.
 
-    The error of a Rayleigh quotient is the square of the vector's error. The inverse problem gives high modes less
-    accurately; these are replaced by the Ritz vectors of the space that they span.
+    The inverse problem gives high modes less accurately; these are replaced by the Ritz vectors of the space that
+    they span.
     """
-    for _ in range(2):  # Cholesky–QR in the inner product of M, twice against rounding
-        X = elastic(X)
-        X = X / np.sqrt(np.sum(X * (M @ X), axis=0))
-        X = np.linalg.solve(np.linalg.cholesky(X.T @ (M @ X)), X.T).T
-    lam = np.sum(X * (S @ X), axis=0)
+    lam, X = rayleigh_quotients(S, M, X, elastic)
     if not np.all(np.isfinite(lam)):
         raise np.linalg.LinAlgError("the eigenvalues overflow")
     first = 0
-    while (wide := first + int(np.sum(np.abs(lam[first:]) <= _WIDE * np.abs(lam[first])))) < len(lam):
+    while (wide := first + int(np.sum(np.abs(lam[first:]) <= WIDE * np.abs(lam[first])))) < len(lam):
         Y = X[:, wide:]
         A = Y.T @ (S @ Y)
         lam[wide:], U = np.linalg.eigh(0.5 * (A + A.T))

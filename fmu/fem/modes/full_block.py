@@ -15,11 +15,13 @@ from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, eigen, ran
 from fmu.fem.modes.modal import BlockModel
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.solver import Matrix
+from fmu.fem.modes.stacks import SMALL, assemble, lowest_modes
 from fmu.fem.modes.terms import Term, WeightedSum, coefficient_gradients, weighted_sum
-from fmu.types import FloatArray, IntArray
+from fmu.types import BoolArray, FloatArray, IntArray
 
 # Up to this size a dense solve for the derivatives of a shape takes less time than a sparse solve.
 _DENSE_SLOPES = 128
+_RECOMPUTED = ("_sums", "_stacks")
 
 
 def full_model(model: SeparableModel) -> BlockModel[FullBlock]:
@@ -59,12 +61,18 @@ class FullBlock(Block):
 
     def __getstate__(self) -> dict[str, object]:
         """Return the state for pickling, without data that are recomputed on demand."""
-        return {name: value for name, value in self.__dict__.items() if name != "_sums"} | {"_last": None}
+        return {name: value for name, value in self.__dict__.items() if name not in _RECOMPUTED} | {"_last": None}
 
     @cached_property
     def _sums(self) -> tuple[WeightedSum, WeightedSum]:
         dense = self.size <= DENSE_LIMIT
         return WeightedSum(self.K_terms, dense), WeightedSum(self.M_terms, dense)
+
+    @cached_property
+    def _stacks(self) -> tuple[FloatArray, FloatArray]:
+        """The terms of K and of M of a small block, each an array of shape (n_terms, size, size)."""
+        K, M = (np.stack([term.matrix.toarray() for term in terms]) for terms in (self.K_terms, self.M_terms))
+        return K, M
 
     def _matrices(self, theta: FloatArray) -> Iterator[tuple[Matrix, Matrix]]:
         """Yield K and M at each theta (n, n_parameters) in turn."""
@@ -100,7 +108,10 @@ class FullBlock(Block):
         if count == 0:
             return lam, phi
         has_rank_of_all = np.all(self._M_map(theta) > 0, axis=1)
-        for i, (K, M) in enumerate(self._matrices(theta)):
+        if self.size <= SMALL:
+            self._solve_together(theta, has_rank_of_all, lam, phi)
+        alone = np.flatnonzero(np.isnan(lam[:, 0]))
+        for i, (K, M) in zip(alone, self._matrices(theta[alone]), strict=True):
             if not (_is_finite(K) and _is_finite(M)):
                 continue
             try:
@@ -108,6 +119,17 @@ class FullBlock(Block):
             except SingularMassError:
                 continue
         return lam, phi
+
+    def _solve_together(
+        self, theta: FloatArray, has_rank_of_all: BoolArray, lam: FloatArray, phi: FloatArray
+    ) -> None:
+        """Write the modes at each theta that one batch of small problems gives into `lam` and `phi`."""
+        maps = zip(self._stacks, (self._K_map, self._M_map), strict=True)
+        K, M = (assemble(terms, coefficient(theta)) for terms, coefficient in maps)
+        finite = np.isfinite(K).all(axis=(1, 2)) & np.isfinite(M).all(axis=(1, 2))
+        rows = np.flatnonzero(finite & has_rank_of_all & self._has_semidefinite_masses)
+        if len(rows) and lam.shape[1] <= self._rank(M[rows[0]], is_that_of_all=True):
+            lam[rows], phi[rows] = lowest_modes(K[rows], M[rows], lam.shape[1])
 
     @cached_property
     def _has_semidefinite_masses(self) -> bool:
@@ -152,7 +174,10 @@ class FullBlock(Block):
         return Mapped(rows.toarray()), reference
 
     def _forms(self, phi: FloatArray, of_mass: bool, left: FloatArray | None = None) -> FloatArray:
-        terms, left = self.M_terms if of_mass else self.K_terms, phi if left is None else left
+        left = phi if left is None else left
+        if self.size <= SMALL:
+            return np.sum(left[:, None] * (self._stacks[of_mass] @ phi[:, None]), axis=2)
+        terms = self.M_terms if of_mass else self.K_terms
         pairs = list(zip(left, phi, strict=True))
         return np.stack(
             [np.stack([np.sum(one * (term.matrix @ shape), axis=0) for one, shape in pairs]) for term in terms],

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, ClassVar, Literal, Self
 
@@ -25,6 +24,7 @@ from fmu.fem.modes.block import Block, Mapped, Observation
 from fmu.fem.modes.derivatives import CLOSE, by_all_modes, by_bordered_matrices
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import BlockModel
+from fmu.fem.modes.stacks import assemble, row_by_row
 from fmu.fem.modes.terms import CoefficientMap, Term
 from fmu.types import FloatArray
 
@@ -108,26 +108,26 @@ class ReducedBlock(Block):
         """Return the lowest eigenvalues in (rad/s)², shape (n, count); NaN where the solver fails."""
         if self.massless:
             return self.modes(theta, count)[0]
-        A = _assemble(self._K, self._K_map(theta))
+        A = assemble(self._K, self._K_map(theta))
         # a basis orthonormal in a mass matrix that no parameter changes makes the problem a standard one
         if not self.constant_mass:
-            A = _row_by_row(_whiten, A, _assemble(self._M, self._M_map(theta)))[0]
-        return _row_by_row(_values, A)[0][:, :count]
+            A = row_by_row(_whiten, A, assemble(self._M, self._M_map(theta)))[0]
+        return row_by_row(_values, A)[0][:, :count]
 
     def modes(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues (n, count) and M-normalised shapes (n, r, count) in the basis; NaN on failure."""
-        A = _assemble(self._K, self._K_map(theta))
+        A = assemble(self._K, self._K_map(theta))
         few = self.size >= _PARTIAL and 4 * count <= self.size
         if self.massless:
-            M = _assemble(self._M, self._M_map(theta))
-            lam, phi = _row_by_row(partial(_solve_inverse, count=count if few else None), A, M)
+            M = assemble(self._M, self._M_map(theta))
+            lam, phi = row_by_row(partial(_solve_inverse, count=count if few else None), A, M)
             return lam[:, :count], phi[:, :, :count]
         solve: Any = partial(_lowest, count=count) if few else np.linalg.eigh
         if self.constant_mass:
-            lam, phi = _row_by_row(solve, A)
+            lam, phi = row_by_row(solve, A)
             return lam[:, :count], phi[:, :, :count]
-        A, inverse = _row_by_row(_whiten, A, _assemble(self._M, self._M_map(theta)))
-        lam, y = _row_by_row(solve, A)
+        A, inverse = row_by_row(_whiten, A, assemble(self._M, self._M_map(theta)))
+        lam, y = row_by_row(solve, A)
         return lam[:, :count], np.swapaxes(inverse, 1, 2) @ y[:, :, :count]
 
     def n_required(self, count: int, gradient: bool) -> int:
@@ -176,11 +176,11 @@ class ReducedBlock(Block):
         self, theta: FloatArray, lam: FloatArray, phi: FloatArray, dK: FloatArray, dM: FloatArray
     ) -> FloatArray:
         """Return ∂φ, (n, r, m, q), given ∂K φ and ∂M φ of the same shape for q directions."""
-        K, M = _assemble(self._K, self._K_map(theta)), _assemble(self._M, self._M_map(theta))
+        K, M = assemble(self._K, self._K_map(theta)), assemble(self._M, self._M_map(theta))
         slopes = np.empty(dK.shape)
         for k in range(phi.shape[2]):
             mode = lam[:, k], phi[:, :, k], dK[:, :, k], dM[:, :, k]
-            slopes[:, :, k] = _row_by_row(_solve_bordered, K, M, *mode)[0]
+            slopes[:, :, k] = row_by_row(_solve_bordered, K, M, *mode)[0]
         return slopes
 
     def _slopes(
@@ -254,12 +254,6 @@ def _project_matrix(matrix: sp.csr_array, basis: FloatArray) -> FloatArray:
     return np.asarray(basis[rows].T @ (matrix[rows] @ basis))
 
 
-def _assemble(matrices: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return Σ_k weights[:, k] · matrices[k], shape (n, r, r)."""
-    # einsum without `optimize` adds term by term, so that a result does not depend on the rest of the batch
-    return np.einsum("nk,kij->nij", weights, matrices)
-
-
 def _whiten(K: FloatArray, M: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return L⁻¹ K L⁻ᵀ and L⁻¹, each of shape (n, r, r), with the Cholesky factorisation M = L Lᵀ."""
     inverse = np.linalg.inv(np.linalg.cholesky(M))
@@ -309,21 +303,3 @@ def _lowest(A: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
 
 def _values(A: FloatArray) -> tuple[FloatArray]:
     return (np.linalg.eigvalsh(A),)
-
-
-def _row_by_row(solve: Callable[..., Sequence[FloatArray]], *matrices: FloatArray) -> tuple[FloatArray, ...]:
-    """Return the arrays of a batched solver; if the batch fails, solve each matrix alone, with NaN on failure."""
-    try:
-        return tuple(solve(*matrices))
-    except np.linalg.LinAlgError:
-        rows: list[tuple[FloatArray, ...] | None] = []
-        for i in range(len(matrices[0])):
-            try:
-                rows.append(tuple(solve(*(m[i : i + 1] for m in matrices))))
-            except np.linalg.LinAlgError:
-                rows.append(None)
-        shapes = next((row for row in rows if row is not None), None)
-        if shapes is None:
-            shapes = tuple(solve(*(np.broadcast_to(np.eye(m.shape[-1]), (1, *m.shape[1:])) for m in matrices)))
-        failed = tuple(np.full_like(part, np.nan) for part in shapes)
-        return tuple(np.concatenate(parts) for parts in zip(*(row or failed for row in rows), strict=True))

@@ -14,6 +14,7 @@ TRUTH = np.array([1.1, 0.9])
 SENSORS = ((0, "x"), (2, "x"), (3, "x"))
 MODES = 4
 SIGMA_F, SIGMA_S = 0.01, 0.03
+SLICE = fmu.Slice(scheme="coordinate")  # slices in all directions at once seldom leave a sigma f near 0
 
 
 def storeys():
@@ -82,14 +83,15 @@ def test_maxima_are_found_and_stationary(problem):
 
 @pytest.mark.parametrize(
     "others",
-    [{"slice": 100}, pytest.param({"slice": 300, "mh": 1000, "emcee": 60}, marks=pytest.mark.validate)],
+    [{"slice": 150}, pytest.param({"slice": 300, "mh": 1000, "emcee": 60}, marks=pytest.mark.validate)],
     ids=" and ".join,
 )
 def test_samplers_agree(problem, others):
     """Four parameters, two of them scales: the posteriors of the samplers are one."""
-    settings, maxima = {"hmc": 100} | others, fmu.find_map(problem, 32)
+    settings, maxima = {"hmc": 150} | others, fmu.find_map(problem, 32)
     traces = {
-        n: fmu.sample(problem, n, draws=draws, warmup=200, seed=4, maxima=maxima) for n, draws in settings.items()
+        n: fmu.sample(problem, SLICE if n == "slice" else n, draws=draws, warmup=200, seed=4, maxima=maxima)
+        for n, draws in settings.items()
     }
     tables = {name: fmu.summary(trace) for name, trace in traces.items()}
     for name, table in tables.items():
