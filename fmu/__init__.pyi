@@ -56,6 +56,12 @@ from .posterior.errors.quantities import MassErrors as MassErrors
 from .posterior.errors.quantities import StaticErrors as StaticErrors
 from .posterior.errors.shape import ShapeErrors as ShapeErrors
 from .posterior.errors.student import StudentErrors as StudentErrors
+from .posterior.frf.damping import DampingMatrix as DampingMatrix
+from .posterior.frf.damping import Dashpot as Dashpot
+from .posterior.frf.damping import ModalDamping as ModalDamping
+from .posterior.frf.damping import RayleighDamping as RayleighDamping
+from .posterior.frf.damping import StructuralDamping as StructuralDamping
+from .posterior.frf.errors import FRFErrors as FRFErrors
 from .posterior.joint.joint_problem import JointProblem as JointProblem
 from .posterior.joint.modal_test import Test as Test
 from .posterior.joint.varies.damage import Damage as Damage

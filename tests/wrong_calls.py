@@ -417,6 +417,14 @@ def calls(folder: Path) -> Iterator[Call]:
     yield Call("FRFData.from_records", fmu.FRFData.from_records, frf | {
         "force": np.sin(np.arange(64.0) ** 2), "response": np.arange(64.0)[None], "sampling_hz": 100.0,
         "window": "hann", "segment": 16, "overlap": 0.5})  # fmt: skip
+    yield Call("ModalDamping", fmu.ModalDamping, {"ratios": [0.01, 0.02]})
+    yield Call("RayleighDamping", fmu.RayleighDamping, {"alpha": 0.1, "beta": 1e-4})
+    yield Call("StructuralDamping", fmu.StructuralDamping, {"loss": 0.01, "of": {"k": 0.02}})
+    yield Call("Dashpot", fmu.Dashpot, {"at": (0, "x"), "coefficient": 5.0, "to": (1, "x")})
+    yield Call("DampingMatrix", fmu.DampingMatrix, {"matrix": K, "coefficient": 1.0})
+    yield Call("FRFErrors", fmu.FRFErrors, {
+        "data": fmu.FRFData([5.0, 10.0], [[1j, 2.0]], ((1, "x"),), ((1, "x"),), sd=0.1), "scale": "log",
+        "damping": fmu.ModalDamping(0.01), "model_sd": 0.1, "gain_sd": 0.02, "delay_sd": 1e-4})  # fmt: skip
     yield Call("GibbsSampler", fmu.GibbsSampler, {"step_size": 0.5})
     yield Call("Change", fmu.Change, {"masses": {"a": 1.0}, "springs": {("a", "x"): 1.0}})
     yield Call(
@@ -672,6 +680,7 @@ _ZERO |= {
     "min_distance",
     "overlap",
 }
+_ZERO |= {"ratios", "alpha", "beta", "loss", "coefficient", "model_sd", "gain_sd", "delay_sd"}
 
 
 def may_be_accepted(call: Call, name: str, key: str) -> bool:

@@ -24,6 +24,8 @@ from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.errors.mixture import MixtureLikelihood
 from fmu.posterior.errors.quantities import QuantityErrors
 from fmu.posterior.errors.residual import ModalResidual
+from fmu.posterior.frf.errors import FRFErrors
+from fmu.posterior.frf.likelihood import FRFLikelihood
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.parameters import Parameter
 
@@ -155,8 +157,18 @@ def likelihood_of(
     Notes
     -----
     Errors of a mass or a displacement are added to the errors of the modes. If only errors of masses or
-    displacements are given, the frequencies have their default errors.
+    displacements are given, the frequencies have their default errors. If only errors of frequency response
+    functions are given, the modes take no part in the likelihood: they are paired, and begin the search for
+    maxima.
     """
+    several: Sequence[Any] = error if isinstance(error, Sequence) and not isinstance(error, str) else [error]
+    of_frfs = [one for one in several if isinstance(one, FRFErrors)]
+    if of_frfs:
+        return _likelihood_of_frfs(of_frfs, error, beta, model, paired, data, parameters, discrepancy, layout)
+    if data.used is not None and not len(data.used):
+        raise ArgumentError(
+            "use", "must be true for at least one mode, as there are no other data", list(data.use)
+        )
     if isinstance(error, str) and error not in ERRORS:
         raise ArgumentError("error", f"must be one of {ERRORS}, or error models", repr(error))
     discrepancies = (discrepancy,) if isinstance(discrepancy, Discrepancy) else tuple(discrepancy)
@@ -195,3 +207,38 @@ def likelihood_of(
     if discrepancies:
         return DiscrepantLikelihood(paired, data, errors, quantities, discrepancies, layout)
     return ModalLikelihood(paired, data, errors, quantities)
+
+
+def _likelihood_of_frfs(
+    of_frfs: Sequence[FRFErrors],
+    error: Any,
+    beta: ArrayLike | None,
+    model: Any,
+    paired: ModalModel,
+    data: ModalData,
+    parameters: Sequence[Parameter],
+    discrepancy: Discrepancy | Sequence[Discrepancy],
+    layout: Layout,
+) -> Likelihood:
+    """Return the likelihood of frequency response functions and of the modes that have errors beside them."""
+    if paired.is_soft or not isinstance(model, SeparableModel):
+        got = "soft pairing" if paired.is_soft else type(model).__name__
+        raise ArgumentError("error", "frequency response functions need a SeparableModel, paired one to one", got)
+    if not layout.is_identity or layout.held:
+        got = "several tests" if not layout.held else f"{next(iter(layout.held))} is not updated"
+        raise ArgumentError(
+            "error", "frequency response functions need one test and parameters that are updated", got
+        )
+    if len(of_frfs) > 1:
+        rule = "must have one FRFErrors at most; give all frequency response functions of a test as one FRFData"
+        raise ArgumentError("error", rule, len(of_frfs))
+    others = [] if isinstance(error, FRFErrors) else [one for one in error if one not in of_frfs]
+    of_modes = any(not isinstance(one, QuantityErrors) for one in others)
+    modal = likelihood_of(others or "frequency", beta, model, paired, data, parameters, discrepancy, layout)
+    if not of_modes:
+        modal = modal.using(np.zeros(0, dtype=np.int64))
+    responses, first = [], len(parameters) + len(modal.noise)
+    for one in of_frfs:
+        responses.append(one.bind_frfs(model, parameters, first))
+        first += len(responses[-1].inferred)
+    return FRFLikelihood(modal, responses, len(parameters))

@@ -21,7 +21,7 @@ from fmu.posterior.joint.varies.base import Role
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.joint import JointPrior
 from fmu.posterior.reduction.tolerance import Tolerance
-from fmu.types import BoolArray, FloatArray, Plain
+from fmu.types import BoolArray, ComplexArray, FloatArray, Plain
 
 
 class Posterior:
@@ -58,6 +58,12 @@ class Posterior:
         other = copy(self)
         other.model, other.likelihood = model, self.likelihood.with_model(model)
         other._failed = FailureRecord()
+        return other
+
+    def with_likelihood(self, likelihood: Likelihood) -> Self:
+        """Return the same problem with another likelihood of the same parameters."""
+        other = copy(self)
+        other.likelihood, other._failed = likelihood, FailureRecord()
         return other
 
     def log_prob(self, theta: ArrayLike) -> Any:
@@ -167,6 +173,16 @@ class Posterior:
         value[inside] = self.prior.log_pdf(points[inside])
         gradient[inside] = self.prior.log_pdf_gradient(points[inside])
         return (float(value[0]), gradient[0]) if single else (value, gradient)
+
+    def frfs(self, theta: ArrayLike) -> tuple[ComplexArray, ...]:
+        """Return the computed frequency response functions, one array for each `fmu.FRFErrors`.
+
+        Each has the shape (n_frfs, n_lines) or (n, n_frfs, n_lines), in the units of the data. The lines are those
+        that at least one FRF uses.
+        """
+        points, single = self._points(theta)
+        found = [term.frfs(points) for term in self.likelihood.responses]
+        return tuple(one[0] if single else one for one in found)
 
     def frequencies(self, theta: ArrayLike) -> FloatArray:
         """Return the frequencies in Hz paired with the measured modes, shape (n_modes,) or (n, n_modes).

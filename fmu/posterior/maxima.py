@@ -86,7 +86,17 @@ def local_maxima(
     if near is not None:
         points = np.concatenate([points, np.clip(scaled.to_scaled(near), scaled.lower, scaled.upper)])
     with phase("search", len(points)):
+        for easier in problem.likelihood.easier():
+            points = _ascend_roughly(problem.with_likelihood(easier), points)
         return maxima_from(problem, scaled, points, most_solves)
+
+
+def _ascend_roughly(problem: Posterior, points: FloatArray) -> FloatArray:
+    """Return the highest points that ascents from scaled points (n, ndim) reach, (m, ndim)."""
+    scaled = ascent_coordinates(problem)
+    ends = ascend(GaussNewton(problem, scaled), points, scaled.lower, scaled.upper, tolerance=_ROUGH)
+    found = leaders(ends)[0]
+    return found[:_MOST_POLISHED] if len(found) else points
 
 
 def maxima_from(

@@ -62,8 +62,9 @@ class UpdatingProblem(Posterior):
         ``"frequency"``: ε = f − f^m in Hz. ``"modal-residual"``: the residual of eq. (2) at the sensors, a
         pseudo-likelihood that needs measured shapes and a SeparableModel (`fmu.posterior.errors.residual`).
         Otherwise the error models whose log-densities are summed: `fmu.FrequencyErrors`, `fmu.ShapeErrors`,
-        `fmu.MACErrors`; and, for data other than modes, `fmu.MassErrors` and `fmu.StaticErrors`. If only the
-        latter two are given, the frequencies keep their default errors.
+        `fmu.MACErrors`; and, for data other than modes, `fmu.MassErrors`, `fmu.StaticErrors` and `fmu.FRFErrors`.
+        If only masses or displacements are given, the frequencies keep their default errors. If only frequency
+        response functions are given, the modes are paired and begin the search for maxima, but are no data.
     discrepancy : Discrepancy or sequence of Discrepancy, optional
         Errors of the model itself, beside the errors of the measurement.
     name : str
@@ -136,6 +137,8 @@ class UpdatingProblem(Posterior):
         self.model = paired_model(model, data, parameters, pairing, softness)
         check_held(self.layout, self.model)
         self.likelihood = likelihood_of(error, beta, model, self.model, data, parameters, discrepancy, self.layout)
+        if self.likelihood.used is not None and not len(self.likelihood.used):
+            self.data = replace(data, use=(False,) * data.n_modes)  # other data determine the parameters
         self.parameters = (*self.layout.parameters, *self.likelihood.noise)
         check_names(self.parameters)
         self.ndim = len(self.parameters)
@@ -148,7 +151,8 @@ class UpdatingProblem(Posterior):
         self._lowest = np.array([[p.lowest for p in self.parameters]])
         self._highest = np.array([[p.highest for p in self.parameters]])
         # errors with a standard deviation of zero have no density, and its square must not underflow
-        self._lowest[:, self.n_structural :] = np.maximum(self._lowest[:, self.n_structural :], _LEAST_NOISE)
+        noise = self._lowest[:, self.n_structural :]
+        noise[noise == 0.0] = _LEAST_NOISE
         self.start = np.array([p.start for p in self.parameters], dtype=float)
         scales = [p.prior.scale(p.lower, p.upper) for p in self.parameters]
         self.offset = np.array([offset for offset, _ in scales])

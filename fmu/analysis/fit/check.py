@@ -11,9 +11,9 @@ from fmu.numbers import change, significant
 
 LEVEL = 0.01
 """Largest probability that a correct model fails any of the checks."""
-PREDICTED, HELD_OUT, RESIDUALS, TEST, NOISE, SHAPE, QUANTITY, POPULATION, LAW = (
+PREDICTED, HELD_OUT, RESIDUALS, TEST, NOISE, SHAPE, QUANTITY, POPULATION, LAW, RESPONSES = (
     "from the other modes", "not used in updating", "residuals", "one of the tests", "inferred noise", "shape",
-    "mass or displacement", "population", "law over the tests",
+    "mass or displacement", "population", "law over the tests", "frequency response function",
 )  # fmt: skip
 
 
@@ -24,7 +24,8 @@ class Check:
     Attributes
     ----------
     kind : str
-        `PREDICTED`, `HELD_OUT`, `RESIDUALS`, `TEST`, `NOISE`, `SHAPE`, `QUANTITY`, `POPULATION` or `LAW`.
+        `PREDICTED`, `HELD_OUT`, `RESIDUALS`, `TEST`, `NOISE`, `SHAPE`, `QUANTITY`, `POPULATION`, `LAW` or
+        `RESPONSES`.
     of : str
         What is checked.
     found, limit : str

@@ -151,7 +151,7 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
     """
     import xarray as xr
 
-    if not problem.likelihood.of_modes or problem.data.n_modes < 2:
+    if not problem.likelihood.of_modes or problem.data.n_modes < 2 or not any(problem.data.use):
         return trace
     theta = parameter_draws(trace).reshape(-1, problem.ndim)
     hz = array_of(trace, "posterior_predictive", "model_frequency").reshape(len(theta), -1)

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu.analysis.evidence_estimators import tempering_group
+from fmu.analysis.frf.predictions import GROUP as FRFS
+from fmu.analysis.frf.predictions import frf_groups
 from fmu.analysis.trace.densities import has_prior, has_several_tests, is_updating, names_of, start_of, units_of
 from fmu.analysis.trace.distinct_draws import DistinctDraws
 from fmu.analysis.trace.misfit import misfit_group, quantities_group
@@ -43,7 +45,7 @@ if TYPE_CHECKING:
 GIVEN_OTHERS = "frequency_given_others"
 ONE_MORE_TEST = "one_more_test"
 PRIOR_DRAWS = 2000
-PRIOR_STREAM, NOISE_STREAM, START_STREAM, NEXT_TEST_STREAM = 0, 1, 2, 3
+PRIOR_STREAM, NOISE_STREAM, START_STREAM, NEXT_TEST_STREAM, FRF_STREAM = 0, 1, 2, 3, 4
 _OUTSIDE_THE_CHAINS = 2**32 - 1  # a task number that no run reaches; see `generator`
 
 
@@ -85,6 +87,7 @@ def to_trace(
         - ``posterior_predictive`` (eq. (10) of the paper), Hz: ``model_frequency`` without measurement noise, and
           ``frequency`` with measurement noise, except under the modal residual, which has no noise. For repeated
           tests ``frequency`` is the mean of as many new tests, and ``one_more_test`` is a single test;
+        - ``frfs``: see `fmu.analysis.frf.predictions.frf_groups`;
         - ``prior``: draws from the prior inside the bounds;
         - ``observed_data``: ``frequency``; ``tests``, one row per test, if the frequencies are their means;
           ``used``, if not all modes are used in updating;
@@ -282,7 +285,7 @@ def _frequency_groups(
     else:
         both = distinct.evaluate(lambda theta: _stack_terms(*problem.terms_and_misfit(theta)))
     together, squares = both[:, :, 0], both[:, :, 1:]
-    terms = {likelihood.terms_name: (dims, together)}
+    terms: dict[str, tuple[object, FloatArray]] = {likelihood.terms_name: (dims, together)}
     correlated = likelihood.correlated
     if correlated is not None:
         others = correlated.log_prob_given_others(frequency) - correlated.log_prob_terms(frequency)
@@ -291,6 +294,8 @@ def _frequency_groups(
         of_model = problem.layout.of_model
         found = distinct.evaluate(lambda theta: likelihood.terms_given_others(of_model(theta)))
         terms[GIVEN_OTHERS] = (dims, found[:, :, : together.shape[-1]])
+    for term in likelihood.responses:
+        terms[FRFS] = (dims[:2], distinct.evaluate(term.terms))
     # a pseudo-likelihood, or an error model of shapes alone, has no measurement noise of frequencies
     if likelihood.simulates:
         noise = generator(result.seed, NOISE_STREAM)
@@ -318,6 +323,7 @@ def _frequency_groups(
         }
         | misfit_group(problem, squares, coordinates | used)
         | quantities_group(problem, result.posterior.position, _sample_coordinates(result.posterior.position))
+        | frf_groups(problem, result.posterior.position, generator(result.seed, FRF_STREAM))
     )
 
 

@@ -48,7 +48,7 @@ def misfit_group(
     import xarray as xr
 
     likelihood = problem.likelihood
-    if not likelihood.terms_of:
+    if not (likelihood.terms_of or likelihood.responses):
         return {}
     judged = likelihood.chi_square
     variables: dict[str, tuple[object, AnyArray]] = {
@@ -56,7 +56,7 @@ def misfit_group(
         "freedom": ("quantity", np.array([term.n_data for term in judged], dtype=int)),
     }
     names = {"quantity": np.array([term.quantity for term in judged], dtype=str)}
-    noise = problem.parameters[problem.n_structural :]
+    noise = likelihood.noise[: likelihood.n_noise]
     if noise:
         isf = [p.prior.quantile(1.0 - TAILS, p.lower, p.upper) for p in noise]
         of = [[term.quantity for term in likelihood.terms_of if k in term.spread.sizes] for k in range(len(noise))]
@@ -65,6 +65,7 @@ def misfit_group(
         names |= {"noise": np.array([p.name for p in noise]), "tail": TAILS}
     n_data = sum(term.n_data for term in likelihood.terms_of) * squares.shape[-1]
     n_data += sum(len(term.labels) for term in likelihood.quantities)
+    n_data += sum(term.n_data for term in likelihood.responses)
     other = ", ".join(term.quantity for term in likelihood.terms_of if term not in judged)
     found = xr.Dataset(variables, coords={**coordinates, **names}, attrs={"n_data": n_data, "other": other})
     return {GROUP: found}

@@ -130,6 +130,42 @@ class ReducedBlock(Block):
         lam, y = row_by_row(solve, A)
         return lam[:, :count], np.swapaxes(inverse, 1, 2) @ y[:, :, :count]
 
+    def matrices(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the projected K and M at theta (n, n_parameters), each of shape (n, r, r)."""
+        return assemble(self._K, self._K_map(theta)), assemble(self._M, self._M_map(theta))
+
+    def changes(self, theta: FloatArray, phi: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return φᵀ ∂K φ and φᵀ ∂M φ for all pairs of shapes φ (n, r, m), each (n, n_parameters, m, m)."""
+        m = phi.shape[2]
+        both = (
+            self._slopes(theta, coefficient, rows, phi, m)
+            for coefficient, rows in ((self._K_map, self._K_rows), (self._M_map, self._M_rows))
+        )
+        dK, dM = (np.moveaxis(part, 3, 1) for part in both)
+        return dK, dM
+
+    def stiffness_terms(self, theta: FloatArray) -> FloatArray:
+        """Return the projected stiffness terms with their coefficients at theta, (n, n_terms, r, r)."""
+        return self._K_map(theta)[:, :, None, None] * self._K
+
+    def stiffness_changes(self, theta: FloatArray, weights: FloatArray) -> FloatArray:
+        """Return Σ_k w_k ∂c_k/∂θ K_k, (n, n_parameters, r, r), for weights w of the terms, (n, n_terms)."""
+        n, r = len(theta), self.size
+        weighted = weights[:, :, None] * self._K.reshape(len(self._K), -1)
+        return np.moveaxis(self._K_map.contract(theta, weighted).reshape(n, r, r, -1), 3, 1)
+
+    def pull_back_terms(self, theta: FloatArray, by_terms: FloatArray) -> FloatArray:
+        """Return the derivatives by theta, (n, n_parameters), given those by the coefficients of K."""
+        return self._K_map.contract(theta, by_terms[..., None])[:, 0]
+
+    def pull_back(self, theta: FloatArray, by_K: FloatArray, by_M: FloatArray) -> FloatArray:
+        """Return derivatives by theta, (n, n_parameters), given those by K and by M, (n, r, r) each."""
+        of_K, of_M = (
+            coefficient.contract(theta, np.einsum("nij,kij->nk", by, matrices)[..., None])[:, 0]
+            for coefficient, by, matrices in ((self._K_map, by_K, self._K), (self._M_map, by_M, self._M))
+        )
+        return of_K + of_M
+
     def n_required(self, count: int, gradient: bool) -> int:
         """Return the number of modes that `seen` needs: all for derivatives, unless the block is `massless`."""
         return self.size if gradient and not self.massless else count

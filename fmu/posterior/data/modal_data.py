@@ -72,7 +72,7 @@ class ModalData:
     ValueError
         If a frequency is not positive and finite, a shape is zero or not finite, the lengths differ, a standard
         deviation is not positive, the covariance is not positive definite, the counterparts are not distinct
-        numbers from 1 or are given together with shapes, or no mode is used.
+        numbers from 1 or are given together with shapes.
     """
 
     frequencies_hz: ArrayLike
@@ -112,8 +112,6 @@ class ModalData:
 
         if len(set(self.labels)) < n:
             raise ArgumentError("labels", "must be distinct", self.labels)
-        if not any(self.use):
-            raise ArgumentError("use", "must be true for at least one mode", list(self.use))
         if self.shapes is not None:
             shapes = np.array(self.shapes, dtype=float)
             if shapes.shape != (len(self.sensors), n):

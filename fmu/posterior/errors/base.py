@@ -246,6 +246,8 @@ class Likelihood:
         The error models whose squared residuals measure the fit of the model; see `ErrorTerm.is_chi_square`.
     quantities : tuple of QuantityTerm
         Measured quantities other than modes (`fmu.posterior.errors.quantities`).
+    responses : tuple of FRFTerm
+        Measured frequency response functions (`fmu.posterior.frf.term`).
     used : ndarray of int, shape (n_used,), or None
         Indices (from 0) of the measured modes whose terms make up the likelihood; None for all modes.
     has_discrepancy : bool
@@ -263,6 +265,7 @@ class Likelihood:
     terms_of: tuple[ErrorTerm, ...] = ()
     chi_square: tuple[ErrorTerm, ...] = ()
     quantities: tuple[Any, ...] = ()
+    responses: tuple[Any, ...] = ()
     used: IntArray | None = None
     has_discrepancy: bool = False
 
@@ -275,6 +278,15 @@ class Likelihood:
     def with_model(self, model: Any) -> Self:
         """Return the likelihood with another model of the same parameters and modes; itself if it has no model."""
         return self
+
+    @property
+    def n_noise(self) -> int:
+        """Number of inferred standard deviations of errors of modes, the first of `noise`."""
+        return len(self.noise)
+
+    def easier(self) -> list[Likelihood]:
+        """Return likelihoods of the same parameters with fewer maxima, the easiest first, for a search."""
+        return []
 
     def of_used[Values: np.generic](self, values: NDArray[Values], axis: int = -1) -> NDArray[Values]:
         """Return the values of the used modes from an array with a value for each measured mode along `axis`."""

@@ -1,0 +1,193 @@
+"""Damping that couples the modes: loss factors of parts of the structure, and dashpots.
+
+The dynamic stiffness D(ω) = K' + i ω C − ω² M has a complex symmetric K' = Σ_k (1 + i η_k) c_k K_k, with a loss
+factor η_k of each stiffness term, and C = α M + β K + Σ_d c_d C_d. Its inverse on the reduced basis is a sum over
+the poles s_r of the quadratic eigenproblem (s² M + s C + K') x = 0, solved as a linear one of twice the size
+(Tisseur & Meerbergen 2001, *SIAM Review* 43, 235–286):
+
+    H_jk(ω) = Σ_r x_jr x_kr / (i ω − s_r),      x_rᵀ (2 s_r M + C) x_r = 1.
+
+The derivatives need those of the matrices alone: dH_jk = −u_jᵀ dD u_k, with u_k(ω) = D(ω)⁻¹ b_k.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmu.fem.frf.proportional import ZERO, Source
+from fmu.fem.reduced.basis import ReducedBlock
+from fmu.types import ComplexArray, FloatArray, IntArray
+
+_AGREES = 1e-8
+"""Relative difference of the sum over poles and a direct solve above which every line is solved directly."""
+
+
+@dataclass(frozen=True, eq=False)
+class GeneralDamping:
+    """Loss factors of stiffness terms, dashpots, and Rayleigh damping, on a reduced basis.
+
+    Attributes
+    ----------
+    n_values : int
+        Number of damping parameters.
+    losses : tuple of Source
+        Loss factor of each stiffness term of the reduced part.
+    dashpots : ndarray, shape (n_dashpots, r, r)
+        Projected matrices C_d.
+    viscous : tuple of Source
+        The coefficient c_d of each dashpot, N·s/m.
+    alpha, beta : Source
+        α in 1/s, β in s.
+    """
+
+    n_values: int
+    losses: tuple[Source, ...]
+    dashpots: FloatArray
+    viscous: tuple[Source, ...] = ()
+    alpha: Source = ZERO
+    beta: Source = ZERO
+
+
+class GeneralResponses:
+    """Responses of a structure with coupled modes; parameters and methods as in `ModalResponses`."""
+
+    def __init__(
+        self,
+        block: ReducedBlock,
+        damping: GeneralDamping,
+        theta: FloatArray,
+        values: FloatArray,
+        points: FloatArray,
+        responses: IntArray,
+        drives: IntArray,
+    ) -> None:
+        self.block, self.damping, self.theta, self.values = block, damping, theta, values
+        self._points, self._responses, self._drives = points, responses, drives
+        self.K, self.M = block.matrices(theta)
+        eta = np.concatenate([source.at(values) for source in damping.losses], axis=1)
+        self._parts = block.stiffness_terms(theta)  # (n, n_terms, r, r)
+        self.loss = np.einsum("nk,nkij->nij", eta, self._parts)
+        c = [source.at(values)[:, :, None] for source in damping.viscous]
+        self.C = damping.alpha.at(values)[:, :, None] * self.M + damping.beta.at(values)[:, :, None] * self.K
+        for k, of in enumerate(c):
+            self.C = self.C + of * damping.dashpots[k]
+        self._eta = eta
+        self._poles = [
+            self._solve(K, C, M) for K, C, M in zip(self.K + 1j * self.loss, self.C, self.M, strict=True)
+        ]
+        n, r = self.K.shape[:2]
+        self._sums = np.zeros((3, n, r, r), dtype=complex)
+
+    @staticmethod
+    def _solve(K: ComplexArray, C: FloatArray, M: FloatArray) -> tuple[ComplexArray, ComplexArray] | None:
+        """Return the poles (2 r,) and vectors (r, 2 r); None if they do not reproduce a direct solve."""
+        r = len(M)
+        if not (np.all(np.isfinite(K)) and np.all(np.isfinite(C)) and np.all(np.isfinite(M))):
+            return None
+        try:
+            inverse = np.linalg.inv(M)
+            A = np.block([[np.zeros((r, r)), np.eye(r)], [-inverse @ K, -inverse @ C]])
+            poles, vectors = np.linalg.eig(A)
+        except np.linalg.LinAlgError:
+            return None
+        x = vectors[:r]
+        size = np.einsum("ir,ij,jr->r", x, C, x) + 2.0 * poles * np.einsum("ir,ij,jr->r", x, M, x)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            x = x / np.sqrt(size)
+        if not np.all(np.isfinite(x)):
+            return None
+        at = 0.7 * float(np.median(np.abs(poles.imag)))
+        exact = np.linalg.inv(K + 1j * at * C - at**2 * M)
+        found = (x / (1j * at - poles)) @ x.T
+        return (poles, x) if np.max(np.abs(found - exact)) <= _AGREES * np.max(np.abs(exact)) else None
+
+    def _displacements(self, omega: FloatArray) -> ComplexArray:
+        """Return u of every point, shape (n, n_points, r, n_lines), in the coordinates of the basis."""
+        n, r = self.K.shape[:2]
+        found = np.empty((n, len(self._points), r, len(omega)), dtype=complex)
+        for i, solved in enumerate(self._poles):
+            if solved is None:
+                D = (self.K[i] + 1j * self.loss[i]) + 1j * omega[:, None, None] * self.C[i]
+                D = D - omega[:, None, None] ** 2 * self.M[i]
+                try:
+                    u = np.linalg.solve(D, np.broadcast_to(self._points.T, (len(omega), r, len(self._points))))
+                except np.linalg.LinAlgError:
+                    u = np.full((len(omega), r, len(self._points)), np.nan + 0j)
+                found[i] = u.transpose(2, 1, 0)
+                continue
+            poles, x = solved
+            resonances = 1.0 / (1j * omega - poles[:, None])
+            for q, seen in enumerate(self._points @ x):
+                found[i, q] = x @ (seen[:, None] * resonances)
+        return found
+
+    def frfs(self, omega: FloatArray) -> ComplexArray:
+        """Return the receptances, shape (n, n_frfs, n_lines), at the lines ω in rad/s; they are kept for `add`."""
+        self._omega, self._u = omega, self._displacements(omega)
+        rows = self._points[self._responses]
+        return np.einsum("fr,nfrl->nfl", rows, self._u[:, self._drives])
+
+    def add(self, weights: ComplexArray) -> None:
+        """Add the lines of the last `frfs`, each with the weight of which dL = Re Σ w dH, (n, n_frfs, n_lines)."""
+        one = np.ones(len(self._omega), dtype=complex)
+        for power, factor in enumerate((one, 1j * self._omega, -(self._omega**2) * one)):
+            for f, (j, k) in enumerate(zip(self._responses, self._drives, strict=True)):
+                left = (weights[:, f] * factor)[:, None] * self._u[:, j]
+                self._sums[power] -= left @ np.swapaxes(self._u[:, k], 1, 2)
+
+    def gradient(self) -> tuple[FloatArray, FloatArray]:
+        """Return the derivatives of L by the parameters of the structure, (n, p), and of the damping, (n, q)."""
+        damping, (by_K, by_C, by_M) = self.damping, self._sums
+        alpha, beta = (source.at(self.values)[:, :, None] for source in (damping.alpha, damping.beta))
+        # each stiffness term has its own loss factor
+        forms = np.einsum("nij,kij->nk", by_K, self.block.terms[0])
+        of_terms = forms.real - self._eta * forms.imag
+        found = self.block.pull_back_terms(self.theta, of_terms)
+        found = found + self.block.pull_back(self.theta, (beta * by_C).real, (by_M + alpha * by_C).real)
+        of_damping = np.zeros(self.values.shape)
+
+        def add_slope(source: Source, value: FloatArray) -> None:
+            if source.column is not None:
+                of_damping[:, source.column] += value
+
+        of_losses = -np.einsum("nij,nkij->nk", by_K, self._parts).imag
+        for k, source in enumerate(damping.losses):
+            add_slope(source, of_losses[:, k])
+        for k, source in enumerate(damping.viscous):
+            add_slope(source, np.einsum("nij,ij->n", by_C.real, damping.dashpots[k]))
+        add_slope(damping.alpha, np.einsum("nij,nij->n", by_C.real, self.M))
+        add_slope(damping.beta, np.einsum("nij,nij->n", by_C.real, self.K))
+        return found, of_damping
+
+    def slopes(self, omega: FloatArray) -> ComplexArray:
+        """Return ∂H, (n, n_frfs, n_lines, p + q), at the lines ω: by the structure, then by the damping."""
+        u, damping = self._displacements(omega), self.damping
+        n, r = self.K.shape[:2]
+        p = self.theta.shape[1]
+        identity = np.broadcast_to(np.eye(r), (n, r, r))
+        dK, dM = self.block.changes(self.theta, identity)
+        dT = self.block.stiffness_changes(self.theta, self._eta)
+        alpha, beta = (source.at(self.values)[:, None, :, None] for source in (damping.alpha, damping.beta))
+        of_K, of_C, of_M = dK + 1j * dT, beta * dK + alpha * dM, dM
+        zero = np.zeros((n, damping.n_values, r, r))
+        loss, C = zero.astype(complex), zero.copy()
+        for k, source in enumerate(damping.losses):
+            if source.column is not None:
+                loss[:, source.column] += 1j * self._parts[:, k]
+        for k, source in enumerate(damping.viscous):
+            if source.column is not None:
+                C[:, source.column] += damping.dashpots[k]
+        for source, matrix in ((damping.alpha, self.M), (damping.beta, self.K)):
+            if source.column is not None:
+                C[:, source.column] += matrix
+        of_K = np.concatenate([of_K, loss], axis=1)
+        of_C, of_M = np.concatenate([of_C, C], axis=1), np.concatenate([of_M, zero], axis=1)
+        found = np.empty((n, len(self._drives), len(omega), p + damping.n_values), dtype=complex)
+        for f, (j, k) in enumerate(zip(self._responses, self._drives, strict=True)):
+            x, y = u[:, j], u[:, k]
+            for q in range(found.shape[-1]):
+                moved = of_K[:, q] @ y + of_C[:, q] @ (1j * omega * y) - of_M[:, q] @ (omega**2 * y)
+                found[:, f, :, q] = -np.sum(x * moved, axis=1)
+        return found

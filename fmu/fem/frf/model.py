@@ -1,0 +1,182 @@
+"""The frequency response functions of a structure given by its matrices, on a basis that is accurate in a box."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from fmu.fem.frf.general import GeneralDamping, GeneralResponses
+from fmu.fem.frf.proportional import ZERO, ModalResponses, ProportionalDamping, Source
+from fmu.fem.frf.training import Lines, train
+from fmu.fem.modes.full_block import FullBlock
+from fmu.fem.modes.modal import is_rigid
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term
+from fmu.fem.reduced.basis import ReducedBlock
+from fmu.types import ComplexArray, Dof, FloatArray
+
+_STIFFER = 1e-9
+"""Relative change of the highest eigenvalue of the band by the fictitious mass of massless degrees of freedom."""
+
+
+@dataclass(frozen=True, eq=False)
+class Damping:
+    """The damping of a structure in terms of its matrices.
+
+    Attributes
+    ----------
+    n_values : int
+        Number of damping parameters.
+    alpha, beta, loss : Source
+        Rayleigh's α in 1/s and β in s, and the loss factor of the whole structure.
+    ratios : tuple of Source
+        Damping ratios of the elastic modes in ascending order; the last is that of all higher modes.
+    losses : dict of int to Source
+        Loss factor of the stiffness that a parameter of the model sets, by the index of the parameter.
+    dashpots : tuple of (sparse, Source)
+        Matrix (n_dof, n_dof) of each dashpot, and its coefficient in N·s/m.
+    """
+
+    n_values: int = 0
+    alpha: Source = ZERO
+    beta: Source = ZERO
+    loss: Source = ZERO
+    ratios: tuple[Source, ...] = ()
+    losses: dict[int, Source] | None = None
+    dashpots: tuple[tuple[sp.csr_array, Source], ...] = ()
+
+    @property
+    def couples_modes(self) -> bool:
+        """Whether the modes of the undamped structure are coupled."""
+        return bool(self.losses or self.dashpots)
+
+
+class FRFModel:
+    """Receptances of a structure between points, as functions of its parameters and of its damping.
+
+    Parameters
+    ----------
+    structure : SeparableModel
+    responses, drives : sequence of (place, direction), length n_frfs
+    damping : Damping
+    start : ndarray, shape (n_parameters,)
+    lower, upper : ndarray, shape (n_parameters,)
+        The box in which the reduced model is trained.
+    values : ndarray, shape (n_values,)
+        Damping parameters of the training.
+    lines : Lines
+        Lines at which the responses are needed, and the unit of their errors.
+
+    Attributes
+    ----------
+    block : ReducedBlock
+        The reduced part of the structure in which there are drives and responses.
+    error : float
+        Largest error at points that were not used for the basis: the root of the sum of the squared errors of all
+        lines, each in its unit. NaN if the basis has all degrees of freedom.
+    is_confirmed : bool
+        Whether training ended with errors below the tolerance.
+    n_solves : int
+        Number of points at which the full structure was solved.
+
+    Raises
+    ------
+    ValueError
+        If a drive or a response sees no free degree of freedom.
+    """
+
+    def __init__(
+        self,
+        structure: SeparableModel,
+        responses: Sequence[Dof],
+        drives: Sequence[Dof],
+        damping: Damping,
+        start: FloatArray,
+        lower: FloatArray,
+        upper: FloatArray,
+        values: FloatArray,
+        lines: Lines,
+    ) -> None:
+        points = list(dict.fromkeys([*responses, *drives]))
+        self.responses = np.array([points.index(one) for one in responses])
+        self.drives = np.array([points.index(one) for one in drives])
+        rows = structure.observation(points)
+        touched = np.unique(rows.indices)
+        parts = [dofs for dofs in structure.blocks if np.isin(dofs, touched).any()]
+        for matrix, _ in damping.dashpots:
+            ends = np.unique(matrix.indices)
+            parts += [dofs for dofs in structure.blocks if np.isin(dofs, ends).any()]
+        dofs = np.unique(np.concatenate(parts))
+        self._rows = sp.csr_array(rows[:, dofs])
+        full = FullBlock(structure, dofs)
+        if full.massless:
+            small = _STIFFER / float(np.max(lines.omega)) ** 2
+            heavier = [Term(small * term.matrix, term.powers) for term in structure.K_terms]
+            heavy = SeparableModel(structure.K_terms, (*structure.M_terms, *heavier), structure.dofs)
+            full = FullBlock(heavy, dofs)
+        self.full, self.damping = full, damping
+        lam = full.eigenvalues(start[None], min(12, full.n_modes))[0]
+        self.n_rigid = int(np.sum(is_rigid(lam))) if len(lam) > 1 else 0
+        self.n_values = damping.n_values
+
+        trained = train(full, self._rows, lower, upper, lines, lambda block: self._bind(block, values))
+        self.block, self.error = trained.block, trained.error
+        self.is_confirmed, self.n_solves = trained.is_confirmed, trained.n_solves
+        self._of_block, self._points = self._damping_of(self.block), self._at_points(self.block)
+
+    def at(self, theta: FloatArray, values: FloatArray) -> ModalResponses | GeneralResponses:
+        """Return the responses at parameters of the structure (n, p) and of the damping (n, q)."""
+        return self._respond(self.block, self._of_block, self._points, theta, values)
+
+    def _bind(self, block: ReducedBlock, values: FloatArray) -> Callable[[FloatArray, FloatArray], ComplexArray]:
+        """Return the receptances on another basis as a function of theta (n, p) and ω (n_lines,)."""
+        of_block, points = self._damping_of(block), self._at_points(block)
+
+        def frfs(theta: FloatArray, omega: FloatArray) -> ComplexArray:
+            all_values = np.tile(values, (len(theta), 1))
+            return self._respond(block, of_block, points, theta, all_values).frfs(omega)
+
+        return frfs
+
+    def _respond(
+        self,
+        block: ReducedBlock,
+        of_block: ProportionalDamping | GeneralDamping,
+        points: FloatArray,
+        theta: FloatArray,
+        values: FloatArray,
+    ) -> ModalResponses | GeneralResponses:
+        places = points, self.responses, self.drives
+        if isinstance(of_block, ProportionalDamping):
+            return ModalResponses(block, of_block, theta, values, *places)
+        return GeneralResponses(block, of_block, theta, values, *places)
+
+    def _at_points(self, block: ReducedBlock) -> FloatArray:
+        return np.asarray(block.coordinates(self._rows))
+
+    def _damping_of(self, block: ReducedBlock) -> ProportionalDamping | GeneralDamping:
+        """Return the damping on the basis of `block`."""
+        given = self.damping
+        if not given.couples_modes:
+            return ProportionalDamping(
+                given.n_values, given.alpha, given.beta, given.loss, given.ratios, self.n_rigid
+            )
+        own = dict(given.losses or {})
+        losses = []
+        for term in self.full.K_terms:
+            named = [own[j] for j, power in enumerate(term.powers) if power and j in own]
+            losses.append(named[0] if named else given.loss)
+        V, dofs = block.basis, self.full.dofs
+        dashpots = [V.T @ (matrix[dofs][:, dofs] @ V) for matrix, _ in given.dashpots]
+        r = V.shape[1]
+        return GeneralDamping(
+            given.n_values,
+            tuple(losses),
+            np.array(dashpots).reshape(-1, r, r),
+            tuple(source for _, source in given.dashpots),
+            given.alpha,
+            given.beta,
+        )

@@ -1,0 +1,1 @@
+"""Errors of measured frequency response functions, the damping that they need, and their likelihood."""

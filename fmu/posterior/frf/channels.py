@@ -1,0 +1,90 @@
+"""Errors of measurement channels: gains, which are integrated out or inferred, and delays, which are inferred."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fmu.posterior.data.frf_data import FRFData
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors.base import Normal
+from fmu.types import ComplexArray, FloatArray, IntArray
+
+_WIDTHS = 8.0
+"""Bounds of an error of a channel, in standard deviations of its prior."""
+_LEAST_GAIN = 0.05
+"""Smallest gain 1 + γ of a channel."""
+
+
+@dataclass(frozen=True, eq=False)
+class Channels:
+    """The response channels of a test and their errors.
+
+    Attributes
+    ----------
+    names : tuple of (place, direction)
+    of_frf : ndarray of int, shape (n_frfs,)
+        Channel of each FRF.
+    gain_sd : ndarray, shape (n_channels,)
+        Standard deviation of each gain that is integrated out; 0 for none.
+    gain, delay : ndarray of int, shape (n_channels,)
+        Index in theta of each gain and delay that is inferred; −1 for none.
+    parameters : list of Parameter
+        The gains and delays that are inferred, in the order of theta.
+    """
+
+    names: tuple[Any, ...]
+    of_frf: IntArray
+    gain_sd: FloatArray
+    gain: IntArray
+    delay: IntArray
+    parameters: list[Parameter]
+
+    @classmethod
+    def of(
+        cls, data: FRFData, gains: Mapping[Any, float], delays: Mapping[Any, float], first: int, integrates: bool
+    ) -> Channels:
+        """Return the channels of the FRFs.
+
+        Parameters
+        ----------
+        data : FRFData
+        gains, delays : mapping of (place, direction) to float
+            Standard deviations of the relative error of a gain, and of a delay in s.
+        first : int
+            Index in theta of the first parameter of the channels.
+        integrates : bool
+            Whether gains are integrated out, which needs Gaussian errors.
+        """
+        names = tuple(dict.fromkeys(data.responses))
+        parameters: list[Parameter] = []
+        gain, delay = np.full(len(names), -1), np.full(len(names), -1)
+        for j, name in enumerate(names):
+            label = f"{name[0]} {name[1]}"
+            if name in gains and not integrates:
+                gain[j] = first + len(parameters)
+                sd = gains[name]
+                lower = max(-_WIDTHS * sd, _LEAST_GAIN - 1.0)
+                prior = Normal(mean=0.0, sd=sd)
+                parameters.append(Parameter(f"gain error of {label}", 0.0, lower, _WIDTHS * sd, prior))
+            if name in delays:
+                delay[j] = first + len(parameters)
+                limit, sd = _WIDTHS * delays[name], delays[name]
+                parameters.append(Parameter(f"delay of {label}", 0.0, -limit, limit, Normal(mean=0.0, sd=sd), "s"))
+        integrated = np.array([gains.get(name, 0.0) if integrates else 0.0 for name in names])
+        of_frf = np.array([names.index(one) for one in data.responses])
+        return cls(names, of_frf, integrated, gain, delay, parameters)
+
+    def factors(self, theta: FloatArray, omega: FloatArray) -> ComplexArray:
+        """Return (1 + γ) exp(−iωτ) of each FRF by the inferred errors, shape (n, n_frfs, n_lines) or (1, 1, 1)."""
+        if np.all(self.gain < 0) and np.all(self.delay < 0):
+            return np.ones((1, 1, 1), dtype=complex)
+        found = np.ones((len(theta), len(self.names), len(omega)), dtype=complex)
+        for j in np.flatnonzero(self.gain >= 0):
+            found[:, j] *= 1.0 + theta[:, self.gain[j], None]
+        for j in np.flatnonzero(self.delay >= 0):
+            found[:, j] *= np.exp(-1j * theta[:, self.delay[j], None] * omega)
+        return found[:, self.of_frf]

@@ -1,0 +1,227 @@
+"""Damping of a structure: modal ratios, Rayleigh damping, loss factors and dashpots, each known or inferred."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from fmu.arguments import ArgumentError, check_arguments
+from fmu.durable_files import digest
+from fmu.fem.frf.model import Damping
+from fmu.fem.frf.proportional import Source
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.modes.terms import Term
+from fmu.numbers import typed
+from fmu.posterior.parameters import Parameter
+from fmu.types import NotNegative, Plain
+
+
+@check_arguments
+@dataclass(frozen=True)
+class ModalDamping:
+    """Damping ratios of the modes: C = Σ_r 2 ζ_r ω_r M φ_r φ_rᵀ M.
+
+    Attributes
+    ----------
+    ratios : float, Parameter, or sequence of them
+        Damping ratio ζ of all modes, or of each elastic mode in ascending order of frequency; the last one is that
+        of all higher modes. The modes are those of the parts of the structure in which there are drives and
+        responses.
+    """
+
+    ratios: NotNegative | Parameter | Sequence[NotNegative | Parameter]
+
+
+@check_arguments
+@dataclass(frozen=True)
+class RayleighDamping:
+    """Damping in proportion to mass and stiffness: C = α M + β K.
+
+    Attributes
+    ----------
+    alpha : float or Parameter, 1/s
+    beta : float or Parameter, s
+    """
+
+    alpha: NotNegative | Parameter = 0.0
+    beta: NotNegative | Parameter = 0.0
+
+
+@check_arguments
+@dataclass(frozen=True)
+class StructuralDamping:
+    """Loss factors: K (1 + i η), of the whole structure or of the stiffness that a parameter sets.
+
+    Attributes
+    ----------
+    loss : float or Parameter
+        Loss factor η of all stiffness that `of` does not name.
+    of : mapping of str to float or Parameter
+        Loss factor of the stiffness that a parameter of the model sets, by the name of the parameter. The modes of
+        the undamped structure are then coupled.
+    """
+
+    loss: NotNegative | Parameter = 0.0
+    of: Mapping[str, NotNegative | Parameter] = field(default_factory=dict)
+
+
+@check_arguments
+@dataclass(frozen=True)
+class Dashpot:
+    """A viscous damper between two points, or from a point to the ground. It couples the modes.
+
+    Attributes
+    ----------
+    at : tuple of (place, direction)
+        One end, in the notation of a sensor.
+    coefficient : float or Parameter, N·s/m (N·m·s/rad)
+    to : tuple of (place, direction), optional
+        The other end; the ground by default.
+    """
+
+    at: tuple[int | str, str]
+    coefficient: NotNegative | Parameter
+    to: tuple[int | str, str] | None = None
+
+
+@check_arguments
+@dataclass(frozen=True, eq=False)
+class DampingMatrix:
+    """A viscous damping matrix C of another program, times a coefficient. It couples the modes.
+
+    Attributes
+    ----------
+    matrix : array_like or sparse, shape (n_dof, n_dof), N·s/m
+        Symmetric, on the degrees of freedom of the model.
+    coefficient : float or Parameter
+
+    Raises
+    ------
+    ValueError
+        If the matrix is not real, symmetric and finite.
+    """
+
+    matrix: Any
+    coefficient: NotNegative | Parameter = 1.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "matrix", Term(self.matrix, ()).matrix)
+        if self.matrix.shape[0] != self.matrix.shape[1]:
+            raise ArgumentError("matrix", "must be square", f"shape {self.matrix.shape}")
+        asymmetry = abs(self.matrix - self.matrix.T).max() if self.matrix.nnz else 0.0
+        if not (
+            np.all(np.isfinite(self.matrix.data)) and asymmetry <= 1e-9 * abs(self.matrix.data).max(initial=0.0)
+        ):
+            raise ArgumentError("matrix", "must be symmetric and finite", f"asymmetry {typed(asymmetry)}")
+
+
+DampingModel = ModalDamping | RayleighDamping | StructuralDamping | Dashpot | DampingMatrix
+"""The settings of damping; several are added up."""
+
+
+def bind_damping(
+    given: DampingModel | Sequence[DampingModel],
+    model: SeparableModel,
+    names: Sequence[str],
+    inferred: list[Parameter],
+) -> Damping:
+    """Return the damping of a model; parameters to be inferred are appended to `inferred`.
+
+    Parameters
+    ----------
+    given : damping model or sequence of damping models
+    model : SeparableModel
+    names : sequence of str
+        Parameters of the model.
+    inferred : list of Parameter
+
+    Raises
+    ------
+    ValueError
+        If there is no damping, a parameter can be negative, a name is unknown, an end of a dashpot does not move,
+        a matrix does not fit, or modal ratios are combined with damping that couples the modes.
+    """
+    models: Sequence[DampingModel] = given if isinstance(given, Sequence) else [given]
+    if not models:
+        raise ArgumentError(
+            "damping", "must have one damping model at least, such as fmu.ModalDamping(0.01)", "none"
+        )
+
+    def source(value: NotNegative | Parameter) -> Source:
+        if not isinstance(value, Parameter):
+            return Source(float(value))
+        if value.lower < 0.0:
+            raise ArgumentError(f"damping.{value.name}.lower", "must be at least 0", value.lower)
+        if value not in inferred:
+            inferred.append(value)
+        return Source(value.start, inferred.index(value))
+
+    ratios: tuple[Source, ...] = ()
+    alpha = beta = loss = Source(0.0)
+    losses: dict[int, Source] = {}
+    dashpots: list[tuple[sp.csr_array, Source]] = []
+    for one in models:
+        match one:
+            case ModalDamping():
+                many = one.ratios if isinstance(one.ratios, Sequence) else [one.ratios]
+                ratios = tuple(source(ratio) for ratio in many)
+            case RayleighDamping():
+                alpha, beta = source(one.alpha), source(one.beta)
+            case StructuralDamping():
+                loss = source(one.loss)
+                for name, factor in one.of.items():
+                    losses[_stiffness_of(model, names, name)] = source(factor)
+            case Dashpot():
+                ends = model.observation([one.at] if one.to is None else [one.at, one.to])
+                row = ends[[0]] if one.to is None else ends[[0]] - ends[[1]]
+                dashpots.append((sp.csr_array(row.T @ row), source(one.coefficient)))
+            case DampingMatrix():
+                if one.matrix.shape[0] != model.n_dof:
+                    raise ArgumentError("damping.matrix", f"must be of {model.n_dof} rows", one.matrix.shape[0])
+                dashpots.append((one.matrix, source(one.coefficient)))
+    kinds = [type(one) for one in models if isinstance(one, ModalDamping | RayleighDamping | StructuralDamping)]
+    twice = next((kind.__name__ for kind in kinds if kinds.count(kind) > 1), None)
+    if twice is not None:
+        raise ArgumentError("damping", f"must have one {twice} at most", kinds.count(kinds[0]))
+    if ratios and (losses or dashpots):
+        raise ArgumentError(
+            "damping",
+            "modal ratios cannot be combined with dashpots, damping matrices or loss factors of parts, which "
+            "couple the modes; use RayleighDamping or StructuralDamping(loss=…) beside them",
+            ", ".join(type(one).__name__ for one in models),
+        )
+    return Damping(len(inferred), alpha, beta, loss, ratios, losses, tuple(dashpots))
+
+
+def damping_as_dict(given: DampingModel) -> dict[str, Plain]:
+    """Return a dict of a damping model in plain Python types; a parameter is given by its name."""
+    found: dict[str, Plain] = {"damping": type(given).__name__}
+    for key, value in vars(given).items():
+        if key == "matrix":
+            array = sp.csr_array(value)
+            parts = (array.indptr, array.indices, array.data)
+            found["sha256"] = digest(b"".join(np.ascontiguousarray(part).tobytes() for part in parts))
+        elif isinstance(value, Mapping):
+            found[key] = {name: _plain(one) for name, one in value.items()}
+        elif isinstance(value, Sequence) and not isinstance(value, str):
+            found[key] = [_plain(one) for one in value]
+        else:
+            found[key] = _plain(value)
+    return found
+
+
+def _plain(value: Any) -> Plain:
+    return value.name if isinstance(value, Parameter) else value
+
+
+def _stiffness_of(model: SeparableModel, names: Sequence[str], name: str) -> int:
+    if name not in names:
+        raise ArgumentError("damping.of", f"must name parameters among {', '.join(names)}", repr(name))
+    j = list(names).index(name)
+    if not any(term.powers[j] for term in model.K_terms):
+        raise ArgumentError("damping.of", "must name parameters that change the stiffness", repr(name))
+    return j

@@ -1,0 +1,156 @@
+"""Errors of measured frequency response functions, on H or on log H, with errors of channels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from fmu.arguments import ArgumentError, check_arguments
+from fmu.fem.frf.model import FRFModel
+from fmu.fem.frf.training import Lines
+from fmu.fem.modes.separable import SeparableModel
+from fmu.posterior.data.frf_data import FRFData
+from fmu.posterior.errors.quantities import QuantityErrors
+from fmu.posterior.frf.channels import Channels
+from fmu.posterior.frf.damping import DampingModel, bind_damping, damping_as_dict
+from fmu.posterior.frf.term import FRFTerm
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.reduction.region import training_box
+from fmu.types import NotNegative, Plain
+
+
+@check_arguments
+@dataclass(frozen=True, eq=False)
+class FRFErrors(QuantityErrors):
+    """Errors of measured frequency response functions (FRFs), independent at each line.
+
+    The measured FRF of response j and drive k is d = (1 + γ_j) exp(−iωτ_j) H_jk + e. The real and the imaginary
+    part of the error e have the variance V = s² + σ² |H|² each, with the standard deviation s of the data and a
+    relative error σ of the model. If few hits or averages gave s, the errors have Student's distribution with as
+    many degrees of freedom (`FRFData.freedom`).
+
+    Attributes
+    ----------
+    data : FRFData
+    damping : damping model, or sequence of damping models that are added up
+        `fmu.ModalDamping`, `fmu.RayleighDamping`, `fmu.StructuralDamping`, `fmu.Dashpot`, `fmu.DampingMatrix`.
+    scale : {"linear", "log"}
+        ``"linear"``: errors of H. ``"log"``: errors of log H, that is of log amplitude and phase, with the
+        variance V = s²/|d|² + σ²; resonances then weigh less.
+    model_sd : float or Parameter
+        σ, the error of the model relative to |H|, known or inferred; 0 by default.
+    gain_sd : float, or mapping of (place, direction) to float
+        Standard deviation of the relative error γ_j of the gain of each response channel, or of those named.
+        Gaussian errors: the gains are integrated out exactly.
+    delay_sd : float, or mapping of (place, direction) to float, s
+        Standard deviation of the delay τ_j of each response channel, or of those named. Each is inferred.
+    test : str, optional
+        Must not be given: frequency response functions are data of a single test.
+
+    Raises
+    ------
+    ValueError
+        If the FRFs have no standard deviations and `model_sd` is 0, or a channel is named that has no FRF.
+    """
+
+    data: FRFData
+    damping: DampingModel | Sequence[DampingModel]
+    scale: Literal["linear", "log"] = "linear"
+    model_sd: NotNegative | Parameter = 0.0
+    gain_sd: NotNegative | Mapping[Any, NotNegative] = 0.0
+    delay_sd: NotNegative | Mapping[Any, NotNegative] = 0.0
+    test: str | None = None
+
+    def __post_init__(self) -> None:
+        for key, given in (("gain_sd", self.gain_sd), ("delay_sd", self.delay_sd)):
+            _by_channel(key, given, self.data)
+        if self.test is not None:
+            raise ArgumentError("test", "must not be given where there is one test only", repr(self.test))
+        if isinstance(self.model_sd, Parameter) and self.model_sd.lower < 0.0:
+            raise ArgumentError(f"model_sd.{self.model_sd.name}.lower", "must be at least 0", self.model_sd.lower)
+
+    def bind_frfs(self, model: SeparableModel, parameters: Sequence[Parameter], first: int) -> FRFTerm:
+        """Return the errors bound to a structure; a reduced model of its FRFs is trained.
+
+        Parameters
+        ----------
+        model : SeparableModel
+        parameters : sequence of Parameter
+            Parameters of the model, which are the leading ones of theta.
+        first : int
+            Index in theta of the first parameter that is inferred for the FRFs.
+
+        Raises
+        ------
+        ValueError
+            If a drive or a response sees no free degree of freedom, or as for the damping.
+        """
+        data = self.data
+        for key, places in (("responses", data.responses), ("drives", data.drives)):
+            for k, place in enumerate(places):
+                if not model.sees(place):
+                    rule = "must be a place and a direction of the model that are free to move"
+                    raise ArgumentError(f"data.{key}.{k}", rule, f"{place[0]} {place[1]}")
+        inferred: list[Parameter] = []
+        names = [p.name for p in parameters]
+        damping = bind_damping(self.damping, model, names, inferred)
+        start = np.array([p.start for p in parameters])
+        lower, upper = training_box(parameters)
+        values = np.array([p.start for p in inferred])
+        omega = 2.0 * np.pi * np.asarray(data.frequencies_hz)
+        used = data.used
+        receptance = data.as_receptance()
+        with np.errstate(invalid="ignore"):
+            size = np.abs(receptance.values)
+            known = self.model_sd.start if isinstance(self.model_sd, Parameter) else self.model_sd
+            sd = np.zeros(size.shape) if receptance.sd is None else receptance.sd
+            unit = np.where(used, np.sqrt(sd**2 + (known * size) ** 2), np.inf)
+        if not np.all(unit[used] > 0.0):
+            rule = "must have standard deviations; give sd or coherence to FRFData, or model_sd to FRFErrors"
+            raise ArgumentError("data", rule, "none")
+        lines = used.any(axis=0)
+        of = FRFModel(
+            model, data.responses, data.drives, damping, start, lower, upper, values,
+            Lines(omega[lines], unit[:, lines]),
+        )  # fmt: skip
+        gains, delays = (
+            _by_channel(k, v, data) for k, v in (("gain_sd", self.gain_sd), ("delay_sd", self.delay_sd))
+        )
+        channels = Channels.of(data, gains, delays, first + len(inferred), integrates=np.isinf(data.freedom))
+        inferred += channels.parameters
+        if isinstance(self.model_sd, Parameter):
+            inferred.append(self.model_sd)
+        own = None if isinstance(self.model_sd, Parameter) else float(self.model_sd)
+        is_log = self.scale == "log"
+        return FRFTerm(data, of, channels, tuple(inferred), first, is_log, own, self.as_dict())
+
+    def as_dict(self) -> dict[str, Plain]:
+        """Return a dict of the data, the damping and the settings, in plain Python types."""
+        models = self.damping if isinstance(self.damping, Sequence) else [self.damping]
+        sd = self.model_sd.name if isinstance(self.model_sd, Parameter) else self.model_sd
+        return {
+            "error": "frf",
+            "data": self.data.as_dict(),
+            "damping": [damping_as_dict(one) for one in models],
+            "scale": self.scale,
+            "model_sd": sd,
+            "gain_sd": {f"{c[0]} {c[1]}": s for c, s in _by_channel("gain_sd", self.gain_sd, self.data).items()},
+            "delay_sd": {
+                f"{c[0]} {c[1]}": s for c, s in _by_channel("delay_sd", self.delay_sd, self.data).items()
+            },
+        }
+
+
+def _by_channel(key: str, given: float | Mapping[Any, float], data: FRFData) -> dict[Any, float]:
+    """Return the standard deviation of each named response channel, or of all."""
+    channels = list(dict.fromkeys(data.responses))
+    if not isinstance(given, Mapping):
+        return dict.fromkeys(channels, float(given)) if given else {}
+    unknown = next((name for name in given if tuple(name) not in channels), None)
+    if unknown is not None:
+        known = ", ".join(f"{place} {direction}" for place, direction in channels)
+        raise ArgumentError(key, f"must name response channels among {known}", repr(unknown))
+    return {tuple(name): float(sd) for name, sd in given.items() if sd}

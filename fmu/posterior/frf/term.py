@@ -1,0 +1,406 @@
+"""The log-density of measured frequency response functions, its gradient and its information."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from copy import copy
+from typing import NamedTuple
+
+import numpy as np
+
+from fmu.fem.frf.general import GeneralResponses
+from fmu.fem.frf.model import FRFModel
+from fmu.fem.frf.proportional import ModalResponses
+from fmu.fem.modes.modal import single_thread
+from fmu.posterior.data.frf_data import FRFData
+from fmu.posterior.frf.channels import Channels
+from fmu.posterior.parameters import Parameter
+from fmu.progress.phases import count_solves
+from fmu.types import BoolArray, ComplexArray, FloatArray, Plain
+
+_LINES = 512
+"""Number of lines in a block; fixed, so that no bit of a result depends on the size of a batch."""
+_MOST_NUMBERS = 2**21
+"""Largest number of elements of a complex array: 32 MiB."""
+_GAUSSIAN = 500.0
+"""Degrees of freedom from which Student's distribution is taken for the Gaussian one."""
+_LOG_2PI = float(np.log(2.0 * np.pi))
+
+
+class Misfit(NamedTuple):
+    """Log-densities of a block of lines and their derivatives.
+
+    Attributes
+    ----------
+    terms : ndarray, shape (n, n_frfs, n_lines)
+        Without the parts that no parameter changes.
+    weights : ndarray of complex, shape (n, n_frfs, n_lines), or None
+        w with d(terms) = Re(w dH).
+    by_sd : ndarray, shape (n, n_frfs, n_lines), or None
+        Derivative by the relative error σ of the model.
+    """
+
+    terms: FloatArray
+    weights: ComplexArray | None
+    by_sd: FloatArray | None
+
+
+class Gains(NamedTuple):
+    """The gains that are integrated out, at n parameter vectors.
+
+    The density of the data given the relative error γ of a gain is exp(−½ A (γ − γ̂)²) times its maximum.
+
+    Attributes
+    ----------
+    best : ndarray, shape (n, n_channels)
+        γ̂, the most probable value; 0 for a channel whose gain is known.
+    precision : ndarray, shape (n, n_channels)
+        A, with the precision of the prior; infinite for a channel whose gain is known.
+    log_density : ndarray, shape (n,)
+        The terms of the integral beside those of the lines.
+    """
+
+    best: FloatArray
+    precision: FloatArray
+    log_density: FloatArray
+
+
+class FRFTerm:
+    """Measured FRFs bound to a structure.
+
+    Attributes
+    ----------
+    data : FRFData
+    model : FRFModel
+    channels : Channels
+    inferred : tuple of Parameter
+        Parameters of the damping, of the channels, and the relative error of the model, as far as they are
+        inferred.
+    n_data : int
+        Number of measured real numbers that are used.
+
+    Parameters
+    ----------
+    first : int
+        Index in theta of the first of `inferred`: those of the damping, those of the channels, and σ.
+    is_log : bool
+        Whether the errors are those of log H.
+    model_sd : float or None
+        The relative error σ of the model; None if it is inferred.
+    settings : dict
+        The result of `as_dict`.
+    """
+
+    def __init__(
+        self,
+        data: FRFData,
+        model: FRFModel,
+        channels: Channels,
+        inferred: tuple[Parameter, ...],
+        first: int,
+        is_log: bool,
+        model_sd: float | None,
+        settings: dict[str, Plain],
+    ) -> None:
+        self.data, self.model, self.channels, self.inferred = data, model, channels, inferred
+        self._is_log, self._model_sd, self._settings = is_log, model_sd, settings
+        lines = data.used.any(axis=0)
+        self.omega = 2.0 * np.pi * np.asarray(data.frequencies_hz)[lines]
+        self._power = (1j * self.omega) ** data.power
+        self._used = data.used[:, lines]
+        # everything is computed for receptances; the density is that of the data in their own units
+        measured, sd = data.as_receptance()
+        self._measured = np.where(self._used, measured[:, lines], 1.0)
+        self._variance = np.where(self._used, 0.0 if sd is None else sd[:, lines] ** 2, 1.0)
+        units = np.log(np.abs(self._power))
+        if self._is_log:
+            self._variance = np.where(self._used, self._variance / np.abs(self._measured) ** 2, 1.0)
+            units = units + np.log(np.abs(self._measured))
+        self._constant = -float(np.sum(np.where(self._used, 2.0 * units + _LOG_2PI, 0.0)))
+        with np.errstate(divide="ignore"):
+            self._log_variance = np.log(self._variance)
+        self._log_measured = np.log(self._measured)
+        self.freedom = data.freedom if data.freedom < _GAUSSIAN else np.inf
+        self.n_data = 2 * int(np.sum(self._used))
+        self._first, self._wider = first, 0.0
+        self._sd_column = first + len(inferred) - 1 if model_sd is None else None
+
+    def widen(self, relative: float) -> FRFTerm:
+        """Return the same term with a further relative error of the model, for a search that begins far away."""
+        other = copy(self)
+        other._wider = relative
+        return other
+
+    @property
+    def relative_noise(self) -> float:
+        """Median over the lines of the standard deviation of the data relative to |H|."""
+        size = 1.0 if self._is_log else np.abs(self._measured)
+        return float(np.median((np.sqrt(self._variance) / size)[self._used]))
+
+    @property
+    def _has_fixed_variance(self) -> bool:
+        return self._sd_column is None and not self._wider and not self._model_sd
+
+    def frfs(self, theta: FloatArray) -> ComplexArray:
+        """Return the computed FRFs in the units of the data, (n, n_frfs, n_lines), at theta (n, ndim)."""
+        every = slice(None)
+        parts = [
+            self._predict(self._solve(theta[rows]), theta[rows], every) * self._power
+            for rows in self._rows(len(theta), len(self.omega))
+        ]
+        return np.concatenate(parts) if parts else np.empty((0, *self._used.shape), dtype=complex)
+
+    def terms(self, theta: FloatArray) -> FloatArray:
+        """Return the log-density of the data, shape (n,), at theta (n, ndim)."""
+        count_solves(len(theta))
+        return self._evaluate(theta, gradient=False)[0]
+
+    def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the log-density (n,) and its gradient (n, ndim) at theta (n, ndim)."""
+        count_solves(len(theta), with_gradients=True)
+        return self._evaluate(theta, gradient=True)
+
+    def data_in_units(self) -> tuple[ComplexArray, FloatArray, BoolArray]:
+        """Return measured FRFs, their standard deviations, and whether each is used, (n_frfs, n_lines) each."""
+        size = np.abs(self._power) * (np.abs(self._measured) if self._is_log else 1.0)
+        measured = np.where(self._used, self._measured * self._power, np.nan)
+        return measured, np.sqrt(self._variance) * size, self._used
+
+    def squares(self, theta: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Return Σ r² over the used lines of each FRF, (n, n_frfs), at theta (n, ndim).
+
+        It is chi-square with twice as many degrees of freedom as lines if the model is correct. Gains that are
+        integrated out are drawn. An error with Student's distribution counts by its normal score.
+        """
+        solved = self._solve(theta)
+        found = self._integrate_gains(theta, solved)
+        drawn = found.best + rng.standard_normal(found.best.shape) / np.sqrt(found.precision)
+        gain, total = drawn[:, self.channels.of_frf, None], np.zeros((len(theta), len(self._used)))
+        for lines in self._blocks():
+            H = self._predict(solved, theta, lines)
+            squares = _square(self._error(H, lines, gain)) / self._variances(H, theta, lines)[0]
+            if np.isfinite(self.freedom):  # exp(−½ r²) is the probability of a larger error
+                squares = self.freedom * np.log1p(squares / self.freedom)
+            total += np.sum(np.where(self._used[:, lines], squares, 0.0), axis=2)
+        return total
+
+    def simulate(self, frfs: ComplexArray, theta: FloatArray, rng: np.random.Generator) -> ComplexArray:
+        """Return simulated measured FRFs, (n, n_frfs, n_lines), for computed ones at theta (n, ndim)."""
+        sd = np.sqrt(self._variances(frfs / self._power, theta, slice(None))[0])
+        sd = sd if self._is_log else sd * np.abs(self._power)
+        error = sd * (rng.standard_normal(frfs.shape) + 1j * rng.standard_normal(frfs.shape))
+        if np.isfinite(self.freedom):
+            error *= np.sqrt(self.freedom / rng.chisquare(self.freedom, frfs.shape))
+        gain = self.channels.gain_sd * rng.standard_normal((len(frfs), len(self.channels.names)))
+        gain = gain[:, self.channels.of_frf, None]
+        return frfs * np.exp(error + gain) if self._is_log else (1.0 + gain) * frfs + error
+
+    def gains(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return mean and standard deviation of the gain errors that are integrated out, (n, n_channels) each."""
+        found = self._integrate_gains(theta, self._solve(theta))
+        return found.best, 1.0 / np.sqrt(found.precision)
+
+    def _rows(self, n: int, lines: int = _LINES) -> list[slice]:
+        f, r = self._used.shape[0], self.model.block.size
+        at_once = max(1, _MOST_NUMBERS // (min(lines, len(self.omega)) * (r + 4 * f)))
+        return [slice(i, min(i + at_once, n)) for i in range(0, n, at_once)]
+
+    def _blocks(self) -> Iterator[slice]:
+        for i in range(0, len(self.omega), _LINES):
+            yield slice(i, min(i + _LINES, len(self.omega)))
+
+    def _solve(self, theta: FloatArray) -> ModalResponses | GeneralResponses:
+        p = self.model.full.n_parameters
+        return self.model.at(theta[:, :p], theta[:, self._first : self._first + self.model.n_values])
+
+    def _predict(self, solved: ModalResponses | GeneralResponses, theta: FloatArray, lines: slice) -> ComplexArray:
+        """Return the computed receptances with the inferred errors of the channels, (n, n_frfs, n_lines)."""
+        found = solved.frfs(self.omega[lines])
+        return found * self.channels.factors(theta, self.omega[lines]) if self.channels.parameters else found
+
+    def _sd(self, theta: FloatArray) -> FloatArray:
+        """Return the relative error σ of the model, shape (n, 1, 1)."""
+        if self._model_sd is None:
+            return theta[:, self._sd_column, None, None]
+        return np.full((len(theta), 1, 1), self._model_sd)
+
+    def _variances(self, H: ComplexArray, theta: FloatArray, lines: slice) -> tuple[FloatArray, FloatArray]:
+        """Return the variances V and their logarithms, (n, n_frfs, n_lines) or (n_frfs, n_lines)."""
+        if self._has_fixed_variance:
+            return self._variance[:, lines], self._log_variance[:, lines]
+        size = np.ones(1) if self._is_log else _square(H)
+        V = self._variance[:, lines] + (self._sd(theta) ** 2 + self._wider**2) * size
+        return V, np.log(V)
+
+    def _error(self, H: ComplexArray, lines: slice, gain: FloatArray) -> ComplexArray:
+        """Return the errors of H or of log H, given the gain errors (n, n_frfs, 1)."""
+        if not self._is_log:
+            return np.asarray(self._measured[:, lines] - (H if self._has_known_gains else (1.0 + gain) * H))
+        e = self._log_measured[:, lines] - np.log(H) - gain
+        e.imag -= 2.0 * np.pi * np.round(e.imag / (2.0 * np.pi))
+        return np.asarray(e)
+
+    @property
+    def _has_known_gains(self) -> bool:
+        return not np.any(self.channels.gain_sd)
+
+    def _misfit(
+        self,
+        H: ComplexArray,
+        theta: FloatArray,
+        lines: slice,
+        gain: FloatArray,
+        precision: FloatArray,
+        slopes: bool,
+    ) -> Misfit:
+        """Return the log-densities of a block of lines, with the gain errors and precisions (n, n_frfs, 1)."""
+        used = self._used[:, lines]
+        V, log_V = self._variances(H, theta, lines)
+        e = self._error(H, lines, gain)
+        a, freedom = _square(e), self.freedom
+        if np.isinf(freedom):
+            k, terms = 1.0 / V, -0.5 * a / V - log_V
+        else:
+            k, terms = (
+                (freedom + 2.0) / (freedom * V + a),
+                -0.5 * (freedom + 2.0) * np.log1p(a / (freedom * V)) - log_V,
+            )
+        terms = terms * used
+        if not slopes:
+            return Misfit(terms, None, None)
+        k = k * used
+        weights: ComplexArray = np.asarray(np.conj(e) * k * (1.0 / H if self._is_log else 1.0 + gain))
+        by_sd = None
+        if not self._has_known_gains and not self._is_log:
+            weights = weights - np.conj(H) * (used / (V * precision))
+        if not self._has_fixed_variance:
+            size, sd = np.ones(1) if self._is_log else _square(H), self._sd(theta)
+            by_variance = 0.5 * k * a / V - used / V + 0.5 * used * size / (V**2 * precision)
+            by_sd = 2.0 * sd * size * by_variance
+            if not self._is_log:
+                weights = weights + 2.0 * np.conj(H) * ((sd**2 + self._wider**2) * by_variance)
+        return Misfit(terms, weights, by_sd)
+
+    def _integrate_gains(self, theta: FloatArray, solved: ModalResponses | GeneralResponses) -> Gains:
+        """Return the gains that are integrated out, from one pass over all lines."""
+        sd, n = self.channels.gain_sd, len(theta)
+        known = sd == 0.0
+        if known.all():
+            return Gains(np.zeros((n, len(sd))), np.full((n, len(sd)), np.inf), np.zeros(n))
+        sums = np.zeros((2, n, len(self.channels.of_frf)))
+        for lines in self._blocks():
+            H = self._predict(solved, theta, lines)
+            V, used = self._variances(H, theta, lines)[0], self._used[:, lines]
+            e = self._error(H, lines, np.zeros((1, 1, 1)))
+            first, second = (e.real, 1.0) if self._is_log else (np.real(np.conj(H) * e), _square(H))
+            first, second = first / V, second / V
+            sums[0] += np.sum(np.where(used, first, 0.0), axis=2)
+            sums[1] += np.sum(np.where(used, second, 0.0), axis=2)
+        channels = range(len(sd))
+        of_channel = np.stack([np.sum(sums[:, :, self.channels.of_frf == j], axis=2) for j in channels], axis=2)
+        some = np.where(known, 1.0, sd) ** 2
+        precision = 1.0 / some + of_channel[1]
+        best = of_channel[0] / precision
+        log_density = np.where(known, 0.0, -0.5 * (best**2 / some + np.log(precision * some)))
+        return Gains(np.where(known, 0.0, best), np.where(known, np.inf, precision), np.sum(log_density, axis=1))
+
+    def _evaluate(self, theta: FloatArray, gradient: bool) -> tuple[FloatArray, FloatArray]:
+        value, slope = np.empty(len(theta)), np.empty((len(theta), theta.shape[1] if gradient else 0))
+        with single_thread(), np.errstate(all="ignore"):
+            for rows in self._rows(len(theta)):
+                value[rows], slope[rows] = self._evaluate_some(theta[rows], gradient)
+        return value, slope
+
+    def _evaluate_some(self, theta: FloatArray, gradient: bool) -> tuple[FloatArray, FloatArray]:
+        solved, of_frf = self._solve(theta), self.channels.of_frf
+        gains = self._integrate_gains(theta, solved)
+        gain, precision = (part[:, of_frf, None] for part in (gains.best, gains.precision))
+        value, slope = gains.log_density, np.zeros((len(theta), theta.shape[1] if gradient else 0))
+        value = value + self._constant
+        for lines in self._blocks():
+            H = self._predict(solved, theta, lines)
+            found = self._misfit(H, theta, lines, gain, precision, gradient)
+            value = value + np.sum(np.sum(found.terms, axis=2), axis=1)
+            if found.weights is None:
+                continue
+            if self.channels.parameters:
+                solved.add(found.weights * self.channels.factors(theta, self.omega[lines]))
+                self._add_channels(slope, theta, found.weights * H, self.omega[lines])
+            else:
+                solved.add(found.weights)
+            if self._sd_column is not None and found.by_sd is not None:
+                slope[:, self._sd_column] += np.sum(np.sum(found.by_sd, axis=2), axis=1)
+        if gradient:
+            p, q = self.model.full.n_parameters, self.model.n_values
+            slope[:, :p], slope[:, self._first : self._first + q] = solved.gradient()
+        return value, slope
+
+    def _add_channels(
+        self, slope: FloatArray, theta: FloatArray, products: ComplexArray, omega: FloatArray
+    ) -> None:
+        """Add the derivatives by the inferred gains and delays, given w H of a block of lines."""
+        channels = self.channels
+        for j in range(len(channels.names)):
+            own = products[:, channels.of_frf == j]
+            if channels.gain[j] >= 0:
+                total = np.sum(np.sum(own.real, axis=2), axis=1)
+                slope[:, channels.gain[j]] += total / (1.0 + theta[:, channels.gain[j]])
+            if channels.delay[j] >= 0:
+                slope[:, channels.delay[j]] += np.sum(np.sum(own.imag * omega, axis=2), axis=1)
+
+    def information(self, theta: FloatArray) -> FloatArray:
+        """Return Fisher's information of the data, shape (n, ndim, ndim), at theta (n, ndim).
+
+        Gains that are integrated out are projected out of it.
+        """
+        found = np.zeros((len(theta), theta.shape[1], theta.shape[1]))
+        with single_thread(), np.errstate(all="ignore"):
+            for i in range(len(theta)):
+                found[i] = self._information_at(theta[i : i + 1])
+        return found
+
+    def _information_at(self, theta: FloatArray) -> FloatArray:
+        solved, channels, n = self._solve(theta), self.channels, theta.shape[1]
+        gains = self._integrate_gains(theta, solved)
+        p, q, first = self.model.full.n_parameters, self.model.n_values, self._first
+        columns = [*range(p), *range(first, first + q)]
+        found, mixed = np.zeros((n, n)), np.zeros((len(channels.names), n))
+        share = 1.0 if np.isinf(self.freedom) else (self.freedom + 2.0) / (self.freedom + 4.0)
+        for lines in self._blocks():
+            omega, used = self.omega[lines], self._used[:, lines]
+            H = self._predict(solved, theta, lines)
+            V = np.broadcast_to(self._variances(H, theta, lines)[0], H.shape)[0]
+            factors = channels.factors(theta, omega)[..., None]
+            dH = np.zeros((*H.shape[1:], n), dtype=complex)
+            dH[..., columns] = (solved.slopes(omega) * factors)[0]
+            for f, j in enumerate(channels.of_frf):
+                if channels.gain[j] >= 0:
+                    dH[f, :, channels.gain[j]] = H[0, f] / (1.0 + theta[0, channels.gain[j]])
+                if channels.delay[j] >= 0:
+                    dH[f, :, channels.delay[j]] = -1j * omega * H[0, f]
+            along = dH / H[0, ..., None]  # ∂ log H
+            sd, size = self._sd(theta)[0, 0, 0], np.abs(H[0]) ** 2
+            rows = along if self._is_log else dH * (1.0 + gains.best[0, channels.of_frf, None, None])
+            weight = np.where(used, share / V, 0.0)
+            for part in (rows.real, rows.imag):
+                found += np.einsum("flp,flq->pq", part * weight[..., None], part, optimize=True)
+            relative = np.zeros((*V.shape, n))  # ∂V/V
+            if not self._is_log and (sd or self._wider):
+                relative += (2.0 * (sd**2 + self._wider**2) * size / V)[..., None] * along.real
+            if self._sd_column is not None:
+                relative[..., self._sd_column] = 2.0 * sd * (1.0 if self._is_log else size) / V
+            relative = np.where(used[..., None], relative, 0.0)
+            found += np.einsum("flp,flq->pq", relative, relative, optimize=True)
+            of_gain = along.real if self._is_log else np.real(np.conj(H[0, ..., None]) * rows)
+            for f, j in enumerate(channels.of_frf):
+                mixed[j] += weight[f] @ of_gain[f]
+        return found - np.einsum("jp,jq->pq", mixed / gains.precision[0][:, None], mixed)
+
+    def as_dict(self) -> dict[str, Plain]:
+        """Return a dict of the data, the damping and the settings, in plain Python types."""
+        return self._settings
+
+
+def _square(z: ComplexArray) -> FloatArray:
+    """Return |z|²."""
+    return np.asarray(z.real**2 + z.imag**2)

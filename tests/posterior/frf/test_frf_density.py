@@ -1,0 +1,194 @@
+"""The density of measured frequency response functions, against formulas written out, and its gradient."""
+
+from copy import copy
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy import stats
+
+import fmu
+from tests.gradients import assert_gradient
+from tests.measured_frfs import (
+    LINES,
+    POINTS,
+    RATIOS,
+    TRUTH,
+    building,
+    modes,
+    parameters,
+    problem,
+    ratios,
+    receptances,
+    simulate,
+)
+
+THETA = np.r_[TRUTH * [1.01, 0.99, 1.02], RATIOS * 1.1]
+OMEGA = 2 * np.pi * LINES
+
+
+def errors(kind="accelerance"):
+    """Return data, computed FRFs and their standard deviations at THETA."""
+    data = simulate(kind=kind)
+    H = receptances(THETA[:3], THETA[3:]) * (1j * OMEGA) ** data.power
+    return np.asarray(data.values), H, np.asarray(data.sd)
+
+
+def density_of(extra=(), **options):
+    p = problem(**options)
+    return float(p.likelihood.responses[0].terms(np.r_[THETA, extra][None])[0])
+
+
+@pytest.mark.parametrize("kind", ["receptance", "mobility", "accelerance"])
+def test_gaussian_errors_of_real_and_imaginary_parts(kind):
+    d, H, s = errors(kind)
+    expected = stats.norm.logpdf(d.real, H.real, s).sum() + stats.norm.logpdf(d.imag, H.imag, s).sum()
+    assert_allclose(density_of(kind=kind), expected, rtol=1e-11)
+
+
+def test_a_relative_error_of_the_model_adds_to_the_variance():
+    d, H, s = errors()
+    sd = np.sqrt(s**2 + (0.05 * np.abs(H)) ** 2)
+    expected = stats.norm.logpdf(d.real, H.real, sd).sum() + stats.norm.logpdf(d.imag, H.imag, sd).sum()
+    assert_allclose(density_of(model_sd=0.05), expected, rtol=1e-11)
+    inferred = fmu.Parameter("model error", 0.1, 0.0, 1.0)
+    assert_allclose(density_of([0.05], model_sd=inferred), expected, rtol=1e-11)
+
+
+def test_errors_of_log_frfs_are_a_density_of_the_data():
+    d, H, s = errors()
+    sd = np.sqrt((s / np.abs(d)) ** 2 + 0.05**2)
+    amplitude = stats.norm.logpdf(np.log(np.abs(d)), np.log(np.abs(H)), sd)
+    away = np.angle(d / H)
+    phase = stats.norm.logpdf(away, 0.0, sd)
+    expected = np.sum(amplitude + phase - 2 * np.log(np.abs(d)))  # d log|d| dφ = d Re d Im/|d|²
+    assert_allclose(density_of(scale="log", model_sd=0.05), expected, rtol=1e-11)
+
+
+def test_few_hits_give_student_errors():
+    hits = np.stack([np.asarray(simulate(seed=i, sd=None).values) for i in range(4)])
+    data = fmu.FRFData.from_hits(LINES, hits, ((2, "x"),) * 2, POINTS)
+    own = fmu.FRFErrors(data, fmu.ModalDamping(ratios()))
+    p = fmu.UpdatingProblem(building(), modes(), parameters(), error=own)
+    d, s = np.asarray(data.values), np.asarray(data.sd)
+    _, H, _ = errors()
+    z = np.stack([(d - H).real, (d - H).imag], axis=-1) / s[..., None]
+    expected = sum(stats.multivariate_t([0, 0], np.eye(2), df=6).logpdf(z.reshape(-1, 2))) - 2 * np.log(s).sum()
+    assert_allclose(p.likelihood.responses[0].terms(THETA[None])[0], expected, rtol=1e-10)
+    assert_gradient(p.log_prob_and_grad(THETA)[1], p.log_prob, THETA, 1e-5 * THETA, order=4, of_largest=1e-5)
+
+
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_gains_are_integrated_out_exactly(scale):
+    """The integral over both gains by quadrature."""
+    sd = {POINTS[0]: 0.05, POINTS[1]: 0.02}
+    d, H, s = errors()
+    found = density_of(scale=scale, gain_sd=tuple_of(sd), model_sd=0.01 if scale == "log" else 0.02)
+    expected = 0.0
+    for j in range(2):
+        g = np.linspace(-8 * sd[POINTS[j]], 8 * sd[POINTS[j]], 20_001)[:, None]
+        if scale == "log":
+            V = (s[j] / np.abs(d[j])) ** 2 + 0.01**2
+            e = np.log(np.abs(d[j] / H[j])) - g + 1j * np.angle(d[j] / H[j])
+            constant = -2 * np.log(np.abs(d[j]))
+        else:
+            V = s[j] ** 2 + (0.02 * np.abs(H[j])) ** 2
+            e, constant = d[j] - (1 + g) * H[j], 0.0
+        log_p = np.sum(-0.5 * np.abs(e) ** 2 / V - np.log(2 * np.pi * V) + constant, axis=1)
+        log_p += stats.norm.logpdf(g[:, 0], 0, sd[POINTS[j]])
+        top = log_p.max()
+        expected += top + np.log(np.trapezoid(np.exp(log_p - top), g[:, 0]))
+    assert_allclose(found, expected, rtol=1e-9)
+
+
+class tuple_of(dict):  # noqa: N801  # a dict that the cache of problems takes
+    def __hash__(self):
+        return hash(tuple(self.items()))
+
+
+def inferred_sd():
+    return fmu.Parameter("model error", 0.03, 0.0, 1.0)
+
+
+SETTINGS = {
+    "plain": {},
+    "model": {"model_sd": 0.05},
+    "inferred": {"model_sd": inferred_sd()},
+    "gains": {"gain_sd": 0.03},
+    "gains and model": {"gain_sd": 0.03, "model_sd": inferred_sd()},
+    "delays": {"delay_sd": 1e-4},
+    "all": {"gain_sd": 0.03, "delay_sd": 1e-4, "model_sd": inferred_sd()},
+    "log": {"scale": "log"},
+    "log with all": {"scale": "log", "gain_sd": 0.03, "delay_sd": 1e-4, "model_sd": inferred_sd()},
+    "modes too": {"others": (fmu.FrequencyErrors(sd=0.01),)},
+    "Rayleigh": {"damping": (fmu.RayleighDamping(fmu.Parameter("alpha", 0.3, 0.0, 2.0), 1e-4),)},
+    "loss factors": {
+        "damping": (fmu.StructuralDamping(0.02, tuple_of({"k1": fmu.Parameter("eta", 0.03, 0.0, 0.2)})),)
+    },
+    "dashpot": {
+        "damping": (
+            fmu.RayleighDamping(0.1, 1e-4),
+            fmu.Dashpot((2, "x"), fmu.Parameter("c", 800.0, 0.0, 5000.0), (0, "x")),
+        )
+    },
+}
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_gradient_and_batches(name):
+    p = problem(**SETTINGS[name])
+    rng = np.random.default_rng(3)
+    at = np.where(
+        np.isin(np.arange(p.ndim), np.flatnonzero([n.startswith("delay") for n in p.names])), 3e-5, p.start
+    )
+    x = at * (1.0 + 0.02 * rng.standard_normal((5, p.ndim)))
+    value, gradient = p.log_prob_and_grad(x)
+    assert np.all(np.isfinite(value))
+    assert_gradient(gradient, p.log_prob, x, 2e-5 * np.abs(x), order=4, of_largest=1e-5)
+    assert np.array_equal(value, p.log_prob(x))
+    alone = [p.log_prob_and_grad(one) for one in x]
+    assert [float(v) for v in value] == [v for v, _ in alone]
+    assert np.array_equal(gradient, [g for _, g in alone])
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_information_is_the_covariance_of_the_gradient(name):
+    """Over simulated data, the mean of the gradient's square is Fisher's information."""
+    p = problem(**SETTINGS[name])
+    term, theta = p.likelihood.responses[0], p.start[None]
+    rng, slopes, of_data = np.random.default_rng(4), [], []
+    H = term.frfs(theta)
+    for i in range(300):
+        other = copy(term)
+        d = term.simulate(H, theta, rng)[0] / term._power
+        other._measured, other._log_measured = d, np.log(d)
+        slopes.append(other.terms_and_gradient(theta)[1][0])
+        if i < 20:  # gains that are integrated out depend on the data
+            of_data.append(other.information(theta)[0])
+    found = np.mean(of_data, axis=0)
+    covariance = np.cov(np.array(slopes).T)
+    scale = np.sqrt(np.diag(found))
+    live = scale > 0
+    ratio = (covariance / np.outer(scale, scale).clip(1e-300))[np.ix_(live, live)]
+    expected = (found / np.outer(scale, scale).clip(1e-300))[np.ix_(live, live)]
+    # 300 simulations: an entry of the covariance has a standard error of about 1/√300
+    assert_allclose(ratio, expected, atol=6 / np.sqrt(300))
+
+
+def test_rows_of_a_long_batch_of_lines_add_up():
+    """More lines than a block has: the density is the sum of those of two halves."""
+    rng, lines = np.random.default_rng(0), np.linspace(1.0, 16.0, 1300)
+    H = receptances(lines=lines)
+    sd = 0.05 * np.abs(H)
+    d = H + sd * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape))
+
+    def term(some):
+        data = fmu.FRFData(lines[some], d[:, some], ((2, "x"),) * 2, POINTS, "receptance", sd[:, some])
+        p = fmu.UpdatingProblem(
+            building(), modes(), parameters(), error=fmu.FRFErrors(data, fmu.ModalDamping(ratios()))
+        )
+        return p.likelihood.responses[0].terms_and_gradient(THETA[None])
+
+    whole, *halves = (term(some) for some in (slice(None), slice(0, 700), slice(700, None)))
+    assert_allclose(whole[0], halves[0][0] + halves[1][0], rtol=1e-12)
+    assert_allclose(whole[1], halves[0][1] + halves[1][1], rtol=1e-9)

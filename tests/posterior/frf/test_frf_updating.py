@@ -1,0 +1,145 @@
+"""Updating from frequency response functions, from the search to the verdict."""
+
+import numpy as np
+import pytest
+
+import fmu
+from tests.measured_frfs import LINES, POINTS, RATIOS, TRUTH, building, modes, parameters, ratios, simulate
+
+TIP, BASE = POINTS
+
+
+def update(data, seed=1, **options):
+    own = fmu.FRFErrors(data, fmu.ModalDamping(ratios()), **options)
+    problem = fmu.UpdatingProblem(building(), modes(), parameters(), error=own)
+    return problem, fmu.sample(problem, "mixture", draws=200, warmup=100, seed=seed)
+
+
+def scores(trace):
+    """Return (mean − truth)/sd of each parameter."""
+    names = ["k1", "k2", "k3", "zeta1", "zeta2", "zeta3"]
+    draws = np.array([trace["posterior"][name].to_numpy().ravel() for name in names])
+    return (draws.mean(axis=1) - np.r_[TRUTH, RATIOS]) / draws.std(axis=1)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return update(simulate())
+
+
+def test_moduli_and_damping_are_found_with_their_uncertainty(plain):
+    problem, trace = plain
+    assert np.all(np.abs(scores(trace)) < 4.0)
+    summary = fmu.summary(trace)
+    assert np.all(summary["sd"].to_numpy()[:3] < 0.01)  # the frequencies alone give 0.02
+    diagnosis = fmu.diagnose(trace)
+    assert "converged" in str(diagnosis)
+    assert "the model: not contradicted" in str(diagnosis)
+    assert problem.data.use == (False,) * 3
+
+
+def test_the_trace_has_predicted_and_measured_frfs(plain):
+    problem, trace = plain
+    group = trace["frfs"].to_dataset()
+    measured = np.asarray(simulate().values)
+    assert np.allclose(group["measured"].to_numpy()[..., 0], measured.real, rtol=1e-12, atol=0)
+    low, _, high = group["amplitude"].sel(kind="measurement").to_numpy()
+    inside = np.mean((np.abs(measured) >= low) & (np.abs(measured) <= high))
+    assert 0.84 < inside < 0.96  # 90 % of 240 lines
+    assert np.all(group["frac"] > 0.99)
+    assert trace["log_likelihood"]["frfs"].shape == trace["posterior"]["k1"].shape
+    (found,) = problem.frfs(np.r_[TRUTH, RATIOS])
+    assert found.shape == measured.shape
+
+
+@pytest.fixture(scope="module")
+def wrong_gain():
+    return simulate(distort=lambda H, w: H * np.array([[1.0], [1.4]]))
+
+
+def test_a_wrong_gain_is_found_and_the_moduli_are_right(wrong_gain):
+    _, trace = update(wrong_gain, gain_sd={BASE: 0.5})
+    assert np.all(np.abs(scores(trace)) < 4.0)
+    group = trace["frfs"].to_dataset().sel(channel="0 x")
+    assert abs(float(group["gain"]) - 0.4) < 5 * float(group["gain_sd"]) + 0.02
+    assert "not contradicted" in str(fmu.diagnose(trace))
+
+
+def test_a_wrong_gain_that_is_left_out_contradicts_the_model(wrong_gain):
+    said = str(fmu.diagnose(update(wrong_gain)[1]))
+    assert "contradicted by" in said
+    assert "FRF 0 x / 2 x" in said
+
+
+def test_a_delay_is_found_and_left_out_contradicts_the_model():
+    delayed = simulate(distort=lambda H, w: H * np.exp(-1j * w * np.array([[0.0], [4e-3]])))
+    _, trace = update(delayed, delay_sd={BASE: 5e-3})
+    assert np.all(np.abs(scores(trace)) < 4.0)
+    delay = trace["posterior"]["delay of 0 x"].to_numpy()
+    assert abs(delay.mean() - 4e-3) < 4 * delay.std()
+    assert "contradicted by" in str(fmu.diagnose(update(delayed)[1]))
+
+
+def test_the_search_finds_the_maximum_from_a_start_far_away():
+    start = [fmu.Parameter(name, 0.7, 0.6, 1.6) for name in ("k1", "k2", "k3")]
+    own = fmu.FRFErrors(simulate(noise=0.01), fmu.ModalDamping(ratios()))
+    problem = fmu.UpdatingProblem(building(), modes(), start, error=own)
+    best = fmu.find_map(problem).maxima[0]
+    assert np.allclose(best.theta[:3], TRUTH, rtol=5e-3)
+    assert best.log_prob > problem.log_prob(np.r_[TRUTH, RATIOS])
+
+
+def test_frfs_and_modes_are_added_up():
+    own = fmu.FRFErrors(simulate(), fmu.ModalDamping(ratios()))
+    both = fmu.UpdatingProblem(building(), modes(), parameters(), error=[own, fmu.FrequencyErrors(sd=0.01)])
+    alone = fmu.UpdatingProblem(building(), modes(), parameters(), error=own)
+    of_modes = fmu.UpdatingProblem(building(), modes(), parameters(), error=fmu.FrequencyErrors(sd=0.01))
+    theta = np.r_[TRUTH, RATIOS]
+    together = alone.log_likelihood(theta) + of_modes.log_likelihood(theta[:3])
+    assert np.isclose(both.log_likelihood(theta), together, rtol=1e-12)
+
+
+def replaced(**options):
+    return {"data": simulate(), "damping": fmu.ModalDamping(0.01)} | options
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"gain_sd": {(7, "x"): 0.1}}, "gain_sd: must name response channels among 2 x, 0 x"),
+        ({"delay_sd": {(0, "y"): 0.1}}, "delay_sd: must name response channels"),
+        ({"damping": []}, "damping: must have one damping model at least"),
+        ({"damping": [fmu.ModalDamping(0.01), fmu.Dashpot((0, "x"), 5.0)]}, "modal ratios cannot be combined"),
+        ({"damping": [fmu.ModalDamping(0.01)] * 2}, "must have one ModalDamping at most"),
+        ({"damping": fmu.StructuralDamping(of={"k9": 0.1})}, "damping.of: must name parameters among k1, k2, k3"),
+        ({"damping": fmu.DampingMatrix(np.eye(2))}, r"damping.matrix: must be of 3 rows"),
+        ({"damping": fmu.ModalDamping(fmu.Parameter("z", 0.0, -1.0, 1.0))}, "damping.z.lower: must be at least 0"),
+        ({"data": simulate(sd=None)}, "data: must have standard deviations; give sd or coherence"),
+        ({"test": "a"}, "test: must not be given"),
+    ],
+)
+def test_wrong_settings_say_what_is_wrong(options, message):
+    with pytest.raises(ValueError, match=message):
+        fmu.UpdatingProblem(building(), modes(), parameters(), error=fmu.FRFErrors(**replaced(**options)))
+
+
+def test_a_damping_matrix_must_be_symmetric_and_square():
+    with pytest.raises(ValueError, match=r"matrix: must be symmetric and finite \(got asymmetry 2\)"):
+        fmu.DampingMatrix([[1, 2], [0, 1]])
+    with pytest.raises(ValueError, match="matrix: must be"):
+        fmu.DampingMatrix([[1, 2]])
+
+
+def test_a_drive_that_is_no_free_degree_of_freedom_is_named():
+    data = fmu.FRFData(LINES, np.ones((1, len(LINES))) + 1j, ((9, "x"),), (POINTS[0],), "receptance", 0.1)
+    with pytest.raises(ValueError, match=r"data.drives.0: must be a place .* free to move \(got 9 x\)"):
+        fmu.UpdatingProblem(building(), modes(), parameters(), error=fmu.FRFErrors(**replaced(data=data)))
+
+
+def test_a_function_and_two_sets_of_frfs_are_refused():
+    own = fmu.FRFErrors(**replaced())
+    black_box = fmu.BlackBoxModel(lambda theta: np.array([1.0, 2.0, 3.0]), 3)
+    with pytest.raises(ValueError, match="need a SeparableModel"):
+        fmu.UpdatingProblem(black_box, fmu.ModalData([1.0, 2.0, 3.0]), parameters(), error=own)
+    with pytest.raises(ValueError, match="one FRFErrors at most"):
+        fmu.UpdatingProblem(building(), modes(), parameters(), error=[own, own])
