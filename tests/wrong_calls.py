@@ -140,6 +140,7 @@ def calls(folder: Path) -> Iterator[Call]:
     frame = fmu.Frame(nodes, [group], {0: ("x", "y", "z", "rx", "ry", "rz")})
     (folder / "tests.csv").write_text("name,a,b\nx,10.0,24.0\n")
     (folder / "f.csv").write_text("frequency\n10.0\n24.0\n")
+    (folder / "frf.csv").write_text("frequency_hz,1 x / 1 x re,1 x / 1 x im\n1.0,2.0,3.0\n")
     deck = folder / "beam.inp.in"
     deck.write_text("{k}\n")
     saved = fmu.save_trace(trace, folder / "trace.nc")
@@ -529,6 +530,9 @@ def calls(folder: Path) -> Iterator[Call]:
     )
     yield Call("pairing_changes", fmu.pairing_changes, {"trace": trace})
     yield Call("read_mesh", fmu.read_mesh, {"path": folder / "no.inp"})
+    yield Call("read_frf", fmu.read_frf, {
+        "path": folder / "frf.csv", "kind": "mobility", "drives": ((1, "x"),), "responses": ((1, "x"),),
+        "nodes": None, "variables": None, "frfs": [1], "scale": 1.0, "sd": 0.1, "band": (0.5, 2.0)})  # fmt: skip
     yield Call(
         "read_model",
         fmu.read_model,

@@ -1,4 +1,4 @@
-"""Readers of files from other programs: matrices, meshes and measured modes.
+"""Readers of files from other programs: matrices, meshes, measured modes and frequency response functions.
 
-Reading order: files, shown; then matrices, models and modes, one file per format.
+Reading order: files, shown; then matrices, models, modes and frf, one file per format.
 """

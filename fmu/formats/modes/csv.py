@@ -60,7 +60,7 @@ _MISSED = ("", "nan")
 _DIRECTION = re.compile(r"-?(r?[xyz])")
 
 
-class _Row(NamedTuple):
+class Row(NamedTuple):
     """A row of a table: the number of its line in the file, counted from 1, and its values by column."""
 
     line: int
@@ -99,14 +99,14 @@ def read_frequencies(path: Path) -> MeasuredModes:
     ModesError
         If the table is invalid; the message lists every error with its line and column.
     """
-    header, rows = _table(path)
+    header, rows = read_table(path)
     found = [f"column {name}: is missing" for name in ("mode", "frequency") if name not in header]
     found += [
         f"column {name}: must be one of {', '.join(_FREQUENCY_COLUMNS)}"
         for name in header
         if name not in _FREQUENCY_COLUMNS
     ]
-    _refuse(path, found)
+    refuse(path, found)
     frequencies = [_number(row, "frequency", found, positive=True) for row in rows]
     sd = [_number(row, "sd", found, positive=True) for row in rows] if "sd" in header else None
     numbers = [_whole(row, "number", found) for row in rows] if "number" in header else []
@@ -118,7 +118,7 @@ def read_frequencies(path: Path) -> MeasuredModes:
         for i, (row, label) in enumerate(zip(rows, labels, strict=True))
         if not label or first[label] < i
     ]
-    _refuse(path, found)
+    refuse(path, found)
     deviations = None if sd is None else np.array(sd)
     return MeasuredModes(np.array(frequencies), tuple(labels), deviations, numbers=tuple(numbers), use=tuple(use))
 
@@ -133,11 +133,11 @@ def read_shapes(path: Path, labels: tuple[str, ...]) -> MeasuredModes:
     ModesError
         If the table is invalid; the message lists every error with its line and column.
     """
-    header, rows = _table(path)
+    header, rows = read_table(path)
     found = [f"column {name}: is missing" for name in ("place", "direction", *labels) if name not in header]
     known = ("place", "direction", *labels)
     found += [f"column {name}: is not a measured mode" for name in header if name not in known]
-    _refuse(path, found)
+    refuse(path, found)
     for row in rows:
         if not row.values["place"]:
             found.append(f"line {row.line}, column place: must not be empty")
@@ -147,7 +147,7 @@ def read_shapes(path: Path, labels: tuple[str, ...]) -> MeasuredModes:
                 f"minus (got {quote(row.values['direction'])})"
             )
     shapes = [[_number(row, label, found) for label in labels] for row in rows]
-    _refuse(path, found)
+    refuse(path, found)
     places = [row.values["place"] for row in rows]
     sensors = [
         (int(place) if re.fullmatch(r"-?\d{1,18}", place) else place, row.values["direction"])
@@ -166,10 +166,10 @@ def read_points(path: Path) -> dict[str, FloatArray]:
     ModesError
         If the table is invalid; the message lists every error with its line and column.
     """
-    header, rows = _table(path)
+    header, rows = read_table(path)
     wanted = ("point", "x", "y", "z")
-    _refuse(path, [f"column {name}: is missing" for name in wanted if name not in header])
-    _refuse(path, [f"column {name}: must be one of {', '.join(wanted)}" for name in header if name not in wanted])
+    refuse(path, [f"column {name}: is missing" for name in wanted if name not in header])
+    refuse(path, [f"column {name}: must be one of {', '.join(wanted)}" for name in header if name not in wanted])
     found: list[str] = []
     points: dict[str, FloatArray] = {}
     for row in rows:
@@ -178,7 +178,7 @@ def read_points(path: Path) -> dict[str, FloatArray]:
             rule = f"must be a name that no other point has (got {quote(name)})"
             found.append(f"line {row.line}, column point: {rule}")
         points[name] = np.array([_number(row, axis, found) for axis in "xyz"])
-    _refuse(path, found)
+    refuse(path, found)
     return points
 
 
@@ -192,16 +192,16 @@ def read_tests(path: Path) -> tuple[FloatArray, tuple[str, ...]]:
     ModesError
         If the table is invalid; the message lists every error with its line and column.
     """
-    header, rows = _table(path)
+    header, rows = read_table(path)
     found: list[str] = []
     labels = tuple(name for name in header if name != _TEST)
     if not labels:
         found.append("must have a column per mode, with its name")
     if "" in labels:
         found.append("every column must have a name, that of its mode")
-    _refuse(path, found)
+    refuse(path, found)
     values = _frequencies(rows, labels, found)
-    _refuse(path, found)
+    refuse(path, found)
     return values, labels
 
 
@@ -223,7 +223,7 @@ def read_campaign(path: Path, labels: Sequence[str], covariates: Collection[str]
     ModesError
         If the table is invalid; the message lists every error with its line and column.
     """
-    header, rows = _table(path)
+    header, rows = read_table(path)
     name = _TEST if _TEST in header and _NAME not in header else _NAME
     known = (name, _GROUP, *labels)
     others = [column for column in header if column not in known]
@@ -237,7 +237,7 @@ def read_campaign(path: Path, labels: Sequence[str], covariates: Collection[str]
     elif covariates is not None:
         rule = f"must be one of {names_shown([*known, *covariates])}; correct its name or delete it"
         found += [f"column {column}: {rule}" for column in others if column not in covariates]
-    _refuse(path, found)
+    refuse(path, found)
     values = _frequencies(rows, labels, found)
     advice = "; every test needs each covariate: fill the cell, or delete the column"
     of_rows = [{column: _number(row, column, found, advice=advice) for column in others} for row in rows]
@@ -252,12 +252,12 @@ def read_campaign(path: Path, labels: Sequence[str], covariates: Collection[str]
         if all(row.values[label].lower() in _MISSED for label in labels):
             rule = f"must have a frequency in a column of {names_shown(labels)} (got none); delete the line"
             found.append(f"line {row.line}: {rule}")
-    _refuse(path, found)
+    refuse(path, found)
     groups = tuple(row.values.get(_GROUP, "") for row in rows)
     return Campaign(tuple(names), groups, tuple(of_rows), values, tuple(row.line for row in rows))
 
 
-def _frequencies(rows: Sequence[_Row], labels: Sequence[str], found: list[str]) -> FloatArray:
+def _frequencies(rows: Sequence[Row], labels: Sequence[str], found: list[str]) -> FloatArray:
     """Return the frequencies in the columns `labels`, NaN where a cell says that the mode was missed."""
     values = [
         [
@@ -269,8 +269,16 @@ def _frequencies(rows: Sequence[_Row], labels: Sequence[str], found: list[str]) 
     return np.array(values)
 
 
-def _table(path: Path) -> tuple[list[str], list[_Row]]:
-    """Return the list of column names and the list of rows of a table."""
+def read_table(path: Path, most_rows: int = MOST_ROWS) -> tuple[list[str], list[Row]]:
+    """Return the list of column names and the list of rows of a table.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ModesError
+        If the file is no table, or has more than `most_rows` rows; the message lists every error with its line.
+    """
     try:
         text = checked_file(path).read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
@@ -279,7 +287,7 @@ def _table(path: Path) -> tuple[list[str], list[_Row]]:
     lines = ((i, line) for i, line in numbered if line.strip() and line.strip()[0] != "#")
     found: list[str] = []
     header: list[str] = []
-    rows: list[_Row] = []
+    rows: list[Row] = []
     separator = ","
     for number, line in lines:
         if not header:
@@ -297,18 +305,18 @@ def _table(path: Path) -> tuple[list[str], list[_Row]]:
                 )
         elif len(cells) != len(header):
             found.append(f"line {number}: must have {len(header)} values, one per column (got {len(cells)})")
-        elif len(rows) == MOST_ROWS:
-            found.append(f"line {number}: must not be there: a table has at most {MOST_ROWS} rows")
+        elif len(rows) == most_rows:
+            found.append(f"line {number}: must not be there: a table has at most {most_rows} rows")
             break
         else:
-            rows.append(_Row(number, dict(zip(header, cells, strict=True))))
+            rows.append(Row(number, dict(zip(header, cells, strict=True))))
     if not found and not rows:
         found = ["must have a line of column names and a line of values at least"]
-    _refuse(path, found)
+    refuse(path, found)
     return header, rows
 
 
-def _refuse(path: Path, found: list[str]) -> None:
+def refuse(path: Path, found: list[str]) -> None:
     """Raise ModesError if errors were found."""
     if found:
         raise ModesError(path.name, found)
@@ -329,7 +337,7 @@ def _cells(line: str, separator: str) -> list[str]:
     return cells
 
 
-def _number(row: _Row, column: str, found: list[str], *, positive: bool = False, advice: str = "") -> float:
+def _number(row: Row, column: str, found: list[str], *, positive: bool = False, advice: str = "") -> float:
     """Return the number in a column of a row; if it is invalid, add an error to `found` and return NaN."""
     text = row.values[column]
     try:
@@ -343,14 +351,14 @@ def _number(row: _Row, column: str, found: list[str], *, positive: bool = False,
     return value
 
 
-def _yes(row: _Row, column: str, found: list[str]) -> bool:
+def _yes(row: Row, column: str, found: list[str]) -> bool:
     text = row.values[column]
     if text.lower() not in _YES_OR_NO:
         found.append(f"line {row.line}, column {column}: must be true or false (got {quote(text)})")
     return _YES_OR_NO.get(text.lower(), True)
 
 
-def _whole(row: _Row, column: str, found: list[str]) -> int:
+def _whole(row: Row, column: str, found: list[str]) -> int:
     text = row.values[column]
     if not re.fullmatch(r"[1-9]\d{0,8}", text):
         found.append(f"line {row.line}, column {column}: must be a whole number from 1 (got {quote(text)})")

@@ -39,7 +39,7 @@ def is_node(place: Hashable) -> bool:
 
 
 class ModesError(ValueError):
-    """The error for a file or result from which no modes can be read.
+    """The error for a file or result from which no modes or frequency response functions can be read.
 
     Attributes
     ----------
@@ -188,20 +188,22 @@ def real_shapes(shapes: ArrayLike, least_mpc: float = LEAST_MPC) -> tuple[FloatA
     return np.asarray((phi * np.exp(-0.5j * np.angle(np.sum(phi**2, axis=0)))).real), mpc
 
 
-def checked_file(path: Path) -> Path:
-    """Return the path of a file, after checking that the file can be read.
+def checked_file(path: Path, most: int | None = None) -> Path:
+    """Return the path of a file, after checking that the file can be read and has at most `most` bytes.
+
+    `most` is `LARGEST_FILE` if it is not given.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     ModesError
-        If the file is larger than `LARGEST_FILE`.
+        If the file is larger.
     """
     why = why_no_file(path)
     if why:
         raise MissingFileError("path", f"must be a file ({why})")
-    large = too_large(path, LARGEST_FILE)
+    large = too_large(path, most or LARGEST_FILE)
     if large:
         raise ModesError(path.name, [large])
     return path

@@ -272,7 +272,7 @@ def datasets(path: Path) -> list[Dataset]:
     ModesError
         If the file is not a universal file, is too large, or has datasets that do not match their headers.
     """
-    sets = _sets(path, (SHAPES,), "modes", _wrong)
+    sets = read_datasets(path, (SHAPES,), "modes", _wrong)
     return [one for one in sets if one["analysis_type"] in REAL + COMPLEX]
 
 
@@ -287,7 +287,7 @@ def read_uff_points(path: Path) -> dict[str, FloatArray]:
         See `datasets`; also if there are no nodes, or a node has two different positions.
     """
     points: dict[str, FloatArray] = {}
-    for one in _sets(checked_file(path), NODES, "nodes", _wrong_nodes):
+    for one in read_datasets(checked_file(path), NODES, "nodes", _wrong_nodes):
         for node, *place in zip(*(one[key] for key in ("node_nums", "x", "y", "z")), strict=True):
             if np.any(points.setdefault(str(int(node)), np.array(place)) != place):
                 raise ModesError(path.name, [f"must have each node once (got node {int(node)} at two places)"])
@@ -305,12 +305,20 @@ def _wrong_nodes(one: Dataset) -> list[str]:
     return []
 
 
-def _sets(path: Path, kinds: tuple[int, ...], what: str, wrong: Callable[[Dataset], list[str]]) -> list[Dataset]:
-    """Return the list of datasets of some types; ModesError if a dataset is malformed or `wrong` finds errors."""
+def read_datasets(
+    path: Path, kinds: tuple[int, ...], what: str, wrong: Callable[[Dataset], list[str]]
+) -> list[Dataset]:
+    """Return the list of datasets of some types, which contain `what`.
+
+    Raises
+    ------
+    ImportError, ModesError
+        See `datasets`; also if `wrong` returns errors of a dataset.
+    """
     content = path.read_bytes()
     if content.count(_TAG) > 2 * MOST_DATASETS:
         raise ModesError(path.name, [f"must have at most {MOST_DATASETS} datasets"])
-    names = [[str(kind).encode()] for kind in kinds]
+    names = [[f"{kind}{binary}".encode()] for kind in kinds for binary in ("", "b")]
     if any(len(part) > LARGEST_DATASET and part[:99].split()[:1] in names for part in content.split(_TAG)):
         raise ModesError(path.name, [f"must have {what} in datasets of at most {LARGEST_DATASET} bytes"])
     with imported_pyuff() as pyuff:

@@ -1,0 +1,261 @@
+"""Reader of frequency response functions in universal files: dataset 58, "Function at Nodal DOF".
+
+The datasets are read by pyuff: text or binary, even or uneven spacing, single or double precision (University of
+Cincinnati, *Universal File Formats for Modal Analysis Testing*). Function type 4 is an FRF, 6 a coherence. The
+data types of the ordinate and its denominator give the kind; dataset 164 gives the units; the directions are along
+the axes of the displacement coordinate system of the node (datasets 15 or 2411, with 18 or 2420).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fmu.formats.frf.measured_frfs import (
+    FRFFormat,
+    MeasuredFRFs,
+    Wanted,
+    check_size,
+    points_in_order,
+    rows_of,
+)
+from fmu.formats.matrices.limits import LARGEST_FILE, RefusedError
+from fmu.formats.models.coordinate_systems import Definition, Kind, Systems
+from fmu.formats.modes.measured_modes import ModesError, Place, checked_file
+from fmu.formats.modes.uff import NODES, Dataset, read_datasets
+from fmu.numbers import given
+from fmu.types import DIRECTIONS, Dof, FloatArray
+
+FUNCTIONS, UNITS, SYSTEMS = 58, 164, (18, 2420)
+FRF, COHERENCE = 4, 6
+_FORCE = (9, 13)
+"""Data types of a force: reaction, excitation."""
+_KINDS = {8: "receptance", 11: "mobility", 12: "accelerance"}
+"""Kinds of FRFs by the data type of the response over a force."""
+_UNKNOWN = (0, 1)
+_SHAPES: tuple[Kind, ...] = ("R", "C", "S")
+_ALONG = 1e-4
+"""Largest component of an axis across a global axis to which it is parallel."""
+_SAME_LINES = 1e-5
+"""Largest relative difference of the frequencies of two FRFs, which have six digits in a file."""
+
+
+def read_uff_frfs(path: Path, wanted: Wanted) -> MeasuredFRFs:
+    """Return the FRFs of a universal file, in SI units and along global axes.
+
+    Raises
+    ------
+    FileNotFoundError, ImportError
+        If the file does not exist, or pyuff is not installed.
+    ModesError
+        If the file cannot be read; has no FRFs, or FRFs with different lines, kinds or units; or an FRF has no
+        direction along a global axis.
+    """
+    kinds = (FUNCTIONS, UNITS, *SYSTEMS, *NODES)
+    sets = read_datasets(checked_file(path, LARGEST_FILE), kinds, "FRFs", _wrong)
+    functions = [one for one in sets if one["type"] == FUNCTIONS]
+    frfs = [one for one in functions if one["func_type"] == FRF]
+    if not frfs:
+        types = sorted({int(one["func_type"]) for one in functions})
+        advice = "; make FRFs of time records with fmu.FRFData.from_records" if 1 in types else ""
+        raise ModesError(
+            path.name, [f"must have FRFs, datasets 58 of function type 4 (got types {types}){advice}"]
+        )
+    if wanted.frfs is not None:
+        frfs = [frfs[i] for i in rows_of(path.name, wanted.frfs, len(frfs))]
+    if wanted.nodes is not None:
+        frfs = [one for one in frfs if one["rsp_node"] in wanted.nodes and one["ref_node"] in wanted.nodes]
+        if not frfs:
+            raise ModesError(path.name, ["nodes: must have the nodes of the response and the drive of an FRF"])
+    lines = _lines(path, frfs)
+    kind = _kind(path, frfs)
+    factor, notes = _units(path, sets)
+    axes = _Axes(sets, wanted.nodes or {})
+    values = np.array([_si(one, factor) for one in frfs])
+    check_size(path.name, values)
+    mistakes: list[str] = []
+    responses, drives = (
+        None if points is not None else axes.points(frfs, end, mistakes)
+        for end, points in (("rsp", wanted.responses), ("ref", wanted.drives))
+    )
+    if mistakes:
+        raise ModesError(path.name, list(dict.fromkeys(mistakes)))
+    return MeasuredFRFs(
+        lines,
+        values,
+        points_in_order(path.name, "drives", drives, wanted.drives, len(frfs)),
+        points_in_order(path.name, "responses", responses, wanted.responses, len(frfs)),
+        kind,
+        coherence=_coherence(functions, frfs, lines),
+        notes=(*notes, *axes.notes, *_labels(frfs)),
+    )
+
+
+class _Axes:
+    """The global directions of the axes at each node."""
+
+    def __init__(self, sets: Sequence[Dataset], nodes: Mapping[int, Place]) -> None:
+        self.nodes, self.notes = nodes, list[str]()
+        self._system: dict[int, int] = {}
+        given_at: dict[int, tuple[int, FloatArray]] = {}
+        for one in (one for one in sets if one["type"] in NODES):
+            for k, node in enumerate(map(int, one["node_nums"])):
+                self._system[node] = int(one["disp_cs"][k])
+                given_at[node] = (int(one["def_cs"][k]), np.array([one[axis][k] for axis in "xyz"]))
+        definitions = dict(definition for one in sets for definition in _definitions(one))
+        undefined = sorted(set(self._system.values()) - set(definitions) - {0, 1})
+        if undefined:
+            self.notes.append(
+                f"The file does not define the coordinate systems {undefined}: global axes are assumed."
+            )
+        known = {node: (system if system in definitions else 0, at) for node, (system, at) in given_at.items()}
+        self._systems = Systems(definitions, known)
+
+    def points(self, frfs: Sequence[Dataset], end: str, mistakes: list[str]) -> list[Dof]:
+        """Return the place and the global direction of one end, "rsp" or "ref", of each FRF."""
+        found: list[Dof] = []
+        for one in frfs:
+            node, number = int(one[f"{end}_node"]), int(one[f"{end}_dir"])
+            where = f"node {node} ({'response' if end == 'rsp' else 'reference'})"
+            direction = ""
+            if not 1 <= abs(number) <= len(DIRECTIONS):
+                what = "0, a scalar" if number == 0 else str(number)
+                key = "responses" if end == "rsp" else "drives"
+                mistakes.append(f"{where}: must have a direction from ±1 to ±6 (got {what}); give {key}")
+            else:
+                direction = self._direction(node, number, where, mistakes)
+            found.append((self.nodes.get(node, node), direction))
+        return found
+
+    def _direction(self, node: int, number: int, where: str, mistakes: list[str]) -> str:
+        """Return the global direction of a direction from ±1 to ±6 at a node."""
+        system = self._system.get(node, 0)
+        about, k = divmod(abs(number) - 1, 3)
+        try:
+            axis = self._systems.axes(system, node)[k] if system in self._systems.definitions else np.eye(3)[k]
+        except RefusedError as error:
+            mistakes.append(f"{where}: {error}")
+            return ""
+        along = int(np.argmax(np.abs(axis)))
+        if np.linalg.norm(np.delete(axis, along)) > _ALONG:
+            is_along = ", ".join(map(given, np.round(axis, 4)))
+            mistakes.append(f"{where}: must have its axes along global axes (direction {number} is ({is_along}))")
+        minus = (axis[along] < 0) != (number < 0)
+        return "-" * int(minus) + DIRECTIONS[3 * about + along]
+
+
+def _definitions(one: Dataset) -> list[tuple[int, Definition]]:
+    """Return the number and the definition of each coordinate system of a dataset 18 or 2420."""
+    found = []
+    if one["type"] == SYSTEMS[0]:
+        columns = (one[key] for key in ("cs_num", "cs_type", "ref_cs_num", "ref_o", "x_point", "xz_point"))
+        for number, kind, reference, origin, on_x, in_xz in zip(*columns, strict=True):
+            x, across = on_x - origin, in_xz - origin
+            on_z = origin + np.cross(x, np.cross(across, x))
+            points = np.array([origin, on_z, on_x])
+            found.append((int(number), Definition(_SHAPES[int(kind)], points, int(reference))))
+    elif one["type"] == SYSTEMS[1]:
+        for number, kind, matrix in zip(
+            *(one[f"CS_{key}"] for key in ("sys_labels", "types", "matrices")), strict=True
+        ):
+            x, _, z, origin = matrix  # rows: the axes, then the origin
+            found.append((int(number), Definition(_SHAPES[int(kind)], np.array([origin, origin + z, origin + x]))))
+    return found
+
+
+def _wrong(one: Dataset) -> list[str]:
+    """Return the list of errors in a dataset that pyuff read, since pyuff accepts any number of values."""
+    if one["type"] in SYSTEMS:
+        kinds = one["cs_type"] if one["type"] == SYSTEMS[0] else one["CS_types"]
+        return (
+            [] if all(int(kind) in range(len(_SHAPES)) for kind in kinds) else ["must have systems of type 0 to 2"]
+        )
+    if one["type"] == UNITS:
+        factors = (one["length"], one["force"])
+        return [] if all(np.isfinite(factors)) and min(factors) > 0 else ["must have positive unit factors"]
+    if one["type"] != FUNCTIONS or one["func_type"] not in (FRF, COHERENCE):
+        return []
+    found = []
+    if len(one["data"]) != one["num_pts"] or len(one["x"]) < one["num_pts"]:
+        found.append(f"must have {one['num_pts']} values, as its header says (got {len(one['data'])})")
+    if one["func_type"] == FRF and not np.iscomplexobj(one["data"]):
+        found.append("must have complex values (got amplitudes without a phase)")
+    ends = ("rsp_node", "rsp_dir", "ref_node", "ref_dir")
+    if not all(isinstance(one[key], int) for key in ends):
+        found.append("must have the nodes and the directions of the response and the reference")
+    return found
+
+
+def _lines(path: Path, frfs: Sequence[Dataset]) -> FloatArray:
+    """Return the frequencies that all FRFs have, Hz."""
+    lines = np.asarray(frfs[0]["x"], dtype=float)[: frfs[0]["num_pts"]]
+    for k, one in enumerate(frfs, 1):
+        x = np.asarray(one["x"], dtype=float)[: one["num_pts"]]
+        if len(x) != len(lines) or not np.allclose(x, lines, rtol=_SAME_LINES, atol=_SAME_LINES * abs(lines[-1])):
+            rule = (
+                f"must have the lines of the first FRF in all of them (number {k} has others); choose some by frfs"
+            )
+            raise ModesError(path.name, [rule])
+    return lines
+
+
+def _kind(path: Path, frfs: Sequence[Dataset]) -> str | None:
+    """Return the kind of all FRFs; None if the file does not say it."""
+    found = set()
+    for one in frfs:
+        top, bottom = int(one["ordinate_spec_data_type"]), int(one["orddenom_spec_data_type"])
+        if top in _FORCE and bottom == 8:
+            found.add("dynamic-stiffness")
+        elif top in _KINDS and bottom in (*_FORCE, *_UNKNOWN):
+            found.add(_KINDS[top])
+        elif top in _UNKNOWN:
+            found.add("")
+        else:
+            rule = "must have displacements, velocities or accelerations per force"
+            raise ModesError(path.name, [f"{rule} (got data types {top} and {bottom})"])
+    if len(found) > 1:
+        names = ", ".join(sorted(name or "unknown" for name in found))
+        raise ModesError(path.name, [f"must have FRFs of one kind (got {names}); choose some by frfs"])
+    return found.pop() or None
+
+
+def _units(path: Path, sets: Sequence[Dataset]) -> tuple[tuple[float, float], list[str]]:
+    """Return the numbers of units of length and of force of the file in 1 m and 1 N, and notes."""
+    factors = {(float(one["length"]), float(one["force"])) for one in sets if one["type"] == UNITS}
+    if len(factors) > 1:
+        raise ModesError(path.name, ["must have the same units (dataset 164) throughout"])
+    if not factors:
+        return (1.0, 1.0), ["The file does not say its units (dataset 164): SI units are assumed."]
+    return factors.pop(), []
+
+
+def _si(one: Dataset, factor: tuple[float, float]) -> FloatArray:
+    """Return the values of an FRF in SI units, with rotations in rad and moments in N·m."""
+    length, force = factor
+    is_moment, is_rotation = (abs(int(one[f"{end}_dir"])) > 3 for end in ("ref", "rsp"))
+    scale = force * length ** (int(is_moment) - int(not is_rotation))
+    is_stiffness = int(one["ordinate_spec_data_type"]) in _FORCE
+    return np.asarray(one["data"]) * (1.0 / scale if is_stiffness else scale)
+
+
+def _coherence(functions: Sequence[Dataset], frfs: Sequence[Dataset], lines: FloatArray) -> FloatArray | None:
+    """Return the coherence of each FRF (n_frfs, n_lines), if the file has it for all."""
+    ends = ("rsp_node", "rsp_dir", "ref_node", "ref_dir")
+    of = {tuple(int(one[key]) for key in ends): one for one in functions if one["func_type"] == COHERENCE}
+    rows = [of.get(tuple(int(one[key]) for key in ends)) for one in frfs]
+    table = [np.abs(one["data"]) for one in rows if one is not None and one["num_pts"] == len(lines)]
+    return np.array(table) if len(table) == len(frfs) else None
+
+
+def _labels(frfs: Sequence[Dataset]) -> list[str]:
+    """Return a note if the axis label of accelerations names g."""
+    labels = {str(one["ordinate_axis_units_lab"]).strip() for one in frfs}
+    of_g = sorted(label for label in labels if label.lower().partition("/")[0].strip() in ("g", "gn", "g's"))
+    if not of_g:
+        return []
+    return [f"The label of the ordinate is {of_g[0]!r}: if the values are in g, read them with scale=9.80665."]
+
+
+FORMAT = FRFFormat((".uff", ".unv", ".bunv", ".uf"), read_uff_frfs, ("nodes",))

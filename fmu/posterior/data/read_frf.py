@@ -1,0 +1,94 @@
+"""Measured frequency response functions from files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from annotated_types import Ge, Gt
+from numpy.typing import ArrayLike
+
+from fmu.arguments import ArgumentError, OwnRule, check_arguments
+from fmu.formats.frf.measured_frfs import Wanted
+from fmu.formats.frf.read import read_frfs
+from fmu.posterior.data.frf_data import FRFData, FRFKind
+from fmu.types import Positive
+
+
+@check_arguments
+def read_frf(
+    path: str | os.PathLike[str],
+    *,
+    kind: FRFKind | None = None,
+    drives: tuple[tuple[Any, str], ...] | None = None,
+    responses: tuple[tuple[Any, str], ...] | None = None,
+    nodes: Mapping[int, Any] | None = None,
+    variables: Mapping[str, str] | None = None,
+    frfs: Sequence[Annotated[int, Ge(1)]] | None = None,
+    scale: Positive = 1.0,
+    averages: Annotated[float, Gt(1.0)] | None = None,
+    sd: ArrayLike | None = None,
+    use: Annotated[ArrayLike | None, OwnRule()] = None,
+    band: tuple[float, float] | None = None,
+) -> FRFData:
+    """Return the frequency response functions (FRFs) in a file.
+
+    ===============================  ======================================================================
+    ``.uff``, ``.unv``               universal files, dataset 58: needs the package pyuff
+    ``.csv``, ``.tsv``, ``.txt``     text tables: see `fmu.formats.frf.table`
+    ``.npz``                         arrays of NumPy, named as the attributes of `fmu.FRFData`
+    ``.mat``, ``.h5``, ``.hdf5``     arrays of MATLAB, or of HDF5: see `fmu.formats.frf.arrays`
+    ===============================  ======================================================================
+
+    Parameters
+    ----------
+    path : path-like
+    kind : {"receptance", "mobility", "accelerance", "dynamic-stiffness"}, optional
+        Needed where the file does not say it; must not contradict a file that does.
+    drives, responses : tuple of (place, direction), optional
+        Points of the FRFs, in the order of the file; needed where the file does not name them.
+    nodes : mapping of node number to place, optional
+        For universal files: the node of the model, or its name, for each node number in the file; FRFs at other
+        nodes are skipped. By default, the nodes of the model have the same numbers.
+    variables : mapping of str to str, optional
+        For arrays: the name in the file of ``frequencies_hz``, ``values``, ``coherence``, ``sd``, ``averages``,
+        ``kind``, ``drives`` or ``responses``, if it is another; ``"test.H"`` is the field H of a structure.
+    frfs : sequence of int, optional
+        Numbers of the FRFs to take, from 1 in the order of the file; all if not given.
+    scale : float
+        Factor that converts the values of the file to SI units: 9.80665 for accelerations in g.
+    averages : float, optional
+        Number of independent averages behind the coherences of the file, which are not used without it.
+    sd, use, band : optional
+        The attributes of `fmu.FRFData` with these names; `sd` in SI units, instead of that in the file.
+
+    Returns
+    -------
+    FRFData
+        `notes` says what the file left open.
+
+    Raises
+    ------
+    ValueError
+        If the file has no such FRFs, or a kind or points are missing.
+    FileNotFoundError, ImportError
+        If the file does not exist, or pyuff is not installed.
+    """
+    found = read_frfs(Path(path), Wanted(drives, responses, nodes, variables or {}, frfs))
+    if kind is not None and found.kind not in (None, kind):
+        raise ArgumentError("kind", f"must be {found.kind!r}, as the file says", repr(kind))
+    said = kind or found.kind
+    if said is None:
+        raise ArgumentError("kind", "must be given, as the file does not say it", "None")
+    notes, coherence = found.notes, found.coherence
+    averages = averages or found.averages
+    if averages is None and coherence is not None:
+        notes += ("The coherences of the file are not used without averages, the number of averages behind them.",)
+        coherence = None
+    if sd is None and found.sd is not None:
+        sd = found.sd * scale
+    values, points = np.asarray(found.values) * scale, (found.drives, found.responses)
+    return FRFData(found.frequencies_hz, values, *points, said, sd, coherence, averages, use, band, notes=notes)  # type: ignore[arg-type]
