@@ -63,6 +63,7 @@ from .posterior.frf.damping import ModalDamping as ModalDamping
 from .posterior.frf.damping import RayleighDamping as RayleighDamping
 from .posterior.frf.damping import StructuralDamping as StructuralDamping
 from .posterior.frf.errors import FRFErrors as FRFErrors
+from .posterior.joint.damage_target import DamageTarget as DamageTarget
 from .posterior.joint.joint_problem import JointProblem as JointProblem
 from .posterior.joint.modal_test import Test as Test
 from .posterior.joint.varies.damage import Damage as Damage

@@ -7,6 +7,7 @@ import re
 import traceback
 from collections.abc import Callable, Iterator
 from copy import copy
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -91,8 +92,8 @@ def at_the_door(problem):
 
 def at_the_door_of(plan):
     """Return a plan whose first simulated test, or page, is noticed."""
-    other = copy(plan)
-    vars(other).update(problem=at_the_door(plan.problem), parameters=stop)
+    other = replace(plan, before=replace(plan.before, problem=at_the_door(plan.problem)))
+    vars(other)["parameters"] = stop
     return other
 
 
@@ -485,6 +486,7 @@ def calls(folder: Path) -> Iterator[Call]:
         {"model": model, "parameters": [parameter], "n_modes": 1, "frequency_sd": 0.01},
     )
     yield Call("plan", fmu.plan, {"problem": watched, "sensors": 1, "draws": 2, "seed": 1})
+    yield Call("DamageTarget", fmu.DamageTarget, {"of": ["k"], "beyond": 0.1, "prior": prior})
     planned = at_the_door_of(made["plan"])
     yield Call("simulate_plan", fmu.simulate_plan, {"plan": planned, "tests": 1, "draws": 4})
     yield Call("write_plan", fmu.write_plan, {"plan": planned, "directory": folder / "plan", "simulated": None})

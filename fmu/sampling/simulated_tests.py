@@ -46,7 +46,7 @@ def simulate_plan(
     Parameters
     ----------
     plan : Plan
-        Of `fmu.plan`, without a trace.
+        Of `fmu.plan` for a problem of one test, without a trace and a decision about damage.
     tests : int
         Number of simulated tests of each choice of sensors. The same parameters and random numbers are used for
         all choices.
@@ -64,8 +64,11 @@ def simulate_plan(
     Raises
     ------
     ValueError
-        If a choice is unknown.
+        If a choice is unknown, or earlier tests are part of the plan.
     """
+    if not plan.before.is_prior:
+        rule = "must start from the prior of a problem of one test, all parameters updated, to simulate tests"
+        raise ArgumentError("plan", rule, "a plan after earlier tests, of damage, or with updated = false")
     known = {PLANNED: plan.chosen, **plan.usual}
     names = list(known)[:3] if choices is None else list(dict.fromkeys((PLANNED, *choices)))
     unknown = next((name for name in names if name not in known), None)
@@ -105,7 +108,7 @@ def model_of(plan: Plan, every: Sequence[int]) -> ModalModel:
         whole = _reduce(plan, whole)
         whole = whole.seen_by(tuple(there.sensors[row] for row in rows))
         return PartialModel(whole, plan.design.modes, range(len(rows)))
-    own = [plan.problem.data.sensors.index(there.sensors[row]) for row in rows]
+    own = [plan.before.data.sensors.index(there.sensors[row]) for row in rows]
     return PartialModel(whole, plan.design.modes, own)
 
 

@@ -147,6 +147,61 @@ def test_every_mistake_of_a_plan_is_said_at_its_key(folder):
     assert "plan.modes" in found.output
 
 
+TESTS = """
+reference = "before"
+damage = { of = ["E column"], beyond = 0.1 }
+
+[[tests]]
+name = "May"
+group = "before"
+frequencies = [2.145, 3.33]
+sd = [0.02, 0.03]
+
+[[tests]]
+name = "June"
+group = "after"
+frequencies = [2.03, 3.15]
+sd = [0.04, 0.06]
+"""
+
+
+def of_damage(folder, name, *changes):
+    """Write a problem file with two tests and a plan of the next one; return its path."""
+    reference, damage, tests = TESTS.strip().split("\n", 2)
+    text = FILE.replace("\n[model]", f"\n{reference}\n[model]", 1).replace("exclude", f"{damage}\nexclude")
+    text = text.replace("[[parameters]]", f"{tests}\n[[parameters]]", 1)
+    text = text.replace("sd = 2e10 }", 'sd = 2e10 }\nvaries = "damage"', 1)
+    for old, new in changes:
+        text = text.replace(old, new)
+    (folder / name).write_text(text, encoding="utf-8")
+    return str(folder / name)
+
+
+def test_the_next_test_after_several_is_planned_for_a_decision_about_damage(folder):
+    file = of_damage(folder, "damage.toml")
+    found = CliRunner().invoke(main, ["plan", file, "--draws", "4", "--out", str(folder / "damage")])
+    assert found.exit_code == 0, found.output
+    assert "The probability that E column has lost more than 10 %" in " ".join(found.output.split())
+    page = (folder / "damage" / "index.html").read_text(encoding="utf-8")
+    assert "Probability of a loss of more than 10 %: before the test" in page
+    assert "E column loss [after]" in page
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("beyond = 0.1", "beyond = 0.7"), "plan.damage.beyond: must be less than 0.5 (got 0.7)"),
+        (("exclude", 'target = ["E beam"]\nexclude'), "plan.damage: must not be given with target"),
+        (('of = ["E column"]', 'of = ["E beam"]'), "target.of: must name parameters that vary by damage"),
+        (("exclude", 'like = "August"\nexclude'), "like: must be one of May, June (got 'August')"),
+    ],
+)
+def test_mistakes_of_a_plan_for_damage(folder, change, said):
+    found = CliRunner().invoke(main, ["plan", of_damage(folder, "wrong.toml", change), "--draws", "4"])
+    assert found.exit_code != 0
+    assert said in " ".join(found.output.split())
+
+
 def test_simulated_tests_are_on_the_page(folder):
     problem = fmu.expected_modes  # a plan from Python, of a structure without a drawing
     model = fmu.SeparableModel.from_terms(

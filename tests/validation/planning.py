@@ -15,10 +15,10 @@ import click
 import numpy as np
 
 import fmu
-from fmu.analysis.plan.bound import relax
-from fmu.analysis.plan.choice import exchange, greedy
 from fmu.analysis.plan.options import AGAIN
 from fmu.analysis.plan.result import Plan
+from fmu.analysis.plan.sensors.bound import relax
+from fmu.analysis.plan.sensors.choice import exchange, greedy
 from tests.shear_building import shear_building
 from tests.validation.kept import completed, kept_lines
 from tests.validation.planned_accuracy import INDEPENDENCE, accuracy

@@ -162,7 +162,7 @@ def starts_at_maxima(density: LogDensity, maxima: Maxima, chains: int, walkers: 
     home = allot_chains(share, chains) if walkers == 1 else np.tile(allot_chains(share, walkers), chains)
     u = np.empty((len(home), scaled.ndim))
     for k in np.unique(home):
-        u[home == k] = _around(_scale_maximum(maxima[int(k)], scaled), scaled, rng, int(np.sum(home == k)))
+        u[home == k] = _around(scale_maximum(maxima[int(k)], scaled), scaled, rng, int(np.sum(home == k)))
     theta: FloatArray = scaled.to_theta(u)
     return theta if walkers == 1 else theta.reshape(chains, walkers, -1)
 
@@ -190,10 +190,10 @@ def components(density: LogDensity, maxima: Maxima | None) -> tuple[list[Quadrat
     chosen = sorted((m for m in maxima if m.starting_share > _MAY_MATTER), key=lambda m: -m.starting_share)
     chosen = chosen[:_MOST_COMPONENTS]
     share = np.array([m.starting_share for m in chosen])
-    return [_scale_maximum(m, scaled) for m in chosen], 0.5 * (share / share.sum() + 1.0 / len(chosen))
+    return [scale_maximum(m, scaled) for m in chosen], 0.5 * (share / share.sum() + 1.0 / len(chosen))
 
 
-def _scale_maximum(maximum: PosteriorMaximum, scaled: ScaledDensity) -> Quadratic:
+def scale_maximum(maximum: PosteriorMaximum, scaled: ScaledDensity) -> Quadratic:
     """Return the log-probability around a maximum to second order, in scaled units."""
     return Quadratic(
         scaled.to_scaled(maximum.theta),

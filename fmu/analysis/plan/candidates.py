@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fmu.analysis.plan.choice import Limits, near_pairs
+from fmu.analysis.plan.sensors.choice import Limits, near_pairs
 from fmu.arguments import ArgumentError
 from fmu.fem.modes.separable import SeparableModel
 from fmu.types import Dof, FloatArray, IntArray

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from fmu.analysis.plan.candidates import Candidates
-from fmu.analysis.plan.information import Readings, State
 from fmu.analysis.plan.sensitivities import Sensitivities
-from fmu.arguments import ArgumentError
-from fmu.differences import both_sides
-from fmu.posterior.problem import UpdatingProblem
+from fmu.analysis.plan.sensors.information import Readings, State
+from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray
-
-Target = str | Sequence[str] | Mapping[str, float] | Callable[[FloatArray], FloatArray]
-"""Names of parameters, weights of a combination by name, or a prediction: theta (n, ndim) to (n,) or (n, t)."""
-_STEP = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +20,8 @@ class Design:
 
     Attributes
     ----------
-    names : tuple of str
-        Names of the p parameters.
+    parameters : tuple of Parameter
+        The p parameters that the test depends on.
     scale : ndarray, shape (p, p)
         L with LLᵀ the covariance of the parameters before the test, SI units.
     found : Sensitivities
@@ -42,7 +36,7 @@ class Design:
         Combinations of the scaled parameters that matter.
     """
 
-    names: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
     scale: FloatArray
     found: Sensitivities
     candidates: Candidates
@@ -50,6 +44,11 @@ class Design:
     frequency_sd: FloatArray
     shape_sd: float
     target: FloatArray | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(one.name for one in self.parameters)
 
     @property
     def largest(self) -> FloatArray:
@@ -105,44 +104,3 @@ class Design:
     def prior_sd(self) -> FloatArray:
         """Standard deviations of the parameters before the test, shape (p,), SI units."""
         return np.asarray(np.linalg.norm(self.scale, axis=1))
-
-
-def target_of(
-    target: Target | None, problem: UpdatingProblem, theta: FloatArray, scale: FloatArray
-) -> FloatArray | None:
-    """Return the combinations of scaled parameters of a target, (n, t, p); None without a target.
-
-    A prediction is linearised at theta (n, p) by central differences.
-
-    Raises
-    ------
-    ValueError
-        If a name is unknown, the weights are all zero, or a prediction does not return finite numbers.
-    """
-    names = problem.names[: problem.n_structural]
-    n, p = theta.shape
-    if target is None:
-        return None
-    if callable(target):
-        h = _STEP * np.linalg.norm(scale, axis=1)
-        points, _ = both_sides(theta, h, problem.lower[:p], problem.upper[:p])
-        values = np.asarray(target(points.reshape(-1, p)), dtype=float)
-        if values.shape[:1] != (2 * n * p,) or not np.all(np.isfinite(values)):
-            rule = f"must return finite numbers of shape (n,) or (n, t) at theta (n, {p})"
-            raise ArgumentError("target", rule, f"shape {values.shape}")
-        values = values.reshape(2, n, p, -1)
-        at = np.diagonal(points, axis1=2, axis2=3)
-        rows = np.swapaxes((values[0] - values[1]) / (at[0] - at[1])[..., None], 1, 2)
-    else:
-        weights = [{target: 1.0}] if isinstance(target, str) else [target] if isinstance(target, Mapping) else []
-        weights = weights or [{name: 1.0} for name in target]
-        rows = np.zeros((n, len(weights), p))
-        for t, one in enumerate(weights):
-            for name, weight in one.items():
-                if name not in names:
-                    raise ArgumentError("target", f"must name parameters, {', '.join(names)}", repr(name))
-                rows[:, t, names.index(name)] += weight
-    found = rows @ scale
-    if not np.all(np.any(found, axis=2)):
-        raise ArgumentError("target", "must depend on the parameters", "a combination of weight zero")
-    return np.asarray(found)

@@ -9,14 +9,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.analysis.plan.baselines import auto_mac, largest_off_diagonal
-from fmu.analysis.plan.bound import relax
-from fmu.analysis.plan.choice import Limits
+from fmu.analysis.plan.before import Before
 from fmu.analysis.plan.design import Design
-from fmu.analysis.plan.information import Readings
 from fmu.analysis.plan.options import AGAIN, enough_repeats
 from fmu.analysis.plan.pairing import MOST_WRONG, Pairing
 from fmu.analysis.plan.sensitivities import SHAPE_ERROR
+from fmu.analysis.plan.sensors.baselines import auto_mac, largest_off_diagonal
+from fmu.analysis.plan.sensors.bound import relax
+from fmu.analysis.plan.sensors.choice import Limits
+from fmu.analysis.plan.sensors.information import Readings
+from fmu.analysis.plan.targets import Decision, with_probabilities_in_words
+from fmu.fem.modes.separable import SeparableModel
 from fmu.numbers import fixed, names_in_words, share, significant
 from fmu.posterior.problem import UpdatingProblem
 from fmu.tables import data_frame, text_table, wrap_text
@@ -37,7 +40,10 @@ class Plan:
 
     Attributes
     ----------
-    problem : UpdatingProblem
+    before : Before
+        What is known before the test.
+    structure : SeparableModel or None
+        The structure in the planned test; None of a model without matrices.
     design : Design
         Derivatives, candidates and errors.
     limits : Limits
@@ -60,9 +66,12 @@ class Plan:
     pairing : Pairing
     drift : float
         Relative standard deviation of frequencies that repeats do not reduce.
+    decision : Decision or None
+        The decision about damage that the test is for.
     """
 
-    problem: UpdatingProblem
+    before: Before
+    structure: SeparableModel | None
     design: Design
     limits: Limits
     chosen: tuple[int, ...]
@@ -77,6 +86,12 @@ class Plan:
     second_tests: pd.DataFrame | None
     pairing: Pairing
     drift: float
+    decision: Decision | None = None
+
+    @property
+    def problem(self) -> UpdatingProblem:
+        """The problem whose next test is planned."""
+        return self.before.problem
 
     @property
     def every(self) -> tuple[int, ...]:
@@ -118,6 +133,13 @@ class Plan:
         }
         return data_frame(columns, "parameter", self.design.names)
 
+    def losses(self) -> pd.DataFrame | None:
+        """Return a table of the losses that the test is for; see `Decision.expect`. None without such a target."""
+        if self.decision is None or self.design.target is None:
+            return None
+        readings = self.design.readings(frequency_sd=self.frequency_sd)
+        return self.decision.expect(self.design.target, readings.with_sensors(self.every))
+
     def with_bounds(self) -> pd.DataFrame:
         """Return `curve` with a column ``bound``: the information that no choice of as many sensors exceeds.
 
@@ -150,7 +172,7 @@ class Plan:
     @property
     def doubts(self) -> tuple[str, ...]:
         """Sentences on what stands against the plan; it is recommended if there are none."""
-        found, sd = [], self.parameters()
+        found, sd = [*self.before.doubts], self.parameters()
         for i, wrong in enumerate(self.pairing.wrong):
             if wrong > MOST_WRONG:
                 mode, other = self.design.modes[i] + 1, int(self.pairing.taken_for[i]) + 1
@@ -189,6 +211,9 @@ class Plan:
         ]
         if unknown:
             said.append(f"Nearly unknown after the test: {names_in_words(unknown)}.")
+        losses = self.losses()
+        if self.decision is not None and losses is not None:
+            said += self.decision.sentences(losses)
         enough = enough_repeats(self.repeats)
         said.append(
             "Repeats go on reducing the standard deviations."
@@ -224,10 +249,12 @@ class Plan:
     def __str__(self) -> str:
         verdict = "Recommended." if self.recommended else "Not recommended."
         parts = [wrap_text(one) for one in (verdict, *self.doubts, *self.sentences())]
+        losses = self.losses()
         tables: tuple[tuple[str, pd.DataFrame | None], ...] = (
             ("Sensors", self.sensor_table()),
             ("Expected standard deviations, SI units", self.parameters()),
-            ("Choices", self.choices),
+            ("Losses", None if losses is None else with_probabilities_in_words(losses)),
+            ("Choices", with_probabilities_in_words(self.choices)),
             ("Modes", self.modes),
             ("Repeats", self.repeats),
             ("Second tests", self.second_tests),
@@ -253,12 +280,16 @@ def cell(value: object) -> str:
     return significant(float(value)) if isinstance(value, float) else str(value)
 
 
-def choice_row(design: Design, readings: Readings, every: Sequence[int], pairing: Pairing) -> dict[str, float]:
+def choice_row(
+    design: Design, readings: Readings, every: Sequence[int], pairing: Pairing, decision: Decision | None
+) -> dict[str, float]:
     """Return the row of `Plan.choices` of a choice of candidates."""
     state, rows = readings.with_sensors(every), design.candidates.rows(every)
     shapes = design.found.nominal.shapes[0][:, list(design.modes)][rows]
+    expected = {} if decision is None or design.target is None else decision.worst(design.target, state)
     return {
         "information": readings.value(state),
+        **expected,
         "median_sd": float(np.median(design.sd_of(state) / design.prior_sd)),
         "largest_auto_mac": float(largest_off_diagonal(shapes.T @ shapes)),
         "wrong_pairs": float(np.max(pairing.wrong)),

@@ -14,7 +14,6 @@ from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.reduced.anchors import SingularAnchorError
 from fmu.fem.reduced.reduced_structure import ReducedStructure, train
-from fmu.posterior.problem import UpdatingProblem
 from fmu.progress.phases import phase
 from fmu.types import BoolArray, Dof, FloatArray
 
@@ -188,12 +187,10 @@ def of_structure(paired: PairedStructure, theta: FloatArray, start: FloatArray) 
     return replace(_complete(found[2], found[0], nominal, n), certificate=found[1])
 
 
-def of_model(problem: UpdatingProblem, theta: FloatArray) -> Sensitivities:
+def of_model(model: ModalModel, theta: FloatArray, start: FloatArray) -> Sensitivities:
     """Return the sensitivities of a user's function or a surrogate, at theta (n, n_parameters)."""
-    model: ModalModel = problem.model
     with phase("derivatives at draws", len(theta)):
         seen = model.observed(theta, True)
-    start = problem.start[: model.n_parameters]
     return _complete(model, seen, model.observed(start[None]), model.solves_per_shape_gradient * len(theta))
 
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from fmu.arguments import ArgumentError
 from fmu.config.mistakes import BrokenError
+from fmu.config.parameters import PriorTable
 from fmu.config.tables import Built, Name, NumberOrNumbers, ParameterName, Positive, SensorTable, TomlTable
 from fmu.config.tests import AddedMass, AddedSpring
 from fmu.fem.modes.changes import Change
 from fmu.formats.modes.measured_modes import MOST_MODES
+from fmu.posterior.joint.damage_target import DamageTarget
 from fmu.types import Dof
 
 _MOST_CANDIDATES = 100_000
@@ -25,6 +27,21 @@ class ChangeTable(TomlTable):
     name: ParameterName
     masses: list[AddedMass] = []
     springs: list[AddedSpring] = []
+
+
+class DamageTargetTable(TomlTable):
+    """A decision about damage that a test is for: whether a parameter has lost more than a share of its value."""
+
+    of: Annotated[list[Name], Field(min_length=1)]
+    """Parameters with ``varies = "damage"`` or by group; with one test, those that may lose stiffness after it."""
+    beyond: Annotated[float, Field(gt=0, lt=0.5)]
+    """The loss that matters, such as 0.1."""
+    prior: PriorTable | None = None
+    """With one test: prior of each loss, by default normal with mean 0 and sd 0.3, between −0.5 and 0.95."""
+
+    def build(self) -> DamageTarget:
+        """Return the target."""
+        return DamageTarget(self.of, self.beyond, None if self.prior is None else self.prior.build())
 
 
 class PlanTable(TomlTable):
@@ -60,8 +77,19 @@ class PlanTable(TomlTable):
     """Relative standard deviation of the frequencies that repeated tests do not reduce."""
     target: list[Name] | dict[Name, float] | None = None
     """Parameters that the test is for, or the weights of a combination; all parameters alike if not given."""
+    damage: DamageTargetTable | None = None
+    """The decision about damage that the test is for, instead of a target."""
+    like: ParameterName | None = None
+    """With several tests, the one that the planned test resembles in its group and its changes; the last if not
+    given."""
     changes: list[ChangeTable] = []
     """Known changes of the structure, one of which a second test may have."""
+
+    @model_validator(mode="after")
+    def _has_one_target(self) -> Self:
+        if self.damage is not None and self.target is not None:
+            raise ArgumentError("damage", "must not be given with target; delete one of them")
+        return self
 
     def count_modes(self) -> int:
         """Return the number of the highest mode to be measured."""
@@ -107,7 +135,8 @@ class PlanTable(TomlTable):
             "frequency_sd": self.frequency_sd,
             "shape_sd": self.shape_sd,
             "drift": self.drift,
-            "target": self.target,
+            "target": self.target if self.damage is None else self.damage.build(),
+            "like": self.like,
             "changes": changes,
         }
 

@@ -225,7 +225,10 @@ class Layout:
 
     def draw_scores(self, theta: FloatArray, rng: np.random.Generator, n_tests: int) -> FloatArray:
         """Return draws of the scores of every population, shape (n, n_tests, n_populations)."""
-        z = rng.standard_normal((len(theta), n_tests, len(self.drawn)))
+        return self.correlate(theta, rng.standard_normal((len(theta), n_tests, len(self.drawn))))
+
+    def correlate(self, theta: FloatArray, z: FloatArray) -> FloatArray:
+        """Return independent scores z (n, n_tests, n_populations) with the populations' correlation at theta."""
         return z if self.correlation is None else np.einsum("nij,ntj->nti", self.correlation.factor(theta), z)
 
     def box(self) -> tuple[FloatArray, FloatArray]:

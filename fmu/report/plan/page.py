@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.analysis.plan.baselines import largest_off_diagonal
 from fmu.analysis.plan.result import Plan, cell
+from fmu.analysis.plan.sensors.baselines import largest_off_diagonal
+from fmu.analysis.plan.targets import with_probabilities_in_words
 from fmu.numbers import customary_unit, fixed, share, significant
 from fmu.report.document import Items, Page, PageSection, PageTable, Part, Picture, Pictures, Verdict, picture
 from fmu.report.plan.figures import plot_expected_sds, plot_information, plot_sensors_on_structure, plot_simulated
@@ -77,9 +78,8 @@ def _verdicts(plan: Plan, simulated: SimulatedTests | None) -> tuple[Verdict, ..
 
 def _sensors(plan: Plan) -> PageSection:
     parts: list[Part] = []
-    structure = plan.problem.model.structure
-    if structure is not None and structure.geometry is not None and plan.places is not None:
-        axes = plot_sensors_on_structure(plan, structure)
+    if plan.structure is not None and plan.structure.geometry is not None and plan.places is not None:
+        axes = plot_sensors_on_structure(plan, plan.structure)
         alt = f"The structure with {len(plan.every)} sensors, numbered: {_list_sensors(plan)}."
         caption = "Sensors, the most needed first. Grey: mounted already. Arrows: directions."
         parts.append(Pictures((picture(axes, "sensors", alt, caption),)))
@@ -98,7 +98,7 @@ def _list_sensors(plan: Plan) -> str:
 def _accuracy(plan: Plan) -> PageSection:
     table = plan.parameters()
     rows = []
-    for p, (name, row) in zip(plan.problem.parameters, table.iterrows(), strict=False):
+    for p, (name, row) in zip(plan.design.parameters, table.iterrows(), strict=True):
         unit = customary_unit(p.unit)
         sds = [significant(float(row[key]) / unit.factor) for key in ("before", "frequencies", "after")]
         rows.append((str(name), unit.name or "", *sds, share(float(row["after"] / row["before"]))))
@@ -107,7 +107,16 @@ def _accuracy(plan: Plan) -> PageSection:
     figure = picture(plot_expected_sds(plan), "accuracy", f"Expected sd relative to the one before: {said}.",
                      "Expected standard deviations, relative to those before the test.")  # fmt: skip
     parts: list[Part] = [PageTable("Expected standard deviations.", header, tuple(rows), words=(1,))]
-    return PageSection("accuracy", "Expected accuracy of the parameters", (*parts, Pictures((figure,))))
+    parts.append(Pictures((figure,)))
+    losses = plan.losses()
+    if plan.decision is not None and losses is not None:
+        beyond, twice = share(plan.decision.beyond), share(2.0 * plan.decision.beyond)
+        caption = (
+            f"Losses. Probability of a loss of more than {beyond}: before the test, and expected after it if "
+            f"there is no loss (if none) or the loss is {twice} (if twice)."
+        )
+        parts.append(table_of(caption, with_probabilities_in_words(losses)))
+    return PageSection("accuracy", "Expected accuracy of the parameters", tuple(parts))
 
 
 def _choices(plan: Plan) -> PageSection:
@@ -124,7 +133,9 @@ def _choices(plan: Plan) -> PageSection:
         "Sensors chosen by other rules. Median sd: relative to the one before the test. Wrong pairs: largest "
         "share of simulated tests in which a mode was paired with another one."
     )
-    parts: list[Part] = [table_of(caption, plan.choices)]
+    if plan.decision is not None:
+        caption += " If none, if twice: the worst expected probabilities of the losses that matter."
+    parts: list[Part] = [table_of(caption, with_probabilities_in_words(plan.choices))]
     return PageSection(
         "choices", "Beside the customary choices", (*parts, *([Pictures(tuple(pictures))] * bool(pictures)))
     )

@@ -22,8 +22,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fmu.analysis.plan.choice import Limits
-from fmu.analysis.plan.information import Readings, State
+from fmu.analysis.plan.sensors.choice import Limits
+from fmu.analysis.plan.sensors.information import Readings, State
 from fmu.types import BoolArray, FloatArray
 
 _STEPS = 150

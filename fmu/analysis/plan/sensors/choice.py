@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmu.analysis.plan.information import Readings
+from fmu.analysis.plan.sensors.information import Readings
 from fmu.types import BoolArray, FloatArray, IntArray
 
 _MOST_SWEEPS = 10

@@ -5,9 +5,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from fmu.analysis.plan.bound import relax
-from fmu.analysis.plan.choice import Limits, choose, exchange, greedy, near_pairs
-from fmu.analysis.plan.information import Readings
+from fmu.analysis.plan.sensors.bound import relax
+from fmu.analysis.plan.sensors.choice import Limits, choose, exchange, greedy, near_pairs
+from fmu.analysis.plan.sensors.information import Readings
 
 N, Q, M, P = 3, 12, 4, 3
 

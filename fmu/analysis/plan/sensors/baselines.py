@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fmu.analysis.plan.choice import Limits
+from fmu.analysis.plan.sensors.choice import Limits
 from fmu.fem.modes.modal import mac
 from fmu.types import FloatArray, IntArray
 

@@ -1,0 +1,286 @@
+"""What is known before a planned test: parameters by their prior, the earlier tests or a run, and the structure.
+
+The parameters ψ of a plan are those of theta that matter for the planned test; the scores of this test in the
+populations; and, for a decision about damage after a single test, the losses since then. The parameters of the
+structure in the planned test are functions of ψ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from fmu.analysis.identifiability import truncated_sd
+from fmu.analysis.maxima.results import NEGLIGIBLE
+from fmu.analysis.maxima.search import find_map
+from fmu.analysis.maxima.starts import scale_maximum
+from fmu.analysis.trace.reading import check_trace, parameter_draws, parameter_names
+from fmu.arguments import ArgumentError
+from fmu.differences import both_sides
+from fmu.fem.pairing.modal_model import ModalModel
+from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.numbers import names_in_words
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.joint.conditional.both import scatter_about_typical
+from fmu.posterior.joint.model_in_tests import ModelInTests
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors.base import Normal
+from fmu.posterior.problem import UpdatingProblem
+from fmu.posterior.scaled import ScaledDensity
+from fmu.types import BoolArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_STEP = 1e-4  # of differences, in standard deviations
+_POSTERIOR = 10_000  # draws from the linearised posterior of earlier tests, which give its covariance
+
+
+@dataclass(frozen=True, eq=False)
+class Before:
+    """The parameters and the structure before a planned test.
+
+    Attributes
+    ----------
+    problem : UpdatingProblem
+    test : int
+        Index of the test that the planned one resembles.
+    every : ndarray, shape (n_every,)
+        Values of all parameters, of which ψ are some, at the reference: the start or, after earlier tests, the
+        mean of the posterior.
+    columns : ndarray of int, shape (P,)
+        Indices of ψ among all parameters.
+    parameters : tuple of Parameter
+        The P parameters ψ.
+    draws : ndarray, shape (n, P), SI units
+    scale : ndarray, shape (P, P)
+        L with LLᵀ the covariance of ψ.
+    losses : tuple of int
+        For each loss since a single test, the index of its parameter in theta. These losses are the last ones of
+        all parameters.
+    is_prior : bool
+        Whether ψ are the parameters of a single test, all of them updated, with their priors.
+    doubts : tuple of str
+        Reasons why the linearised posterior of earlier tests may be wrong.
+    """
+
+    problem: UpdatingProblem
+    test: int
+    every: FloatArray
+    columns: IntArray
+    parameters: tuple[Parameter, ...]
+    draws: FloatArray
+    scale: FloatArray
+    losses: tuple[int, ...]
+    is_prior: bool
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def model(self) -> ModalModel:
+        """The model of the test that the planned one resembles."""
+        return self._configuration[0]
+
+    @property
+    def data(self) -> ModalData:
+        """The modes of that test."""
+        return self.problem.tests[self.test].data
+
+    @property
+    def _configuration(self) -> tuple[ModalModel, list[int]]:
+        """The model, and the indices of the structural parameters that it takes."""
+        whole = self.problem.model
+        if not isinstance(whole, ModelInTests):
+            return whole, list(range(whole.n_parameters))
+        part = next(one for one in whole.configurations if self.test in one.tests)
+        return part.model, part.parameters.tolist()
+
+    @property
+    def reference(self) -> FloatArray:
+        """ψ at the reference, shape (P,)."""
+        return self.every[self.columns]
+
+    @property
+    def start(self) -> FloatArray:
+        """Parameters of the model at the reference, shape (n_parameters,)."""
+        return self.values(self.reference[None])[0]
+
+    def all_at(self, psi: FloatArray) -> FloatArray:
+        """Return all parameters (n, n_every) at ψ (n, P): theta, scores of the planned test, and losses."""
+        found = np.tile(self.every, (len(psi), 1))
+        found[:, self.columns] = psi
+        return found
+
+    def theta(self, psi: FloatArray) -> FloatArray:
+        """Return theta without inferred standard deviations, (n, n_structural), at ψ (n, P)."""
+        return self.all_at(psi)[:, : self.problem.n_structural]
+
+    def losses_at(self, psi: FloatArray) -> FloatArray:
+        """Return the losses since a single test, (n, t), at ψ (n, P)."""
+        return self.all_at(psi)[:, len(self.every) - len(self.losses) :]
+
+    def values(self, psi: FloatArray) -> FloatArray:
+        """Return the parameters of the model in the planned test, (n, n_parameters), at ψ (n, P)."""
+        theta, layout = self.theta(psi), self.problem.layout
+        theta[:, list(self.losses)] *= 1.0 - self.losses_at(psi)
+        z = self.all_at(psi)[:, theta.shape[1] : theta.shape[1] + len(layout.drawn)]
+        scores = layout.correlate(theta, z[:, None])[:, 0]
+        found = layout.of_next_test(theta, np.random.default_rng(0), scores, self.test, {})
+        return found[:, self._configuration[1]]
+
+    def slopes(self, function: Callable[[FloatArray], FloatArray]) -> FloatArray:
+        """Return the derivatives (n, t, P) of a function from ψ (n, P) to (n, t), by central differences."""
+        n, p = self.draws.shape
+        h = _STEP * np.linalg.norm(self.scale, axis=1)
+        lower, upper = (np.array([getattr(one, end) for one in self.parameters]) for end in ("lower", "upper"))
+        points, distance = both_sides(self.draws, h, lower, upper)
+        found = function(points.reshape(-1, p)).reshape(2, n, p, -1)
+        return np.asarray(np.swapaxes((found[0] - found[1]) / distance[..., None], 1, 2))
+
+    def chain(self, seen: ModalPrediction) -> ModalPrediction:
+        """Return the modes at the draws with derivatives by ψ instead of the parameters of the model."""
+        if not self.losses and self.problem.layout.is_identity:
+            return seen
+        assert seen.frequency_slopes is not None  # for the type checker: derivatives were requested
+        assert seen.shape_slopes is not None
+        by_psi = self.slopes(self.values)
+        return replace(
+            seen,
+            frequency_slopes=seen.frequency_slopes @ by_psi,
+            shape_slopes=np.einsum("nqmk,nkp->nqmp", seen.shape_slopes, by_psi),
+        )
+
+    def at(self, kept: BoolArray | None) -> Before:
+        """Return the same with some of the draws, by a mask (n,)."""
+        return self if kept is None else replace(self, draws=self.draws[kept])
+
+    def only(self, needed: BoolArray) -> Before:
+        """Return the same with some of the parameters ψ, by a mask (P,); the others are integrated out."""
+        if needed.all():
+            return self
+        covariance = (self.scale @ self.scale.T)[np.ix_(needed, needed)]
+        return replace(
+            self,
+            columns=self.columns[needed],
+            parameters=tuple(one for one, used in zip(self.parameters, needed, strict=True) if used),
+            draws=self.draws[:, needed],
+            scale=np.linalg.cholesky(covariance),
+        )
+
+
+def known_before(
+    problem: UpdatingProblem,
+    trace: xr.DataTree | None,
+    like: str | None,
+    losses: Sequence[Parameter],
+    n: int,
+    rng: np.random.Generator,
+) -> Before:
+    """Return what is known before a planned test.
+
+    Parameters
+    ----------
+    problem : UpdatingProblem
+    trace : DataTree or None
+        A run, whose posterior is what is known. Without one: the prior of a problem of one test; the linearised
+        posterior of a problem of several tests.
+    like : str or None
+        Name of the test that the planned one resembles; the last by default.
+    losses : sequence of Parameter
+        Losses since a single test, each with the name of a parameter of theta and " loss".
+    n : int
+        Number of draws.
+    rng : Generator
+
+    Raises
+    ------
+    ValueError
+        If the trace is of another problem, no test is named `like`, or a parameter has a value of its own in each
+        test.
+    """
+    tests, p = [test.name for test in problem.tests], problem.n_structural
+    several = len(tests) > 1
+    if like is not None and (like not in tests or not several):
+        rule = f"must be one of {', '.join(tests)}" if several else "must not be given for a problem of one test"
+        raise ArgumentError("like", rule, repr(like))
+    own = next((role for role in problem.layout.roles if role.kind == "test"), None)
+    if own is not None and own.of is not None:
+        name = problem.layout.structural[own.of].name
+        rule = "must have no parameter with a value of its own in each test, of which earlier tests tell nothing"
+        raise ArgumentError("problem", rule, name)
+    doubts: tuple[str, ...] = ()
+    parameters, reference = problem.parameters[:p], problem.start[:p]
+    if trace is None and not several:
+        draws, scale = problem.sample_prior(rng, n)[:, :p], np.diag([truncated_sd(one) for one in parameters])
+    else:
+        if trace is None:
+            every, doubts = _linearised_posterior(problem, rng)
+        else:
+            check_trace(trace)
+            if parameter_names(trace)[:p] != problem.names[:p]:
+                rule = f"must be of the parameters {problem.names[:p]}"
+                raise ArgumentError("trace", rule, parameter_names(trace))
+            every = parameter_draws(trace)[..., :p].reshape(-1, p)
+        scale = np.linalg.cholesky(np.atleast_2d(np.cov(every.T)))
+        draws, reference = every[rng.choice(len(every), n, replace=len(every) < n)], every.mean(axis=0)
+    scores = [Parameter(f"{one.name} score [planned]", 0.0, prior=Normal(1.0)) for one in _scattered(problem)]
+    added = [*scores, *losses]
+    if added:
+        drawn = [one.prior.draw(rng, n, one.lower, one.upper) for one in added]
+        draws = np.column_stack([draws, *drawn])
+        scale = block_diag(scale, *(truncated_sd(one) for one in added))
+        reference = np.append(reference, [one.prior.median_within(one.lower, one.upper) for one in added])
+    names = [one.name for one in parameters]
+    return Before(
+        problem,
+        tests.index(like) if like is not None else len(tests) - 1,
+        reference,
+        np.arange(len(reference)),
+        (*parameters, *added),
+        draws,
+        scale,
+        tuple(names.index(one.name.removesuffix(" loss")) for one in losses),
+        trace is None and not losses and problem.layout.is_identity,
+        doubts,
+    )
+
+
+def _scattered(problem: UpdatingProblem) -> list[Parameter]:
+    """Return the structural parameters with a population, in the order of ``layout.drawn``."""
+    layout = problem.layout
+    return [p for p in layout.structural if p.name in layout.populations]
+
+
+def _linearised_posterior(
+    problem: UpdatingProblem, rng: np.random.Generator
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Return draws from the linearised posterior of the tests, (n, n_structural), and reasons to doubt it.
+
+    Around each maximum the posterior is its Gaussian, within the bounds; where parameters scatter over the tests,
+    the draws lie about the typical point.
+    """
+    p = problem.n_structural
+    if problem.is_hierarchical:
+        if problem.likelihood.has_discrepancy:
+            rule = "must be given where parameters scatter over the tests and the model has a discrepancy"
+            raise ArgumentError("trace", rule, "none")
+        return scatter_about_typical(problem, rng, _POSTERIOR, 1.0)[:, :p], ()
+    maxima, scaled = find_map(problem), ScaledDensity(problem)
+    shares = np.array([one.share for one in maxima])
+    counts = rng.multinomial(_POSTERIOR, shares / shares.sum())
+    parts = [
+        scale_maximum(one, scaled).proposal(scaled.lower, scaled.upper).draw(rng, int(count))
+        for one, count in zip(maxima, counts, strict=True)
+        if count
+    ]
+    several = int(np.sum(shares > NEGLIGIBLE))
+    doubts = [f"The earlier tests leave {several} maxima; plan with a run (--run, trace)."] if several > 1 else []
+    at = [name for name, bound in zip(problem.names[:p], maxima[0].at_bound, strict=False) if bound]
+    if at:
+        doubts.append(
+            f"The earlier tests put {names_in_words(at)} at a bound; check the model and the bounds (fmu check)."
+        )
+    return scaled.to_theta(np.concatenate(parts))[:, :p], tuple(doubts)

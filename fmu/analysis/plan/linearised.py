@@ -1,0 +1,224 @@
+"""A planned test linearised, for each kind of model: its candidates, modes and derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from fmu.analysis.plan.before import Before
+from fmu.analysis.plan.candidates import (
+    Candidates,
+    find_candidates,
+    group_candidates,
+    require_places,
+    require_sensors,
+)
+from fmu.analysis.plan.sensitivities import (
+    UNSEEN,
+    Sensitivities,
+    of_model,
+    of_structure,
+    paired_with_itself,
+    pick_modes,
+)
+from fmu.arguments import ArgumentError
+from fmu.fem.modes.changes import Change, changed_model
+from fmu.fem.modes.modal import mac
+from fmu.fem.modes.separable import SeparableModel
+from fmu.fem.pairing.paired_structure import PairedStructure, structure_of
+from fmu.fem.pairing.rules import assign
+from fmu.types import Dof, FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Wishes:
+    """What the user asks of the sensors, modes and second tests; see `fmu.plan`.
+
+    Attributes
+    ----------
+    candidates : sequence of (place, direction), or None
+    mounted : sequence of (place, direction)
+    exclude : collection of place
+    triaxial : bool
+    costs : mapping of place to float
+    modes : int or tuple of int
+        Number of modes, or their indices from 0.
+    changes : mapping of str to Change
+    """
+
+    candidates: Sequence[Dof] | None
+    mounted: Sequence[Dof]
+    exclude: Collection[Any]
+    triaxial: bool
+    costs: Mapping[Any, float]
+    modes: int | tuple[int, ...]
+    changes: Mapping[str, Change]
+
+    @property
+    def of_sensors(self) -> tuple[Sequence[Dof], Collection[Any], bool, Mapping[Any, float]]:
+        """The last arguments of `find_candidates`."""
+        return self.mounted, self.exclude, self.triaxial, self.costs
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """A planned test, linearised at draws.
+
+    Attributes
+    ----------
+    found : Sensitivities
+        With derivatives by the parameters of `Before`.
+    candidates : Candidates
+    modes : tuple of int
+        Indices of the modes to be measured among those of `found`.
+    structure : SeparableModel or None
+        The structure in the planned test; None of a model without matrices.
+    places : ndarray, shape (n_candidates, 3), m, or None
+    energy : ndarray, shape (rows,), or None
+        Kinetic energy of the modes at each reading.
+    second : dict
+        For each change, the sensitivities of the changed structure and the indices of its modes.
+    """
+
+    found: Sensitivities
+    candidates: Candidates
+    modes: tuple[int, ...]
+    structure: SeparableModel | None = None
+    places: FloatArray | None = None
+    energy: FloatArray | None = None
+    second: Mapping[str, tuple[Sensitivities, tuple[int, ...]]] = field(default_factory=dict)
+
+
+def linearise(before: Before, wishes: Wishes) -> Linearised:
+    """Return a planned test linearised at the draws of what is known before it.
+
+    Raises
+    ------
+    ValueError
+        As `fmu.plan`, if the model cannot have such a test.
+    """
+    known = structure_of(before.model)
+    if known is not None:
+        return _with_matrices(before, known, wishes)
+    return _without_matrices(before, wishes)
+
+
+def _with_matrices(before: Before, known: PairedStructure, wishes: Wishes) -> Linearised:
+    """Return the linearised test of a structure given by its matrices."""
+    structure, start, theta = known.structure, before.start, before.values(before.draws)
+    there = find_candidates(structure, wishes.candidates, *wishes.of_sensors)
+    picked, paired = pick_modes(structure, start, there.sensors, wishes.modes)
+    nominal = paired.observed(start[None]).shapes[0][:, list(picked)]
+    there = _moving(there, nominal, are_named=wishes.candidates is not None)
+    paired = paired.seen_by(there.sensors)
+    second = {}
+    for name, change in wishes.changes.items():
+        of_change, modes = _of_change(name, change, paired, theta, start, picked)
+        second[name] = _by_psi(before, of_change), modes
+    return Linearised(
+        _by_psi(before, of_structure(paired, theta, start)),
+        there,
+        picked,
+        structure,
+        there.places(structure),
+        kinetic_energies(paired, start, picked),
+        second,
+    )
+
+
+def _without_matrices(before: Before, wishes: Wishes) -> Linearised:
+    """Return the linearised test of a user's function or a surrogate, at sensors of its data."""
+    if wishes.changes:
+        raise ArgumentError("changes", "need a model with matrices", before.model.name)
+    there = _own_candidates(before, wishes.candidates, *wishes.of_sensors)
+    picked = tuple(range(wishes.modes)) if isinstance(wishes.modes, int) else wishes.modes
+    if max(picked) >= before.model.n_modes:
+        raise ArgumentError("modes", f"must be at most {before.model.n_modes}, as in the data", max(picked) + 1)
+    found = of_model(before.model, before.values(before.draws), before.start)
+    rows = [before.data.sensors.index(sensor) for sensor in there.sensors]
+    for i in picked:
+        if not np.any(found.nominal.shapes[0][rows, i]):
+            rule = f"must include a place and a direction in which mode {i + 1} moves"
+            raise ArgumentError("candidates", rule, "none")
+    _moving(there, found.nominal.shapes[0][rows][:, list(picked)], are_named=True)
+    seen, nominal = found.seen, found.nominal
+    assert seen.shape_slopes is not None  # for the type checker: derivatives were requested
+    found = replace(
+        found,
+        seen=replace(seen, shapes=seen.shapes[:, rows], shape_slopes=seen.shape_slopes[:, rows]),
+        nominal=replace(nominal, shapes=nominal.shapes[:, rows]),
+    )
+    return Linearised(_by_psi(before, found), there, picked)
+
+
+def _by_psi(before: Before, found: Sensitivities) -> Sensitivities:
+    """Return sensitivities by the parameters of `before` instead of the parameters of the model."""
+    return replace(found, seen=before.at(found.kept).chain(found.seen))
+
+
+def _moving(there: Candidates, shapes: FloatArray, are_named: bool) -> Candidates:
+    """Return the candidates without those that no mode moves; ValueError for one that the user has named."""
+    largest = np.max(np.abs(shapes), axis=0)
+    still = ~np.any(np.abs(shapes) > UNSEEN * largest, axis=1)
+    for k, rows in enumerate(there.groups):
+        if still[rows[rows >= 0]].all() and (are_named or k in there.mounted):
+            key = "mounted" if k in there.mounted else "candidates"
+            sensor = repr(list(there.sensors[rows[0]]))
+            raise ArgumentError(key, "must be moved by a mode to be measured, not as", sensor, "; remove it")
+    if not still.any():
+        return there
+    lost, mounted = {there.sensors[row] for row in np.flatnonzero(still)}, there.rows(there.mounted)
+    free = [sensor for row, sensor in enumerate(there.sensors) if sensor not in lost and row not in mounted]
+    fixed = [there.sensors[row] for row in mounted if there.sensors[row] not in lost]
+    costs = {there.sensors[rows[0]][0]: cost for rows, cost in zip(there.groups, there.cost, strict=True)}
+    kept = {place: cost for place, cost in costs.items() if any(place == one for one, _ in (*free, *fixed))}
+    return group_candidates(free, fixed, (), there.groups.shape[1] > 1, kept)
+
+
+def _own_candidates(
+    before: Before,
+    candidates: Sequence[Dof] | None,
+    mounted: Sequence[Dof],
+    exclude: Collection[Any],
+    triaxial: bool,
+    costs: Mapping[Any, float],
+) -> Candidates:
+    """Return the candidates of a model without matrices: sensors of the problem's data."""
+    own = before.data.sensors
+    if not (before.model.gives_shapes and own):
+        rule = "must give shapes at the sensors of its data, which are the candidates of a model without matrices"
+        raise ArgumentError("problem", rule, before.model.name)
+    require_sensors(candidates, mounted, lambda one: tuple(one) in own, "must be a sensor of the problem's data")
+    require_places({place for place, _ in own}, exclude, costs)
+    return group_candidates(own if candidates is None else candidates, mounted, exclude, triaxial, costs)
+
+
+def _of_change(
+    name: str,
+    change: Change,
+    paired: PairedStructure,
+    theta: FloatArray,
+    start: FloatArray,
+    picked: tuple[int, ...],
+) -> tuple[Sensitivities, tuple[int, ...]]:
+    """Return the sensitivities of the changed structure at the same candidates, and its modes to be measured.
+
+    These are the modes most like those of the unchanged structure, by MAC at the candidates.
+    """
+    before = paired.observed(start[None]).shapes[0][:, list(picked)]
+    try:
+        changed = changed_model(paired.structure, change.masses, change.springs)
+        found = of_structure(paired_with_itself(changed, start, paired.sensors, max(picked) + 1), theta, start)
+    except ValueError as error:
+        raise ArgumentError.of(error).under(f"changes.{name}") from None
+    return found, tuple(int(i) for i in assign(np.nan_to_num(mac(found.nominal.shapes[0], before))[None])[0])
+
+
+def kinetic_energies(paired: PairedStructure, start: FloatArray, modes: Sequence[int]) -> FloatArray:
+    """Return φ_q (Mφ)_q summed over some modes at the start, at each sensor, shape (rows,)."""
+    phi = paired.shapes(start)[:, list(modes)]
+    rows = paired.structure.observation(paired.sensors)
+    return np.asarray(np.sum((rows @ phi) * (rows @ (paired.structure.M(start) @ phi)), axis=1))

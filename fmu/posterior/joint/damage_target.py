@@ -1,0 +1,61 @@
+"""A decision about damage that a test is planned for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+from annotated_types import Interval
+
+from fmu.arguments import ArgumentError, check_arguments
+from fmu.posterior.joint.varies.damage import loss_parameter
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors.base import Prior
+from fmu.posterior.problem import UpdatingProblem
+
+
+@check_arguments
+@dataclass(frozen=True)
+class DamageTarget:
+    """A decision about damage: whether a parameter has lost more than a share of its value.
+
+    Attributes
+    ----------
+    of : str or sequence of str
+        Names of the parameters that may have lost stiffness. With several tests (`fmu.JointProblem`), parameters
+        that vary by `Damage` or by group, whose loss is that of the group of the planned test. With one test,
+        parameters that may lose stiffness between this test and the planned one.
+    beyond : float
+        The loss that matters, such as 0.1; twice as much must be less than 1.
+    prior : Prior, optional
+        With one test, the prior of each loss; the one of `Damage` by default.
+    """
+
+    of: str | Sequence[str]
+    beyond: Annotated[float, Interval(gt=0.0, lt=0.5)]
+    prior: Prior | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return (self.of,) if isinstance(self.of, str) else tuple(self.of)
+
+    def parameters(self, problem: UpdatingProblem) -> list[Parameter]:
+        """Return the losses that a problem of one test does not have, as parameters.
+
+        Raises
+        ------
+        ValueError
+            If a name is not the one of a parameter that may have a loss, or a prior is given for several tests.
+        """
+        several = len(problem.tests) > 1
+        known = problem.layout.by_state if several else problem.names[: problem.n_structural]
+        whose = 'parameters that vary by damage or by group (varies = "damage")' if several else "parameters"
+        wrong = next((name for name in self.names if name not in known), None)
+        if wrong is not None or not self.names or len(set(self.names)) < len(self.names):
+            rule = f"must name {whose}: {', '.join(known) or 'the problem has none'}"
+            raise ArgumentError("target.of", rule, repr(self.of if wrong is None else wrong))
+        if several and self.prior is not None:
+            raise ArgumentError("target.prior", "must not be given for several tests, which have one", self.prior)
+        return [] if several else [loss_parameter(f"{name} loss", self.prior) for name in self.names]

@@ -1,0 +1,159 @@
+"""Plans of the next test after several tests, and plans for a decision about damage."""
+
+import numpy as np
+import pytest
+import scipy.stats
+
+import fmu
+from fmu.analysis.plan.sensors.information import State
+from fmu.analysis.plan.targets import Decision
+from tests.shear_building import frequencies_hz, shear_building
+
+MODEL = shear_building(["k1", "k1", "k2", "k2"], 3e6, 1000.0)
+SENSORS = tuple((i, "x") for i in range(4))
+PARAMETERS = [fmu.Parameter(name, 1.0, 0.4, 1.6, fmu.Normal(0.15, mean=1.0)) for name in ("k1", "k2")]
+ERRORS = [fmu.FrequencyErrors("absolute")]
+VALUES = {"May": (1.0, 1.0), "June": (0.85, 1.0), "July": (0.85, 1.0)}
+
+
+def measured(name, modes, shapes_sd=None):
+    """Return a test without errors, by frequencies alone or with shapes at all floors."""
+    f, phi = frequencies_hz(MODEL, np.array(VALUES[name]))
+    group, given = "before" if name == "May" else "after", {}
+    if shapes_sd is not None:
+        seen = phi[:, :modes]
+        sd = shapes_sd * np.abs(seen).max(axis=0) / np.linalg.norm(seen, axis=0)
+        given = {"shapes": seen, "sensors": SENSORS, "shapes_sd": np.tile(sd, (4, 1))}
+    return fmu.Test(name, fmu.ModalData(f[:modes], sd_hz=0.005 * f[:modes], **given), group)
+
+
+def joint(tests, varies=None, errors=ERRORS, **options):
+    return fmu.JointProblem(MODEL, tests, PARAMETERS, varies=varies, error=errors, **options)
+
+
+@pytest.fixture(scope="module")
+def damaged():
+    return joint([measured("May", 4), measured("June", 2)], {"k1": fmu.Damage()})
+
+
+@pytest.fixture(scope="module")
+def planned(damaged):
+    return fmu.plan(damaged, 4, modes=3, target=fmu.DamageTarget("k1", 0.1), draws=16)
+
+
+def linearised_sds(problem, theta):
+    """Return the standard deviations of the posterior linearised at theta, for Gaussian priors."""
+    prior = np.array([p.prior.sd for p in problem.parameters])
+    information = problem.quadratic(np.array(theta)[None])[2][0] + np.diag(1.0 / prior**2)
+    return np.sqrt(np.diag(np.linalg.inv(information)))
+
+
+def test_what_has_been_measured_is_known_before(planned, damaged):
+    expected = linearised_sds(damaged, [1.0, 0.15, 1.0])
+    assert planned.design.names == ("k1", "k1 loss [after]", "k2")
+    np.testing.assert_allclose(planned.parameters()["before"], expected, rtol=0.1)
+
+
+def test_the_plan_expects_the_posterior_of_all_tests_together(planned):
+    errors = [*ERRORS, fmu.ShapeErrors()]
+    # the first two tests tell nothing by shapes as inaccurate as these
+    tests = [measured("May", 4, 10.0), measured("June", 2, 10.0), measured("July", 3, 0.02)]
+    together = joint(tests, {"k1": fmu.Damage()}, errors, reduction=False)
+    expected = linearised_sds(together, [1.0, 0.15, 1.0])
+    np.testing.assert_allclose(planned.parameters()["after"], expected, rtol=0.1)
+
+
+def test_losses_before_and_after(planned):
+    row, sd = planned.losses().loc["k1"], planned.parameters().loc["k1 loss [after]"]
+    assert row["sd_before"] == pytest.approx(sd["before"], rel=1e-6)
+    assert row["sd_after"] == pytest.approx(sd["after"], rel=1e-6)
+    assert row["if_none"] < 0.5 * row["before"] < row["before"] < row["if_twice"]
+    said = " ".join(planned.sentences())
+    assert "The probability that k1 has lost more than 10 % is" in said
+    assert "is expected if k1 has lost 20 %" in said
+    assert planned.choices["if_twice"].iloc[0] == pytest.approx(row["if_twice"])
+
+
+def test_expected_probabilities_are_those_of_simulated_linear_tests():
+    rng = np.random.default_rng(1)
+    L, H, mean, beyond = np.array([[0.1, 0.0], [0.03, 0.05]]), rng.standard_normal((3, 2)) * 20.0, 0.04, 0.1
+    scaled, n = H @ L, 100_000
+    state = State(np.eye(2)[None] + (scaled.T @ scaled)[None], np.zeros((1, 0, 2)), np.zeros((1, 0)))
+    row = Decision(("d",), beyond, np.array([mean])).expect(L[:1][None], state).loc["d"]
+    covariance = np.linalg.inv(np.linalg.inv(L @ L.T) + H.T @ H)
+    for name, loss in (("if_none", 0.0), ("if_twice", 0.2)):
+        off = loss - mean
+        slope, left = (L @ L.T)[1, 0] / (L @ L.T)[0, 0], np.linalg.det(L) / L[0, 0]
+        psi = np.column_stack([np.full(n, off), slope * off + left * rng.standard_normal(n)])
+        y = psi @ H.T + rng.standard_normal((n, 3))
+        estimate = mean + (y @ H @ covariance)[:, 0]
+        p = scipy.stats.norm.cdf((estimate - beyond) / np.sqrt(covariance[0, 0]))
+        assert row[name] == pytest.approx(p.mean(), abs=5.0 * p.std() / np.sqrt(n))
+    assert row["before"] == pytest.approx(scipy.stats.norm.cdf((mean - beyond) / 0.1))
+
+
+def test_a_loss_since_a_single_test_has_its_prior():
+    problem = fmu.UpdatingProblem(MODEL, fmu.expected_modes(MODEL, PARAMETERS, 3), PARAMETERS)
+    found = fmu.plan(problem, 2, target=fmu.DamageTarget(["k1"], 0.1, fmu.Normal(0.2)), draws=8)
+    assert found.design.names == ("k1", "k2", "k1 loss")
+    ends = [end / 0.2 for end in fmu.Normal(0.2).box(-0.5, 0.95)]  # the bounds of a loss
+    sd = scipy.stats.truncnorm.std(*ends, scale=0.2)
+    assert found.losses()["sd_before"].iloc[0] == pytest.approx(sd, rel=1e-6)
+    # one test cannot tell a loss from a stiffness that was smaller before: the prior of the stiffness remains
+    assert found.losses()["sd_after"].iloc[0] > 0.7 * sd * 0.15 / np.hypot(sd, 0.15)
+    with pytest.raises(ValueError, match=r"plan: must start from the prior of a problem of one test"):
+        fmu.simulate_plan(found, 1)
+
+
+def test_damage_as_target_reduces_the_loss_most(damaged):
+    one = fmu.plan(damaged, 3, modes=3, target=fmu.DamageTarget("k1", 0.1), draws=8)
+    every = fmu.plan(damaged, 3, modes=3, draws=8)
+    readings = one.design.readings()
+    assert one.information == pytest.approx(readings.value_of(one.every))
+    assert one.information >= readings.value_of(every.every) - 1e-9
+
+
+def test_a_parameter_with_a_population_has_a_new_score():
+    tests = [measured("May", 3), measured("June", 3), measured("July", 3)]
+    found = fmu.plan(joint(tests, {"k1": fmu.Population()}), 2, modes=2, draws=4)
+    table = found.parameters()
+    assert list(table.index) == ["k1 mean", "k1 sd", "k2", "k1 score [planned]"]
+    assert table.loc["k1 score [planned]", "before"] == pytest.approx(1.0, rel=0.01)
+    assert np.all(table["after"] <= table["before"] * (1.0 + 1e-9))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            {"target": fmu.DamageTarget("k2", 0.1)},
+            r"target\.of: must name parameters that vary by damage",
+        ),
+        ({"target": fmu.DamageTarget(["k1", "k1"], 0.1)}, r"target\.of: must name parameters"),
+        (
+            {"target": fmu.DamageTarget("k1", 0.1), "like": "May"},
+            r"like: must name a test of a group with l",
+        ),
+        (
+            {"target": fmu.DamageTarget("k1", 0.1, fmu.Normal(0.1))},
+            r"target\.prior: must not be given for",
+        ),
+        ({"like": "August"}, r"like: must be one of May, June \(got 'August'\)"),
+        ({"target": "k3"}, r"target: must name parameters, k1, k1 loss \[after\], k2 \(got 'k3'\)"),
+    ],
+)
+def test_bad_input(damaged, options, message):
+    with pytest.raises(ValueError, match=message):
+        fmu.plan(damaged, 2, draws=4, **options)
+
+
+@pytest.mark.parametrize("beyond", [0.0, 0.5, -0.1, np.nan])
+def test_a_threshold_out_of_range(beyond):
+    with pytest.raises(ValueError, match=r"beyond: must be a positive finite number below 0\.5"):
+        fmu.DamageTarget("k1", beyond)
+
+
+def test_a_value_of_its_own_in_each_test():
+    problem = joint([measured("May", 3), measured("June", 3)], {"k1": "test"})
+    with pytest.raises(ValueError, match=r"problem: must have no parameter with a value of its own .*\(got k1\)"):
+        fmu.plan(problem, 2, draws=4)
