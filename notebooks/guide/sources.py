@@ -44,6 +44,7 @@ notebooks/guide/installing
 notebooks/guide/first-steps
 notebooks/guide/own-structure
 notebooks/guide/measurement
+notebooks/guide/frfs
 notebooks/guide/planning
 notebooks/guide/several-tests
 notebooks/guide/damage

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from annotated_types import Gt, Interval
@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike
 
 from fmu.arguments import ArgumentError, Count, OwnRule, check_arguments, shown
 from fmu.durable_files import digest
-from fmu.numbers import given, whole
+from fmu.formats.modes.measured_modes import LEAST_MPC, Collinearity
 from fmu.posterior.data.frf.checks import (
-    ComplexArray,
     check_rows,
+    check_used,
     checked_bools,
     checked_coherence,
     checked_dofs,
@@ -24,19 +24,13 @@ from fmu.posterior.data.frf.checks import (
     checked_sd,
     checked_values,
 )
-from fmu.posterior.data.frf.doubts import KINDS, doubts
-from fmu.posterior.data.frf.estimates import Estimator, average_hits, estimate_frfs
-from fmu.posterior.data.frf.peaks import Peaks, Spectra, pick_peaks
+from fmu.posterior.data.frf.doubts import doubts
+from fmu.posterior.data.frf.estimates import Estimator, average_hits, estimate_frfs, sd_of_coherence
+from fmu.posterior.data.frf.identification import IdentifiedModes, identify
+from fmu.posterior.data.frf.peaks import KINDS, Peaks, Receptance, Spectra, pick_peaks
 from fmu.types import BoolArray, FloatArray, Plain
 
 FRFKind = Literal["receptance", "mobility", "accelerance", "dynamic-stiffness"]
-
-
-class Receptance(NamedTuple):
-    """Receptances (n_frfs, n_lines) in m/N, and their standard deviations of the same shape if they are known."""
-
-    values: ComplexArray
-    sd: FloatArray | None
 
 
 @check_arguments
@@ -142,18 +136,9 @@ class FRFData:
         notes += check_rows(self.labels, missing)
         if self.band is not None and not 0.0 <= self.band[0] < self.band[1]:
             raise ArgumentError("band", "must have a lower frequency below its upper one", shown(self.band))
-        chosen = self._chosen & ~missing
-        if not chosen.any():
-            low, high = map(given, np.asarray(self.frequencies_hz)[[0, -1]])
-            name = "use" if self.band is None else "band"
-            raise ArgumentError(name, "must leave a line with a value", "none", f"; lines are {low} to {high} Hz")
-        without = int(np.sum(chosen & ~self.used))
-        if without == chosen.sum():
-            name, value = ("sd", "0 or NaN") if self.sd is not None else ("coherence", "0, 1 or NaN")
-            raise ArgumentError(name, "must give a standard deviation above 0 at a line that is used", value)
-        if without:
-            why = "has no standard deviation" if self.sd is not None else "has a coherence of 0, 1 or NaN"
-            notes.append(f"{whole(without)} of {whole(missing.size)} values are not used: each {why}.")
+        name = "use" if self.band is None else "band"
+        of_sd = "coherence" if self.sd is None else "sd"
+        notes += check_used(np.asarray(self.frequencies_hz), self._chosen & ~missing, self.used, name, of_sd)
 
     @classmethod
     @check_arguments
@@ -168,10 +153,9 @@ class FRFData:
     ) -> Self:
         """Return the mean of the FRFs of repeated hits, with its standard deviation from their scatter.
 
-        With n hits at a line, s² = Σ |H_j − mean|²/(2 (n − 1)) is the variance of the real part and of the
-        imaginary part of one hit; `sd` is s/√n, and has 2 (n − 1) degrees of freedom (`freedom`). The error of the
-        mean divided by this `sd` has Student's distribution, not a Gaussian one: of 20 errors taken for Gaussian,
-        one should exceed 1.96 sd; of 3 hits 2.4 do, of 5 hits 1.7, of 10 hits 1.3. Ten hits or more are safe.
+        The error of the mean divided by `sd` has Student's distribution with 2 (hits − 1) degrees of freedom
+        (`freedom`). Of 20 Gaussian errors, one exceeds 1.96 sd; of 3 hits 2.4 do, of 5 hits 1.7, of 10 hits 1.3.
+        Take ten hits or more, or errors with Student's distribution.
 
         Parameters
         ----------
@@ -189,8 +173,8 @@ class FRFData:
             If there are fewer than two hits, or the arguments of the class are invalid.
         """
         mean, sd, hits = average_hits(values, kind == "dynamic-stiffness")
-        kind = "receptance" if kind == "dynamic-stiffness" else kind
-        return cls(frequencies_hz, mean, drives, responses, kind, sd, hits=hits, **options)
+        averaged: FRFKind = "receptance" if kind == "dynamic-stiffness" else kind
+        return cls(frequencies_hz, mean, drives, responses, averaged, sd, hits=hits, **options)
 
     @classmethod
     @check_arguments
@@ -211,13 +195,9 @@ class FRFData:
     ) -> Self:
         """Return FRFs estimated from time records of one force and the responses to it.
 
-        The spectra are Welch's, by `scipy.signal`. H1 = S_fx/S_ff is right where the noise is in the responses,
-        H2 = S_xx/S_xf where it is in the force. The coherence gives the standard deviations. Segments that
-        overlap are correlated: `averages` is the number of independent segments with the same variance (Welch
-        1967, IEEE Transactions on Audio and Electroacoustics 15, 70).
-
-        A segment must be several times longer than the structure's decay 1/(2π ζ f); otherwise leakage makes the
-        resonances too low and too wide, and the coherence shows only part of this bias.
+        H1 = S_fx/S_ff is right where the noise is in the responses, H2 = S_xx/S_xf where it is in the force. The
+        coherence gives the standard deviations. A segment must be several times longer than the decay 1/(2π ζ f);
+        see `fmu.posterior.data.frf.estimates.estimate_frfs`.
 
         Parameters
         ----------
@@ -226,7 +206,6 @@ class FRFData:
         response : array_like, shape (n_frfs, n_samples) or (n_records, n_frfs, n_samples)
             Displacements (m), velocities (m/s) or accelerations (m/s²), as `kind` says.
         sampling_hz : float
-            Sampling frequency.
         drives, responses, kind
             The attributes of the class; all drives are the same.
         estimator : {"H1", "H2"}
@@ -242,8 +221,7 @@ class FRFData:
         Raises
         ------
         ValueError
-            If the shapes differ, a record is shorter than a segment or not finite, or there are fewer than two
-            averages.
+            If the shapes differ, a record is too short or not finite, or there are fewer than two averages.
         """
         if kind == "dynamic-stiffness":
             raise ArgumentError("kind", 'must be "receptance", "mobility" or "accelerance"', repr(kind))
@@ -320,10 +298,7 @@ class FRFData:
     def _sd(self) -> FloatArray | None:
         if self.sd is not None or self.coherence is None or self.averages is None:
             return None if self.sd is None else np.asarray(self.sd)
-        coherence = np.asarray(self.coherence)
-        with np.errstate(divide="ignore"):
-            relative = np.sqrt((1.0 - coherence) / (2.0 * coherence * self.averages))
-        return np.asarray(np.abs(np.asarray(self.values)) * relative)
+        return sd_of_coherence(np.asarray(self.values), np.asarray(self.coherence), self.averages)
 
     def _within(self, bands: Sequence[tuple[float, float]]) -> BoolArray:
         f = np.asarray(self.frequencies_hz)
@@ -346,10 +321,7 @@ class FRFData:
     def without_lines(self, mask: Annotated[ArrayLike, OwnRule()]) -> Self:
         """Return the same FRFs without the lines where `mask`, (n_lines,) or (n_frfs, n_lines), is true.
 
-        Raises
-        ------
-        ValueError
-            If `mask` has another shape or is not of True and False, or no line is left.
+        ValueError is raised if `mask` has another shape, or no line is left.
         """
         left_out = checked_bools("mask", mask, (self.n_frfs, self.n_lines))
         return replace(self, use=self._chosen & ~left_out, band=None)
@@ -364,8 +336,7 @@ class FRFData:
     def pick_frequencies(self, n: Count | None = None) -> Peaks:
         """Return the frequencies (m,) in Hz and the damping ratios (m,) of the resonances, ascending.
 
-        The resonances are the peaks of the complex mode indicator function; see
-        `fmu.posterior.data.frf.peaks.pick_peaks`. They are starting values for updating, not data.
+        They are starting values for updating, not data; see `fmu.posterior.data.frf.peaks.pick_peaks`.
 
         Parameters
         ----------
@@ -374,20 +345,48 @@ class FRFData:
         """
         return pick_peaks(self._spectra, n)
 
+    @check_arguments
+    def identify_modes(
+        self,
+        n: Count | None = None,
+        *,
+        reference: tuple[Any, str] | None = None,
+        least_mpc: Collinearity = LEAST_MPC,
+    ) -> IdentifiedModes:
+        """Return the modes of the FRFs of one reference: frequencies and shapes as `fmu.ModalData`, and damping.
+
+        sdypy-EMA fits them at the resonances of `pick_frequencies`; see `fmu.posterior.data.frf.identification`.
+
+        Parameters
+        ----------
+        n : int, optional
+            Largest number of modes.
+        reference : (place, direction), optional
+            The drive, or the response of a roving hammer, of the FRFs to take; by default that of most FRFs.
+        least_mpc : float
+            Smallest modal phase collinearity; see `fmu.formats.modes.measured_modes.real_shapes`.
+
+        Raises
+        ------
+        ValueError
+            If the lines are not evenly spaced, there is no stable pole, or a shape is too complex to be real.
+        ImportError
+            If sdypy-EMA is not installed: install fmu[ema].
+        """
+        return identify(self._spectra, self.power, n, reference, least_mpc)
+
     def doubts(self) -> tuple[str, ...]:
         """Return sentences on signs that the FRFs are not what they are said to be.
 
         The signs are a slope or a phase that belongs to another kind of FRF, reciprocal FRFs that differ, a
-        driving point that gives energy back, and standard deviations from few hits; see
-        `fmu.posterior.data.frf.doubts`.
+        driving point that gives energy back, and an sd from few hits; see `fmu.posterior.data.frf.doubts`.
         """
         return doubts(self._spectra, self.power, self.freedom)
 
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of the settings in plain Python types, with a hash of the numbers."""
         frequencies = np.asarray(self.frequencies_hz)
-        arrays = [frequencies, np.asarray(self.values), self.used]
-        arrays += [] if self._sd is None else [self._sd]
+        arrays = [frequencies, np.asarray(self.values), self.used, *([] if self._sd is None else [self._sd])]
         return {
             "kind": self.kind,
             "drives": [list(drive) for drive in self.drives],

@@ -58,7 +58,7 @@ def test_lines_that_are_used():
     assert "0 Hz" in at_zero.notes[0]
     some = made(sd=[[0.0, 0.1, np.nan], [0.1] * 3])
     assert some.used.tolist() == [[False, True, False], [True] * 3]
-    assert some.notes == ("2 of 6 values are not used: each has no standard deviation.",)
+    assert some.notes == ("2 of 6 values are not used: the sd of each is 0 or NaN.",)
 
 
 def test_a_dynamic_stiffness_is_converted():

@@ -1,4 +1,4 @@
-"""What is computed from measured frequency response functions before updating: estimates, resonances and doubts.
+"""What is computed of measured frequency response functions: estimates, resonances, modes and doubts.
 
-Reading order: checks, estimates, peaks, doubts.
+Reading order: checks, estimates, peaks, doubts, identification.
 """

@@ -136,3 +136,25 @@ def check_rows(labels: Sequence[str], missing: BoolArray) -> list[str]:
     counts = zip(labels, missing.sum(axis=1).tolist(), strict=True)
     of = f"of {whole(missing.shape[1])} lines"
     return [f"The FRF {label} has no value (0 or NaN) at {whole(n)} {of}." for label, n in counts if n]
+
+
+def check_used(f: FloatArray, chosen: BoolArray, used: BoolArray, name: str, of_sd: str) -> list[str]:
+    """Return a sentence if some chosen values have no standard deviation; ValueError if no value is left.
+
+    Parameters
+    ----------
+    f : ndarray, shape (n_lines,), Hz
+    chosen, used : ndarray of bool, shape (n_frfs, n_lines)
+        Values that the user chose; those of them with a standard deviation.
+    name, of_sd : str
+        The attributes that chose the lines, and that give the standard deviation.
+    """
+    n, without = int(chosen.sum()), int(np.sum(chosen & ~used))
+    if n == 0:
+        advice = f"; lines are {given(f[0])} to {given(f[-1])} Hz"
+        raise ArgumentError(name, "must leave a line with a value", "none", advice)
+    values = "0 or NaN" if of_sd == "sd" else "0, 1 or NaN"
+    if without == n:
+        raise ArgumentError(of_sd, "must give a standard deviation above 0 at a line that is used", values)
+    why = f"the {of_sd} of each is {values}"
+    return [f"{whole(without)} of {whole(n)} values are not used: {why}."] if without else []

@@ -17,11 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fmu.numbers import fixed, share, significant, whole
-from fmu.posterior.data.frf.peaks import Spectra, lines_near, pick_peaks
+from fmu.posterior.data.frf.peaks import KINDS, Spectra, lines_near, pick_peaks
 from fmu.types import BoolArray
 
-KINDS = ("receptance", "mobility", "accelerance")
-"""Kinds by the power k of iω by which the receptance is multiplied."""
 _OF_FIRST = 0.4
 """Lines below this share of the first resonance give the slope."""
 _FEWEST_LINES, _LEAST_RATIO = 5, 1.3

@@ -34,8 +34,17 @@ class Estimate(NamedTuple):
     averages: float
 
 
+def sd_of_coherence(values: ComplexArray, coherence: FloatArray, averages: float) -> FloatArray:
+    """Return |H| √((1 − γ²)/(2 γ² n)) of FRFs, infinite where γ² = 0; all arrays have shape (n_frfs, n_lines)."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.abs(values) * np.sqrt((1.0 - coherence) / (2.0 * coherence * averages)))
+
+
 def average_hits(values: Any, invert: bool) -> tuple[ComplexArray, FloatArray, int]:
     """Return the mean (n_frfs, n_lines) of repeated FRFs, its standard deviation, and the number of hits.
+
+    With n hits at a line, s² = Σ |H_j − mean|²/(2 (n − 1)) is the variance of the real part and of the imaginary
+    part of one hit, and s/√n the standard deviation of the mean.
 
     Parameters
     ----------
@@ -89,6 +98,11 @@ def estimate_frfs(
     overlap: float,
 ) -> Estimate:
     """Return FRFs estimated from one force and the responses to it; see `fmu.FRFData.from_records`.
+
+    The spectra are Welch's, by `scipy.signal` (1967, IEEE Transactions on Audio and Electroacoustics 15, 70).
+    Where a segment is not several times longer than the structure's decay 1/(2π ζ f), leakage makes the resonances
+    too low and too wide, and the coherence shows only part of this bias. Segments that overlap are correlated:
+    see `independent_averages`.
 
     Raises
     ------

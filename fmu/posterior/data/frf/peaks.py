@@ -9,6 +9,8 @@ import numpy as np
 from fmu.posterior.data.frf.checks import ComplexArray
 from fmu.types import BoolArray, Dof, FloatArray
 
+KINDS = ("receptance", "mobility", "accelerance")
+"""Kinds of FRFs by the power k of iω by which the receptance is multiplied."""
 PROMINENCE = 2.0
 """Smallest ratio of a peak to the higher of the valleys beside it."""
 _NOISE = 6.0
@@ -39,6 +41,13 @@ class Peaks(NamedTuple):
 
     frequencies_hz: FloatArray
     damping: FloatArray
+
+
+class Receptance(NamedTuple):
+    """Receptances (n_frfs, n_lines) in m/N, and their standard deviations of the same shape if they are known."""
+
+    values: ComplexArray
+    sd: FloatArray | None
 
 
 class Spectra(NamedTuple):
@@ -136,7 +145,7 @@ def pick_peaks(spectra: Spectra, n: int | None = None) -> Peaks:
     from scipy.signal import find_peaks
 
     omega = spectra.omega
-    mobility = 1j * omega * _filled(spectra) * spectra.signs
+    mobility = 1j * omega * filled(spectra) * spectra.signs
     matrix = _matrix(mobility, spectra.axes)
     left, values, right = np.linalg.svd(matrix, full_matrices=False)
     noise = _noise(spectra, mobility)
@@ -144,25 +153,35 @@ def pick_peaks(spectra: Spectra, n: int | None = None) -> Peaks:
     found: list[_Peak] = []
     for k, curve in enumerate(values.T if len(omega) > 2 else []):
         at, of = find_peaks(np.log(np.maximum(curve, np.finfo(float).tiny)), prominence=np.log(PROMINENCE))
-        for i, prominence in zip(at.tolist(), of["prominences"].tolist(), strict=True):
+        for prominence, i in sorted(zip(of["prominences"].tolist(), at.tolist(), strict=True), reverse=True):
             stands_out = curve[i] * (1.0 - np.exp(-prominence)) > _NOISE * noise[i]
             if not (used[i] and stands_out and curve[i] >= _OF_LARGEST * values[i, 0]):
                 continue
             near, shape = lines_near(curve, i), left[i, :, k]
             one = np.einsum("r,lrd,d->l", shape.conj(), matrix[near], right[i, k].conj()) / (1j * omega[near])
             fitted = _fit(omega[near], one)
-            if k == 0:
-                damping = _half_power(omega[near], curve[near])
-                found.append(_Peak(prominence, *(fitted or (float(omega[i]), damping)), shape))
-            elif fitted and omega[max(i - 2, 0)] <= fitted[0] <= omega[min(i + 2, len(omega) - 1)]:
-                second = _Peak(prominence, *fitted, shape)
-                found += [] if any(second.is_same(other) for other in found) else [second]
+            if k and not (fitted and _is_second(omega, values[:, 0], i, *fitted)):
+                continue
+            peak = _Peak(prominence, *(fitted or (float(omega[i]), _half_power(omega[near], curve[near]))), shape)
+            if not any(peak.is_same(other) for other in found):
+                found.append(peak)
     kept = sorted(sorted(found, key=lambda peak: -peak.prominence)[:n], key=lambda peak: peak.omega)
     frequencies = np.array([peak.omega for peak in kept]) / (2.0 * np.pi)
     return Peaks(frequencies, np.array([peak.damping for peak in kept]))
 
 
-def _filled(spectra: Spectra) -> ComplexArray:
+def _is_second(omega: FloatArray, first: FloatArray, i: int, resonance: float, damping: float) -> bool:
+    """Return True if a peak of a lower curve at line i is of a second mode, not where two modes change places.
+
+    There the first curve has a valley. The resonance, rad/s, must be within two lines, and wider than one.
+    """
+    low, high = max(i - 2, 0), min(i + 2, len(omega) - 1)
+    is_valley = 0 < int(np.argmin(first[low : high + 1])) < high - low
+    is_wide = 2.0 * damping * resonance > omega[i] - omega[i - 1]
+    return bool(omega[low] <= resonance <= omega[high] and is_wide and not is_valley)
+
+
+def filled(spectra: Spectra) -> ComplexArray:
     """Return the receptances with missing values interpolated between the lines beside them."""
     filled = spectra.receptance.copy()
     for row in filled:
