@@ -217,7 +217,10 @@ class ProblemFile(TomlTable):
             )
         given, n_modes = list(parameters.values()), self.plan.count_modes()
         sensors = () if built.separable is not None else self.plan.all_sensors(built)
-        data = expected_modes(built.model, given, n_modes, sensors=sensors)
+        try:
+            data = expected_modes(built.model, given, n_modes, sensors=sensors)
+        except ArgumentError as error:
+            raise error.replace_key("n_modes", "plan.modes") from None
         return UpdatingProblem(built.model, data, given, name=self.name)
 
     def _of_measurements(self, needs_trust: bool) -> list[ArgumentError]:

@@ -145,6 +145,10 @@ def test_every_mistake_of_a_plan_is_said_at_its_key(folder):
     assert found.exit_code == 2
     assert "plan.sensors" in found.output
     assert "plan.modes" in found.output
+    many = FILE.replace("modes = 3", "modes = 900")
+    (folder / "many.toml").write_text(many, encoding="utf-8")
+    found = CliRunner().invoke(main, ["plan", str(folder / "many.toml")])
+    assert "plan.modes: must be at most 48, the degrees of freedom (got 900)" in " ".join(found.output.split())
 
 
 TESTS = """

@@ -22,6 +22,7 @@ from fmu.analysis.plan.sensors.choice import exchange, greedy
 from tests.shear_building import shear_building
 from tests.validation.kept import completed, kept_lines
 from tests.validation.planned_accuracy import INDEPENDENCE, accuracy
+from tests.validation.planned_damage import decisions
 from tests.validation.planned_structures import frame_problem, grid, problem_of, translations
 from tests.validation.scale_model import Size
 
@@ -205,13 +206,15 @@ def main(out: Path, tests: int, kept: Path | None) -> None:
     known = {one.name: one for one in (Section(**fields) for fields in kept_lines(file))}
     parts = completed(((name, name) for name in SECTIONS), known, write, file)
     simulated = accuracy(tests, None if kept is None else kept / "accuracy.jsonl")
+    decided = decisions(2 * tests, None if kept is None else kept / "decisions.jsonl")
     minutes = sum(one.seconds for one in parts) / 60.0
     head = (
         "# Plans of modal tests\n\n"
-        "Written by `make validate` (`python -m tests.validation.planning results`). The sections before the\n"
-        f"simulated tests took {minutes:.1f} minutes of one core.\n"
+        "Written by `make validate` (`python -m tests.validation.planning results`). The first four\n"
+        f"sections took {minutes:.1f} minutes of one core.\n"
     )
-    (out / "planning.md").write_text("\n".join([head, *(one.text for one in parts), simulated]), encoding="utf-8")
+    page = [head, *(one.text for one in parts), decided, simulated]
+    (out / "planning.md").write_text("\n".join(page), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import numpy as np
 from fmu.analysis.plan.sensors.choice import Limits, near_pairs
 from fmu.arguments import ArgumentError
 from fmu.fem.modes.separable import SeparableModel
+from fmu.numbers import significant
 from fmu.types import Dof, FloatArray, IntArray
 
 _TRANSLATIONS = ("x", "y", "z")
@@ -62,11 +63,16 @@ class Candidates:
         Raises
         ------
         ValueError
-            If there are fewer candidates than sensors, or a distance is given and coordinates are not known.
+            If there are fewer candidates than sensors, the budget is too small for one, or a distance is given
+            and coordinates are not known.
         """
         free = len(self.groups) - len(self.mounted)
         if count > free:
             raise ArgumentError("sensors", f"must be at most {free}, the number of candidates", count)
+        cheapest = float(np.min(np.delete(self.cost, self.mounted)))
+        if budget < cheapest:
+            rule = f"must be at least {significant(cheapest)}, the cost of the cheapest candidate"
+            raise ArgumentError("budget", rule, budget)
         near = None
         if distance > 0.0:
             if places is None:

@@ -220,12 +220,12 @@ def _frequency_sd(data: ModalData, given: ArrayLike | None, n_modes: int) -> Flo
 
 
 def _usual_choices(design: Design, limits: Limits, energy: FloatArray | None) -> dict[str, tuple[int, ...]]:
-    """Return a dict of the choices by the customary rules, by name."""
+    """Return a dict of the choices by the customary rules, by name: as many sensors as the budget allows."""
     shapes, groups = design.found.nominal.shapes[0][:, list(design.modes)], design.candidates.groups
-    found = {
-        INDEPENDENCE: baselines.effective_independence(shapes, groups, limits),
-        "smallest AutoMAC": baselines.smallest_auto_mac(shapes, groups, limits),
+    rules: dict[str, Callable[[Limits], tuple[int, ...]]] = {
+        INDEPENDENCE: lambda limits: baselines.effective_independence(shapes, groups, limits),
+        "smallest AutoMAC": lambda limits: baselines.smallest_auto_mac(shapes, groups, limits),
     }
     if energy is not None:
-        found["kinetic energy"] = baselines.kinetic_energy(energy, groups, limits)
-    return found
+        rules["kinetic energy"] = lambda limits: baselines.kinetic_energy(energy, groups, limits)
+    return {name: baselines.within_budget(rule, limits) for name, rule in rules.items()}

@@ -200,9 +200,10 @@ class Plan:
         sd = self.parameters()
         ratio = sd["after"] / sd["before"]
         unknown = [str(name) for name, one in ratio.items() if one > UNKNOWN]
+        within = "of as many" if np.isinf(self.limits.budget) else "within the budget"
         said = [
             f"{len(self.chosen)} sensors are expected to give {fixed(self.information, 2)} nats of information. "
-            f"No other choice of as many gives more than {fixed(self.bound, 2)} nats: the plan is within "
+            f"No other choice {within} gives more than {fixed(self.bound, 2)} nats: the plan is within "
             f"{share(self.gap)} of the best.",
             f"The expected standard deviation of a parameter is {share(float(ratio.min()))} to "
             f"{share(float(ratio.max()))} of the one before the test; with frequencies alone "

@@ -51,6 +51,8 @@ def expected_modes(
     """
     start = np.array([p.start for p in parameters], dtype=float)
     if isinstance(model, SeparableModel):
+        if n_modes > model.n_dof:
+            raise ArgumentError("n_modes", f"must be at most {model.n_dof}, the degrees of freedom", n_modes)
         numbers = tuple(range(1, n_modes + 1))
         paired = PairedStructure.of(model, pairing="shape", numbers=numbers, sensors=(), reference=start)
         frequencies = paired.frequencies(start[None])[0]

@@ -82,10 +82,14 @@ def plot_information(plan: Plan) -> Axes:
     axes = style.new_figure(style.NARROW, 3.4).subplots()
     axes.plot(curve.index, curve["information"], marker="o", markersize=4, color=style.VERMILLION, label=PLANNED)
     known = curve["bound"].notna()
-    axes.plot(curve.index[known], curve["bound"][known], linestyle="--", color=style.BLACK, label="upper bound")
+    if known.any():
+        axes.plot(
+            curve.index[known], curve["bound"][known], linestyle="--", color=style.BLACK, label="upper bound"
+        )
     marks = ("s", "^", "D", "v", "P")
     for mark, (name, one) in zip(marks, plan.choices.drop(PLANNED)["information"].items(), strict=False):
-        axes.plot([len(plan.chosen)], [one], linestyle="none", marker=mark, color=style.GREY, label=str(name))
+        number = len(plan.usual.get(str(name), plan.chosen))
+        axes.plot([number], [one], linestyle="none", marker=mark, color=style.GREY, label=str(name))
     style.finish(axes, "sensors chosen", "expected information / nats")
     style.legend_below(axes)
     return axes

@@ -86,7 +86,9 @@ def _sensors(plan: Plan) -> PageSection:
     parts.append(table_of("Sensors, mounted ones first, then in the order of the choice.", plan.sensor_table()))
     curve = plan.with_bounds()["information"]
     alt = f"Information by number of sensors: {', '.join(significant(float(x)) for x in curve)} nats."
-    caption = "Expected information of the first sensors. No choice is above the dashed line."
+    caption = "Expected information of the first sensors."
+    if np.isinf(plan.limits.budget):
+        caption += " No choice is above the dashed line."
     parts.append(Pictures((picture(plot_information(plan), "information", alt, caption),)))
     return PageSection("sensors", "Sensors", tuple(parts))
 

@@ -136,6 +136,15 @@ def test_a_mode_that_looks_like_another_is_not_recommended(tower):
     assert "Not recommended." in str(found)
 
 
+def test_customary_choices_keep_to_the_budget(tower):
+    found = fmu.plan(tower, 5, costs={0: 2.0, 5: 2.0}, budget=4.0, draws=4)
+    for chosen in (found.chosen, *found.usual.values()):
+        assert 2 <= len(chosen) <= 4
+        assert np.sum(found.limits.cost[list(chosen)]) <= 4.0
+    assert np.all(found.choices["information"] <= found.bound)
+    assert "No other choice within the budget gives more" in " ".join(found.sentences())
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -148,6 +157,7 @@ def test_a_mode_that_looks_like_another_is_not_recommended(tower):
         ({"modes": [1, 1]}, r"modes: must be distinct numbers"),
         ({"target": "E"}, r"target: must name parameters, k1, k2, k3 \(got 'E'\)"),
         ({"frequency_sd": [0.1, 0.2]}, r"frequency_sd: must be a number or 3 numbers"),
+        ({"budget": 0.5}, r"budget: must be at least 1, the cost of the cheapest candidate \(got 0\.5\)"),
         ({"min_distance": 1.0}, r"min_distance: must be 0 where the coordinates"),
         ({"changes": {"m": fmu.Change(masses={9: 1.0})}}, r"changes\.m\.masses\.9: must be a place"),
     ],

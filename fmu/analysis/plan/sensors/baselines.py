@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -65,6 +66,15 @@ def smallest_auto_mac(shapes: FloatArray, groups: IntArray, limits: Limits) -> t
         largest[[*limits.mounted, *found]] = np.inf
         found.append(int(np.argmin(largest)))
     return tuple(found)
+
+
+def within_budget(rule: Callable[[Limits], tuple[int, ...]], limits: Limits) -> tuple[int, ...]:
+    """Return the choice of a rule with the largest number of sensors whose cost is within the budget."""
+    for count in range(limits.count, 0, -1):
+        chosen = rule(replace(limits, count=count))
+        if limits.is_affordable(chosen):
+            return chosen
+    return ()
 
 
 def largest_off_diagonal(products: FloatArray) -> FloatArray:

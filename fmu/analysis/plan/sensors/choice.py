@@ -20,6 +20,7 @@ _IMPROVED = 2  # starts that are improved by exchanges, the best ones
 _TRIED = 8  # candidates that take the place of a sensor, the best first, until one is accepted
 # A gain below this is rounding, in nats.
 _LEAST_GAIN = 1e-9
+_ROUNDING = 1e-12
 
 Accept = Callable[[Sequence[int]], bool]
 """Whether a choice of candidates, without mounted ones, may be taken."""
@@ -56,7 +57,11 @@ class Limits:
         if self.near is not None and every:
             found &= ~self.near[every].any(axis=0)
         left = self.budget - float(np.sum(self.cost[list(chosen)]))
-        return found & (self.cost <= left * (1.0 + 1e-12))
+        return found & (self.cost <= left * (1.0 + _ROUNDING))
+
+    def is_affordable(self, chosen: Sequence[int]) -> bool:
+        """Return True if the cost of the chosen candidates is within the budget."""
+        return float(np.sum(self.cost[list(chosen)])) <= self.budget * (1.0 + _ROUNDING)
 
 
 def choose(

@@ -1,0 +1,123 @@
+"""Plans for a decision about damage: the expected probability of damage against the one of real updates."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+import fmu
+from fmu.types import Dof, FloatArray
+from tests.shear_building import frequencies_hz, shear_building
+from tests.validation.kept import completed, kept_lines
+
+BEYOND, LOSSES = 0.1, {"nothing": 0.0, "20 %": 0.2}
+_NAMES, _FREQUENCY_SD, _SHAPE_SD, _UNKNOWN_SHAPE = ("k1", "k2", "k3"), 0.01, 0.03, 10.0
+_MODEL = shear_building(["k1"] * 2 + ["k2"] * 2 + ["k3"] * 2, 3e6, 1000.0)
+_PARAMETERS = [fmu.Parameter(name, 1.0, 0.6, 1.4, fmu.Normal(0.1, mean=1.0)) for name in _NAMES]
+
+
+@dataclass
+class Decided:
+    """One structure with its tests: the probability that k1 has lost more than 10 %."""
+
+    loss: str
+    seed: int
+    before: float
+    expected: float
+    real: float
+    converged: bool
+    seconds: float
+
+
+def _measure(
+    theta: FloatArray, modes: int, rng: np.random.Generator, sensors: tuple[Dof, ...], shape_sd: float
+) -> fmu.ModalData:
+    """Return a simulated test: frequencies, and shapes at some sensors with errors relative to their largest."""
+    f, phi = (part[..., :modes] for part in frequencies_hz(_MODEL, theta))
+    rows = [_MODEL.dof(*sensor) for sensor in sensors]
+    sd = shape_sd * np.abs(phi).max(axis=0)
+    shapes = phi[rows] + min(shape_sd, 1.0) * np.abs(phi).max(axis=0) * rng.standard_normal((len(rows), modes))
+    return fmu.ModalData(
+        f * (1.0 + _FREQUENCY_SD * rng.standard_normal(modes)),
+        sd_hz=_FREQUENCY_SD * f,
+        sensors=sensors,
+        shapes=shapes,
+        shapes_sd=np.tile(sd / np.linalg.norm(shapes, axis=0), (len(rows), 1)),
+    )
+
+
+def decide(job: tuple[str, int]) -> Decided:
+    """Plan the third test of a structure, simulate it, and update with all three tests."""
+    loss, seed = job
+    began, rng = time.process_time(), np.random.default_rng(seed)
+    undamaged = 1.0 + 0.1 * rng.standard_normal(3)
+    damaged = undamaged * (1.0 - np.array([LOSSES[loss], 0.0, 0.0]))
+    everywhere = tuple(_MODEL.dofs)
+    first = [
+        fmu.Test("May", _measure(undamaged, 4, rng, everywhere, _UNKNOWN_SHAPE), "before"),
+        fmu.Test("June", _measure(damaged, 1, rng, everywhere, _UNKNOWN_SHAPE), "after"),
+    ]
+    varies = {"k1": fmu.Damage(), "k2": fmu.Damage()}
+    error = [fmu.FrequencyErrors("absolute")]
+    known = fmu.JointProblem(_MODEL, first, _PARAMETERS, varies=varies, pairing="index", error=error)
+    target = fmu.DamageTarget("k1", BEYOND)
+    plan = fmu.plan(known, 3, modes=2, frequency_sd=_FREQUENCY_SD, shape_sd=_SHAPE_SD, target=target)
+    told = plan.losses()
+    assert told is not None
+    row = told.loc["k1"]
+    rows = [everywhere.index(sensor) for sensor in plan.sensors]
+    tests = [replace(test, data=_at(test.data, plan.sensors, rows)) for test in first]
+    tests.append(fmu.Test("July", _measure(damaged, 2, rng, plan.sensors, _SHAPE_SD), "after"))
+    both = [*error, fmu.ShapeErrors()]
+    joint = fmu.JointProblem(_MODEL, tests, _PARAMETERS, varies=varies, pairing="index", error=both)
+    trace = fmu.sample(joint, draws=300, warmup=300, until_ess=400, max_draws=6000, progress=False)
+    draws = trace["posterior"]["k1 loss [after]"].to_numpy()
+    return Decided(
+        loss,
+        seed,
+        float(row["before"]),
+        float(row["if_twice" if LOSSES[loss] else "if_none"]),
+        float(np.mean(draws > BEYOND)),
+        fmu.diagnose(trace).converged,
+        time.process_time() - began,
+    )
+
+
+def _at(data: fmu.ModalData, sensors: tuple[Dof, ...], rows: list[int]) -> fmu.ModalData:
+    """Return data with the shapes at some of the sensors."""
+    shapes, sd = np.asarray(data.shapes)[rows], np.asarray(data.shapes_sd)[rows]
+    return replace(data, sensors=sensors, shapes=shapes, shapes_sd=sd)
+
+
+def decisions(replicates: int, kept: Path | None) -> str:
+    """Return the section on decisions about damage; those in the file `kept` are not repeated."""
+    known = {(one.loss, one.seed): one for one in (Decided(**fields) for fields in kept_lines(kept))}
+    jobs = [((loss, seed), (loss, seed)) for loss in LOSSES for seed in range(replicates)]
+    found = completed(jobs, known, decide, kept)
+    rows = []
+    for loss in LOSSES:
+        mine = [one for one in found if one.loss == loss]
+        before, expected, real = (
+            np.array([getattr(one, key) for one in mine]) for key in ("before", "expected", "real")
+        )
+        error = float(np.std(real - expected, ddof=1) / np.sqrt(len(mine)))
+        shares = f"{100 * before.mean():.0f} % | {100 * expected.mean():.1f} % | {100 * real.mean():.1f} %"
+        rows.append(f"| {loss} | {shares} | {100 * error:.1f} % |")
+    converged = sum(one.converged for one in found)
+    return f"""## A decision about damage
+
+Has k1 of a building of six storeys lost more than 10 %? Four frequencies before and one after are known
+(1 %). The test to decide it is planned with three sensors and two modes (frequencies to 1 %, shapes to 3
+%). It is simulated {replicates} times for each true loss, with stiffnesses from the prior (sd 10 %), and
+all three tests are updated together ({converged} of {len(found)} converged). Mean probabilities of a
+loss of more than 10 %, and the standard error of the difference of the last two:
+
+| true loss of k1 | before the planned test | expected after it | after the update | standard error |
+| :-- | --: | --: | --: | --: |
+{chr(10).join(rows)}
+
+{sum(one.seconds for one in found) / 60:.1f} minutes of one core.
+"""
