@@ -320,6 +320,11 @@ class Posterior:
             raise ValueError(f"theta: must have shape ({self.ndim},) or (n, {self.ndim}) (got {points.shape})")
         return (points[None], True) if points.ndim == 1 else (points, False)
 
+    @property
+    def support(self) -> tuple[FloatArray, FloatArray]:
+        """The lowest and highest values with a density, (ndim,) each: the bounds, or the next values inside."""
+        return self._lowest[0], self._highest[0]
+
     def _within(self, points: FloatArray) -> BoolArray:
         return (points >= self._lowest) & (points <= self._highest)
 

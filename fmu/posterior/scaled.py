@@ -135,6 +135,11 @@ class LogScaledDensity(ScaledDensity):
 
 
 def ascent_coordinates(problem: Posterior) -> ScaledDensity:
-    """Return the scaled density for ascents, in logarithms of the parameters whose priors span decades."""
+    """Return the scaled density for ascents, in logarithms of the parameters whose priors span decades.
+
+    At a bound where the density vanishes, such as a standard deviation of 0, theta is the next value that has one.
+    """
     with_logs = LogScaledDensity(problem)
-    return with_logs if with_logs.is_log.any() else ScaledDensity(problem)
+    scaled = with_logs if with_logs.is_log.any() else ScaledDensity(problem)
+    scaled.theta_lower, scaled.theta_upper = problem.support
+    return scaled

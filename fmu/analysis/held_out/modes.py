@@ -6,14 +6,15 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from scipy.special import log_ndtr, logsumexp
+from scipy.special import logsumexp
 
 from fmu.analysis.convergence.effective import mcse_mean
 from fmu.analysis.convergence.pareto import pareto_k
+from fmu.analysis.held_out.prediction import NEITHER, Draws, HeldOut, with_mode
 from fmu.analysis.held_out.refit import (
     ACCEPTED,
     MOST_SOLVES,
@@ -51,30 +52,11 @@ if TYPE_CHECKING:
 
 GROUP = "leave_one_out"
 """Group of a trace that stores the table."""
-REFIT, WEIGHTS, NOT_USED, NEITHER = "refit", "importance weights", "not used in updating", ""
-INTERVAL = 0.9
+REFIT, WEIGHTS, NOT_USED = "refit", "importance weights", "not used in updating"
 _ENOUGH, _SHARE, _FREE_S = 400, 0.5, 5.0
 _A_REFIT, _REFITS = 0.5, 3.0
 """Longest refit of one mode with unreliable weights, and of all such modes, as multiples of `_FREE_S`."""
 _TIMED, _SEED = 64, 1
-
-
-class HeldOut(NamedTuple):
-    """One mode and its prediction from the other modes; the fields are columns of `leave_one_out`."""
-
-    measured: float = np.nan
-    mean: float = np.nan
-    sd: float = np.nan
-    eti90_lb: float = np.nan
-    eti90_ub: float = np.nan
-    p: float = np.nan
-    freedom: float = np.inf
-    prior_sd: float = np.nan
-    elpd: float = np.nan
-    mcse_elpd: float = np.nan
-    pareto_k: float = np.nan
-    method: str = NEITHER
-    used: bool = True
 
 
 @check_arguments
@@ -155,7 +137,7 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
         return trace
     theta = parameter_draws(trace).reshape(-1, problem.ndim)
     hz = array_of(trace, "posterior_predictive", "model_frequency").reshape(len(theta), -1)
-    draws = _Draws(theta, hz, np.full(len(theta), -np.log(len(theta))))
+    draws = Draws(problem, theta, hz)
     a_solve = 0.0
     if most is None:
         enough = int(trace.attrs["draws"]) * trace["posterior"].sizes["chain"] >= _ENOUGH
@@ -181,7 +163,7 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
         found |= _left_out_all(problem, poor[: int(_REFITS * _FREE_S / (SOLVES * a_solve))], SOLVES)
     rows = []
     for k, label in enumerate(problem.data.labels):
-        row = found[k] if k in found else _predict_weighted(problem, k, draws, smoothed.get(label))
+        row = found[k] if k in found else _predict_weighted(k, draws, smoothed.get(label))
         rows.append(row._replace(measured=float(measured[k]), prior_sd=float(prior_sd[k]), used=use[k]))
     columns = {
         name: ("mode", np.array(x)) for name, x in zip(HeldOut._fields, zip(*rows, strict=True), strict=True)
@@ -239,28 +221,20 @@ def left_out_warnings(trace: xr.DataTree) -> list[str]:
     ]
 
 
-class _Draws(NamedTuple):
-    """Posterior draws (n, ndim), computed frequencies at the draws (n, n_modes), Hz, and log-weights (n,)."""
-
-    theta: FloatArray
-    hz: FloatArray
-    log_weight: FloatArray
-
-
-def _predict_weighted(problem: UpdatingProblem, k: int, draws: _Draws, smoothed: Smoothed | None) -> HeldOut:
+def _predict_weighted(k: int, draws: Draws, smoothed: Smoothed | None) -> HeldOut:
     """Return the prediction of mode `k` by the weighted draws; without numbers if the weights are unreliable."""
     if smoothed is None:
         return HeldOut()
     if not smoothed.is_good:
         return HeldOut(pareto_k=smoothed.pareto_k)
-    row = _predict_mode(problem, k, draws._replace(log_weight=smoothed.log_weight))
+    row = draws.predict(k, smoothed.log_weight)
     return row._replace(elpd=smoothed.elpd, mcse_elpd=smoothed.mcse, pareto_k=smoothed.pareto_k, method=WEIGHTS)
 
 
-def _not_used(trace: xr.DataTree, problem: UpdatingProblem, k: int, draws: _Draws) -> HeldOut:
+def _not_used(trace: xr.DataTree, problem: UpdatingProblem, k: int, draws: Draws) -> HeldOut:
     """Return the prediction by the posterior of mode `k`, which was not used in updating."""
-    log_p = _log_likelihood(_with(problem, k), draws) - _log_likelihood(problem, draws)
-    row = _predict_mode(problem, k, draws)._replace(method=NOT_USED)
+    log_p = _log_likelihood(with_mode(problem, k), draws) - _log_likelihood(problem, draws)
+    row = draws.predict(k, np.full(len(log_p), -np.log(len(log_p))))._replace(method=NOT_USED)
     shape = pareto_k(log_p)
     if not shape <= SMOOTHED_K:
         return row._replace(pareto_k=shape)
@@ -275,8 +249,9 @@ def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[i
     if len(modes) < 2 or problem.model.is_soft:  # with a soft pairing every log-probability is a solve
         return {}
     found = left_out_together([_without(problem, k) for k in modes], problem, _generator(0))
+    draws = Draws(problem, found[0].theta, found[0].hz)  # the same for all modes
     rows = zip(modes, found, strict=True)
-    return {k: (MOST_SOLVES, _row(problem, k, one)) for k, one in rows if one.predicts and one.is_known}
+    return {k: (MOST_SOLVES, _row(draws, k, one)) for k, one in rows if one.predicts and one.is_known}
 
 
 def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
@@ -288,24 +263,23 @@ def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
         known.approximation = approximation(problem, problem.start[None], _generator(0))
     of_problem = known.approximation
     used = problem.data.use[k]
-    other = _without(problem, k) if used else _with(problem, k)
+    other = _without(problem, k) if used else with_mode(problem, k)
     near = problem.offset + problem.scale * np.array([model.position for model in of_problem.quadratics])
     rng = _generator(k + 1)
     without, whole = (other, problem) if used else (problem, other)
     of_both = [approximation(other, near, rng), of_problem]
     found = left_out(without, whole, of_both if used else of_both[::-1], rng, most)
-    known.rows[k] = (most, _row(problem, k, found))
+    known.rows[k] = (most, _row(Draws(problem, found.theta, found.hz), k, found))
     return known.rows[k][1]
 
 
-def _row(problem: UpdatingProblem, k: int, found: LeftOut) -> HeldOut:
+def _row(draws: Draws, k: int, found: LeftOut) -> HeldOut:
     """Return the prediction of mode `k` by the posterior without this mode, with the numbers that are reliable."""
-    used = problem.data.use[k]
+    used = draws.problem.data.use[k]
     row = HeldOut(pareto_k=float(found.pareto_k.max()), used=used)
     if found.predicts:
-        row = _predict_mode(problem, k, _Draws(found.theta, found.hz, found.log_weights[0]))._replace(
-            pareto_k=row.pareto_k, method=REFIT if used else NOT_USED, used=used
-        )
+        method = REFIT if used else NOT_USED
+        row = draws.predict(k, found.log_weights[0])._replace(pareto_k=row.pareto_k, method=method, used=used)
         if found.is_known:
             row = row._replace(elpd=found.elpd, mcse_elpd=found.error)
     return row
@@ -317,52 +291,9 @@ def _without(problem: UpdatingProblem, k: int) -> UpdatingProblem:
     return problem.using([label for i, (label, used) in enumerate(use) if used and i != k])
 
 
-def _with(problem: UpdatingProblem, k: int) -> UpdatingProblem:
-    """Return the problem updated also with mode `k`."""
-    use = zip(problem.data.labels, problem.data.use, strict=True)
-    return problem.using([label for i, (label, used) in enumerate(use) if used or i == k])
-
-
-def _log_likelihood(problem: UpdatingProblem, draws: _Draws) -> FloatArray:
+def _log_likelihood(problem: UpdatingProblem, draws: Draws) -> FloatArray:
     """Return the log-likelihood at the draws (n,), without new solves if the frequencies suffice."""
     return np.asarray(problem.terms_of_frequencies(draws.theta, draws.hz).sum(axis=1))
-
-
-def _predict_mode(problem: UpdatingProblem, k: int, draws: _Draws) -> HeldOut:
-    """Return the predictive distribution of a measurement of mode `k`, given the measurements of the used modes.
-
-    It is the mixture over the draws of the distributions of the measurement. These are Gaussian, or Student's if
-    the measurement is the mean of tests whose scatter gives its error.
-    """
-    from scipy.optimize import brentq
-
-    likelihood: Any = _with(problem, k).likelihood
-    if likelihood.frequency_term is None:
-        return HeldOut()
-    solved = np.isfinite(draws.hz).all(axis=1)
-    draws = _Draws(*(of[solved] for of in draws))
-    noise = draws.theta[:, problem.n_structural :]
-    term = likelihood.frequency_term
-    means, deviations = (x[:, k] for x in term.given_others(draws.hz, noise))
-    if likelihood.has_discrepancy:
-        shift, variance = likelihood.error_given_others(problem.layout.of_model(draws.theta), k)
-        means, deviations = means + shift, np.sqrt(deviations**2 + variance)
-    w = np.exp(draws.log_weight)
-    mean = float(w @ means)
-    sd = float(np.sqrt(w @ (deviations**2 + (means - mean) ** 2)))
-
-    def below(y: float) -> float:
-        return float(w @ np.exp(log_ndtr(term.normal_scores((y - means) / deviations, k))))
-
-    measured = float(np.asarray(problem.data.frequencies_hz)[k])
-    z = term.normal_scores((measured - means) / deviations, k)
-    log_tail = min(float(logsumexp(draws.log_weight + log_ndtr(side))) for side in (z, -z))
-    ends = [(1.0 - INTERVAL) / 2.0, (1.0 + INTERVAL) / 2.0]
-    reach = (float(np.min(means - 9.0 * deviations)), float(np.max(means + 9.0 * deviations)))
-    lower, upper = (brentq(lambda y, q=q: below(y) - q, *reach) for q in ends)
-    p = min(1.0, 2.0 * float(np.exp(log_tail)))
-    freedom = np.inf if term.tests is None else float(term.tests.freedom[k])
-    return HeldOut(measured, mean, sd, float(lower), float(upper), p, freedom)
 
 
 def _generator(stream: int) -> np.random.Generator:

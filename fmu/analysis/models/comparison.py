@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 from fmu.analysis.convergence.diagnosis import Diagnosis, diagnose_all, maxima_of
 from fmu.analysis.evidence import PSEUDO, found_evidences
 from fmu.analysis.fit.check import RESIDUALS
-from fmu.analysis.held_out.modes import NEITHER, kept_table
+from fmu.analysis.held_out.modes import kept_table
+from fmu.analysis.held_out.prediction import NEITHER
 from fmu.analysis.trace.misfit import GROUP, QUANTITIES
 from fmu.analysis.trace.reading import check_trace, has, is_pseudo, problem_of
 from fmu.arguments import ArgumentError

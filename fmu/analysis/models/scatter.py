@@ -38,7 +38,7 @@ class Scatter(NamedTuple):
     needed : float
         Probability that τ > 0, if τ = 0 and τ > 0 were equally probable before the test (`needed_probability`).
     largest : float
-        Probability that this τ is the largest; NaN if there is only one.
+        Probability that this τ is the largest in standard deviations of its prior; NaN if there is only one.
     """
 
     name: str
@@ -62,11 +62,11 @@ def scatters(trace: xr.DataTree) -> tuple[Scatter, ...]:
             if k >= 0:
                 of.setdefault(noise[k], []).append(name)
     draws = {tau: array_of(trace, "posterior", tau) for tau in of}
-    together = np.array([x.ravel() for x in draws.values()])
+    sds = [float(p["prior"]["sd"]) for tau in of for p in problem["parameters"] if p["name"] == tau]
+    together = np.array([x.ravel() / sd for x, sd in zip(draws.values(), sds, strict=True)])
     first = np.argmax(together, axis=0) if len(of) > 1 else np.array([])
     found = []
-    for k, (tau, members) in enumerate(of.items()):
-        prior_sd = float(next(p["prior"]["sd"] for p in problem["parameters"] if p["name"] == tau))
+    for k, ((tau, members), prior_sd) in enumerate(zip(of.items(), sds, strict=True)):
         low, median, high = map(float, np.quantile(draws[tau], [0.05, 0.5, 0.95]))
         largest = float(np.mean(first == k)) if len(of) > 1 else np.nan
         needed = needed_probability(draws[tau], prior_sd)

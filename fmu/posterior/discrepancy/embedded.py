@@ -145,6 +145,13 @@ class Discrepancy:
         return EmbeddedScatter(tuple(p.name for p in parameters), relative, size, fixed, number)
 
 
+def require_distinct_names(discrepancies: Sequence[Discrepancy]) -> None:
+    """Raise ValueError if two discrepancies have inferred numbers of the same name."""
+    names = [one.label for one in discrepancies if one.tau is None]
+    if len(set(names)) < len(names):
+        raise ArgumentError("discrepancy.name", "must be different for each discrepancy", names[-1])
+
+
 def _size(parameter: Parameter) -> float:
     """Return the unit of the absolute scatter of a parameter."""
     if parameter.start != 0.0:

@@ -12,7 +12,7 @@ from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.pairing.sensitivities import Sensitivities, Steps
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.discrepancy.curvature import by_parameters
-from fmu.posterior.discrepancy.embedded import Discrepancy, EmbeddedScatter
+from fmu.posterior.discrepancy.embedded import Discrepancy, EmbeddedScatter, require_distinct_names
 from fmu.posterior.discrepancy.frequencies import ScatteredFrequencies
 from fmu.posterior.discrepancy.latent import LatentErrors
 from fmu.posterior.discrepancy.model_errors import Change, Linearised, ModelErrors
@@ -72,24 +72,18 @@ class DiscrepantLikelihood(ModalLikelihood):
             if term.tests is not None:
                 term.tests = None  # the scatter of tests no longer gives all of the variance
         noise = list(self.noise)
-        names = [one.label for one in discrepancies if one.tau is None]
-        if len(set(names)) < len(names):
-            raise ArgumentError("discrepancy.name", "must be different for each discrepancy", names[-1])
+        require_distinct_names(discrepancies)
         index, self.measured = numbering(noise), np.asarray(data.frequencies_hz)
         scatters = tuple(one.bind(layout.structural, index) for one in discrepancies if one.kind == "embedded")
-        modes = tuple(
-            ModeErrors.of(one, index, self.terms_of, data.sensors, model.parts[0].structure)
-            for one in discrepancies
-            if one.kind == "modes"
-        )
+        of_modes, structure = [one for one in discrepancies if one.kind == "modes"], model.parts[0].structure
+        modes = tuple(ModeErrors.of(one, index, self.terms_of, data.sensors, structure) for one in of_modes)
         self.errors = ModelErrors(scatters or (EmbeddedScatter.none(len(layout.structural)),), modes)
         self.noise = tuple(noise)
-        self.error, self.beta, self._fast, self.terms_name = None, None, None, "modes"
-        self.n_tests, self._bounds = len(layout.tests), np.array(layout.box())
+        self.error, self.beta, self._fast, self._alone = None, None, None, None
+        self.terms_name, self.n_tests, self._bounds = "modes", len(layout.tests), np.array(layout.box())
         labels = [label for test in layout.tests for label in test.data.labels]
         self.group = np.array([labels.index(label) for label in labels])
         only = self.terms_of[0] if len(self.terms_of) == 1 and self.n_tests == 1 else None
-        self._alone = None
         if isinstance(only, FrequencyTerm) and not self.errors.modes:
             self._alone = ScatteredFrequencies(only, self.errors.scatters)
 
@@ -207,20 +201,23 @@ class DiscrepantLikelihood(ModalLikelihood):
             found[:, i] = total - others.terms_of_observed(seen, theta).sum(axis=1)
         return found
 
-    def error_given_others(self, theta: FloatArray, mode: int) -> tuple[FloatArray, FloatArray]:
-        """Return the model's own error of a frequency given the data of the used modes other than `mode`.
+    def error_given_others(
+        self, seen: ModalPrediction, theta: FloatArray, k: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the model's own error of the frequency of mode `k` given the data of the other used modes.
+
+        `seen` is what is `observed` at theta (n, ndim).
 
         Returns
         -------
         mean, variance : ndarray, shape (n,), Hz and Hz²
-            Mean of the frequency with the error less the computed one, at theta (n, ndim), and its variance.
+            Mean of the frequency with the error less the computed one, and its variance.
         """
-        seen = self.observed(theta)
-        mean, gain, covariance, w, of_w = self._errors_given_data(seen, theta, np.setdiff1d(self._used, mode))
-        own, common = (x[:, mode] for x in self._in_hz(seen, theta))
-        of_common = common - np.einsum("np,npc->nc", own, gain[:, mode])
-        shift = np.einsum("np,np->n", own, mean[:, mode]) + np.einsum("nc,nc->n", of_common, w)
-        variance = np.einsum("np,npq,nq->n", own, covariance[:, mode], own)
+        mean, gain, covariance, w, of_w = self._errors_given_data(seen, theta, np.setdiff1d(self._used, k))
+        own, common = (x[:, k] for x in self._in_hz(seen, theta))
+        of_common = common - np.einsum("np,npc->nc", own, gain[:, k])
+        shift = np.einsum("np,np->n", own, mean[:, k]) + np.einsum("nc,nc->n", of_common, w)
+        variance = np.einsum("np,npq,nq->n", own, covariance[:, k], own)
         return -shift, variance + np.einsum("nc,ncd,nd->n", of_common, of_w, of_common)
 
     def _errors_given_data(
@@ -259,17 +256,13 @@ class DiscrepantLikelihood(ModalLikelihood):
         if given_data:
             mean, gain, covariance, mean_w, of_w = self._errors_given_data(seen, theta, self._used)
             w = mean_w + np.einsum("ncd,nd->nc", np.linalg.cholesky(of_w), w)
-            z = (
-                mean
-                - np.einsum("nmpc,nc->nmp", gain, w)
-                + np.einsum("nmpq,nmq->nmp", np.linalg.cholesky(covariance), z)
-            )
+            z = mean + np.einsum("nmpq,nmq->nmp", np.linalg.cholesky(covariance), z)
+            z -= np.einsum("nmpc,nc->nmp", gain, w)
         return np.asarray(frequencies - np.sum(own * z, axis=2) - np.einsum("nmc,nc->nm", common, w))
 
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of names and settings in plain Python types."""
-        found = [one.as_dict() for one in self.errors.scatters if len(self.errors.scattered)]
-        return super().as_dict() | {"discrepancy": [*found, *(one.as_dict() for one in self.errors.modes)]}
+        return super().as_dict() | {"discrepancy": self.errors.as_list()}
 
     @property
     def _used(self) -> IntArray:

@@ -15,7 +15,7 @@ from fmu.posterior.discrepancy.latent import LatentErrors
 from fmu.posterior.discrepancy.modes import ModeErrors
 from fmu.posterior.errors.base import ErrorTerm
 from fmu.posterior.errors.slopes import residuals_of_term
-from fmu.types import FloatArray, IntArray
+from fmu.types import FloatArray, IntArray, Plain
 
 type Take = Callable[[FloatArray, int], FloatArray]
 """A function that picks the rows of some modes from an array along an axis."""
@@ -109,6 +109,11 @@ class ModelErrors:
     def n_common(self) -> int:
         """Number of errors that all modes have in common."""
         return sum(one.n_common for one in self.modes)
+
+    def as_list(self) -> list[Plain]:
+        """Return a list of dicts of the settings in plain Python types."""
+        scatters = [one.as_dict() for one in self.scatters if len(self.scattered)]
+        return [*scatters, *(one.as_dict() for one in self.modes)]
 
     def linearise(
         self, terms: Sequence[ErrorTerm], seen: ModalPrediction, noise: FloatArray, take: Take

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.analysis.held_out.modes import NEITHER, NOT_USED, REFIT, WEIGHTS, leave_one_out
+from fmu.analysis.held_out.modes import NOT_USED, REFIT, WEIGHTS, leave_one_out
+from fmu.analysis.held_out.prediction import NEITHER
 from fmu.analysis.held_out.weights import FEWEST
 from fmu.analysis.prediction import (
     measured_tests,

@@ -119,7 +119,7 @@ def test_each_datum_given_the_others_and_the_predicted_frequency():
             mean, variance = gain @ r[others], S[k, k] - gain @ S[others, k]
             term = stats.norm.logpdf(r[k], mean, np.sqrt(variance)) - np.log(sd[i, k])
             assert_allclose(given[i, k], term, rtol=1e-8)
-            shift, of_model = (x[i] for x in likelihood.error_given_others(at, k))
+            shift, of_model = (x[i] for x in likelihood.error_given_others(likelihood.observed(at), at, k))
             assert_allclose(shift, -sd[i, k] * mean, rtol=1e-7, atol=1e-12)
             assert_allclose(of_model + sd[i, k] ** 2, sd[i, k] ** 2 * variance, rtol=1e-8)
     assert np.all(np.abs(f) > 0)

@@ -224,6 +224,24 @@ def test_simulated_data_have_the_scatter():
     assert_allclose(drawn.var(axis=0), V, rtol=6 * np.sqrt(2 / n))
 
 
+def test_ascents_end_at_a_scatter_of_zero(monkeypatch):
+    """Data without errors leave no scatter. Ascents used to bounce off τ = 0, where a prior has no density."""
+    problem, calls = problem_of("by group"), []
+    measured = problem.frequencies(problem.start)
+    parameters = [dataclasses.replace(p, updated=p.name == "k1") for p in problem.parameters[:4]]
+    exact = fmu.UpdatingProblem(
+        problem.model.structure, fmu.ModalData(measured), parameters, pairing="index",
+        error=ERRORS["relative, weighted"], discrepancy=SCATTERS["by group"],
+    )  # fmt: skip
+    quadratic = type(exact).quadratic
+    monkeypatch.setattr(type(exact), "quadratic", lambda *given: calls.append(1) or quadratic(*given))
+    found = fmu.find_map(exact, starts=8)
+    assert len(found) == 1
+    assert found[0].kind == "maximum"
+    assert np.all(found[0].theta[1:] < 1e-9)
+    assert len(calls) < 50
+
+
 def test_no_gradient_asks_for_a_frequency_beyond_the_bounds():
     """There a surrogate is not trained. The differences are close to exact second derivatives."""
     problem = problem_of("common")

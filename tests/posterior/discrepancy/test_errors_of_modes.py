@@ -65,7 +65,9 @@ def test_frequencies_are_gaussian_with_the_sum_of_the_covariances(kind):
         expected = stats.multivariate_normal.logpdf(measured[[0, 2]], f[i, [0, 2]], S[part])
         assert_allclose(two.log_likelihood(theta[i]), expected)
         gain = np.linalg.solve(S[part], S[[0, 2], 1])
-        shift, variance = (x[0] for x in two.likelihood.error_given_others(theta[[i]], 1))
+        shift, variance = (
+            x[0] for x in two.likelihood.error_given_others(two.likelihood.observed(theta[[i]]), theta[[i]], 1)
+        )
         assert_allclose(f[i, 1] + shift, f[i, 1] + gain @ (measured - f[i])[[0, 2]])
         assert_allclose(variance + sd[1] ** 2, S[1, 1] - gain @ S[[0, 2], 1])
         given = problem.likelihood.terms_given_others(theta[[i]])[0, 1]

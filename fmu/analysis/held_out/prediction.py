@@ -1,0 +1,102 @@
+"""Prediction of a measured mode by weighted draws of a posterior."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from scipy.special import log_ndtr, logsumexp
+
+from fmu.types import FloatArray
+
+if TYPE_CHECKING:
+    from fmu.fem.pairing.prediction import ModalPrediction
+    from fmu.posterior.problem import UpdatingProblem
+
+INTERVAL = 0.9
+NEITHER = ""
+
+
+class HeldOut(NamedTuple):
+    """One mode and its prediction from the other modes; the fields are columns of `leave_one_out`."""
+
+    measured: float = np.nan
+    mean: float = np.nan
+    sd: float = np.nan
+    eti90_lb: float = np.nan
+    eti90_ub: float = np.nan
+    p: float = np.nan
+    freedom: float = np.inf
+    prior_sd: float = np.nan
+    elpd: float = np.nan
+    mcse_elpd: float = np.nan
+    pareto_k: float = np.nan
+    method: str = NEITHER
+    used: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """Draws of the parameters, and the frequencies there.
+
+    Attributes
+    ----------
+    problem : UpdatingProblem
+    theta : ndarray, shape (n, ndim)
+    hz : ndarray, shape (n, n_modes)
+        Computed frequencies, Hz; NaN where a solve failed.
+    """
+
+    problem: UpdatingProblem
+    theta: FloatArray
+    hz: FloatArray
+
+    @cached_property
+    def _observed(self) -> ModalPrediction:
+        """The predicted modes, which all modes that are left out need if the model has a discrepancy."""
+        return self.problem.likelihood.observed(self.problem.layout.of_model(self.theta))
+
+    def predict(self, k: int, log_weight: FloatArray) -> HeldOut:
+        """Return the predictive distribution of a measurement of mode `k`, given the used modes.
+
+        It is the mixture over the draws of the distributions of the measurement, which are Gaussian, or Student's
+        if the measurement is the mean of tests whose scatter gives its error.
+        """
+        from scipy.optimize import brentq
+
+        problem = self.problem
+        likelihood: Any = with_mode(problem, k).likelihood
+        if likelihood.frequency_term is None:
+            return HeldOut()
+        noise = self.theta[:, problem.n_structural :]
+        term = likelihood.frequency_term
+        means, deviations = (x[:, k] for x in term.given_others(self.hz, noise))
+        if likelihood.has_discrepancy:
+            shift, variance = likelihood.error_given_others(self._observed, problem.layout.of_model(self.theta), k)
+            means, deviations = means + shift, np.sqrt(deviations**2 + variance)
+        solved = np.isfinite(self.hz).all(axis=1)
+        means, deviations, log_weight = means[solved], deviations[solved], log_weight[solved]
+        w = np.exp(log_weight)
+        mean = float(w @ means)
+        sd = float(np.sqrt(w @ (deviations**2 + (means - mean) ** 2)))
+
+        def below(y: float) -> float:
+            return float(w @ np.exp(log_ndtr(term.normal_scores((y - means) / deviations, k))))
+
+        measured = float(np.asarray(problem.data.frequencies_hz)[k])
+        z = term.normal_scores((measured - means) / deviations, k)
+        log_tail = min(float(logsumexp(log_weight + log_ndtr(side))) for side in (z, -z))
+        ends = [(1.0 - INTERVAL) / 2.0, (1.0 + INTERVAL) / 2.0]
+        reach = (float(np.min(means - 9.0 * deviations)), float(np.max(means + 9.0 * deviations)))
+        lower, upper = (brentq(lambda y, q=q: below(y) - q, *reach) for q in ends)
+        p = min(1.0, 2.0 * float(np.exp(log_tail)))
+        freedom = np.inf if term.tests is None else float(term.tests.freedom[k])
+        return HeldOut(measured, mean, sd, float(lower), float(upper), p, freedom)
+
+
+def with_mode(problem: UpdatingProblem, k: int) -> UpdatingProblem:
+    """Return the problem updated also with mode `k`."""
+    use = zip(problem.data.labels, problem.data.use, strict=True)
+    return problem.using([label for i, (label, used) in enumerate(use) if used or i == k])

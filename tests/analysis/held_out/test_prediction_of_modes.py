@@ -1,0 +1,34 @@
+"""Predictions of modes by draws: the modes at the draws are solved once, however many modes are predicted."""
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+import fmu
+from fmu.analysis.held_out.prediction import Draws
+from fmu.posterior.discrepancy.likelihood import DiscrepantLikelihood
+from tests.shear_building import frequencies_hz, shear_building
+
+
+def test_all_modes_are_predicted_by_one_solve_of_each_draw(monkeypatch):
+    names = ["k1", "k2", "k3"]
+    model = shear_building(names, 1e3, mass=[1.0, 1.5, 1.2], dofs=[(j, "x") for j in range(1, 4)])
+    data = fmu.ModalData(1.02 * frequencies_hz(model, np.ones(3))[0], sd_hz=0.05)
+    problem = fmu.UpdatingProblem(
+        model, data, [fmu.Parameter(name, 1.0, 0.5, 2.0) for name in names], pairing="index",
+        discrepancy=fmu.Discrepancy(tau=0.05),
+    )  # fmt: skip
+    theta = problem.sample_prior(np.random.default_rng(1), 20)
+    draws, solved = Draws(problem, theta, problem.frequencies(theta)), []
+    observed = DiscrepantLikelihood.observed
+    monkeypatch.setattr(
+        DiscrepantLikelihood,
+        "observed",
+        lambda self, at, *more: solved.append(len(at)) or observed(self, at, *more),
+    )
+    weights = np.full(20, -np.log(20.0))
+    found = [draws.predict(k, weights) for k in range(3)]
+    assert solved == [20]
+    variance = problem.likelihood.variance(theta) + 0.05**2
+    for k, one in enumerate(found):
+        assert_allclose(one.mean, draws.hz[:, k].mean())
+        assert_allclose(one.sd**2, variance[:, k].mean() + draws.hz[:, k].var())
