@@ -49,6 +49,7 @@ from .formats.models.read import read_model as read_model
 from .posterior.data.expected import expected_modes as expected_modes
 from .posterior.data.frf_data import FRFData as FRFData
 from .posterior.data.modal_data import ModalData as ModalData
+from .posterior.data.picked_modes import pick_modes as pick_modes
 from .posterior.data.read_frf import read_frf as read_frf
 from .posterior.discrepancy.embedded import Discrepancy as Discrepancy
 from .posterior.errors.frequency import FrequencyErrors as FrequencyErrors

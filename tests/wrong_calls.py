@@ -419,6 +419,10 @@ def calls(folder: Path) -> Iterator[Call]:
     yield Call("FRFData.from_records", fmu.FRFData.from_records, frf | {
         "force": np.sin(np.arange(64.0) ** 2), "response": np.arange(64.0)[None], "sampling_hz": 100.0,
         "window": "hann", "segment": 16, "overlap": 0.5})  # fmt: skip
+    yield Call("pick_modes", fmu.pick_modes, {
+        "data": fmu.FRFData(np.arange(1.0, 9.0), [1.0 / (1.0 - (np.arange(1.0, 9.0) / 4.1) ** 2 + 0.05j)],
+                            ((1, "x"),), ((1, "x"),), "receptance", 1e-3),
+        "numbers": (1,), "n": 1, "sd": 0.01})  # fmt: skip
     yield Call("ModalDamping", fmu.ModalDamping, {"ratios": [0.01, 0.02]})
     yield Call("RayleighDamping", fmu.RayleighDamping, {"alpha": 0.1, "beta": 1e-4})
     yield Call("StructuralDamping", fmu.StructuralDamping, {"loss": 0.01, "of": {"k": 0.02}})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, TypeGuard, get_args, get_type_hints
 
 import numpy as np
@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 from pydantic import Tag
 
 from fmu.arguments import ArgumentError
-from fmu.config.mistakes import Mistakes
+from fmu.config.frf.errors import FRFTable
+from fmu.config.mistakes import BrokenError, Mistakes
 from fmu.config.tables import Declared, Name, Number, Numbers, OneOf, Positive, by_kind, kind_of, tuple_as_list
 from fmu.formats.modes.measured_modes import Place
 from fmu.formats.shown import names_shown, quote
@@ -18,6 +19,7 @@ from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors import ERROR_MODELS
 from fmu.posterior.errors.base import ErrorModel
 from fmu.posterior.errors.quantities import QuantityErrors
+from fmu.posterior.frf.errors import FRFErrors
 from fmu.posterior.parameters import Parameter
 
 Rows = Annotated[list[list[Positive]], Tag("<rows>")]
@@ -43,11 +45,16 @@ def _in_a_file(annotation: object) -> object:
     return found | None if optional else found
 
 
-ErrorTable = Annotated[Declared, OneOf("of", {name: (model,) for name, model in ERROR_MODELS.items()}, _in_a_file)]
+ErrorTable = Annotated[
+    Declared, OneOf("of", {name: (model,) for name, model in ERROR_MODELS.items()}, _in_a_file, (FRFTable,))
+]
 
 
 def build_error_models(
-    tables: Sequence[Declared], noise: Mapping[str, Parameter], known: Sequence[str]
+    tables: Sequence[Declared],
+    noise: Mapping[str, Parameter],
+    known: Sequence[str],
+    read_frfs: Callable[..., FRFErrors],
 ) -> tuple[list[ErrorModel], list[ArgumentError]]:
     """Return the list of error models, and the list of errors in their references to noise tables.
 
@@ -58,6 +65,8 @@ def build_error_models(
         Standard deviations to be inferred, by name.
     known : sequence of str
         Names of all noise tables in the order of the file; invalid tables have no entry in `noise`.
+    read_frfs : callable
+        Returns the errors of the frequency response functions of a table, given the parameters by key.
     """
     models, found, used = [], [], set()
     rule = f"must be the name of a [[noise]] table: {names_shown(known) or 'there is none'}"
@@ -69,7 +78,11 @@ def build_error_models(
             for key, name in names.items()
             if name not in known
         ]
-        models.append(table.build(**{key: noise.get(name) for key, name in names.items()}))
+        inferred = {key: noise.get(name) for key, name in names.items()}
+        try:
+            models.append(read_frfs(table, **inferred) if isinstance(table, FRFTable) else table.build(**inferred))
+        except BrokenError as error:
+            found += [mistake.under(f"error.{i}") for mistake in error.mistakes]
     rule = "must be used as sd or discrepancy of an [[error]]"
     found += [
         ArgumentError(f"noise.{i}.name", rule, quote(name)) for i, name in enumerate(known) if name not in used
@@ -97,7 +110,7 @@ def _noises(table: Declared) -> dict[str, str]:
     return {
         key: str(value)
         for key, value in table.given_arguments().items()
-        if kind_of(value) == "<text>" and Parameter in get_args(hints[key])
+        if kind_of(value) == "<text>" and Parameter in get_args(hints.get(key))
     }
 
 

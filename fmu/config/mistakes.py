@@ -137,6 +137,7 @@ def _in_the_file(where: tuple[int | str, ...]) -> list[int | str]:
         *[["parameters", *number, *keys] for keys in of_parameter],
         ["noise", *number, "prior"],
         ["error", *number],
+        ["damping", *number],
         ["tests", *number, "covariates", *parts[3:4]],
     ]
     for parent in several:

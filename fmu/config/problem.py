@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
@@ -14,6 +15,8 @@ from pydantic import Field, Tag
 from fmu.arguments import ArgumentError
 from fmu.config.discrepancy import DiscrepancyTable
 from fmu.config.errors import ErrorTable, beside_tests, build_error_models, is_of_modes, vanishing, with_places
+from fmu.config.frf.damping import DampingTable, build_damping, mistakes_of_damping, structural
+from fmu.config.frf.errors import FRFTable
 from fmu.config.measurement import MeasurementTable
 from fmu.config.mistakes import BrokenError, ConfigurationError, Mistakes
 from fmu.config.models.command import CommandTable
@@ -33,6 +36,8 @@ from fmu.formats.decks import EXPORTED, fill_deck, filled_name, read_deck
 from fmu.posterior.data.expected import expected_modes
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import ErrorModel
+from fmu.posterior.frf.damping import DampingModel
+from fmu.posterior.frf.errors import FRFErrors
 from fmu.posterior.joint.modal_test import TestsError
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.problem import UpdatingProblem
@@ -92,6 +97,9 @@ class ProblemFile(TomlTable):
     """What is compared: frequencies in Hz, the modal residual (K − ω²M) φ, or error models as tables [[error]]."""
     noise: list[NoiseTable] = []
     """Standard deviations to be inferred, which error models refer to by name."""
+    damping: Annotated[list[DampingTable], Field(max_length=MOST_PARAMETERS)] = []
+    """Damping of the structure, for frequency response functions; several tables are added up. The [[parameters]]
+    that it names follow those of the structure."""
     discrepancy: Annotated[list[DiscrepancyTable], Field(max_length=MOST_PARAMETERS)] = []
     """Errors of the model itself, which must not be taken to be right: [[discrepancy]] with kind = "embedded"."""
     reduction: Reduction = True
@@ -106,7 +114,8 @@ class ProblemFile(TomlTable):
     ]
     """The structure: type "frame", "matrices", "exports", "command", "opensees" or "python"."""
     measurement: MeasurementTable | None = None
-    """The modes of a test."""
+    """The modes of a test. Beside frequency response functions alone they only begin the search for maxima; if not
+    given, they are the resonances."""
     tests: Annotated[list[TestTable], Field(min_length=1, max_length=MOST_TESTS)] | None = None
     """Several tests of the structure, instead of one measurement."""
     plan: PlanTable | None = None
@@ -152,10 +161,18 @@ class ProblemFile(TomlTable):
             If the problem cannot be built; it lists the errors found.
         """
         parameters, found = build_parameters("parameters", self.parameters)
-        found += self.model.mistakes(self.parameters)
+        found += self.model.mistakes(self.structural) + self._of_damping()
         noise, wrong = build_parameters("noise", self.noise, [table.name for table in self.parameters])
+        damping: list[DampingModel] = []
+        if not found:
+            try:
+                damping = build_damping(self.damping, parameters, folder)
+            except BrokenError as error:
+                found += error.mistakes
         tables = [] if isinstance(self.error, str) else self.error
-        errors, unnamed = build_error_models(tables, noise, [table.name for table in self.noise])
+        read_frfs = partial(FRFTable.errors, folder=folder, damping=damping)
+        errors, unnamed = build_error_models(tables, noise, [table.name for table in self.noise], read_frfs)
+        parameters = {table.name: parameters[table.name] for table in self.structural if table.name in parameters}
         needs_trust = not any(map(is_of_modes, errors))
         found += wrong + unnamed + ([] if self._is_unmeasured(planning) else self._of_measurements(needs_trust))
         if self.export is not None:
@@ -164,7 +181,7 @@ class ProblemFile(TomlTable):
             raise ConfigurationError(source, found)
         try:
             with phase("reading the model"):
-                structure = self.model.build(folder, self.parameters)
+                structure = self.model.build(folder, self.structural)
             if structure.separable is not None:
                 tell_fact(f"{structure.separable.n_dof} degrees of freedom, {len(self.parameters)} parameters")
             if self.tests is not None:
@@ -176,7 +193,7 @@ class ProblemFile(TomlTable):
             wrong = beside_tests(tables, errors, data) or vanishing(noise, errors, data, len(parameters))
             if wrong:
                 raise BrokenError(*wrong)
-            trust = self.measured.beta if beta is None else beta
+            trust = self.measurement.beta if beta is None and self.measurement is not None else beta
             return UpdatingProblem.reduced(
                 structure.model,
                 data,
@@ -193,12 +210,15 @@ class ProblemFile(TomlTable):
         except BrokenError as error:
             raise ConfigurationError(source, error.mistakes) from None
         except ValueError as error:
-            raise ConfigurationError(source, [ArgumentError.of(error)]) from error
+            mistake = ArgumentError.of(error)
+            if self._frfs is not None and mistake.key.startswith("data."):
+                mistake = mistake.at(f"error.{self._frfs[0]}.data")
+            raise ConfigurationError(source, [mistake]) from error
 
     def plan_options(self, source: str, folder: Path) -> dict[str, Any]:
         """Return the arguments of `fmu.plan` in the table ``[plan]``, or its defaults; errors as for `build`."""
         try:
-            return (self.plan or PlanTable()).options(self.model.build(folder, self.parameters))
+            return (self.plan or PlanTable()).options(self.model.build(folder, self.structural))
         except BrokenError as error:
             raise ConfigurationError(source, error.mistakes) from None
         except ValueError as error:
@@ -225,6 +245,8 @@ class ProblemFile(TomlTable):
 
     def _of_measurements(self, needs_trust: bool) -> list[ArgumentError]:
         """Return the list of errors in the tables of the measurements that are found without the model."""
+        if self.measurement is None and self.tests is None and self._frfs is not None:
+            return of_several_tests(self.parameters)
         if (self.measurement is None) == (self.tests is None):
             given = "none" if self.tests is None else "both"
             if self.plan is not None and self.tests is None:
@@ -240,6 +262,29 @@ class ProblemFile(TomlTable):
             for i, table in enumerate(self.tests)
             for mistake in table.mistakes(needs_trust)
         ]
+
+    @property
+    def structural(self) -> list[ParameterTable]:
+        """The tables of the parameters of the structure, without the parameters of the damping."""
+        return structural(self.parameters, self.damping)
+
+    @property
+    def _frfs(self) -> tuple[int, FRFTable] | None:
+        """The first table of frequency response functions with its index in [[error]]; None if there is none."""
+        tables = [] if isinstance(self.error, str) else self.error
+        return next(((i, table) for i, table in enumerate(tables) if isinstance(table, FRFTable)), None)
+
+    def _of_damping(self) -> list[ArgumentError]:
+        """Return the list of errors between the tables of damping and of frequency response functions."""
+        if self._frfs is None:
+            rule = 'is used by frequency response functions only, [[error]] with of = "frf"'
+            return [ArgumentError("damping", rule)] if self.damping else []
+        where = f"error.{self._frfs[0]}.of"
+        if self.tests is not None:
+            return [ArgumentError(where, "is allowed with one [measurement] only, not with [[tests]]", "'frf'")]
+        if not self.damping:
+            return [ArgumentError("damping", 'must be given with an [[error]] of = "frf"', "none")]
+        return mistakes_of_damping(self.parameters, self.damping)
 
     @property
     def decks(self) -> list[str]:
@@ -295,7 +340,14 @@ class ProblemFile(TomlTable):
 
     def _data(self, folder: Path, built: Built, beta: ArrayLike | None, errors: Sequence[ErrorModel]) -> ModalData:
         """Return the measured data; if `beta` is given, without the uncertainty in the file, which it replaces."""
-        data = self.measured.build(folder, built, needs_trust=not any(map(is_of_modes, errors)))
+        if self.measurement is None and self._frfs is not None:
+            i, table = self._frfs
+            try:
+                data = table.pick(cast("FRFErrors", errors[i]), built)
+            except BrokenError as error:
+                raise BrokenError(*(mistake.under(f"error.{i}") for mistake in error.mistakes)) from None
+        else:
+            data = self.measured.build(folder, built, needs_trust=not any(map(is_of_modes, errors)))
         if beta is not None:
             return replace(data, sd_hz=None, covariance_hz2=None)
         if self.error == "modal-residual" and self.measured.beta is None:
@@ -316,7 +368,9 @@ def schema() -> dict[str, object]:
     """
     found = json.loads(json.dumps(ProblemFile.model_json_schema()), object_hook=_for_toml)
     measured = [{"required": [key]} for key in ("measurement", "tests")]
-    one = [*measured, {"required": ["plan"], "not": {"anyOf": measured}}]
+    of_frf = {"contains": {"properties": {"of": {"const": "frf"}}, "required": ["of"]}}
+    other = [{"required": ["plan"]}, {"required": ["error"], "properties": {"error": {"type": "array"} | of_frf}}]
+    one = [*measured, {"anyOf": other, "not": {"anyOf": measured}}]
     return {"$schema": DIALECT, "title": TITLE} | found | {"oneOf": one}
 
 

@@ -11,8 +11,9 @@ from __future__ import annotations
 import inspect
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, Union, get_args, get_origin, get_type_hints
 
@@ -205,7 +206,7 @@ def declare_table(
     described = {key: text for make in makes for key, text in _descriptions(make).items()}
     every = [arguments(make) for make in makes]
     key_of = {argument: key for key, argument in (renamed or {}).items()}
-    fields: dict[str, Any] = {tag: (Literal[name], ...)} if tag else {}
+    keys: dict[str, Any] = {tag: (Literal[name], ...)} if tag else {}
     for names in every:
         for argument, (annotation, default) in names.items():
             is_required = all(argument in required_arguments(make) for make in makes)
@@ -214,13 +215,13 @@ def declare_table(
             annotation = Name if argument in key_of else (in_a_file or tuple_as_list)(annotation)
             if annotation is not None:
                 field = Field(... if is_required else default, description=described.get(argument))
-                fields[key_of.get(argument, argument)] = (annotation, field)
+                keys[key_of.get(argument, argument)] = (annotation, field)
     documented = [inspect.getdoc(getattr(make, "__self__", make)) for make in makes]
     about = next(text for text in documented if text).partition("\n\n")[0].removeprefix("Return ")
     about = about[:1].upper() + about[1:]
     if len(makes) > 1:
         about += f" Give either {_ways(makes)}."
-    table = create_model(name, __base__=Declared, __doc__=about, **fields)
+    table = create_model(name, __base__=Declared, __doc__=about, **keys)
     table.makes, table.tag, table.renamed, table.is_complete = makes, tag, renamed or {}, in_a_file is None
     return table
 
@@ -236,6 +237,8 @@ class OneOf:
         The constructors of each kind, by the value of the key; see `declare_table`.
     in_a_file : callable, optional
         See `declare_table`.
+    others : sequence of table
+        Kinds whose tables are written by hand.
     """
 
     def __init__(
@@ -243,11 +246,12 @@ class OneOf:
         tag: str,
         kinds: Mapping[str, tuple[Maker, ...]],
         in_a_file: Callable[[Any], object] | None = None,
+        others: Sequence[type[Declared]] = (),
     ) -> None:
         self._tag = tag
         self._tables = tuple(
             declare_table(name, *makes, tag=tag, in_a_file=in_a_file) for name, makes in kinds.items()
-        )
+        ) + tuple(others)
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         return handler(Annotated[Union[self._tables], Field(discriminator=self._tag)])  # noqa: UP007
@@ -304,7 +308,13 @@ def required_arguments(make: Maker) -> set[str]:
 def arguments(make: Maker) -> dict[str, tuple[Any, object]]:
     """Return a dict from the name of each argument of a constructor to its annotation and default."""
     hints = get_type_hints(make.__init__ if inspect.isclass(make) else make, include_extras=True)
-    return {key: (hints[key], argument.default) for key, argument in inspect.signature(make).parameters.items()}
+    made = (
+        {}
+        if not is_dataclass(make)
+        else {one.name: one.default_factory() for one in fields(make) if one.default_factory is not MISSING}
+    )
+    given = inspect.signature(make).parameters
+    return {key: (hints[key], made.get(key, argument.default)) for key, argument in given.items()}
 
 
 def _ways(makes: tuple[Maker, ...]) -> str:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fmu.numbers import MISSING, apart, given, significant, with_sd
+from fmu.posterior.frf.assumptions import assumptions_on_frfs
 from fmu.posterior.parameters import prior_in_words
 from fmu.posterior.prior_doubts import outside_bounds
 from fmu.types import FloatArray
@@ -68,11 +69,15 @@ def assumptions(
     if not isinstance(problem, Mapping) or not {"likelihood", "parameters", "data"} <= set(problem):
         return None
     likelihood, data = problem["likelihood"], problem["data"]
-    said = _errors(likelihood, problem["parameters"], data, inferred)
+    responses, used = likelihood.get("responses", ()), data.get("use", ())
+    are_data = not used or any(used)
+    said = _errors(likelihood, problem["parameters"], data, inferred) if are_data or not responses else []
+    for one in responses:
+        said += assumptions_on_frfs(one, are_data)
     priors = outside_bounds(problem["parameters"])
     cut = "Priors: independent, cut off at the bounds; both are in the table of the parameters."
     unused = [str(label) for label, use in zip(data["labels"], data.get("use", ()), strict=False) if not use]
-    if unused:
+    if unused and are_data:
         said.append(f"Not used in updating, and thus a test of the model: mode{'s' * (len(unused) > 1)} "
                     f"{', '.join(unused)}.")  # fmt: skip
     said += [cut, *_between_tests(problem), *priors, _pairing(problem)]
@@ -89,7 +94,7 @@ def assumptions(
             "Within the bounds a reduced model replaces the full one. The relative error allowed to a frequency "
             f"is {significant(reduction)}{away}{seen}."
         )
-    errors = _by_mode(likelihood, problem["parameters"], data, inferred)
+    errors = _by_mode(likelihood, problem["parameters"], data, inferred) if are_data else ()
     return Assumptions(tuple(said), errors, bool(likelihood.get("noise")))
 
 

@@ -65,7 +65,7 @@ from fmu.analysis.information import CONTRACTED
 from fmu.analysis.prediction import measured_tests, measurement_in_words, noise_sd
 from fmu.analysis.trace.misfit import GROUP, QUANTITIES
 from fmu.analysis.trace.modal_states import MEAN
-from fmu.analysis.trace.reading import array_of, has, parameter_units
+from fmu.analysis.trace.reading import array_of, has, modes_are_data, parameter_units
 from fmu.fem.pairing.correlation import ALIKE
 from fmu.numbers import apart, given, share, significant, with_sd
 from fmu.tables import data_frame
@@ -131,9 +131,9 @@ def _kinds(trace: xr.DataTree) -> list[Callable[[float], list[Check]]]:
 def _predictions(trace: xr.DataTree) -> pd.DataFrame | None:
     """Return the table of the predictions of each mode without that mode, one row per mode.
 
-    Unknown predictions are NaN. Return None if the run has no frequencies.
+    Unknown predictions are NaN. Return None if the run has no frequencies, or they are no data.
     """
-    if not has(trace, "posterior_predictive", "frequency"):
+    if not has(trace, "posterior_predictive", "frequency") or not modes_are_data(trace):
         return None
     kept = kept_table(trace)
     if kept is not None:

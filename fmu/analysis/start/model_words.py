@@ -66,7 +66,7 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
         found, unit = problem.matrices_of(k), customary_unit(parameter.unit)
         changes = "" if found is None else _changes(*found)
         if k >= problem.n_structural:
-            changes = "measurement errors"
+            changes = _of_errors(problem, k - problem.n_structural)
         rows.append(
             {
                 "unit": unit.name,
@@ -79,6 +79,13 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
         )
     table = data_frame(rows, "parameter", [problem.names[k] for k in listed])
     return table if any(table["changes"]) else table.drop(columns="changes")
+
+
+def _of_errors(problem: UpdatingProblem, k: int) -> str:
+    """Return what a parameter changes: the k-th of the problem (from 0) that is no parameter of the structure."""
+    roles = [role for term in problem.likelihood.responses for role in term.roles]
+    first = problem.likelihood.n_noise
+    return "measurement errors" if k < first else roles[k - first]
 
 
 def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:

@@ -158,11 +158,16 @@ def used_modes(trace: xr.DataTree) -> BoolArray:
     return np.asarray(observed["used"] if "used" in observed else np.ones(observed.sizes["mode"], dtype=bool))
 
 
+def modes_are_data(trace: xr.DataTree) -> bool:
+    """Return True if a measured mode was used in updating, and not other data alone, as response functions."""
+    return bool(used_modes(trace).any())
+
+
 def mode_names(trace: xr.DataTree) -> list[str]:
-    """Return a list of the names of the measured modes, marked if a mode was not used in updating."""
-    labels = trace["observed_data"]["mode"].to_numpy()
+    """Return a list of the names of the measured modes, marked if only others were used in updating."""
+    labels, are_data = trace["observed_data"]["mode"].to_numpy(), modes_are_data(trace)
     return [
-        str(label) if used else f"{label} (not used)"
+        str(label) if used or not are_data else f"{label} (not used)"
         for label, used in zip(labels, used_modes(trace), strict=True)
     ]
 

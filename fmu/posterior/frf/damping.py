@@ -128,6 +128,7 @@ def bind_damping(
     model: SeparableModel,
     names: Sequence[str],
     inferred: list[Parameter],
+    places: Mapping[str, Any],
 ) -> Damping:
     """Return the damping of a model; parameters to be inferred are appended to `inferred`.
 
@@ -138,6 +139,8 @@ def bind_damping(
     names : sequence of str
         Parameters of the model.
     inferred : list of Parameter
+    places : mapping of str to node
+        Nodes of the model for names of places.
 
     Raises
     ------
@@ -176,8 +179,9 @@ def bind_damping(
                 for name, factor in one.of.items():
                     losses[_stiffness_of(model, names, name)] = source(factor)
             case Dashpot():
-                ends = model.observation([one.at] if one.to is None else [one.at, one.to])
-                row = ends[[0]] if one.to is None else ends[[0]] - ends[[1]]
+                ends = [one.at] if one.to is None else [one.at, one.to]
+                seen = model.observation([(places.get(str(place), place), way) for place, way in ends])
+                row = seen[[0]] if one.to is None else seen[[0]] - seen[[1]]
                 dashpots.append((sp.csr_array(row.T @ row), source(one.coefficient)))
             case DampingMatrix():
                 if one.matrix.shape[0] != model.n_dof:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from fmu.posterior.frf.damping import DampingModel, bind_damping, damping_as_dic
 from fmu.posterior.frf.term import FRFTerm
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.reduction.region import training_box
-from fmu.types import NotNegative, Plain
+from fmu.types import Dof, NotNegative, Plain
 
 
 @check_arguments
@@ -49,6 +49,8 @@ class FRFErrors(QuantityErrors):
         Standard deviation of the delay τ_j of each response channel, or of those named. Each is inferred.
     test : str, optional
         Must not be given: frequency response functions are data of a single test.
+    places : mapping of str to node, optional
+        Nodes of the model for names of places in the data, the damping and the channels.
 
     Raises
     ------
@@ -63,6 +65,7 @@ class FRFErrors(QuantityErrors):
     gain_sd: NotNegative | Mapping[Any, NotNegative] = 0.0
     delay_sd: NotNegative | Mapping[Any, NotNegative] = 0.0
     test: str | None = None
+    places: Mapping[str, int | str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for key, given in (("gain_sd", self.gain_sd), ("delay_sd", self.delay_sd)):
@@ -71,6 +74,13 @@ class FRFErrors(QuantityErrors):
             raise ArgumentError("test", "must not be given where there is one test only", repr(self.test))
         if isinstance(self.model_sd, Parameter) and self.model_sd.lower < 0.0:
             raise ArgumentError(f"model_sd.{self.model_sd.name}.lower", "must be at least 0", self.model_sd.lower)
+
+    def at_places(self, places: Mapping[str, Any]) -> Self:
+        """Return the same settings with nodes of the model for names of places, which stay in all labels."""
+        return replace(self, places={**places, **self.places})
+
+    def _nodes(self, points: Sequence[Dof]) -> list[Dof]:
+        return [(self.places.get(str(place), place), direction) for place, direction in points]
 
     def bind_frfs(self, model: SeparableModel, parameters: Sequence[Parameter], first: int) -> FRFTerm:
         """Return the errors bound to a structure; a reduced model of its FRFs is trained.
@@ -89,14 +99,15 @@ class FRFErrors(QuantityErrors):
             If a drive or a response sees no free degree of freedom, or as for the damping.
         """
         data = self.data
-        for key, places in (("responses", data.responses), ("drives", data.drives)):
-            for k, place in enumerate(places):
-                if not model.sees(place):
+        responses, drives = self._nodes(data.responses), self._nodes(data.drives)
+        for key, named, points in (("responses", data.responses, responses), ("drives", data.drives, drives)):
+            for k, point in enumerate(points):
+                if not model.sees(point):
                     rule = "must be a place and a direction of the model that are free to move"
-                    raise ArgumentError(f"data.{key}.{k}", rule, f"{place[0]} {place[1]}")
+                    raise ArgumentError(f"data.{key}.{k}", rule, " ".join(map(str, named[k])))
         inferred: list[Parameter] = []
         names = [p.name for p in parameters]
-        damping = bind_damping(self.damping, model, names, inferred)
+        damping = bind_damping(self.damping, model, names, inferred, self.places)
         start = np.array([p.start for p in parameters])
         lower, upper = training_box(parameters)
         values = np.array([p.start for p in inferred])
@@ -113,7 +124,7 @@ class FRFErrors(QuantityErrors):
             raise ArgumentError("data", rule, "none")
         lines = used.any(axis=0)
         of = FRFModel(
-            model, data.responses, data.drives, damping, start, lower, upper, values,
+            model, responses, drives, damping, start, lower, upper, values,
             Lines(omega[lines], unit[:, lines]),
         )  # fmt: skip
         gains, delays = (
@@ -134,6 +145,7 @@ class FRFErrors(QuantityErrors):
         return {
             "error": "frf",
             "data": self.data.as_dict(),
+            "points": [str(one) for one in self._nodes((*self.data.responses, *self.data.drives))],
             "damping": [damping_as_dict(one) for one in models],
             "scale": self.scale,
             "model_sd": sd,

@@ -132,6 +132,13 @@ class FRFTerm:
         return other
 
     @property
+    def roles(self) -> tuple[str, ...]:
+        """What each of `inferred` is, in words."""
+        of_channels = ("response channel",) * len(self.channels.parameters)
+        of_model = ("error of the model",) * (self._model_sd is None)
+        return ("damping",) * self.model.n_values + of_channels + of_model
+
+    @property
     def relative_noise(self) -> float:
         """Median over the lines of the standard deviation of the data relative to |H|."""
         size = 1.0 if self._is_log else np.abs(self._measured)

@@ -14,7 +14,7 @@ from fmu.analysis.prediction import (
     measurement_in_words,
 )
 from fmu.analysis.repeatability import repeatability_warnings
-from fmu.analysis.trace.reading import array_of, has, is_pseudo, mode_names, used_modes
+from fmu.analysis.trace.reading import array_of, has, is_pseudo, mode_names, modes_are_data, used_modes
 from fmu.numbers import MISSING, change, decimals, fixed, given, interval, significant, with_sd
 from fmu.report.document import Items, Omitted, PageSection, PageTable, Part, Pictures, Text, picture
 from fmu.report.plots.frequencies import plot_left_out, plot_predictive_check
@@ -35,6 +35,7 @@ HOW = {
 NO_NOISE = (
     "the modal residual is a pseudo-likelihood without measurement noise, so no measurement can be predicted"
 )
+NO_DATA = "the modes are no data, the parameters are updated with frequency response functions alone"
 
 
 def predictive(run: ReportedRun) -> PageSection | Omitted:
@@ -44,6 +45,8 @@ def predictive(run: ReportedRun) -> PageSection | Omitted:
         return Omitted(title, NO_FREQUENCIES)
     if "noisy_sd" not in table:
         return Omitted(title, NO_NOISE)
+    if not modes_are_data(run.trace):
+        return Omitted(title, NO_DATA)
     replicate = array_of(run.trace, "posterior_predictive", "frequency")
     below = (replicate < table["measured"].to_numpy()).mean(axis=(0, 1))
     distance = (table["measured"] - table["mean"]) / table["noisy_sd"]
@@ -120,6 +123,8 @@ def left_out(run: ReportedRun) -> PageSection | Omitted:
         return Omitted(title, "the trace has no likelihood of single modes")
     if is_pseudo(run.trace):
         return Omitted(title, NO_NOISE)
+    if not modes_are_data(run.trace):
+        return Omitted(title, NO_DATA)
     posterior = run.trace["posterior"]
     if posterior.sizes["chain"] * posterior.sizes["draw"] < FEWEST or run.summary["ess_bulk"].isna().all():
         return Omitted(title, "there are too few draws, or they do not move")

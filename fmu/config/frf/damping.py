@@ -1,0 +1,155 @@
+"""``[[damping]]``: damping of a structure, known or inferred from frequency response functions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, Tag
+
+from fmu.arguments import ArgumentError
+from fmu.config.mistakes import BrokenError, Mistakes
+from fmu.config.parameters import ParameterTable
+from fmu.config.tables import Declared, FileName, Name, NotNegative, OneOf, by_kind, reading, tuple_as_list
+from fmu.formats.matrices.read import read_matrix
+from fmu.formats.shown import names_shown, quote
+from fmu.posterior.frf.damping import (
+    DampingMatrix,
+    DampingModel,
+    Dashpot,
+    ModalDamping,
+    RayleighDamping,
+    StructuralDamping,
+)
+from fmu.posterior.parameters import Parameter
+
+_Number = Annotated[NotNegative, Tag("<number>")]
+_Named = Annotated[Name, Tag("<text>")]
+Amount = Annotated[_Number | _Named, by_kind("a number from 0, or the name of one of the [[parameters]]")]
+_Amounts = Annotated[list[Amount], Field(min_length=1), Tag("<list>")]
+Amounts = Annotated[
+    _Number | _Named | _Amounts,
+    by_kind("a number from 0, the name of one of the [[parameters]], or a list of them"),
+]
+_INFERRED = NotNegative | Parameter
+_IN_A_FILE: dict[object, object] = {
+    _INFERRED: Amount,
+    _INFERRED | Sequence[_INFERRED]: Amounts,
+    Mapping[str, _INFERRED]: dict[Name, Amount],
+    Any: FileName,
+}
+_WITHOUT_NAMES = ("at", "to", "matrix")
+"""Keys whose texts are not names of parameters."""
+
+
+def _in_a_file(annotation: object) -> object:
+    """Return the type that an argument of a damping model has in a file, where a parameter has its name."""
+    return _IN_A_FILE.get(annotation) or tuple_as_list(annotation)
+
+
+DampingTable = Annotated[
+    Declared,
+    OneOf(
+        "kind",
+        {
+            "modal": (ModalDamping,),
+            "rayleigh": (RayleighDamping,),
+            "structural": (StructuralDamping,),
+            "dashpot": (Dashpot,),
+            "matrix": (DampingMatrix,),
+        },
+        _in_a_file,
+    ),
+]
+
+
+def names_in(tables: Sequence[Declared]) -> Iterator[tuple[str, str]]:
+    """Yield the key and the name of each parameter that the tables of damping refer to."""
+    for i, table in enumerate(tables):
+        for key, value in table.given_arguments().items():
+            if key not in _WITHOUT_NAMES:
+                yield from _names(f"damping.{i}.{key}", value)
+
+
+def _names(where: str, value: object) -> Iterator[tuple[str, str]]:
+    """Yield the key and the name of each parameter in a value at a key."""
+    match value:
+        case str():
+            yield where, value
+        case list():
+            for i, one in enumerate(value):
+                yield from _names(f"{where}.{i}", one)
+        case dict():
+            for name, one in value.items():
+                yield from _names(f"{where}.{name}", one)
+
+
+def structural(parameters: Sequence[ParameterTable], damping: Sequence[Declared]) -> list[ParameterTable]:
+    """Return the list of the parameters of the structure: those that no table of damping refers to."""
+    named = {name for _, name in names_in(damping)}
+    return [table for table in parameters if table.name not in named]
+
+
+def mistakes_of_damping(parameters: Sequence[ParameterTable], damping: Sequence[Declared]) -> list[ArgumentError]:
+    """Return a list of the errors in the names of damping parameters and in their tables."""
+    found, known = Mistakes(), [table.name for table in parameters]
+    used = {name for _, name in names_in(damping)}
+    rule = f"must be the name of one of the [[parameters]]: {names_shown(known)}"
+    for where, name in names_in(damping):
+        if name not in known:
+            found.add(where, rule, quote(name))
+    of_structure = [i for i, name in enumerate(known) if name not in used]
+    for i, table in enumerate(parameters):
+        if table.name not in used:
+            continue
+        if of_structure and i < of_structure[-1]:
+            found.add(f"parameters.{i}.name", "must come after the parameters of the structure", quote(table.name))
+        own = ("name", "start", "lower", "upper", "unit", "prior")
+        for key in sorted(table.model_fields_set - set(own)):
+            found.add(f"parameters.{i}.{key}", "must not be given for a parameter of the damping")
+    if not of_structure:
+        found.add("parameters", "must have a parameter of the structure too", names_shown(known))
+    return found
+
+
+def build_damping(
+    tables: Sequence[Declared], parameters: Mapping[str, Parameter], folder: Path
+) -> list[DampingModel]:
+    """Return the list of damping models; BrokenError if a file cannot be read or a table is invalid.
+
+    Parameters
+    ----------
+    tables : sequence of DampingTable
+    parameters : mapping of str to Parameter
+    folder : Path
+        The folder to which file names are relative.
+    """
+
+    def of(value: Any) -> Any:
+        match value:
+            case str():
+                return parameters[value]
+            case list():
+                return [of(one) for one in value]
+            case dict():
+                return {name: of(one) for name, one in value.items()}
+        return value
+
+    models: list[DampingModel] = []
+    found: list[ArgumentError] = []
+    for i, table in enumerate(tables):
+        given = table.given_arguments()
+        amounts = {key: of(value) for key, value in given.items() if key not in _WITHOUT_NAMES}
+        try:
+            with reading(f"damping.{i}.matrix"):
+                if "matrix" in given:
+                    amounts["matrix"] = read_matrix(folder / str(given["matrix"]))
+            models.append(table.build(**amounts))
+        except BrokenError as error:
+            found += error.mistakes
+        except ValueError as error:
+            found.append(ArgumentError.of(error).replace_key("variable", "matrix").under(f"damping.{i}"))
+    if found:
+        raise BrokenError(*found)
+    return models

@@ -1,0 +1,182 @@
+"""``[[error]] of = "frf"``: measured frequency response functions, from a file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import ConfigDict, Field, Tag
+
+from fmu.arguments import ArgumentError
+from fmu.config.mistakes import BrokenError
+from fmu.config.tables import (
+    Built,
+    Declared,
+    FileName,
+    Maker,
+    Name,
+    NotNegative,
+    Positive,
+    SensorTable,
+    by_kind,
+    reading,
+)
+from fmu.formats.modes.measured_modes import Place
+from fmu.formats.shown import names_shown, quote
+from fmu.numbers import whole
+from fmu.posterior.data.frf_data import FRFData, FRFKind
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.data.picked_modes import pick_modes
+from fmu.posterior.data.read_frf import read_frf
+from fmu.posterior.frf.damping import DampingModel
+from fmu.posterior.frf.errors import FRFErrors
+from fmu.types import Dof
+
+MOST_FRFS = 10_000
+_Band = Annotated[list[NotNegative], Field(min_length=2, max_length=2)]
+Bands = Annotated[
+    Annotated[_Band, Tag("<list>")] | Annotated[list[_Band], Tag("<rows>")],
+    by_kind("the lowest and the highest frequency, or a list of such pairs"),
+]
+_Sd = Annotated[NotNegative, Tag("<number>")]
+Deviation = Annotated[
+    _Sd | Annotated[Name, Tag("<text>")], by_kind("a number from 0, or the name of a [[noise]] table")
+]
+ByChannel = NotNegative | dict[Name, NotNegative]
+_POINTS = Annotated[list[SensorTable], Field(max_length=MOST_FRFS)]
+
+
+class FRFTable(Declared):
+    """Measured frequency response functions (FRFs). The tables [[damping]] give the damping of the structure."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+    makes: ClassVar[tuple[Maker, ...]] = (FRFErrors,)
+    tag: ClassVar[str] = "of"
+    is_complete: ClassVar[bool] = False
+
+    of: Literal["frf"]
+    data: FileName
+    """File of the FRFs, relative to this file: .uff, .unv, .csv, .tsv, .txt, .npz, .mat, .h5 or .hdf5."""
+    kind: FRFKind | None = None
+    """Response divided by force; needed where the file does not say it."""
+    factor: Positive = 1.0
+    """Converts the values of the file to SI units: 9.80665 for accelerations in g."""
+    drives: _POINTS = []
+    """Place and direction of the force of each FRF, where the file does not name them."""
+    responses: _POINTS = []
+    """Place and direction of the response of each FRF, where the file does not name them."""
+    nodes: dict[Annotated[str, Field(pattern=r"^\d{1,9}$")], Place] = {}
+    """Of a universal file: the place in the model of each node of the file; other nodes are skipped."""
+    variables: dict[Name, Name] = {}
+    """Of arrays: the names in the file of frequencies_hz, values, coherence, sd, averages, kind, drives and
+    responses."""
+    frfs: list[Annotated[int, Field(ge=1)]] = []
+    """Numbers of the FRFs to take, from 1 in the order of the file; all if not given."""
+    band: Bands | None = None
+    """Lowest and highest frequency to use, Hz; or several such pairs. Lines between used ones that are left out
+    test the updated model."""
+    use: list[bool] = []
+    """Which FRFs the parameters are updated with, one true or false per FRF; all if not given. The others are
+    predicted, and test the updated model."""
+    averages: Annotated[float, Field(gt=1)] | None = None
+    """Number of independent averages behind the coherences of the file, from which the errors follow."""
+    sd: Positive | None = None
+    """Standard deviation of the real and of the imaginary part, in SI units, instead of that in the file."""
+    scale: Literal["linear", "log"] = "linear"
+    """Errors of H, or of log H, that is of log amplitude and phase."""
+    model_sd: Deviation = 0.0
+    """Error of the model relative to |H|, or the name of a noise to be inferred."""
+    gain_sd: ByChannel = 0.0
+    """Standard deviation of the relative error of the gain of each response channel: one number, or { "tip z" =
+    0.05 } for some channels."""
+    delay_sd: ByChannel = 0.0
+    """Standard deviation of the delay of each response channel, s, as one number or by channel."""
+    modes: list[Annotated[int, Field(ge=1)]] = []
+    """Without [measurement]: the number of each resonance that is picked, from 1 among the elastic modes of the
+    model that move a response (with pairing = "index": in the spectrum); 1, 2, … if not given."""
+
+    def read(self, folder: Path) -> FRFData:
+        """Return the FRFs of the file; BrokenError or ValueError if they cannot be read."""
+        with reading("data"):
+            data = read_frf(
+                folder / self.data,
+                kind=self.kind,
+                drives=_points(self.drives),
+                responses=_points(self.responses),
+                nodes={int(number): place for number, place in self.nodes.items()} or None,
+                variables=self.variables or None,
+                frfs=self.frfs or None,
+                scale=self.factor,
+                averages=self.averages,
+                sd=self.sd,
+            )
+        if self.band is not None:
+            pairs = np.reshape(self.band, (-1, 2)).tolist()
+            for i, (low, high) in enumerate(pairs):
+                if not low < high:
+                    where = f"band.{i}" if len(pairs) > 1 else "band"
+                    raise ArgumentError(
+                        where, "must have a lower frequency below its upper one", quote([low, high])
+                    )
+            data = data.with_bands([(low, high) for low, high in pairs])
+        if not self.use:
+            return data
+        if len(self.use) != data.n_frfs:
+            raise ArgumentError("use", f"must be {data.n_frfs}, one per FRF", len(self.use))
+        return data.without_lines(np.repeat(~np.array(self.use)[:, None], data.n_lines, axis=1))
+
+    def errors(self, *, folder: Path, damping: Sequence[DampingModel], **inferred: object) -> FRFErrors:
+        """Return the errors of the FRFs; BrokenError if the file or the settings are invalid.
+
+        Parameters
+        ----------
+        folder : Path
+            The folder to which file names are relative.
+        damping : sequence of DampingModel
+        **inferred
+            The Parameter for each key whose value is the name of a noise.
+        """
+        try:
+            data = self.read(folder)
+            gains, delays = (_by_channel(key, getattr(self, key), data) for key in ("gain_sd", "delay_sd"))
+            given: dict[str, Any] = {"scale": self.scale, "model_sd": self.model_sd} | inferred
+            return FRFErrors(data, list(damping), gain_sd=gains, delay_sd=delays, **given)
+        except ValueError as error:
+            raise BrokenError(_in_the_file(error)) from None
+
+    def pick(self, errors: FRFErrors, built: Built) -> ModalData:
+        """Return the resonances of the FRFs as modes at sensors of the model; BrokenError if they do not fit."""
+        try:
+            modes = pick_modes(errors.data, tuple(self.modes))
+        except ValueError as error:
+            raise BrokenError(_in_the_file(error)) from None
+        if modes.n_modes > built.most_modes:
+            rule = (
+                f"must have at most {whole(built.most_modes)} resonances, one per degree of freedom of the model"
+            )
+            raise BrokenError(ArgumentError("data", rule, modes.n_modes))
+        return replace(modes, sensors=tuple((built.at(place), way) for place, way in modes.sensors))
+
+
+def _points(given: Sequence[Sequence[int | str]]) -> tuple[tuple[int | str, str], ...] | None:
+    return tuple((place, str(direction)) for place, direction in given) or None
+
+
+def _by_channel(key: str, given: float | Mapping[str, float], data: FRFData) -> float | dict[Dof, float]:
+    """Return the value for each channel of the data that is named in a file, as ``"tip z"``."""
+    if not isinstance(given, Mapping):
+        return given
+    channels = {f"{place} {direction}": (place, direction) for place, direction in data.responses}
+    unknown = next((name for name in given if name not in channels), None)
+    if unknown is not None:
+        raise ArgumentError(key, f"must name response channels among {names_shown(channels)}", quote(unknown))
+    return {channels[name]: value for name, value in given.items()}
+
+
+def _in_the_file(error: ValueError) -> ArgumentError:
+    """Return an error at a key of the table; what is wrong in the file is an error of the key ``data``."""
+    wrong = ArgumentError.of(error).replace_key("path", "data").replace_key("numbers", "modes")
+    return wrong if wrong.key.split(".")[0] in FRFTable.model_fields else ArgumentError("data", str(wrong))

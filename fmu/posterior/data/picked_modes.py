@@ -1,0 +1,66 @@
+"""Resonances of frequency response functions as modes, which a problem pairs with the modes of a model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge
+
+from fmu.arguments import ArgumentError, Count, check_arguments
+from fmu.numbers import hertz
+from fmu.posterior.data.frf_data import FRFData
+from fmu.posterior.data.modal_data import ModalData
+from fmu.types import Positive
+
+PICKED_SD = 0.01
+"""Relative standard deviation of a picked frequency."""
+
+
+@check_arguments
+def pick_modes(
+    data: FRFData,
+    numbers: Sequence[Annotated[int, Ge(1)]] = (),
+    n: Count | None = None,
+    sd: Positive = PICKED_SD,
+) -> ModalData:
+    """Return the resonances of frequency response functions (FRFs) as modes for `fmu.UpdatingProblem`.
+
+    Beside `fmu.FRFErrors` alone, these modes are no data. They are paired with the modes of the model, and the
+    search for maxima begins with them. The FRFs already contain what they tell.
+
+    Parameters
+    ----------
+    data : FRFData
+    numbers : sequence of int, optional
+        For pairing by shape: the number of the mode of the model that corresponds to each resonance, counted from
+        1 among the elastic modes that move a response. For pairing by number: the number in the spectrum. By
+        default 1, 2, … in ascending order of frequency. Give the numbers if the test misses a mode.
+    n : int, optional
+        Largest number of resonances; those of the most prominent peaks are kept. As many as `numbers` by default.
+    sd : float
+        Standard deviation of the frequencies relative to them, by which the search weighs them.
+
+    Returns
+    -------
+    ModalData
+        Frequencies, numbers and standard deviations, with the responses of the FRFs as sensors.
+
+    Raises
+    ------
+    ValueError
+        If no resonance is found, or there are not as many as `numbers`.
+    """
+    found = data.pick_frequencies(n or len(numbers) or None).frequencies_hz
+    if not len(found):
+        rule = "must have a resonance that stands out of the noise; give the frequencies of the modes instead"
+        raise ArgumentError("data", rule, "none")
+    if numbers and len(numbers) != len(found):
+        at = ", ".join(hertz(*found.tolist()))
+        raise ArgumentError(
+            "numbers", f"must be {len(found)}, one per resonance that stands out, at {at} Hz", len(numbers)
+        )
+    sensors = tuple(dict.fromkeys(data.responses))
+    given = tuple(numbers)
+    return ModalData(found, given, sensors, sd_hz=sd * np.asarray(found), counterparts=given, counts_rigid=False)

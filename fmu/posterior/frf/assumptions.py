@@ -1,0 +1,74 @@
+"""The assumptions on frequency response functions and on damping, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from fmu.numbers import given, names_in_words, significant, whole
+
+_PLURAL = {"receptance": "receptances", "mobility": "mobilities", "accelerance": "accelerances"}
+NO_DATA = (
+    "The modes are no data: they are paired with modes of the model, and the search for maxima begins with them."
+)
+
+
+def assumptions_on_frfs(one: Mapping[str, Any], modes_are_data: bool) -> list[str]:
+    """Return sentences on the frequency response functions of a problem, their errors and the damping.
+
+    Parameters
+    ----------
+    one : mapping
+        The result of `FRFTerm.as_dict`.
+    modes_are_data : bool
+        Whether measured modes are used in updating too.
+    """
+    data = one["data"]
+    n, used = len(data["drives"]), int(data["n_used"])
+    kind = _PLURAL[data["kind"]] if n > 1 else data["kind"]
+    low, high = (significant(f, 4) for f in data["frequencies_hz"])
+    what = "H" if one["scale"] == "linear" else "log H, that is of log amplitude and phase"
+    shape = "Gaussian"
+    if data["freedom"] is not None:
+        shape = f"Student's with {significant(data['freedom'])} degrees of freedom"
+    said = [
+        f"Frequency response functions: {n} {kind}, {whole(used)} complex values from {low} to {high} Hz.",
+        f"Errors of {what}: {shape}, independent from line to line and between real and imaginary part, with the "
+        f"standard deviations of the data{_of_model(one['model_sd'])}.",
+    ]
+    for key, name, unit in (("gain_sd", "gain", ""), ("delay_sd", "delay", " s")):
+        if one[key]:
+            each = names_in_words([f"{channel} (sd {given(sd)}{unit})" for channel, sd in one[key].items()])
+            said.append(f"Unknown {name}s of response channels: {each}.")
+    said.append(f"Damping: {'; '.join(map(_damping, one['damping']))}.")
+    return said + ([] if modes_are_data else [NO_DATA])
+
+
+def _of_model(sd: float | str) -> str:
+    if isinstance(sd, str):
+        return f", and an error of the model relative to |H| that is inferred, {sd}"
+    return f", and an error of the model of {significant(100.0 * sd)} % of |H|" if sd else ""
+
+
+def _damping(one: Mapping[str, Any]) -> str:
+    """Return a damping model and its values or parameters in words."""
+    match one["damping"]:
+        case "ModalDamping":
+            ratios = one["ratios"]
+            if not isinstance(ratios, list):
+                return f"one ratio {_value(ratios)} of all modes"
+            last = ", the last one for all higher modes" if len(ratios) > 1 else ""
+            return f"modal ratios {names_in_words([_value(ratio) for ratio in ratios])}{last}"
+        case "RayleighDamping":
+            return f"α M + β K with α = {_value(one['alpha'])} per s and β = {_value(one['beta'])} s"
+        case "StructuralDamping":
+            parts = [f"{_value(loss)} of {name}" for name, loss in one["of"].items()]
+            return f"loss factors {names_in_words([_value(one['loss']), *parts])}"
+        case "Dashpot":
+            ends = [" ".join(map(str, end)) for end in (one["at"], one["to"] or ("the ground",))]
+            return f"a dashpot of {_value(one['coefficient'])} N·s/m from {ends[0]} to {ends[1]}"
+    return f"a damping matrix times {_value(one['coefficient'])}"
+
+
+def _value(value: float | str) -> str:
+    return value if isinstance(value, str) else given(value)
