@@ -103,7 +103,7 @@ class GeneralResponses:
         found = (x / (1j * at - poles)) @ x.T
         return (poles, x) if np.max(np.abs(found - exact)) <= _AGREES * np.max(np.abs(exact)) else None
 
-    def _displacements(self, omega: FloatArray) -> ComplexArray:
+    def displacements(self, omega: FloatArray) -> ComplexArray:
         """Return u of every point, shape (n, n_points, r, n_lines), in the coordinates of the basis."""
         n, r = self.K.shape[:2]
         found = np.empty((n, len(self._points), r, len(omega)), dtype=complex)
@@ -125,7 +125,7 @@ class GeneralResponses:
 
     def frfs(self, omega: FloatArray) -> ComplexArray:
         """Return the receptances, shape (n, n_frfs, n_lines), at the lines ω in rad/s; they are kept for `add`."""
-        self._omega, self._u = omega, self._displacements(omega)
+        self._omega, self._u = omega, self.displacements(omega)
         rows = self._points[self._responses]
         return np.einsum("fr,nfrl->nfl", rows, self._u[:, self._drives])
 
@@ -163,7 +163,7 @@ class GeneralResponses:
 
     def slopes(self, omega: FloatArray) -> ComplexArray:
         """Return ∂H, (n, n_frfs, n_lines, p + q), at the lines ω: by the structure, then by the damping."""
-        u, damping = self._displacements(omega), self.damping
+        u, damping = self.displacements(omega), self.damping
         n, r = self.K.shape[:2]
         p = self.theta.shape[1]
         identity = np.broadcast_to(np.eye(r), (n, r, r))

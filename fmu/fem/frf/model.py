@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ from fmu.fem.modes.modal import is_rigid
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import Term
 from fmu.fem.reduced.basis import ReducedBlock
-from fmu.types import ComplexArray, Dof, FloatArray
+from fmu.types import Dof, FloatArray
 
 _STIFFER = 1e-9
 """Relative change of the highest eigenvalue of the band by the fictitious mass of massless degrees of freedom."""
@@ -131,15 +131,8 @@ class FRFModel:
         """Return the responses at parameters of the structure (n, p) and of the damping (n, q)."""
         return self._respond(self.block, self._of_block, self._points, theta, values)
 
-    def _bind(self, block: ReducedBlock, values: FloatArray) -> Callable[[FloatArray, FloatArray], ComplexArray]:
-        """Return the receptances on another basis as a function of theta (n, p) and ω (n_lines,)."""
-        of_block, points = self._damping_of(block), self._at_points(block)
-
-        def frfs(theta: FloatArray, omega: FloatArray) -> ComplexArray:
-            all_values = np.tile(values, (len(theta), 1))
-            return self._respond(block, of_block, points, theta, all_values).frfs(omega)
-
-        return frfs
+    def _bind(self, block: ReducedBlock, values: FloatArray) -> _OfBlock:
+        return _OfBlock(self, block, values)
 
     def _respond(
         self,
@@ -180,3 +173,21 @@ class FRFModel:
             given.alpha,
             given.beta,
         )
+
+
+class _OfBlock:
+    """The responses of another reduced block of a model, at fixed damping parameters; see `training.Bound`."""
+
+    def __init__(self, model: FRFModel, block: ReducedBlock, values: FloatArray) -> None:
+        self._model, self._block, self._values = model, block, values
+        self._damping, self._points = model._damping_of(block), model._at_points(block)
+
+    def at(self, theta: FloatArray) -> ModalResponses | GeneralResponses:
+        """Return the responses at theta (n, n_parameters)."""
+        values = np.tile(self._values, (len(theta), 1))
+        return self._model._respond(self._block, self._damping, self._points, theta, values)
+
+    def least_unit(self, point: int, unit: FloatArray) -> FloatArray:
+        """Return the smallest of the units (n_frfs, n_lines) of the FRFs of a point, (n_lines,)."""
+        here = (self._model.responses == point) | (self._model.drives == point)
+        return np.min(unit[here], axis=0)

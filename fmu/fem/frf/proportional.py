@@ -230,6 +230,11 @@ class ModalResponses:
         found.real, found.imag = (self.amplitudes @ part for part in self._g)
         return found
 
+    def displacements(self, omega: FloatArray) -> ComplexArray:
+        """Return the responses to unit forces at each point, (n, n_points, r, n_lines), on the basis."""
+        x, y = self._resonances(omega)
+        return np.asarray(self.phi[:, None] @ (self._seen[..., None] * (x + 1j * y)[:, None]))
+
     def add(self, weights: ComplexArray) -> None:
         """Add the lines of the last `frfs` to the derivatives of a function L.
 

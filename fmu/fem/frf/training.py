@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,12 +22,13 @@ from fmu.fem.modes.solver import factorise
 from fmu.fem.modes.terms import sum_at
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.fem.reduced.points import box_points, mass_orthonormal
+from fmu.fem.reduced.space import new_directions
 from fmu.progress.phases import phase
-from fmu.types import ComplexArray, FloatArray
+from fmu.types import ComplexArray, FloatArray, IntArray
 
 EXACT_LIMIT = 64
 """Size up to which the basis has all degrees of freedom."""
-TOLERANCE = 0.1
+TOLERANCE = 0.2
 """Largest error of all lines together, in units of their errors."""
 _BEYOND = 1.3
 """Modes up to this multiple of the highest frequency of the band are in the basis."""
@@ -34,12 +36,35 @@ _SHIFTS = (0.0, 0.55, 1.02)
 """Frequencies of the responses, in multiples of the highest frequency of the band."""
 _SOFT = 1e-3
 """Share of the lowest squared frequency of the band that makes the stiffness of a free structure definite."""
-_PASSES, _MOST_POINTS, _SHOWN = 4, 64, 24
+_OF_TRUNCATION = 0.5
+"""Share of the tolerance that truncation may use."""
+_PASSES, _MOST_POINTS, _SHOWN, _EVEN = 4, 64, 16, 60
 _DEPENDENT = 1e-10
 """Singular value, relative to the largest, below which a direction adds nothing."""
 
-Frfs = Callable[[FloatArray, FloatArray], ComplexArray]
-"""A function from theta (n, p) and ω (n_lines,) to receptances (n, n_frfs, n_lines)."""
+
+class Solved(Protocol):
+    """The responses of a reduced block at n parameter vectors."""
+
+    def frfs(self, omega: FloatArray) -> ComplexArray:
+        """Return the receptances, (n, n_frfs, n_lines)."""
+        ...
+
+    def displacements(self, omega: FloatArray) -> ComplexArray:
+        """Return the responses to a unit force at each point, (n, n_points, r, n_lines)."""
+        ...
+
+
+class Bound(Protocol):
+    """The responses of a reduced block as a function of the parameters of the structure."""
+
+    def at(self, theta: FloatArray) -> Solved:
+        """Return the responses at theta (n, n_parameters)."""
+        ...
+
+    def least_unit(self, point: int, unit: FloatArray) -> FloatArray:
+        """Return the smallest of the units (n_frfs, n_lines) of the FRFs of a point, (n_lines,)."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +102,7 @@ def train(
     lower: FloatArray,
     upper: FloatArray,
     lines: Lines,
-    bind: Callable[[ReducedBlock], Frfs],
+    bind: Callable[[ReducedBlock], Bound],
     tolerance: float = TOLERANCE,
 ) -> TrainedFRFs:
     """Return a reduced block whose response functions are accurate in a box.
@@ -90,7 +115,7 @@ def train(
     lower, upper : ndarray, shape (n_parameters,)
     lines : Lines
     bind : callable
-        Returns the receptances of a reduced block as a function.
+        Returns the responses of a reduced block as a function.
     tolerance : float
 
     Notes
@@ -106,23 +131,31 @@ def train(
         return TrainedFRFs(ReducedBlock(full, basis, full.size), np.nan, True, 0)
     points = box_points(lower, upper, 64, 0)
     points = np.concatenate([centre[None], points[np.random.default_rng(0).permutation(len(points))]])
-    snapshots: list[FloatArray] = []
-    passes, error = 0, np.inf
+    A = _energy(full, centre, lines)
+    V, passes, error = np.empty((full.size, 0)), 0, np.inf
     with single_thread(), phase("training", _PASSES + 1) as under_way:
         for theta in points[:_MOST_POINTS]:
-            X = _snapshots(full, rows, theta, lines)
-            if snapshots:
-                block, larger = (_reduce(full, part, centre) for part in (snapshots, [*snapshots, X]))
-                error = float(lines.error(*(bind(one)(theta[None], lines.omega) for one in (block, larger)))[0])
+            X = np.concatenate([V, new_directions(V, _snapshots(full, rows, theta, lines), A)], axis=1)
+            larger = ReducedBlock(full, mass_orthonormal(full, X, centre), X.shape[1])
+            if V.shape[1]:
+                smaller = larger.truncate(V.shape[1])
+                frfs = (bind(one).at(theta[None]).frfs(lines.omega) for one in (smaller, larger))
+                error = float(lines.error(*frfs)[0])
             passes = passes + 1 if error <= tolerance else 0
             under_way.advance()
             if passes == _PASSES:
                 break
             if error > tolerance:
-                snapshots.append(X)
+                V, whole = X, larger
                 under_way.expect(1)
-        block = _truncate(full, snapshots, centre, points[:_SHOWN], lines, bind, 0.5 * tolerance)
+        block = _truncate(full, whole, A, centre, points[:_SHOWN], lines, bind, _OF_TRUNCATION * tolerance)
     return TrainedFRFs(block, error, passes == _PASSES, under_way.done)
+
+
+def _energy(full: FullBlock, centre: FloatArray, lines: Lines) -> sp.csr_array:
+    """Return K + s M at the centre of the box, with an s that is small in the band and makes it definite."""
+    K, M = sum_at(full.K_terms, centre), sum_at(full.M_terms, centre)
+    return sp.csr_array(K + (_SOFT * float(np.min(lines.omega)) ** 2) * M)
 
 
 def _snapshots(full: FullBlock, rows: sp.csr_array, theta: FloatArray, lines: Lines) -> FloatArray:
@@ -145,44 +178,58 @@ def _snapshots(full: FullBlock, rows: sp.csr_array, theta: FloatArray, lines: Li
     return np.concatenate(found, axis=1)
 
 
-def _directions(full: FullBlock, snapshots: list[FloatArray], centre: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return directions of the snapshots, orthonormal in K + s M at the centre, and their sizes, descending."""
-    X = np.concatenate(snapshots, axis=1)
-    K, M = sum_at(full.K_terms, centre), sum_at(full.M_terms, centre)
-    A = K + (np.sum(X * (K @ X)) / np.sum(X * (M @ X))) * M * _SOFT
-    X = X / np.sqrt(np.sum(X * (A @ X), axis=0))
-    gram = X.T @ (A @ X)
-    size, U = np.linalg.eigh(0.5 * (gram + gram.T))
-    kept = size > _DEPENDENT * size[-1]
-    X, sizes = (X @ (U[:, kept] / np.sqrt(size[kept])))[:, ::-1], size[kept][::-1]
-    return X, sizes
-
-
-def _reduce(full: FullBlock, snapshots: list[FloatArray], centre: FloatArray) -> ReducedBlock:
-    X, _ = _directions(full, snapshots, centre)
-    return ReducedBlock(full, mass_orthonormal(full, X, centre), X.shape[1])
-
-
 def _truncate(
     full: FullBlock,
-    snapshots: list[FloatArray],
+    whole: ReducedBlock,
+    A: sp.csr_array,
     centre: FloatArray,
     points: FloatArray,
     lines: Lines,
-    bind: Callable[[ReducedBlock], Frfs],
+    bind: Callable[[ReducedBlock], Bound],
     tolerance: float,
 ) -> ReducedBlock:
-    """Return the block on the fewest leading directions with errors within the tolerance at the points."""
-    X, _ = _directions(full, snapshots, centre)
-    whole = ReducedBlock(full, mass_orthonormal(full, X, centre), X.shape[1])
-    exact = bind(whole)(points, lines.omega)
-    fewest, most = 1, X.shape[1]
-    best = whole
+    """Return the block on the fewest directions with errors within the tolerance at the points.
+
+    The directions are those of the proper orthogonal decomposition of the responses at the points, in the energy A,
+    with the square root of the unit of the errors as weight: an error of a response function is a product of the
+    errors of two responses.
+    """
+    basis = whole.basis
+    L = np.linalg.cholesky(basis.T @ (A @ basis))
+    of_whole = bind(whole)
+    gram = np.zeros_like(L)
+    for theta in points:
+        some = _some_lines(whole, theta, lines)
+        u = of_whole.at(theta[None]).displacements(lines.omega[some])[0]  # (n_points, r, n_lines)
+        for q, each in enumerate(u):
+            weighted = (L.T @ each) / np.sqrt(of_whole.least_unit(q, lines.unit[:, some]))
+            gram += weighted.real @ weighted.real.T + weighted.imag @ weighted.imag.T
+    values, Y = np.linalg.eigh(gram)
+    directions = np.linalg.solve(L.T, Y[:, ::-1][:, values[::-1] > _DEPENDENT * values[-1]])
+    rotated = mass_orthonormal(full, basis @ directions, centre)
+    ordered = ReducedBlock(full, rotated, rotated.shape[1])
+    exact = [of_whole.at(theta[None]).frfs(lines.omega) for theta in points]
+
+    def error_of(block: ReducedBlock) -> float:
+        of = bind(block)
+        pairs = zip(points, exact, strict=True)
+        return max(float(lines.error(of.at(theta[None]).frfs(lines.omega), one)[0]) for theta, one in pairs)
+
+    fewest, most, best = 1, ordered.size, ordered
     while fewest < most:
         r = (fewest + most) // 2
-        block = ReducedBlock(full, mass_orthonormal(full, X[:, :r], centre), r)
-        if np.max(lines.error(bind(block)(points, lines.omega), exact)) <= tolerance:
+        block = ordered.truncate(r)
+        if error_of(block) <= tolerance:
             most, best = r, block
         else:
             fewest = r + 1
     return best
+
+
+def _some_lines(block: ReducedBlock, theta: FloatArray, lines: Lines) -> IntArray:
+    """Return the indices of evenly spaced lines, and of the lines nearest to the resonances at theta."""
+    even = np.linspace(0, len(lines.omega) - 1, min(_EVEN, len(lines.omega))).astype(np.int64)
+    lam = block.eigenvalues(theta[None], min(block.size, 2 * _EVEN))[0]
+    omega = np.sqrt(lam[(lam > lines.omega[0] ** 2) & (lam < lines.omega[-1] ** 2)])
+    nearest = np.array([np.argmin(np.abs(lines.omega - one)) for one in omega], dtype=np.int64)
+    return np.unique(np.concatenate([even, nearest]))
