@@ -238,6 +238,7 @@ def examine(task: Task, beginning: Beginning, trace: xr.DataTree) -> xr.DataTree
     The trace of a problem that is not an updating problem is returned unchanged.
     """
     from fmu.analysis.certificate import certify
+    from fmu.analysis.frf.certificate import certify_frfs
     from fmu.analysis.held_out.modes import with_left_out
     from fmu.analysis.identifiability import with_identifiability
     from fmu.analysis.pairing_changes import with_pairing
@@ -249,6 +250,8 @@ def examine(task: Task, beginning: Beginning, trace: xr.DataTree) -> xr.DataTree
         return trace
     certificate = certify(trace, problem, full_solves=task.full_solves)
     trace.attrs.update({} if certificate is None else certificate.attributes())
+    of_frfs = certify_frfs(trace, problem)
+    trace.attrs.update({} if of_frfs is None else of_frfs.attributes())
     trace = with_pairing(with_modes(trace, problem, maxima), problem)
     if problem.is_hierarchical or not problem.likelihood.of_modes:
         return trace

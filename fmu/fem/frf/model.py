@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,8 +73,12 @@ class FRFModel:
 
     Attributes
     ----------
-    block : ReducedBlock
-        The reduced part of the structure in which there are drives and responses.
+    full, block : FullBlock, ReducedBlock
+        The part of the structure in which there are drives and responses, and the same part reduced.
+    rows : sparse, shape (n_points, full.size)
+        The drives and responses.
+    responses, drives : ndarray of int, shape (n_frfs,)
+        The points of each FRF, as rows of `rows`.
     error : float
         Largest error at points that were not used for the basis: the root of the sum of the squared errors of all
         lines, each in its unit. NaN if the basis has all degrees of freedom.
@@ -110,7 +115,7 @@ class FRFModel:
             ends = np.unique(matrix.indices)
             parts += [dofs for dofs in structure.blocks if np.isin(dofs, ends).any()]
         dofs = np.unique(np.concatenate(parts))
-        self._rows = sp.csr_array(rows[:, dofs])
+        self.rows = sp.csr_array(rows[:, dofs])
         full = FullBlock(structure, dofs)
         if full.massless:
             small = _STIFFER / float(np.max(lines.omega)) ** 2
@@ -122,7 +127,8 @@ class FRFModel:
         self.n_rigid = int(np.sum(is_rigid(lam))) if len(lam) > 1 else 0
         self.n_values = damping.n_values
 
-        trained = train(full, self._rows, lower, upper, lines, lambda block: self._bind(block, values))
+        self.lines = lines
+        trained = train(full, self.rows, lower, upper, lines, lambda block: _OfBlock(self, block, values))
         self.block, self.error = trained.block, trained.error
         self.is_confirmed, self.n_solves = trained.is_confirmed, trained.n_solves
         self._of_block, self._points = self._damping_of(self.block), self._at_points(self.block)
@@ -131,8 +137,17 @@ class FRFModel:
         """Return the responses at parameters of the structure (n, p) and of the damping (n, q)."""
         return self._respond(self.block, self._of_block, self._points, theta, values)
 
-    def _bind(self, block: ReducedBlock, values: FloatArray) -> _OfBlock:
-        return _OfBlock(self, block, values)
+    def on(self, block: ReducedBlock) -> FRFModel:
+        """Return the same model on another reduced block."""
+        other = copy(self)
+        other.block, other._of_block, other._points = block, self._damping_of(block), self._at_points(block)
+        return other
+
+    def with_damping(self, damping: Damping) -> FRFModel:
+        """Return the same reduced structure with other damping."""
+        other = copy(self)
+        other.damping, other.n_values = damping, damping.n_values
+        return other.on(self.block)
 
     def _respond(
         self,
@@ -148,7 +163,7 @@ class FRFModel:
         return GeneralResponses(block, of_block, theta, values, *places)
 
     def _at_points(self, block: ReducedBlock) -> FloatArray:
-        return np.asarray(block.coordinates(self._rows))
+        return np.asarray(block.coordinates(self.rows))
 
     def _damping_of(self, block: ReducedBlock) -> ProportionalDamping | GeneralDamping:
         """Return the damping on the basis of `block`."""

@@ -28,8 +28,9 @@ from fmu.types import ComplexArray, FloatArray, IntArray
 
 EXACT_LIMIT = 64
 """Size up to which the basis has all degrees of freedom."""
-TOLERANCE = 0.2
-"""Largest error of all lines together, in units of their errors."""
+TOLERANCE = 1.0
+"""Largest error of all lines together, in units of their errors. It moves a posterior by a small part of that, as
+most of it has another pattern than a change of parameters (`fmu.fem.frf.confirming`)."""
 _BEYOND = 1.3
 """Modes up to this multiple of the highest frequency of the band are in the basis."""
 _SHIFTS = (0.0, 0.55, 1.02)
@@ -127,8 +128,7 @@ def train(
     """
     centre = 0.5 * (lower + upper)
     if full.size <= EXACT_LIMIT:
-        basis = mass_orthonormal(full, np.eye(full.size), centre)
-        return TrainedFRFs(ReducedBlock(full, basis, full.size), np.nan, True, 0)
+        return TrainedFRFs(_reduce(full, np.eye(full.size), centre), np.nan, True, 0)
     points = box_points(lower, upper, 64, 0)
     points = np.concatenate([centre[None], points[np.random.default_rng(0).permutation(len(points))]])
     A = _energy(full, centre, lines)
@@ -136,7 +136,7 @@ def train(
     with single_thread(), phase("training", _PASSES + 1) as under_way:
         for theta in points[:_MOST_POINTS]:
             X = np.concatenate([V, new_directions(V, _snapshots(full, rows, theta, lines), A)], axis=1)
-            larger = ReducedBlock(full, mass_orthonormal(full, X, centre), X.shape[1])
+            larger = _reduce(full, X, centre)
             if V.shape[1]:
                 smaller = larger.truncate(V.shape[1])
                 frfs = (bind(one).at(theta[None]).frfs(lines.omega) for one in (smaller, larger))
@@ -150,6 +150,21 @@ def train(
                 under_way.expect(1)
         block = _truncate(full, whole, A, centre, points[:_SHOWN], lines, bind, _OF_TRUNCATION * tolerance)
     return TrainedFRFs(block, error, passes == _PASSES, under_way.done)
+
+
+def enlarge(
+    full: FullBlock, rows: sp.csr_array, block: ReducedBlock, theta: FloatArray, lines: Lines
+) -> ReducedBlock:
+    """Return a reduced block whose basis also has the modes and the responses at theta (n_parameters,)."""
+    A, V = _energy(full, theta, lines), block.basis
+    V = V / np.sqrt(np.sum(V * (A @ V), axis=0))
+    V = np.linalg.solve(np.linalg.cholesky(V.T @ (A @ V)), V.T).T
+    new = new_directions(V, _snapshots(full, rows, theta, lines), A)
+    return _reduce(full, np.concatenate([V, new], axis=1), theta)
+
+
+def _reduce(full: FullBlock, V: FloatArray, centre: FloatArray) -> ReducedBlock:
+    return ReducedBlock(full, mass_orthonormal(full, V, centre), V.shape[1])
 
 
 def _energy(full: FullBlock, centre: FloatArray, lines: Lines) -> sp.csr_array:
@@ -190,9 +205,9 @@ def _truncate(
 ) -> ReducedBlock:
     """Return the block on the fewest directions with errors within the tolerance at the points.
 
-    The directions are those of the proper orthogonal decomposition of the responses at the points, in the energy A,
-    with the square root of the unit of the errors as weight: an error of a response function is a product of the
-    errors of two responses.
+    The directions are those of the proper orthogonal decomposition of the responses at the points, in the energy
+    A, with the square root of the unit of the errors as weight: an error of a response function is a product of
+    the errors of two responses.
     """
     basis = whole.basis
     L = np.linalg.cholesky(basis.T @ (A @ basis))
@@ -206,8 +221,7 @@ def _truncate(
             gram += weighted.real @ weighted.real.T + weighted.imag @ weighted.imag.T
     values, Y = np.linalg.eigh(gram)
     directions = np.linalg.solve(L.T, Y[:, ::-1][:, values[::-1] > _DEPENDENT * values[-1]])
-    rotated = mass_orthonormal(full, basis @ directions, centre)
-    ordered = ReducedBlock(full, rotated, rotated.shape[1])
+    ordered = _reduce(full, basis @ directions, centre)
     exact = [of_whole.at(theta[None]).frfs(lines.omega) for theta in points]
 
     def error_of(block: ReducedBlock) -> float:

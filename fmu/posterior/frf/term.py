@@ -157,6 +157,10 @@ class FRFTerm:
         ]
         return np.concatenate(parts) if parts else np.empty((0, *self._used.shape), dtype=complex)
 
+    def split(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the parameters of the structure, (n, p), and of the damping, (n, q), at theta (n, ndim)."""
+        return theta[:, : self.model.full.n_parameters], theta[:, self._first : self._first + self.model.n_values]
+
     def terms(self, theta: FloatArray) -> FloatArray:
         """Return the log-density of the data, shape (n,), at theta (n, ndim)."""
         count_solves(len(theta))
@@ -217,8 +221,7 @@ class FRFTerm:
             yield slice(i, min(i + _LINES, len(self.omega)))
 
     def _solve(self, theta: FloatArray) -> ModalResponses | GeneralResponses:
-        p = self.model.full.n_parameters
-        return self.model.at(theta[:, :p], theta[:, self._first : self._first + self.model.n_values])
+        return self.model.at(*self.split(theta))
 
     def _predict(self, solved: ModalResponses | GeneralResponses, theta: FloatArray, lines: slice) -> ComplexArray:
         """Return the computed receptances with the inferred errors of the channels, (n, n_frfs, n_lines)."""

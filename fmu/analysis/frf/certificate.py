@@ -1,0 +1,46 @@
+"""The certificate of the reduced model of frequency response functions, at the draws of a run."""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fmu.analysis.certificate import CertificateWarning
+from fmu.analysis.trace.reading import parameter_draws
+from fmu.fem.frf.confirming import FRFCertificate, confirm
+from fmu.posterior.problem import UpdatingProblem
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_DRAWS = 4
+
+
+def certify_frfs(trace: xr.DataTree, problem: UpdatingProblem, draws: int = _DRAWS) -> FRFCertificate | None:
+    """Return the errors of the reduced model of the FRFs at some draws; None without FRFs or without reduction.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+    problem : UpdatingProblem
+        The problem that was sampled.
+    draws : int
+        Number of draws, chosen at random by the seed of the trace.
+
+    Warns
+    -----
+    CertificateWarning
+        If the errors exceed their tolerance.
+    """
+    if not problem.likelihood.responses:
+        return None
+    (term,) = problem.likelihood.responses
+    theta = parameter_draws(trace).reshape(-1, problem.ndim)
+    rng = np.random.default_rng(int(trace.attrs["seed"]))
+    some = theta[rng.permutation(len(theta))[:draws]]
+    found = confirm(term.model, *term.split(some))
+    if found is not None and not found.ok:
+        warnings.warn(found.sentence(), CertificateWarning, stacklevel=2)
+    return found

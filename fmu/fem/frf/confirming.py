@@ -1,0 +1,124 @@
+"""The error of reduced frequency response functions at draws, by a larger basis and by the full structure."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as ssl
+
+from fmu.fem.frf.model import Damping, FRFModel
+from fmu.fem.frf.proportional import Source
+from fmu.fem.frf.training import enlarge
+from fmu.fem.modes.modal import single_thread
+from fmu.fem.modes.terms import sum_at
+from fmu.numbers import significant, typed
+from fmu.progress.phases import phase
+from fmu.types import ComplexArray, FloatArray
+
+ALLOWED = 0.1
+"""Largest shift of the posterior that is allowed, in its standard deviations."""
+_PREFIX = "frf_certificate_"
+_LOSS = 0.02
+"""Loss factor at which the full structure is solved directly, line by line."""
+
+
+@dataclass(frozen=True)
+class FRFCertificate:
+    """Errors of the reduced model of the FRFs at posterior draws.
+
+    Attributes
+    ----------
+    draws : int
+        Number of draws at which the FRFs were compared with those on an enlarged basis, at every line.
+    shift : float
+        Largest distance that the error of the FRFs moves the posterior, in its standard deviations, to first order
+        and in the direction in which it moves most.
+    lines : int
+        Number of lines at which the full structure was solved directly.
+    direct_error : float
+        Largest error at these lines, in standard deviations of the data.
+    tolerance : float
+        Largest shift and largest error that are allowed.
+    """
+
+    draws: int
+    shift: float
+    lines: int
+    direct_error: float
+    tolerance: float = ALLOWED
+
+    @property
+    def ok(self) -> bool:
+        """Whether the errors are within the tolerance."""
+        return self.shift <= self.tolerance and self.direct_error <= self.tolerance
+
+    def attributes(self) -> dict[str, object]:
+        """Return a dict of trace attributes that stores the certificate."""
+        return {f"{_PREFIX}{name}": value for name, value in asdict(self).items()}
+
+    @classmethod
+    def from_trace(cls, attrs: dict[str, object]) -> FRFCertificate | None:
+        """Return the certificate in the attributes of a trace; None if there is none."""
+        found = {key.removeprefix(_PREFIX): value for key, value in attrs.items() if key.startswith(_PREFIX)}
+        return cls(**found) if found else None  # type: ignore[arg-type]  # written by `attributes`
+
+    def sentence(self) -> str:
+        """Return the sentence on the errors."""
+        return (
+            f"The reduced model of the FRFs was compared with a larger one at {self.draws} draws: its errors move "
+            f"the posterior by at most {significant(self.shift, 2)} of its standard deviations (allowed: "
+            f"{typed(self.tolerance)}). Direct solves of the full structure at {self.lines} lines differ from it "
+            f"by at most {significant(self.direct_error, 2)} standard deviations of the data."
+        )
+
+
+def confirm(model: FRFModel, theta: FloatArray, values: FloatArray) -> FRFCertificate | None:
+    """Return the errors of reduced FRFs at n parameter vectors; None if the structure is not reduced.
+
+    The parameters of the structure have the shape (n, p), those of the damping (n, q). With r the errors of all
+    lines in standard deviations and J the derivatives of the FRFs in the same units, the posterior moves by the
+    part of r in the space of J. The direct solves are of (K (1 + iη) − ω² M) x = f with one loss factor, which
+    tests the basis with any kind of damping.
+    """
+    if model.block.size == model.full.size:
+        return None
+    shift, direct, n_lines = 0.0, 0.0, 0
+    with single_thread(), phase("certificate", len(theta)) as under_way:
+        for i in range(len(theta)):
+            one, own = theta[i : i + 1], values[i : i + 1]
+            solved = model.at(one, own)
+            found = solved.frfs(model.lines.omega)
+            exact = model.on(enlarge(model.full, model.rows, model.block, one[0], model.lines)).at(one, own)
+            error = _as_real((found - exact.frfs(model.lines.omega))[0] / model.lines.unit)
+            slopes = solved.slopes(model.lines.omega)[0] / model.lines.unit[..., None]
+            J = np.concatenate([slopes.real, slopes.imag]).reshape(len(error), -1)
+            scale = np.linalg.norm(J, axis=0)
+            Q = np.linalg.qr(J[:, scale > 0.0] / scale[scale > 0.0])[0]
+            shift = max(shift, float(np.linalg.norm(Q.T @ error)))
+            at = np.unique(np.linspace(0, len(model.lines.omega) - 1, 5).astype(int)[1:4])
+            direct = max(direct, _direct_error(model, one, at))
+            n_lines += len(at)
+            under_way.advance()
+    return FRFCertificate(len(theta), shift, n_lines, direct)
+
+
+def _direct_error(model: FRFModel, theta: FloatArray, at: FloatArray) -> float:
+    """Return the largest error at the lines with the indices `at`, in their units, from direct solves."""
+    omega = model.lines.omega[at]
+    damped = model.with_damping(Damping(loss=Source(_LOSS)))
+    found = damped.at(theta, np.empty((1, 0))).frfs(omega)[0]
+    K, M = sum_at(model.full.K_terms, theta[0]), sum_at(model.full.M_terms, theta[0])
+    loads = model.rows.T.toarray()
+    largest = 0.0
+    for line, w in enumerate(omega):
+        solve = ssl.splu(sp.csc_matrix(K * (1.0 + 1j * _LOSS) - w**2 * M))
+        u = model.rows @ solve.solve(loads.astype(complex))
+        off = np.abs(found[:, line] - u[model.responses, model.drives]) / model.lines.unit[:, at[line]]
+        largest = max(largest, float(off.max()))
+    return largest
+
+
+def _as_real(z: ComplexArray) -> FloatArray:
+    return np.concatenate([z.real, z.imag]).ravel()
