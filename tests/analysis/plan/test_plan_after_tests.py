@@ -157,3 +157,37 @@ def test_a_value_of_its_own_in_each_test():
     problem = joint([measured("May", 3), measured("June", 3)], {"k1": "test"})
     with pytest.raises(ValueError, match=r"problem: must have no parameter with a value of its own .*\(got k1\)"):
         fmu.plan(problem, 2, draws=4)
+
+
+def test_a_users_function_in_several_tests_is_planned_like_its_matrices():
+    def solve(theta):
+        f, phi = frequencies_hz(MODEL, theta)
+        return f[:3], phi[:, :3]
+
+    tests = [measured("May", 3, 0.02), measured("June", 3, 0.02)]
+    found, expected = (
+        fmu.plan(
+            fmu.JointProblem(model, tests, PARAMETERS, varies={"k1": fmu.Damage()}, error=ERRORS),
+            3,
+            target=fmu.DamageTarget("k1", 0.1),
+            draws=2,
+        )
+        for model in (fmu.BlackBoxModel(solve, 2), MODEL)
+    )
+    assert found.sensors == expected.sensors
+    assert found.losses()["sd_after"].iloc[0] == pytest.approx(expected.losses()["sd_after"].iloc[0], rel=1e-3)
+
+
+def test_a_parameter_that_is_not_updated_keeps_its_value():
+    """Another parameter with the same start, known nearly exactly, is as good as one that is not updated."""
+    k1, k2 = PARAMETERS
+    held = fmu.Parameter("k2", 1.0, 0.4, 1.6, k2.prior, updated=False)
+    known = fmu.Parameter("k2", 1.0, 0.4, 1.6, fmu.Normal(1e-6, mean=1.0))
+    data = fmu.expected_modes(MODEL, PARAMETERS, 3)
+    found, expected = (
+        fmu.plan(fmu.UpdatingProblem(MODEL, data, [k1, other]), 3, draws=64).parameters()
+        for other in (held, known)
+    )
+    assert list(found.index) == ["k1"]
+    assert found.loc["k1", "before"] == pytest.approx(expected.loc["k1", "before"])
+    assert found.loc["k1", "after"] == pytest.approx(expected.loc["k1", "after"], rel=1e-4)  # at the same draws
