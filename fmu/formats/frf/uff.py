@@ -172,6 +172,10 @@ def _wrong(one: Dataset) -> list[str]:
         return (
             [] if all(int(kind) in range(len(_SHAPES)) for kind in kinds) else ["must have systems of type 0 to 2"]
         )
+    if one["type"] in NODES:
+        columns = [np.asarray(one[key], dtype=float) for key in ("node_nums", "def_cs", "disp_cs", "x", "y", "z")]
+        is_whole = len({len(column) for column in columns}) == 1 and np.all(np.isfinite(columns))
+        return [] if is_whole else ["must have a number, two coordinate systems and a place of each node"]
     if one["type"] == UNITS:
         factors = (one["length"], one["force"])
         return [] if all(np.isfinite(factors)) and min(factors) > 0 else ["must have positive unit factors"]

@@ -183,6 +183,7 @@ def test_other_universal_files_refused(data, tmp_path):
         ([function(data, 0), function(data, 0)], "each pair of response and drive must be there once"),
         ([units(1.0, 1.0), units(2.0, 1.0), function(data, 0)], "the same units"),
         ([units(1.0, 1.0)], "must have FRFs"),
+        ([units(-1.0, 1.0), function(data, 0)], "positive unit factors"),
     ):
         with pytest.raises(ValueError, match=message):
             fmu.read_frf(written(path, sets))
@@ -194,6 +195,10 @@ def test_other_universal_files_refused(data, tmp_path):
     text = path.read_text().replace(f"{100:10d}", f"{120:10d}", 1)
     path.write_text(text)
     with pytest.raises(ValueError, match=r"must have 120 values, as its header says \(got 100\)"):
+        fmu.read_frf(path)
+    text = written(path, [nodes(1, [[1.0, 2.0, 3.0]]), function(data, 0)]).read_text().splitlines()
+    path.write_text("\n".join([*text[:3], *text[4:]]))
+    with pytest.raises(ValueError, match="dataset 1: must have a number, two coordinate systems and a place"):
         fmu.read_frf(path)
     path.write_text("nothing")
     with pytest.raises(ValueError, match="must be a universal file"):

@@ -247,6 +247,15 @@ def test_resonances_of_a_chain(k, pairs):
     assert len(measured(pairs, k, band=(20.0, 60.0)).pick_frequencies().frequencies_hz) == 2
 
 
+def test_two_modes_that_overlap():
+    """Three half bandwidths apart, of one drive: each is found to a half bandwidth, ζf = 0.1 Hz."""
+    f = np.linspace(5.0, 15.0, 1000)
+    pairs, shapes = [(0, 0), (1, 0)], np.array([[1.0, 0.8], [0.5, -1.0]])
+    values = receptances(f, (2 * np.pi * np.array([10.0, 10.3])) ** 2, shapes, np.array([0.01, 0.01]), pairs)
+    data = fmu.FRFData(f, values, ((0, "y"), (0, "y")), ((0, "y"), (1, "y")), "receptance")
+    np.testing.assert_allclose(data.pick_frequencies().frequencies_hz, [10.0, 10.3], rtol=0, atol=0.1)
+
+
 def test_two_modes_within_a_bandwidth():
     """Two drives separate two modes 0.2 % apart of 1 % damping; one drive does not."""
     f = np.linspace(5.0, 15.0, 400)
@@ -271,6 +280,15 @@ def test_a_wrong_kind_is_told(pairs, free, noise):
             if told:
                 assert told[0].startswith(f"The FRFs are said to be {said}, but ")
                 assert told[0].endswith(f"They look like {true}.")
+
+
+@pytest.mark.parametrize("k", range(3))
+def test_lines_above_the_first_mode_raise_no_doubt(k):
+    """The slope below the first resonance in the range is then neither of a supported nor of a free structure."""
+    f = np.linspace(14.0, 60.0, 500)
+    for pairs in (ROW, FULL, ROW[1:]):
+        assert measured(pairs, k, f=f, noise=0.03).doubts() == ()
+        assert measured(pairs, k, noise=0.03, band=(20.0, 60.0)).doubts() == ()
 
 
 def test_a_reversed_channel_is_told():

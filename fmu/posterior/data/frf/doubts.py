@@ -20,6 +20,8 @@ from fmu.numbers import fixed, share, significant, whole
 from fmu.posterior.data.frf.peaks import KINDS, Spectra, lines_near, pick_peaks
 from fmu.types import BoolArray
 
+_PROMINENCE = 2.0
+"""Smallest prominence of a resonance whose phase counts."""
 _OF_FIRST = 0.4
 """Lines below this share of the first resonance give the slope."""
 _FEWEST_LINES, _LEAST_RATIO = 5, 1.3
@@ -79,7 +81,7 @@ def doubts(spectra: Spectra, k: int, freedom: float) -> tuple[str, ...]:
         Degrees of freedom of the standard deviations.
     """
     of_kind = _kind_doubts(spectra, k)
-    of_power = [] if of_kind else _power_doubts(spectra)
+    of_power = [] if of_kind else _power_doubts(spectra, k)
     few = []
     if freedom < _FEWEST_FREEDOM:
         few = [
@@ -109,7 +111,8 @@ def _kind_doubts(spectra: Spectra, k: int) -> list[str]:
 
 def _signs(spectra: Spectra, k: int) -> _Signs | None:
     """Return the signs of the kind of the FRFs; None if they have no resonance."""
-    peaks = pick_peaks(spectra).frequencies_hz
+    whole_range = spectra._replace(used=np.isfinite(spectra.receptance))
+    peaks = pick_peaks(whole_range, prominence=_PROMINENCE).frequencies_hz
     if not len(peaks):
         return None
     measured = spectra.receptance * (1j * spectra.omega) ** k
@@ -147,8 +150,9 @@ def _clear(spectra: Spectra, i: int) -> BoolArray:
     return np.asarray(height > _STANDS_OUT * np.nan_to_num(spectra.sd[i], nan=np.inf))
 
 
-def _power_doubts(spectra: Spectra) -> list[str]:
+def _power_doubts(spectra: Spectra, k: int) -> list[str]:
     """Return a sentence for each driving point at which the force seems to take power out."""
+    other = "" if k == 1 else f", or if it is {'a receptance' if k else 'an accelerance'}, say so by its kind"
     told = []
     for i in np.flatnonzero(spectra.at_drive).tolist():
         mobility = 1j * spectra.omega * spectra.receptance[i] * spectra.signs[i]
@@ -165,12 +169,12 @@ def _power_doubts(spectra: Spectra) -> list[str]:
         if negative > (1.0 - _WRONG_SHARE) * n:
             told.append(
                 f"{label}, but its phase is reversed: reverse the direction of its sensor or of its force, if the "
-                "polarity of a channel is wrong."
+                f"polarity of a channel is wrong{other}."
             )
         else:
             told.append(
                 f"{label}, but the sign of the power changes: it is negative at {whole(negative)} of {whole(n)} "
-                "lines. Check whether force and sensor are at one point, and the delay of the channels."
+                "lines. Check the kind, whether force and sensor are at one point, and the delays of the channels."
             )
     return told
 

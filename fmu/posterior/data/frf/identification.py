@@ -17,7 +17,7 @@ from fmu.arguments import ArgumentError
 from fmu.formats.modes.measured_modes import real_shapes
 from fmu.formats.shown import in_words, names_shown
 from fmu.numbers import given
-from fmu.posterior.data.frf.peaks import KINDS, Peaks, Spectra, filled, pick_peaks
+from fmu.posterior.data.frf.peaks import KINDS, Peaks, Spectra, fill_gaps, pick_peaks
 from fmu.posterior.data.modal_data import ModalData
 from fmu.types import Dof, FloatArray
 
@@ -77,7 +77,7 @@ def identify(spectra: Spectra, k: int, n: int | None, reference: Dof | None, lea
     peaks = pick_peaks(spectra, n)
     if not len(peaks.frequencies_hz):
         raise ArgumentError("values", "must have a resonance", "no peak that stands out")
-    measured = (filled(spectra) * (1j * spectra.omega) ** k)[rows, lines[0] : lines[-1] + 1]
+    measured = (fill_gaps(spectra) * (1j * spectra.omega) ** k)[rows, lines[0] : lines[-1] + 1]
     frequencies, damping, constants = _poles(f, measured, peaks, k)
     width = _width(f, peaks)
     found = (np.abs(frequencies - peaks.frequencies_hz) <= width) & (damping > 0.0) & (damping < 1.0)

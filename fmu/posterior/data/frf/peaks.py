@@ -11,7 +11,7 @@ from fmu.types import BoolArray, Dof, FloatArray
 
 KINDS = ("receptance", "mobility", "accelerance")
 """Kinds of FRFs by the power k of iω by which the receptance is multiplied."""
-PROMINENCE = 2.0
+PROMINENCE = 1.2
 """Smallest ratio of a peak to the higher of the valleys beside it."""
 _NOISE = 6.0
 """Smallest height of a peak above that valley, in standard deviations of the noise."""
@@ -122,15 +122,15 @@ class _Peak(NamedTuple):
         return bool(abs(self.omega - other.omega) < wide and abs(np.vdot(self.shape, other.shape)) ** 2 > 0.5)
 
 
-def pick_peaks(spectra: Spectra, n: int | None = None) -> Peaks:
+def pick_peaks(spectra: Spectra, n: int | None = None, prominence: float = PROMINENCE) -> Peaks:
     """Return the resonances at the peaks of the complex mode indicator function.
 
     The CMIF is the singular values of the matrix of mobilities (responses × drives) at each line (Shih, Tsuei,
     Allemang & Brown 1988, Mechanical Systems and Signal Processing 2, 367). A peak of the largest one must be
-    twice as high as the valley beside it and stand out of the noise. A peak of another one is a second mode near
-    the first if it is not much smaller, and has another shape and a resonance of its own; elsewhere it is where
-    two modes change places. Where some FRFs of the matrix were not measured, the root of the sum of the squares of
-    all FRFs takes the place of the CMIF, and two modes within a half-power bandwidth are one peak.
+    higher than the valley beside it by a factor, and stand out of the noise. A peak of another one is a second
+    mode near the first if it is not much smaller, and has another shape and a resonance of its own; elsewhere two
+    modes change places. Where some FRFs of the matrix were not measured, the root of the sum of the squares of all
+    FRFs takes the place of the CMIF, and two modes within a half-power bandwidth are one peak.
 
     The singular vectors of a peak combine the FRFs into one with one mode; a rational function of order two,
     fitted to the lines near the peak, gives frequency and damping. The half-power bandwidth takes its place where
@@ -141,20 +141,22 @@ def pick_peaks(spectra: Spectra, n: int | None = None) -> Peaks:
     spectra : Spectra
     n : int, optional
         Largest number of resonances; those of the most prominent peaks are kept.
+    prominence : float
+        Smallest ratio of a peak to the higher of the valleys beside it.
     """
     from scipy.signal import find_peaks
 
     omega = spectra.omega
-    mobility = 1j * omega * filled(spectra) * spectra.signs
+    mobility = 1j * omega * fill_gaps(spectra) * spectra.signs
     matrix = _matrix(mobility, spectra.axes)
     left, values, right = np.linalg.svd(matrix, full_matrices=False)
     noise = _noise(spectra, mobility)
     used = spectra.used.any(axis=0)
     found: list[_Peak] = []
     for k, curve in enumerate(values.T if len(omega) > 2 else []):
-        at, of = find_peaks(np.log(np.maximum(curve, np.finfo(float).tiny)), prominence=np.log(PROMINENCE))
-        for prominence, i in sorted(zip(of["prominences"].tolist(), at.tolist(), strict=True), reverse=True):
-            stands_out = curve[i] * (1.0 - np.exp(-prominence)) > _NOISE * noise[i]
+        at, of = find_peaks(np.log(np.maximum(curve, np.finfo(float).tiny)), prominence=np.log(prominence))
+        for height, i in sorted(zip(of["prominences"].tolist(), at.tolist(), strict=True), reverse=True):
+            stands_out = curve[i] * (1.0 - np.exp(-height)) > _NOISE * noise[i]
             if not (used[i] and stands_out and curve[i] >= _OF_LARGEST * values[i, 0]):
                 continue
             near, shape = lines_near(curve, i), left[i, :, k]
@@ -162,7 +164,7 @@ def pick_peaks(spectra: Spectra, n: int | None = None) -> Peaks:
             fitted = _fit(omega[near], one)
             if k and not (fitted and _is_second(omega, values[:, 0], i, *fitted)):
                 continue
-            peak = _Peak(prominence, *(fitted or (float(omega[i]), _half_power(omega[near], curve[near]))), shape)
+            peak = _Peak(height, *(fitted or (float(omega[i]), _half_power(omega[near], curve[near]))), shape)
             if not any(peak.is_same(other) for other in found):
                 found.append(peak)
     kept = sorted(sorted(found, key=lambda peak: -peak.prominence)[:n], key=lambda peak: peak.omega)
@@ -181,7 +183,7 @@ def _is_second(omega: FloatArray, first: FloatArray, i: int, resonance: float, d
     return bool(omega[low] <= resonance <= omega[high] and is_wide and not is_valley)
 
 
-def filled(spectra: Spectra) -> ComplexArray:
+def fill_gaps(spectra: Spectra) -> ComplexArray:
     """Return the receptances with missing values interpolated between the lines beside them."""
     filled = spectra.receptance.copy()
     for row in filled:
@@ -205,7 +207,7 @@ def _matrix(mobility: ComplexArray, axes: list[tuple[Dof, Dof]]) -> ComplexArray
 
 
 def _noise(spectra: Spectra, mobility: ComplexArray) -> FloatArray:
-    """Return the root mean square over the FRFs of the standard deviation of the mobility, shape (n_lines,).
+    """Return the largest standard deviation of the mobilities, which bounds that of the CMIF, shape (n_lines,).
 
     Where it is not known, it is the running median of the second differences over the lines.
     """
@@ -213,11 +215,11 @@ def _noise(spectra: Spectra, mobility: ComplexArray) -> FloatArray:
 
     if spectra.sd is not None:
         sd = np.where(np.isfinite(spectra.sd), spectra.sd, 0.0) * spectra.omega
-        return np.asarray(np.sqrt(np.mean(sd**2, axis=0)))
+        return np.asarray(sd.max(axis=0))
     n = mobility.shape[1]
     if n < _NEIGHBOURS:
         return np.zeros(n)
-    bend = np.mean(np.abs(np.diff(mobility, 2, axis=1)) ** 2, axis=0) / 12.0
+    bend = np.max(np.abs(np.diff(mobility, 2, axis=1)) ** 2, axis=0) / (12.0 * np.log(2.0))
     return np.sqrt(np.pad(median_filter(bend, _NEIGHBOURS), 1, mode="edge"))
 
 
