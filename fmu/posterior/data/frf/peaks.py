@@ -207,7 +207,7 @@ def _matrix(mobility: ComplexArray, axes: list[tuple[Dof, Dof]]) -> ComplexArray
 
 
 def _noise(spectra: Spectra, mobility: ComplexArray) -> FloatArray:
-    """Return the largest standard deviation of the mobilities, which bounds that of the CMIF, shape (n_lines,).
+    """Return the largest standard deviation of the mobilities at each line, shape (n_lines,).
 
     Where it is not known, it is the running median of the second differences over the lines.
     """
