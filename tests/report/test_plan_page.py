@@ -189,6 +189,7 @@ def test_the_next_test_after_several_is_planned_for_a_decision_about_damage(fold
     page = (folder / "damage" / "index.html").read_text(encoding="utf-8")
     assert "Probability of a loss of more than 10 %: before the test" in page
     assert "E column loss [after]" in page
+    assert re.search(r"P of damage &gt; 99 % if there is, &lt; 1 % if not", page)
 
 
 @pytest.mark.parametrize(

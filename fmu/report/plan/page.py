@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fmu.analysis.plan.result import Plan, cell
+from fmu.analysis.plan.result import PLANNED, Plan, cell
 from fmu.analysis.plan.sensors.baselines import largest_off_diagonal
 from fmu.analysis.plan.targets import with_probabilities_in_words
+from fmu.analysis.trace.damage import probably
 from fmu.numbers import customary_unit, fixed, share, significant
 from fmu.report.document import Items, Page, PageSection, PageTable, Part, Picture, Pictures, Verdict, picture
 from fmu.report.plan.figures import plot_expected_sds, plot_information, plot_sensors_on_structure, plot_simulated
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _MOST_CASES = 12
+_DOUBT = 0.05  # probability of the wrong answer that a decision may have
 _CASES = (
     "Tests in which expected and real differ. The ratio of the sds is a product. True values: the sd "
     "linearised at the true parameters over the expected one. Noise: the sd linearised at the posterior "
@@ -62,6 +64,11 @@ def _verdicts(plan: Plan, simulated: SimulatedTests | None) -> tuple[Verdict, ..
         Verdict("How far from the best?", f"At most {share(plan.gap)}", None),
         Verdict("Can modes be paired?", f"Wrong in {share(wrong)} of tests at most", plan.pairing.ok),
     ]
+    if plan.decision is not None:
+        false_alarm, power = (float(plan.choices[key].loc[PLANNED]) for key in ("if_none", "if_twice"))
+        answer = f"P of damage {probably(power)} if there is, {probably(false_alarm)} if not"
+        decides = power > 1.0 - _DOUBT and false_alarm < _DOUBT
+        found.append(Verdict("Does it decide about damage?", answer, decides))
     if simulated is not None:
         middle = float(np.median(simulated.ratios()))
         found.append(

@@ -191,3 +191,11 @@ def test_a_parameter_that_is_not_updated_keeps_its_value():
     assert list(found.index) == ["k1"]
     assert found.loc["k1", "before"] == pytest.approx(expected.loc["k1", "before"])
     assert found.loc["k1", "after"] == pytest.approx(expected.loc["k1", "after"], rel=1e-4)  # at the same draws
+
+
+def test_earlier_tests_that_put_a_parameter_at_its_bound_are_a_doubt():
+    f = frequencies_hz(MODEL, np.array([2.5, 1.0]))[0][:3]
+    tests = [fmu.Test(name, fmu.ModalData(f, sd_hz=0.005 * f)) for name in ("May", "June")]
+    found = fmu.plan(joint(tests), 2, modes=2, draws=4)
+    assert not found.recommended
+    assert found.doubts[0].startswith("The earlier tests put k1 at a bound")
