@@ -9,6 +9,7 @@ from .analysis.held_out.modes import leave_one_out as leave_one_out
 from .analysis.identifiability import identifiability as identifiability
 from .analysis.information import information as information
 from .analysis.maxima.search import find_map as find_map
+from .analysis.models.prediction import predict_modes as predict_modes
 from .analysis.next_test import predict_tests as predict_tests
 from .analysis.pairing_changes import pairing_changes as pairing_changes
 from .analysis.plan.plan import plan as plan

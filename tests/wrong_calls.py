@@ -513,6 +513,9 @@ def calls(folder: Path) -> Iterator[Call]:
     yield Call("predict_tests", fmu.predict_tests, {
         "trace": known, "problem": varied, "tests": [fmu.Test("next", data)], "like": "before",
         "draws": 40})  # fmt: skip
+    yield Call("predict_modes", fmu.predict_modes, {
+        "trace": known, "problem": varied, "modes": 1, "change": fmu.Change(), "factors": {}, "test": "before",
+        "draws": 5, "seed": 1})  # fmt: skip
     yield Call("expectation", fmu.expectation, {"trace": trace, "G": "k"})
     yield Call(
         "export", fmu.export, {"run_directory": folder, "sampler": None, "at": "mean", "out": None, "model": None}

@@ -138,22 +138,21 @@ def run(
     directory = out or Path("runs") / "-".join([asked.file.stem, str(asked.pairing), *kinds[: len(kinds) == 1]])
     if not kinds:
         return _run_once(asked, directory, new=True, overwrite=overwrite, **options)
-    codes = []
+    codes, several = [], len(kinds) > 1
     for k, kind in enumerate(kinds, 1):
-        where = directory if len(kinds) == 1 else directory / kind
+        where = directory / kind if several else directory
         try:
             with TemporaryDirectory() as folder:
                 changed = _with_discrepancy(asked, kind, Path(folder))
-                if len(kinds) == 1:
-                    return _run_once(changed, where, new=True, overwrite=overwrite, **options)
-                click.echo(f"Discrepancy {k} of {len(kinds)}: {VARIANTS[kind].title}", err=True)
+                if several:
+                    click.echo(f"Discrepancy {k} of {len(kinds)}: {VARIANTS[kind].title}", err=True)
                 codes.append(_run_once(changed, where, new=True, overwrite=overwrite, **options))
         except (ArgumentError, ConfigurationError) as error:  # all is all that suit the problem
             if ALL not in discrepancies:
                 raise
             click.echo(f"Left out, as it does not suit the problem: {error}", err=True)
             continue
-        if codes[-1] == STOPPED:
+        if several and codes[-1] == STOPPED:
             click.echo(f"Then fmu compare {directory} compares the discrepancies that have run.", err=True)
             return STOPPED
     if len(codes) > 1:

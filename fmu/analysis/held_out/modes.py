@@ -249,9 +249,11 @@ def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[i
     if len(modes) < 2 or problem.model.is_soft:  # with a soft pairing every log-probability is a solve
         return {}
     found = left_out_together([_without(problem, k) for k in modes], problem, _generator(0))
-    draws = Draws(problem, found[0].theta, found[0].hz)  # the same for all modes
+    shared = {id(one.theta): Draws(problem, one.theta, one.hz) for one in found}  # many modes have the same draws
     rows = zip(modes, found, strict=True)
-    return {k: (MOST_SOLVES, _row(draws, k, one)) for k, one in rows if one.predicts and one.is_known}
+    return {
+        k: (MOST_SOLVES, _row(shared[id(one.theta)], k, one)) for k, one in rows if one.predicts and one.is_known
+    }
 
 
 def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:

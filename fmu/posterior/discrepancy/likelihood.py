@@ -213,14 +213,14 @@ class DiscrepantLikelihood(ModalLikelihood):
         mean, variance : ndarray, shape (n,), Hz and Hz²
             Mean of the frequency with the error less the computed one, and its variance.
         """
-        mean, gain, covariance, w, of_w = self._errors_given_data(seen, theta, np.setdiff1d(self._used, k))
+        mean, gain, covariance, w, of_w = self.errors_given_data(seen, theta, np.setdiff1d(self._used, k))
         own, common = (x[:, k] for x in self._in_hz(seen, theta))
         of_common = common - np.einsum("np,npc->nc", own, gain[:, k])
         shift = np.einsum("np,np->n", own, mean[:, k]) + np.einsum("nc,nc->n", of_common, w)
         variance = np.einsum("np,npq,nq->n", own, covariance[:, k], own)
         return -shift, variance + np.einsum("nc,ncd,nd->n", of_common, of_w, of_common)
 
-    def _errors_given_data(
+    def errors_given_data(
         self, seen: ModalPrediction, theta: FloatArray, used: IntArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return `LatentErrors.given_common` of every mode, and mean and covariance of w, given the used data."""
@@ -254,7 +254,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         z = rng.standard_normal((len(theta), len(self.group), own.shape[2]))[:, self.group]
         w = rng.standard_normal((len(theta), common.shape[2]))
         if given_data:
-            mean, gain, covariance, mean_w, of_w = self._errors_given_data(seen, theta, self._used)
+            mean, gain, covariance, mean_w, of_w = self.errors_given_data(seen, theta, self._used)
             w = mean_w + np.einsum("ncd,nd->nc", np.linalg.cholesky(of_w), w)
             z = mean + np.einsum("nmpq,nmq->nmp", np.linalg.cholesky(covariance), z)
             z -= np.einsum("nmpc,nc->nmp", gain, w)

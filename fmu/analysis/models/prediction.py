@@ -1,0 +1,149 @@
+"""Frequencies of modes that were not measured, or of a changed structure, with the error of the model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fmu.analysis.convergence.diagnostics import interval_columns
+from fmu.analysis.trace.reading import check_trace, parameter_draws, parameter_names
+from fmu.arguments import ArgumentError, Count, Seed, check_arguments
+from fmu.fem.modes.changes import Change, changed_model
+from fmu.fem.pairing.paired_structure import structure_of
+from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.discrepancy.likelihood import DiscrepantLikelihood
+from fmu.posterior.problem import UpdatingProblem
+from fmu.tables import data_frame
+from fmu.types import FloatArray, Positive
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+
+@check_arguments
+def predict_modes(
+    trace: xr.DataTree,
+    problem: UpdatingProblem,
+    modes: Count,
+    *,
+    change: Change | None = None,
+    factors: Mapping[str, Positive] | None = None,
+    test: str | None = None,
+    draws: Count = 400,
+    seed: Seed = 1,
+) -> pd.DataFrame:
+    """Predict the lowest frequencies of a structure, measured or not, as it is or changed.
+
+    The model is solved at draws of the posterior. With a discrepancy each mode has an error of its own, as a mode
+    has that was not measured: its parameters scatter by τ (kind "embedded"), or its frequency has an error σ of
+    which the part that all modes have in common is known as far as the data tell (kind "modes"). Measured modes
+    of the structure as it is are predicted better by `fmu.predict_frequencies`.
+
+    Parameters
+    ----------
+    trace : xarray.DataTree
+        Draws from the posterior of `problem`.
+    problem : UpdatingProblem
+        A problem whose model has matrices.
+    modes : int
+        Number of modes, from the lowest; rigid-body motions count.
+    change : Change, optional
+        Masses and springs that are added.
+    factors : mapping of str to float, optional
+        Factors on parameters, by name: 0.8 for a stiffness that has lost 20 %.
+    test : str, optional
+        Name of the test whose parameters the structure has, if there are several: the damaged state, for example.
+    draws : int
+        Largest number of draws that are used, evenly spaced over the trace. Each takes a solve of the full model.
+    seed : int
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row per mode, Hz: ``mean``, ``sd``, ``eti90_lb`` and ``eti90_ub`` of the frequency, the error of the
+        model included, and ``model_sd``, ``model_eti90_lb`` and ``model_eti90_ub`` without it. They have no
+        measurement noise.
+
+    Raises
+    ------
+    ValueError
+        If the trace is not of the problem, the model has no matrices or fewer modes, or a parameter, place or test
+        does not exist.
+    """
+    check_trace(trace)
+    if parameter_names(trace) != problem.names:
+        raise ArgumentError("trace", "must be of the problem (its parameters have other names)")
+    theta = parameter_draws(trace).reshape(-1, problem.ndim)
+    theta = theta[np.unique(np.linspace(0, len(theta) - 1, draws).astype(int))]
+    values = problem.values(theta)[:, _index_of(problem, test)] * _factors(problem, factors or {})
+    f, J = _solve(problem, values, modes, change or Change())
+    solved = np.isfinite(f).all(axis=1)
+    theta, values, f, J = theta[solved], values[solved], f[solved], J[solved]
+    whole = f
+    if isinstance(problem.likelihood, DiscrepantLikelihood):
+        whole = _with_errors(problem, problem.likelihood, theta, values, f, J, np.random.default_rng(seed))
+    columns: dict[str, FloatArray] = {"mean": whole.mean(axis=0)}
+    for prefix, x in (("", whole), ("model_", f)):
+        columns[f"{prefix}sd"] = x.std(axis=0, ddof=1)
+        for name, q in zip(interval_columns(0.9), (0.05, 0.95), strict=True):
+            columns[f"{prefix}{name}"] = np.quantile(x, q, axis=0)
+    return data_frame(columns, "mode", np.arange(1, modes + 1))
+
+
+def _index_of(problem: UpdatingProblem, test: str | None) -> int:
+    """Return the index of a test."""
+    names = [one.name for one in problem.tests]
+    if test is None and len(names) == 1:
+        return 0
+    if test not in names:
+        raise ArgumentError("test", f"must be of {', '.join(map(repr, names))}", repr(test))
+    return names.index(test)
+
+
+def _factors(problem: UpdatingProblem, factors: Mapping[str, float]) -> FloatArray:
+    """Return the factor on each parameter of the structure, shape (p,)."""
+    names = [p.name for p in problem.layout.structural]
+    for name in factors:
+        if name not in names:
+            raise ArgumentError("factors", f"must be of {', '.join(names)}", repr(name))
+    return np.array([factors.get(name, 1.0) for name in names])
+
+
+def _solve(
+    problem: UpdatingProblem, values: FloatArray, modes: int, change: Change
+) -> tuple[FloatArray, FloatArray]:
+    """Return the lowest frequencies (n, modes), Hz, at parameters (n, p), and their gradients (n, modes, p)."""
+    paired = structure_of(problem.model.parts[0])
+    if paired is None:
+        raise ArgumentError("problem", "must have a model with matrices", type(problem.model.truth).__name__)
+    structure = changed_model(paired.structure, change.masses, change.springs)
+    if modes > structure.n_dof:
+        raise ArgumentError("modes", f"must be at most the {structure.n_dof} of the model", str(modes))
+    data = ModalData(np.arange(1.0, modes + 1.0), numbers=tuple(range(1, modes + 1)))
+    parameters = [replace(p, updated=True) for p in problem.layout.structural]
+    return UpdatingProblem(structure, data, parameters, pairing="index").model.frequencies_and_gradient(values)
+
+
+def _with_errors(
+    problem: UpdatingProblem,
+    likelihood: DiscrepantLikelihood,
+    theta: FloatArray,
+    values: FloatArray,
+    f: FloatArray,
+    J: FloatArray,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return frequencies (n, m) with the errors of modes that were not measured."""
+    at = problem.layout.of_model(theta)
+    noise = theta[:, problem.n_structural :]
+    of_modes = np.broadcast_to(values[:, None], (*f.shape, values.shape[1]))
+    own, common = likelihood.errors.in_hz(J, f.mean(axis=0), of_modes, noise)
+    used = np.arange(problem.data.n_modes) if likelihood.used is None else likelihood.used
+    _, _, _, w, of_w = likelihood.errors_given_data(likelihood.observed(at), at, used)
+    w = w + np.einsum("ncd,nd->nc", np.linalg.cholesky(of_w), rng.standard_normal(w.shape))
+    z = rng.standard_normal(own.shape)
+    return np.asarray(f - np.sum(own * z, axis=2) - np.einsum("nmc,nc->nm", common, w))
