@@ -7,7 +7,7 @@ xarray opens every scale again for each of a hundred variables, which takes a se
 from __future__ import annotations
 
 import os
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _NO_VARIABLE = b"This is a netCDF dimension but not a netCDF variable."
-_OF_THE_FORMAT = {"CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "_FillValue", "coordinates", "dtype"}
+_REFERENCES = {"DIMENSION_LIST", "REFERENCE_LIST"}
+_OF_THE_FORMAT = {"CLASS", "NAME", "_FillValue", "coordinates", "dtype"} | _REFERENCES
 _OF_NETCDF = ("_Netcdf4", "_NC")
 
 
@@ -56,8 +57,7 @@ def from_netcdf(path: str | os.PathLike[str]) -> xr.DataTree:
 
     try:
         with h5py.File(path, "r") as file:
-            found = {"/": _read(file)}
-            file.visititems(lambda name, item: found.update({name: _read(item)}) if _is_group(item) else None)
+            found = dict(_datasets(file))
         return xr.DataTree.from_dict(found)
     except (KeyError, IndexError, TypeError, RuntimeError) as error:
         raise ValueError(f"path: must be a netCDF-4 file (got {os.fspath(path)}: {error})") from error
@@ -102,20 +102,36 @@ def _set_attributes(
         item.attrs[name] = value if isinstance(value, str) else np.atleast_1d(value)
 
 
-def _read(group: h5py.Group) -> xr.Dataset:
+def _datasets(group: h5py.Group, scales: Mapping[int, str] | None = None) -> Iterator[tuple[str, xr.Dataset]]:
+    """Yield the path and the data set of the group and of every group within it.
+
+    `scales` gives the names of the variables of the groups above by their addresses in the file. HDF5 would search
+    the whole file for the name of the scale that an axis refers to.
+    """
+    import h5py
+
+    items = dict(group.items())
+    groups = {name: item for name, item in items.items() if isinstance(item, h5py.Group)}
+    variables = {name: item for name, item in items.items() if name not in groups}
+    scales = {**(scales or {}), **{_address(item): name for name, item in variables.items()}}
+    yield group.name, _read(group, variables, scales)
+    for name in sorted(groups):
+        yield from _datasets(groups[name], scales)
+
+
+def _read(group: h5py.Group, items: Mapping[str, h5py.Dataset], scales: Mapping[int, str]) -> xr.Dataset:
+    """Return the data set of a group, given its variables and the names of scales by address."""
     import xarray as xr
 
     variables, coordinates = {}, set[str]()
-    for name, item in group.items():
-        if _is_group(item):
-            continue
-        attributes = dict(item.attrs)
+    for name, item in items.items():
+        attributes = {key: item.attrs[key] for key in item.attrs if key not in _REFERENCES}
         is_scale = attributes.get("CLASS") == b"DIMENSION_SCALE"
         if is_scale and bytes(attributes["NAME"]).startswith(_NO_VARIABLE):
             continue
         if is_scale:
             coordinates.add(name)
-        dims = (name,) if is_scale else tuple(of[0].name.rpartition("/")[2] for of in item.dims)
+        dims = (name,) if is_scale else tuple(scales[_address(of[0])] for of in item.dims)
         values = np.asarray(item.asstr()[()], dtype=str) if item.dtype.kind == "O" else item[()]
         if attributes.get("dtype") == "bool":
             values = values.astype(bool)
@@ -134,7 +150,7 @@ def _attributes(found: Mapping[str, str | AnyArray]) -> dict[str, object]:
     }
 
 
-def _is_group(item: object) -> bool:
+def _address(item: h5py.Dataset) -> int:
     import h5py
 
-    return isinstance(item, h5py.Group)
+    return int(h5py.h5o.get_info(item.id).addr)
