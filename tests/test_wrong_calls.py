@@ -8,7 +8,9 @@ import pytest
 
 import fmu
 from fmu.arguments import check_arguments
+from fmu.surrogates import learning
 from tests import wrong_calls
+from tests.pictures import without_pictures
 from tests.wrong_calls import Call, may_be_accepted, outcome
 
 LEAST = 800
@@ -17,9 +19,10 @@ LEAST = 800
 @pytest.fixture(scope="module")
 def outcomes(tmp_path_factory):
     folder = tmp_path_factory.mktemp("wrong")
-    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
+    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings(), without_pictures():
         warnings.simplefilter("ignore")
         patch.chdir(folder)
+        patch.setattr(learning, "SurrogateModel", wrong_calls.stop)  # its arguments are checked before
         return {
             (call.name, name, key): (outcome(call, name, key), may_be_accepted(call, name, key))
             for call, name, key in wrong_calls.wrong_calls(folder)
