@@ -247,6 +247,17 @@ def test_resonances_of_a_chain(k, pairs):
     assert len(measured(pairs, k, band=(20.0, 60.0)).pick_frequencies().frequencies_hz) == 2
 
 
+def test_curves_that_cross_and_directions_with_a_minus():
+    """Where the curves of two modes cross there is no third one; a reversed direction changes no resonance."""
+    for seed in (2, 5):
+        data = measured(FULL, noise=0.02, seed=seed, f=np.linspace(0.2, 60.0, 1500))
+        assert len(data.pick_frequencies().frequencies_hz) == 3
+    responses = (*data.responses[:4], (1, "-x"), *data.responses[5:])
+    sign = np.where(np.arange(9) == 4, -1.0, 1.0)[:, None]
+    turned = fmu.FRFData(data.frequencies_hz, sign * data.values, data.drives, responses, sd=data.sd)
+    assert turned.pick_frequencies().damping.tolist() == data.pick_frequencies().damping.tolist()
+
+
 def test_two_modes_that_overlap():
     """Three half bandwidths apart, of one drive: each is found to a half bandwidth, ζf = 0.1 Hz."""
     f = np.linspace(5.0, 15.0, 1000)
