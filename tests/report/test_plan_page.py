@@ -108,6 +108,7 @@ def test_the_measurement_can_be_run_when_filled_in(planned, folder):
     text = (folder / "out" / "measurement.toml").read_text(encoding="utf-8")
     table = tomllib.loads(text)["measurement"]
     assert len(table["sensors"]) == 4
+    assert table["sensors"][0] == ["tip", "z"]
     assert np.shape(table["shapes"]) == (3, 4)
     start = FILE.index("[plan]")
     whole = FILE[:start] + text + FILE[FILE.index("[[parameters]]") :]
@@ -121,6 +122,7 @@ def test_sensors_are_written_as_table_and_universal_file(planned, folder):
     rows = (folder / "out" / "sensors.csv").read_text(encoding="utf-8").splitlines()
     assert rows[0] == "channel,sensor,place,direction,x,y,z,mounted"
     assert len(rows) == 5
+    assert rows[1].split(",")[2] == "tip"
     text = (folder / "out" / "geometry.uff").read_text(encoding="ascii")
     points = [line.split() for line in text.splitlines() if len(line.split()) == 7]
     places = [[float(x) for x in row.split(",")[4:7]] for row in rows[1:]]

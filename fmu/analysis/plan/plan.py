@@ -56,6 +56,7 @@ def plan(
     drift: NotNegative = 0.0,
     target: Target | None = None,
     changes: Mapping[str, Change] | None = None,
+    place_names: Mapping[Place, str] | None = None,
     like: str | None = None,
     trace: xr.DataTree | None = None,
     draws: Annotated[int, Interval(ge=2, le=10_000)] = 32,
@@ -107,6 +108,8 @@ def plan(
         a prediction that maps theta (n, ndim) to (n,), or a decision about damage (`fmu.DamageTarget`).
     changes : mapping of str to Change, optional
         Known changes of the structure for a second test, by name.
+    place_names : mapping of place to str, optional
+        Names of places in tables and files, such as those of nodes that have numbers.
     like : str, optional
         With several tests, the name of the test that the planned one resembles in its group, masses, springs and
         known parameters; the last one by default. Covariates have their means over the tests.
@@ -164,6 +167,7 @@ def plan(
         chosen=chosen,
         usual=usual,
         places=test.places,
+        place_names=place_names or {},
         information=readings.value_of(every),
         bound=max(relaxed.bound, readings.value_of(every)),
         curve=information_curve(readings, limits, chosen),

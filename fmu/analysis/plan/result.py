@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -52,6 +52,8 @@ class Plan:
     usual : dict of str to tuple of int
         Choices by the customary rules.
     places : ndarray, shape (n_candidates, 3), m, or None
+    place_names : mapping of place to str
+        Names of places in tables and files.
     information : float
         Expected information gain in nats.
     bound : float
@@ -77,6 +79,7 @@ class Plan:
     chosen: tuple[int, ...]
     usual: Mapping[str, tuple[int, ...]]
     places: FloatArray | None
+    place_names: Mapping[Any, str]
     information: float
     bound: float
     curve: pd.DataFrame
@@ -103,6 +106,11 @@ class Plan:
         """All readings (place, direction) of the test, mounted ones first, then in the order of the choice."""
         there = self.design.candidates
         return tuple(there.sensors[row] for row in there.rows(self.every))
+
+    @property
+    def named_sensors(self) -> tuple[Dof, ...]:
+        """`sensors`, with the names of their places where these have names."""
+        return tuple((self.place_names.get(place, place), direction) for place, direction in self.sensors)
 
     @property
     def gap(self) -> float:
@@ -158,11 +166,11 @@ class Plan:
 
     def sensor_table(self) -> pd.DataFrame:
         """Return a table of the readings: number of the sensor, place, direction, coordinates in m if known."""
-        there = self.design.candidates
+        there, named = self.design.candidates, iter(self.named_sensors)
         rows: list[dict[str, object]] = []
         for number, k in enumerate(self.every, 1):
-            for row in there.rows([k]):
-                place, direction = there.sensors[row]
+            for _ in there.rows([k]):
+                place, direction = next(named)
                 one: dict[str, object] = {"sensor": number, "place": place, "direction": direction}
                 if self.places is not None:
                     one |= dict(zip("xyz", self.places[k].tolist(), strict=True))

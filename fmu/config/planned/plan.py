@@ -136,6 +136,7 @@ class PlanTable(TomlTable):
             "shape_sd": self.shape_sd,
             "drift": self.drift,
             "target": self.target if self.damage is None else self.damage.build(),
+            "place_names": {place: name for name, place in built.places.items()},
             "like": self.like,
             "changes": changes,
         }

@@ -69,7 +69,7 @@ def measurement_table(plan: Plan) -> str:
         f"sd = [{', '.join(typed(float(x)) for x in np.round(f * plan.frequency_sd, 6))}]  # Hz, expected",
         f"labels = [{', '.join(_quote(str(i + 1)) for i in modes)}]",
         "sensors = [",
-        *(f"    [{_quote(place)}, {_quote(direction)}]," for place, direction in plan.sensors),
+        *(f"    [{_quote(place)}, {_quote(direction)}]," for place, direction in plan.named_sensors),
         "]",
         "shapes = [",
         *(f"    [{', '.join(f'{x:.4f}' for x in shape)}]," for shape in shapes.T),

@@ -101,7 +101,7 @@ def _sensors(plan: Plan) -> PageSection:
 
 
 def _list_sensors(plan: Plan) -> str:
-    return "; ".join(f"{place} {direction}" for place, direction in plan.sensors)
+    return "; ".join(f"{place} {direction}" for place, direction in plan.named_sensors)
 
 
 def _accuracy(plan: Plan) -> PageSection:
