@@ -109,16 +109,20 @@ of {len(found)} structures.
 
 ### Why single tests differ from the expectation
 
-In {len(reasons)} of {every.size} cases, a parameter in a test, the ratio is outside 0.7 to 1.4. It is a
-product of three factors: *true values*, the sd linearised at the true parameters over the expected one,
-which is a mean over 32 draws; *noise*, the sd linearised at the posterior mean over that; *shape*, the
-real sd over that, which is 1 of a Gaussian posterior. The factor furthest from 1 names the reason. If it
-is the shape, the reason is the bounds or the order of the modes, if more than 5 % of the draws are within
-2 % of a bound or have the modes in another order. Over all {every.size} cases the real sd is {own[1]:.2f}
-times the one linearised at the true parameters (median), 90 % between {own[0]:.2f} and {own[2]:.2f}: what
-spreads the ratios is the place, which the plan cannot know.
+In {len(reasons)} of {every.size} cases, a parameter in a test, the ratio is outside 0.7 to 1.4. It is a product
+of three factors:
+
+- *true values*: the sd linearised at the true parameters over the expected one, which is a mean over 32 draws;
+- *noise*: the sd linearised at the posterior mean over that;
+- *shape*: the real sd over that, which is 1 of a Gaussian posterior.
+
+The factor furthest from 1 names the reason. If it is the shape, the reason is the bounds or the order of the
+modes, if more than 5 % of the draws are within 2 % of a bound or have the modes in another order. Reasons:
 
 {counts}
+
+Over all {every.size} cases the real sd is {own[1]:.2f} times the one linearised at the true parameters (median),
+90 % between {own[0]:.2f} and {own[2]:.2f}: the ratios spread with the place, which the plan cannot know.
 
 | structure, test | parameter | ratio | true values | noise | shape | at bounds | skewness | crossed | reason |
 | :-- | :-- | --: | --: | --: | --: | --: | --: | --: | :-- |

@@ -110,9 +110,9 @@ def decisions(replicates: int, kept: Path | None) -> str:
     return f"""## A decision about damage
 
 Has k1 of a building of six storeys lost more than 10 %? Four frequencies before and one after are known
-(1 %). The test to decide it is planned with three sensors and two modes (frequencies to 1 %, shapes to 3
-%). It is simulated {replicates} times for each true loss, with stiffnesses from the prior (sd 10 %), and
-all three tests are updated together ({converged} of {len(found)} converged). Mean probabilities of a
+(1 %). The test to decide it is planned with three sensors and two modes, with errors of 1 % in frequencies and
+3 % in shapes. It is simulated {replicates} times for each true loss, with stiffnesses from the prior (sd 10 %),
+and all three tests are updated together: {converged} of {len(found)} updates converged. Mean probabilities of a
 loss of more than 10 %, and the standard error of the difference of the last two:
 
 | true loss of k1 | before the planned test | expected after it | after the update | standard error |
