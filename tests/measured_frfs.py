@@ -20,6 +20,11 @@ def building():
     return shear_building(NAMES, STIFFNESS, MASS, dofs=[(i, "x") for i in range(3)])
 
 
+def frequencies(theta):
+    """Return the frequencies, Hz."""
+    return frequencies_hz(building(), theta)[0]
+
+
 def receptances(theta=TRUTH, ratios=RATIOS, lines=LINES, points=POINTS, drive=(2, "x")):
     """Return the receptances (n_points, n_lines) by the sum over the modes of LAPACK."""
     model = building()
