@@ -87,19 +87,21 @@ def ratio_to_eigh(n: int = 64, rounds: int = 300) -> tuple[int, float, float, fl
     theta = problem.sample_prior(rng, n)
     matrices = rng.standard_normal((n, size, size))
     matrices = matrices + np.swapaxes(matrices, 1, 2)
-    parts = term.split(theta)
-    weights = rng.standard_normal((n, 3, len(term.omega))) + 0j
+    parts = [term.split(theta[i : i + 8]) for i in range(0, n, 8)]
+    weights = rng.standard_normal((8, 3, len(term.omega))) + 0j
 
-    def with_derivatives() -> None:
-        solved = term.model.at(*parts)
-        solved.frfs(term.omega)
-        solved.add(weights)
-        solved.gradient()
+    def solve(with_derivatives: bool) -> None:
+        for part in parts:
+            solved = term.model.at(*part)
+            solved.frfs(term.omega)
+            if with_derivatives:
+                solved.add(weights)
+                solved.gradient()
 
     calls = (
         lambda: np.linalg.eigh(matrices),
-        lambda: term.model.at(*parts).frfs(term.omega),
-        with_derivatives,
+        lambda: solve(False),
+        lambda: solve(True),
         lambda: problem.log_prob(theta),
         lambda: problem.log_prob_and_grad(theta),
     )

@@ -304,8 +304,8 @@ def speed() -> str:
 
 Three accelerances of 300 lines of the cantilever, 5 moduli and 5 damping ratios, a batch of 64, in one run, per
 theta: `numpy.linalg.eigh` of {size} × {size} {eigh:.0f} µs; the FRFs {value / eigh:.1f} times that; the FRFs and
-all ten derivatives of a function of them {gradient / eigh:.1f} times; the whole log-probability {density / eigh:.1f}
-times, with its gradient {both / eigh:.1f} times.
+all ten derivatives of a function of them {gradient / eigh:.1f} times; the whole log-probability
+{density / eigh:.1f} times, with its gradient {both / eigh:.1f} times.
 """
 
 

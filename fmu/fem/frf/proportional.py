@@ -218,10 +218,15 @@ class ModalResponses:
 
     def _resonances(self, omega: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the real and the imaginary part of g_r(ω), shape (n, r, n_lines) each."""
+        # in place: at many lines the time goes into memory, not into arithmetic
         stiff = self.lam[:, :, None] - omega**2
-        lossy = self.rates.viscous[:, :, None] * omega + self.rates.hysteretic[:, :, None]
-        inverse = 1.0 / (stiff * stiff + lossy * lossy)
-        return stiff * inverse, -lossy * inverse
+        lossy = self.rates.viscous[:, :, None] * omega
+        lossy += self.rates.hysteretic[:, :, None]
+        size = stiff * stiff
+        size += lossy * lossy
+        stiff /= size
+        lossy /= size
+        return stiff, np.negative(lossy, out=lossy)
 
     def frfs(self, omega: FloatArray) -> ComplexArray:
         """Return the receptances, shape (n, n_frfs, n_lines), at the lines ω in rad/s; they are kept for `add`."""

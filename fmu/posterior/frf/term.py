@@ -20,8 +20,8 @@ from fmu.types import BoolArray, ComplexArray, FloatArray, Plain
 
 _LINES = 512
 """Number of lines in a block; fixed, so that no bit of a result depends on the size of a batch."""
-_MOST_NUMBERS = 2**21
-"""Largest number of elements of a complex array: 32 MiB."""
+_MOST_NUMBERS = 2**17
+"""Largest number of elements of the arrays of a block of lines, so that they stay in the processor's cache."""
 _GAUSSIAN = 500.0
 """Degrees of freedom from which Student's distribution is taken for the Gaussian one."""
 _LOG_2PI = float(np.log(2.0 * np.pi))
@@ -151,10 +151,11 @@ class FRFTerm:
     def frfs(self, theta: FloatArray) -> ComplexArray:
         """Return the computed FRFs in the units of the data, (n, n_frfs, n_lines), at theta (n, ndim)."""
         every = slice(None)
-        parts = [
-            self._predict(self._solve(theta[rows]), theta[rows], every) * self._power
-            for rows in self._rows(len(theta), len(self.omega))
-        ]
+        with single_thread():
+            parts = [
+                self._predict(self._solve(theta[rows]), theta[rows], every) * self._power
+                for rows in self._rows(len(theta), len(self.omega))
+            ]
         return np.concatenate(parts) if parts else np.empty((0, *self._used.shape), dtype=complex)
 
     def split(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
