@@ -235,7 +235,9 @@ def _likelihood_of_frfs(
     others = [] if isinstance(error, FRFErrors) else [one for one in error if one not in of_frfs]
     of_modes = any(not isinstance(one, QuantityErrors) for one in others)
     if discrepancy and not of_modes:
-        rule = "needs errors of frequencies or shapes; of FRFs alone the error of the model is FRFErrors(model_sd=…)"
+        rule = (
+            "needs errors of frequencies or shapes; of FRFs alone the error of the model is FRFErrors(model_sd=…)"
+        )
         raise ArgumentError("discrepancy", rule, "FRFErrors")
     modal = likelihood_of(others or "frequency", beta, model, paired, data, parameters, discrepancy, layout)
     if not of_modes:

@@ -9,14 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
+from fmu.durable_files import digest
 from fmu.fem.frf.general import GeneralDamping, GeneralResponses
 from fmu.fem.frf.proportional import ZERO, ModalResponses, ProportionalDamping, Source
-from fmu.fem.frf.training import Lines, train
+from fmu.fem.frf.training import EXACT_LIMIT, TOLERANCE, Lines, TrainedFRFs, train
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import is_rigid
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import Term
 from fmu.fem.reduced.basis import ReducedBlock
+from fmu.fem.reduced.cache import load_basis, store_basis
 from fmu.types import Dof, FloatArray
 
 _STIFFER = 1e-9
@@ -128,10 +130,38 @@ class FRFModel:
         self.n_values = damping.n_values
 
         self.lines = lines
-        trained = train(full, self.rows, lower, upper, lines, lambda block: _OfBlock(self, block, values))
+        trained = self._train_once(lower, upper, values)
         self.block, self.error = trained.block, trained.error
         self.is_confirmed, self.n_solves = trained.is_confirmed, trained.n_solves
         self._of_block, self._points = self._damping_of(self.block), self._at_points(self.block)
+
+    def _train_once(self, lower: FloatArray, upper: FloatArray, values: FloatArray) -> TrainedFRFs:
+        """Return the outcome of training, from the cache if it was done before."""
+        key = self._key(lower, upper, values)
+        state = load_basis(key) if key else None
+        if state is not None:
+            block = ReducedBlock(self.full, state["basis"], state["basis"].shape[1])
+            return TrainedFRFs(block, float(state["error"]), bool(state["is_confirmed"]), int(state["n_solves"]))
+        found = train(self.full, self.rows, lower, upper, self.lines, lambda block: _OfBlock(self, block, values))
+        if key:
+            others = {name: np.asarray(getattr(found, name)) for name in ("error", "is_confirmed", "n_solves")}
+            store_basis(key, {"basis": found.block.basis, **others})
+        return found
+
+    def _key(self, lower: FloatArray, upper: FloatArray, values: FloatArray) -> dict[str, str]:
+        """Return what the basis depends on, for the cache; empty for a structure that is not reduced."""
+        if self.full.size <= EXACT_LIMIT:
+            return {}
+        lines, given = self.lines, self.damping
+        terms = (*self.full.K_terms, *self.full.M_terms)
+        matrices = [self.rows, *(term.matrix for term in terms), *(matrix for matrix, _ in given.dashpots)]
+        arrays = [part for matrix in matrices for part in (matrix.indptr, matrix.indices, matrix.data)]
+        arrays += [lines.omega, lines.unit, lower, upper, values, self.responses, self.drives]
+        of_dashpots = [source for _, source in given.dashpots]
+        sources = (given.alpha, given.beta, given.loss, given.ratios, given.losses, of_dashpots)
+        settings = repr((sources, [term.powers for term in terms], TOLERANCE))
+        contents = b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)
+        return {"frfs": digest(settings.encode() + contents)}
 
     def at(self, theta: FloatArray, values: FloatArray) -> ModalResponses | GeneralResponses:
         """Return the responses at parameters of the structure (n, p) and of the damping (n, q)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Self
@@ -10,8 +11,9 @@ import numpy as np
 
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.fem.frf.model import FRFModel
-from fmu.fem.frf.training import Lines
+from fmu.fem.frf.training import TOLERANCE, Lines
 from fmu.fem.modes.separable import SeparableModel
+from fmu.numbers import significant, typed
 from fmu.posterior.data.frf_data import FRFData
 from fmu.posterior.errors.quantities import QuantityErrors
 from fmu.posterior.frf.channels import Channels
@@ -19,6 +21,7 @@ from fmu.posterior.frf.damping import DampingModel, bind_damping, damping_as_dic
 from fmu.posterior.frf.term import FRFTerm
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.reduction.region import training_box
+from fmu.posterior.reduction.train_reduced import ReductionWarning
 from fmu.types import Dof, NotNegative, Plain
 
 
@@ -127,6 +130,14 @@ class FRFErrors(QuantityErrors):
             model, responses, drives, damping, start, lower, upper, values,
             Lines(omega[lines], unit[:, lines]),
         )  # fmt: skip
+        if not of.is_confirmed:
+            warnings.warn(
+                f"the reduced model of the FRFs has an error of {significant(of.error, 2)} standard deviations of "
+                f"all lines together (asked for: {typed(TOLERANCE)}) after {of.n_solves} points; narrow bounds "
+                "of parameters, or the band",
+                ReductionWarning,
+                stacklevel=2,
+            )
         gains, delays = (
             _by_channel(k, v, data) for k, v in (("gain_sd", self.gain_sd), ("delay_sd", self.delay_sd))
         )

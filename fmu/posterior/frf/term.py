@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from copy import copy
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from fmu.fem.frf.proportional import ModalResponses
 from fmu.fem.modes.modal import single_thread
 from fmu.posterior.data.frf_data import FRFData
 from fmu.posterior.frf.channels import Channels
+from fmu.posterior.frf.misfit import Gains, Misfit
 from fmu.posterior.parameters import Parameter
 from fmu.progress.phases import count_solves
 from fmu.types import BoolArray, ComplexArray, FloatArray, Plain
@@ -25,44 +25,6 @@ _MOST_NUMBERS = 2**17
 _GAUSSIAN = 500.0
 """Degrees of freedom from which Student's distribution is taken for the Gaussian one."""
 _LOG_2PI = float(np.log(2.0 * np.pi))
-
-
-class Misfit(NamedTuple):
-    """Log-densities of a block of lines and their derivatives.
-
-    Attributes
-    ----------
-    terms : ndarray, shape (n, n_frfs, n_lines)
-        Without the parts that no parameter changes.
-    weights : ndarray of complex, shape (n, n_frfs, n_lines), or None
-        w with d(terms) = Re(w dH).
-    by_sd : ndarray, shape (n, n_frfs, n_lines), or None
-        Derivative by the relative error σ of the model.
-    """
-
-    terms: FloatArray
-    weights: ComplexArray | None
-    by_sd: FloatArray | None
-
-
-class Gains(NamedTuple):
-    """The gains that are integrated out, at n parameter vectors.
-
-    The density of the data given the relative error γ of a gain is exp(−½ A (γ − γ̂)²) times its maximum.
-
-    Attributes
-    ----------
-    best : ndarray, shape (n, n_channels)
-        γ̂, the most probable value; 0 for a channel whose gain is known.
-    precision : ndarray, shape (n, n_channels)
-        A, with the precision of the prior; infinite for a channel whose gain is known.
-    log_density : ndarray, shape (n,)
-        The terms of the integral beside those of the lines.
-    """
-
-    best: FloatArray
-    precision: FloatArray
-    log_density: FloatArray
 
 
 class FRFTerm:

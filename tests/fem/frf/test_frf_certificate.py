@@ -42,6 +42,29 @@ def test_a_basis_without_its_last_vectors_is_not(model):
     assert found.direct_error > 10 * confirm(model, THETA, VALUES).direct_error
 
 
+def test_training_is_done_once(model, monkeypatch):
+    """The same model is read from the cache, bit for bit; another band is trained."""
+    from fmu.fem.frf import model as module
+
+    calls, train = [], module.train
+    monkeypatch.setattr(module, "train", lambda *args: calls.append(1) or train(*args))
+    structure = fmu.cases.load("cantilever-young").model.structure
+    damping = Damping(1, ratios=(Source(0.006, 0),))
+    start = np.full(5, 2.4e11)
+    box = np.full(5, 2.3e11), np.full(5, 2.5e11), VALUES[0]
+
+    def make(top):
+        lines = Lines(2 * np.pi * np.linspace(20.0, top, 30), np.full((1, 30), 1e-7))
+        return FRFModel(structure, [(50, "z")], [(50, "z")], damping, start, *box, lines)
+
+    first, again = make(300.0), make(300.0)
+    assert np.array_equal(first.block.basis, again.block.basis)
+    assert first.n_solves == again.n_solves
+    n = len(calls)
+    make(310.0)
+    assert (n, len(calls)) in ((1, 2), (0, 1), (0, 0))  # a cache of an earlier run may have any of them
+
+
 class Moved:
     """A model whose FRFs are those of other parameters; its bases are those of the model."""
 

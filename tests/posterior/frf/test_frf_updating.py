@@ -136,6 +136,17 @@ def test_a_drive_that_is_no_free_degree_of_freedom_is_named():
         fmu.UpdatingProblem(building(), modes(), parameters(), error=fmu.FRFErrors(**replaced(data=data)))
 
 
+def test_a_discrepancy_needs_errors_of_modes():
+    with pytest.raises(ValueError, match="discrepancy: needs errors of frequencies or shapes"):
+        fmu.UpdatingProblem(
+            building(),
+            modes(),
+            parameters(),
+            error=fmu.FRFErrors(**replaced()),
+            discrepancy=fmu.Discrepancy(),
+        )
+
+
 def test_a_function_and_two_sets_of_frfs_are_refused():
     own = fmu.FRFErrors(**replaced())
     black_box = fmu.BlackBoxModel(lambda theta: np.array([1.0, 2.0, 3.0]), 3)

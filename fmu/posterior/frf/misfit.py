@@ -1,0 +1,45 @@
+"""Records of the log-density of frequency response functions: of the lines, and of the gains."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from fmu.types import ComplexArray, FloatArray
+
+
+class Misfit(NamedTuple):
+    """Log-densities of a block of lines and their derivatives.
+
+    Attributes
+    ----------
+    terms : ndarray, shape (n, n_frfs, n_lines)
+        Without the parts that no parameter changes.
+    weights : ndarray of complex, shape (n, n_frfs, n_lines), or None
+        w with d(terms) = Re(w dH).
+    by_sd : ndarray, shape (n, n_frfs, n_lines), or None
+        Derivative by the relative error σ of the model.
+    """
+
+    terms: FloatArray
+    weights: ComplexArray | None
+    by_sd: FloatArray | None
+
+
+class Gains(NamedTuple):
+    """The gains that are integrated out, at n parameter vectors.
+
+    The density of the data given the relative error γ of a gain is exp(−½ A (γ − γ̂)²) times its maximum.
+
+    Attributes
+    ----------
+    best : ndarray, shape (n, n_channels)
+        γ̂, the most probable value; 0 for a channel whose gain is known.
+    precision : ndarray, shape (n, n_channels)
+        A, with the precision of the prior; infinite for a channel whose gain is known.
+    log_density : ndarray, shape (n,)
+        The terms of the integral beside those of the lines.
+    """
+
+    best: FloatArray
+    precision: FloatArray
+    log_density: FloatArray
