@@ -144,6 +144,7 @@ validate: $(READY_BENCH) $(READY_FAST)  ## Calibrate samplers, verdicts, interva
 	.venv/bin/python -m tests.validation.left_out results
 	.venv/bin/python -m tests.validation.wrong_model results
 	.venv/bin/python -m tests.validation.wrong_structures results
+	.venv/bin/python -m tests.validation.hyper_parameters results
 	.venv/bin/python -m tests.validation.fit results
 	.venv/bin/python -m tests.validation.contradictions results
 	.venv/bin/python -m tests.validation.several_tests results

@@ -14,7 +14,15 @@ from fmu.analysis.prediction import (
     measurement_in_words,
 )
 from fmu.analysis.repeatability import repeatability_warnings
-from fmu.analysis.trace.reading import array_of, has, is_pseudo, mode_names, modes_are_data, used_modes
+from fmu.analysis.trace.reading import (
+    array_of,
+    has,
+    is_pseudo,
+    mode_names,
+    modes_are_data,
+    problem_of,
+    used_modes,
+)
 from fmu.numbers import MISSING, change, decimals, fixed, given, interval, significant, with_sd
 from fmu.report.document import Items, Omitted, PageSection, PageTable, Part, Pictures, Text, picture
 from fmu.report.plots.frequencies import plot_left_out, plot_predictive_check
@@ -57,6 +65,7 @@ def predictive(run: ReportedRun) -> PageSection | Omitted:
         for name, mode, p in zip(mode_names(run.trace), table.index, below, strict=True)
     )  # fmt: skip
     header = ("mode", "measured, Hz", "distance, sd", "share predicted below", "in the 90 % interval")
+    parts_of_model = _with_and_without(table, mode_names(run.trace)) if _has_discrepancy(run.trace) else ()
     tests = measured_tests(run.trace)
     new = "a new measurement" if tests is None else f"a new measurement, {measurement_in_words(tests)}"
     caption = f"Measured frequencies and the predictive distribution of {new}, noise included."
@@ -78,10 +87,32 @@ def predictive(run: ReportedRun) -> PageSection | Omitted:
             f" Of the modes not used in updating, which test the model, {int(inside[~used].sum())} of "
             f"{int((~used).sum())} lie in it."
         )
-    parts: tuple[Part, ...] = (Text(said), PageTable(caption, header, rows, words=(4,)), Pictures((drawing,)))
+    parts: tuple[Part, ...] = (Text(said), PageTable(caption, header, rows, words=(4,)), *parts_of_model)
+    parts = (*parts, Pictures((drawing,)))
     if tests is not None:
         parts = (*parts, *_single_tests(run, tests))
     return PageSection("predictive", title, parts)
+
+
+def _has_discrepancy(trace: xr.DataTree) -> bool:
+    return bool(problem_of(trace).get("likelihood", {}).get("discrepancy"))
+
+
+def _with_and_without(table: pd.DataFrame, names: list[str]) -> tuple[Part, ...]:
+    """Return a table of the predictions by the model alone, and with its error and the noise."""
+    rows = []
+    for name, (_, row) in zip(names, table.iterrows(), strict=True):
+        n = decimals(float(row["noisy_sd"]))
+        alone = interval(row["eti90_lb"], row["eti90_ub"], n)
+        rows.append(
+            (name, given(row["measured"]), alone, interval(row["noisy_eti90_lb"], row["noisy_eti90_ub"], n))
+        )
+    caption = (
+        "The same predictions by the model alone, as if it were right, and with its error. fmu.predict_modes does "
+        "this for modes that were not measured, and for a structure that was changed or damaged."
+    )
+    header = ("mode", "measured, Hz", "model alone, 90 %, Hz", "with its error and noise, 90 %, Hz")
+    return (PageTable(caption, header, tuple(rows)),)
 
 
 def _single_tests(run: ReportedRun, tests: FloatArray) -> tuple[Part, ...]:

@@ -1,0 +1,131 @@
+"""Simulation-based calibration of the numbers of a discrepancy: τ, σ and ρ.
+
+    python -m tests.validation.hyper_parameters OUT [--replicates N] [--seed N]
+
+A building of six equal storeys has one parameter, the stiffness. For each kind of discrepancy, the stiffness and
+the numbers of the discrepancy are drawn from their priors, and six frequencies from the model with errors: the
+scatter of the stiffness over the modes, or relative errors of the frequencies with a correlation. The frequencies
+are those of a closed form, and NumPy draws the errors. The posterior is integrated by the midpoint rule, so that
+no sampler is involved. The posterior probability below the true value is then uniform between 0 and 1 (Talts,
+Betancourt, Simpson, Vehtari & Gelman 2018, arXiv:1804.06788). Written to hyper-parameters.md in the directory OUT.
+Exit code 1 where a test rejects uniformity.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+from scipy import stats
+from threadpoolctl import threadpool_limits
+
+import fmu
+from fmu.tables import markdown_table
+from fmu.types import FloatArray
+from tests.shear_building import shear_building
+
+REPLICATES, SEED = 300, 20_286
+STOREYS, NOISE = 6, 0.01
+PRIOR_SD, STIFFNESS = 0.05, (1.0, 0.1)
+"""Standard deviation of the priors of τ and σ; mean and standard deviation of the prior of the stiffness."""
+KINDS = {
+    "embedded": fmu.Discrepancy(prior_sd=PRIOR_SD),
+    "modes": fmu.Discrepancy("modes", prior_sd=PRIOR_SD),
+}
+SYMBOLS = {"embedded": ("stiffness", "τ"), "modes": ("stiffness", "σ", "ρ")}
+GRID = {"embedded": (80, 60), "modes": (60, 40, 24)}
+LEVEL = 1e-3
+"""Probability of a false alarm of all tests together."""
+
+
+def frequencies(k: float) -> FloatArray:
+    """Return the frequencies of the building, Hz: ω_j = 2 √k sin((2j − 1)π/(4n + 2)) with floors of 1 kg."""
+    j = np.arange(1, STOREYS + 1)
+    return np.asarray(np.sqrt(k) * np.sin((2 * j - 1) * np.pi / (4 * STOREYS + 2)) / np.pi)
+
+
+def simulate(rng: np.random.Generator, kind: str) -> tuple[FloatArray, FloatArray]:
+    """Return the true values in the order of theta, and measured frequencies, Hz."""
+    k = STIFFNESS[0] + STIFFNESS[1] * rng.standard_normal()
+    size = PRIOR_SD * abs(rng.standard_normal())
+    f, z = frequencies(k), rng.standard_normal(STOREYS)
+    noise = NOISE * frequencies(STIFFNESS[0]) * rng.standard_normal(STOREYS)
+    if kind == "embedded":  # ∂f/∂k = f/(2k)
+        return np.array([k, size]), f + 0.5 * f * size * z + noise
+    rho = rng.uniform()
+    error = size * (np.sqrt(rho) * rng.standard_normal() + np.sqrt(1.0 - rho) * z)
+    return np.array([k, size, rho]), f * (1.0 + error) + noise
+
+
+def probabilities_below(kind: str, truth: FloatArray, measured: FloatArray) -> FloatArray:
+    """Return the posterior probability below the true value of each number, by the midpoint rule."""
+    reference = frequencies(STIFFNESS[0])
+    mean, sd = STIFFNESS
+    problem = fmu.UpdatingProblem(
+        shear_building(["k"] * STOREYS),
+        fmu.ModalData(measured, sd_hz=NOISE * reference),
+        [fmu.Parameter("k", mean, mean - 6.0 * sd, mean + 6.0 * sd, prior=fmu.Normal(sd, mean=mean))],
+        pairing="index",
+        discrepancy=KINDS[kind],
+    )
+    ends = [(mean - 4.5 * sd, mean + 4.5 * sd), (0.0, 5.0 * PRIOR_SD), (0.0, float(problem.upper[-1]))]
+    sides = [
+        low + (high - low) * (np.arange(n) + 0.5) / n for (low, high), n in zip(ends, GRID[kind], strict=False)
+    ]
+    grid = np.stack([x.ravel() for x in np.meshgrid(*sides, indexing="ij")], axis=1)
+    log_p = problem.log_prob(grid).reshape(GRID[kind])
+    p = np.exp(log_p - log_p.max())
+    found = []
+    for axis, (x, true) in enumerate(zip(sides, truth, strict=True)):
+        of_cell = p.sum(axis=tuple(i for i in range(p.ndim) if i != axis))
+        edges = np.concatenate([x - 0.5 * (x[1] - x[0]), [x[-1] + 0.5 * (x[1] - x[0])]])
+        found.append(np.interp(true, edges, np.concatenate([[0.0], np.cumsum(of_cell)]) / of_cell.sum()))
+    return np.array(found)
+
+
+def main() -> int:
+    """Write the page and return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--replicates", type=int, default=REPLICATES)
+    parser.add_argument("--seed", type=int, default=SEED)
+    asked = parser.parse_args()
+    rows, rejected, n_tests = [], [], sum(map(len, SYMBOLS.values()))
+    with threadpool_limits(1):
+        for stream, kind in enumerate(KINDS):
+            rng = np.random.default_rng(np.random.SeedSequence(asked.seed, spawn_key=(stream,)))
+            u = np.array([probabilities_below(kind, *simulate(rng, kind)) for _ in range(asked.replicates)])
+            for symbol, one in zip(SYMBOLS[kind], u.T, strict=True):
+                counts, p = np.histogram(one, 10, (0.0, 1.0))[0], float(stats.kstest(one, "uniform").pvalue)
+                rows.append([kind, symbol, " ".join(map(str, counts)), f"{one.mean():.3f}", f"{p:.3f}"])
+                if p < LEVEL / n_tests:
+                    rejected.append(f"{kind}, {symbol}")
+    verdict = "No test rejects uniformity." if not rejected else f"**Not uniform: {'; '.join(rejected)}.**"
+    header = ["kind", "number", "sets in each tenth of 0 to 1", "mean", "p (Kolmogorov–Smirnov)"]
+    text = PAGE.format(
+        verdict=verdict,
+        n=asked.replicates,
+        level=LEVEL,
+        tests=n_tests,
+        table=markdown_table(header, rows, (0, 1, 2)),
+    )
+    (asked.out / "hyper-parameters.md").write_text(text, encoding="utf-8")
+    return 1 if rejected else 0
+
+
+PAGE = """# Calibration of τ, σ and ρ
+
+Written by `python -m tests.validation.hyper_parameters results`, whose first lines say what is simulated.
+
+{verdict}
+
+{n} sets of data for each kind. The table counts the posterior probabilities below the true value, which are
+uniform if the posterior is right. All {tests} tests together reject a right posterior with a probability of
+{level}.
+
+{table}"""
+
+if __name__ == "__main__":
+    sys.exit(main())
