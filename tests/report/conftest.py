@@ -14,6 +14,7 @@ from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
 from fmu.report.pages import write_pages
+from tests import measured_frfs
 from tests.linear import LinearModel
 from tests.report.browser import short_run, started
 from tests.report.parsed import IMAGE, SCRIPT
@@ -51,6 +52,15 @@ def beam_traces():
     maxima = fmu.find_map(problem, starts=16)
     lengths = {"hmc": {"draws": 60, "warmup": 60}, "emcee": {"draws": 12, "warmup": 10}}
     return {name: fmu.sample(problem, name, chains=2, maxima=maxima, **n) for name, n in lengths.items()}
+
+
+@pytest.fixture(scope="session")
+def frf_trace():
+    """A short run on frequency response functions alone, with lines that are not used, a gain and delays."""
+    data = measured_frfs.simulate(use=(measured_frfs.LINES < 5.0) | (measured_frfs.LINES > 6.0))
+    own = fmu.FRFErrors(data, fmu.ModalDamping(measured_frfs.ratios()), gain_sd={(0, "x"): 0.1}, delay_sd=1e-3)
+    parts = measured_frfs.building(), measured_frfs.modes(), measured_frfs.parameters()
+    return fmu.sample(fmu.UpdatingProblem(*parts, error=own), "mixture", draws=60, warmup=60, chains=4)
 
 
 @pytest.fixture(scope="session")

@@ -18,6 +18,10 @@ REMEDY = (
     "If no cause is found: fmu run FILE --discrepancy embedded (Python: discrepancy=fmu.Discrepancy()) allows for "
     "a model that is wrong, and widens the posterior and every prediction; --discrepancy all compares all kinds"
 )
+REMEDY_OF_FRFS = (
+    "If a gain or a delay of a channel is the cause, gain_sd and delay_sd find it; model_sd allows for a model "
+    "that is wrong"
+)
 
 
 def scatter_sentences(trace: xr.DataTree) -> tuple[str, ...]:
@@ -40,7 +44,9 @@ def scatter_sentences(trace: xr.DataTree) -> tuple[str, ...]:
 
 
 def remedy(trace: xr.DataTree) -> str:
-    """Return sentences on a discrepancy and its effect; empty if the problem can have no discrepancy."""
+    """Return sentences on what would allow for the misfit and on its effect; empty if nothing is known to."""
+    if problem_of(trace).get("likelihood", {}).get("responses"):
+        return REMEDY_OF_FRFS
     if not _may_have_discrepancy(trace):
         return ""
     estimate = estimated_scatter(trace)

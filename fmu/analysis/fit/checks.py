@@ -24,7 +24,7 @@ most `LEVEL`, however the checks depend on each other. The kinds of check are:
   cannot fail.
 - A weighed mass or a static displacement. The p-value is the mean of P(χ²₁ ≥ r²) over the draws, where r is the
   residual of this datum. It is compared with α/2.
-- A frequency response function: see `fmu.analysis.frf.check`.
+- A frequency response function, and its values that were not used in updating: see `fmu.analysis.frf.check`.
 - A population, and the law of a parameter over the tests: see `fmu.analysis.fit.populations`.
 - A mode shape that differs from the measured one: its MAC is below `ALIKE` after updating. This check has no
   level, because no error model is stated for the shapes. If the likelihood includes shape errors, they count among
@@ -58,7 +58,7 @@ from fmu.analysis.fit.measured_shapes import below, correlations_of, paired_mac,
 from fmu.analysis.fit.populations import GROUP as POPULATIONS
 from fmu.analysis.fit.populations import effective_parameters, population_checks
 from fmu.analysis.fit.residual_scores import GROUP as RESIDUAL_SCORES
-from fmu.analysis.frf.check import frf_checks
+from fmu.analysis.frf.check import frf_checks, has_held_out, held_out_checks
 from fmu.analysis.frf.predictions import GROUP as FRFS
 from fmu.analysis.held_out.modes import kept_table
 from fmu.analysis.information import CONTRACTED
@@ -121,6 +121,7 @@ def _kinds(trace: xr.DataTree) -> list[Callable[[float], list[Check]]]:
         kinds.append(partial(_noise, trace, table))
     if has(trace, FRFS):
         kinds.append(partial(frf_checks, trace))
+        kinds += [partial(held_out_checks, trace)] if has_held_out(trace) else []
     if has(trace, QUANTITIES):
         kinds.append(partial(_quantities, trace))
     if _has_laws(trace):

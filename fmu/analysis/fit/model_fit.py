@@ -17,6 +17,7 @@ from fmu.analysis.fit.check import (
     POPULATION,
     PREDICTED,
     RESIDUALS,
+    RESPONSES,
     SHAPE,
     Check,
     beyond,
@@ -36,6 +37,9 @@ CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, UNKNOWN, ALLOWED = (
     "contradicted", "not contradicted", "not testable", "unknown", "not contradicted as a model that may be wrong",
 )  # fmt: skip
 NO_HELD_OUT = "No mode was held out: `use = false` at a mode keeps it out of the updating, as a test of the model"
+NO_HELD_OUT_FRF = (
+    "No value was held out: `use` and `band` keep FRFs or lines out of the updating, as a test of the model"
+)
 
 
 @dataclass(frozen=True)
@@ -174,6 +178,11 @@ class ModelFit:
             else f"All used data together: {check.found}; no check, since {check.why_not}."
             for check in self._of(RESIDUALS)
         ]
+        said += [
+            f"{check.of}: {check.found}; {check.shows} would have been found."
+            for check in self._of(RESPONSES, HELD_OUT)
+            if check.kind == RESPONSES or not np.isfinite(check.below)
+        ]
         shapes = self._of(SHAPE)
         if shapes:
             said.append(
@@ -194,7 +203,8 @@ class ModelFit:
 
     @property
     def _held_out(self) -> tuple[str, ...]:
-        return () if self._of(HELD_OUT) else (f"{NO_HELD_OUT}.",)
+        advice = NO_HELD_OUT_FRF if self._of(RESPONSES) else NO_HELD_OUT
+        return () if self._of(HELD_OUT) else (f"{advice}.",)
 
     @property
     def _level(self) -> str:

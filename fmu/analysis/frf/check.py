@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import chdtrc
 
-from fmu.analysis.fit.check import RESPONSES, Check, probability
+from fmu.analysis.fit.check import HELD_OUT, RESPONSES, Check, probability
 from fmu.analysis.frf.predictions import GROUP
-from fmu.numbers import significant
+from fmu.numbers import share, significant, whole
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -46,6 +46,44 @@ def frf_checks(trace: xr.DataTree, level: float) -> list[Check]:
                 f"errors {significant(largest)} times the noise",
                 f"FRF {name}: the updated model differs from what was measured by {significant(times, 2)} times "
                 f"the noise: {values} ({probability(p)})",
+            )
+        )
+    return found
+
+
+def has_held_out(trace: xr.DataTree) -> bool:
+    """Return True if some measured values of frequency response functions were not used and test the model."""
+    return bool(trace[GROUP]["held_freedom"].to_numpy().any())
+
+
+def held_out_checks(trace: xr.DataTree, level: float) -> list[Check]:
+    """Return a list with one check per frequency response function that has values not used in updating.
+
+    The squared distance of these values from their prediction, noise included, is chi-square if the model is
+    correct (`fmu.analysis.frf.predictions`).
+    """
+    group = trace[GROUP].to_dataset()
+    tested = group.isel(frf=np.flatnonzero(group["held_freedom"].to_numpy()))
+    names, found = [str(name) for name in tested["frf"].to_numpy()], []
+    limit = level / len(names)
+    for name in names:
+        one = tested.sel(frf=name)
+        squares, freedom = float(one["held_squares"]), int(one["held_freedom"])
+        p, inside = float(chdtrc(freedom, squares)), int(one["held_inside"])
+        of_intervals = f"{share(2 * inside / freedom)} of {whole(freedom // 2)} in their 90 % intervals"
+        values = f"χ² = {significant(squares)}, {freedom} expected"
+        largest = float(np.sqrt(1.0 + 3.0 * np.sqrt(2.0 / freedom)))
+        found.append(
+            Check(
+                HELD_OUT,
+                f"FRF {name}, values not used",
+                f"{values}; {of_intervals}",
+                f"p {significant(limit, 2)}",
+                p,
+                bool(p < limit),
+                f"errors {significant(largest)} times those of the prediction",
+                f"FRF {name}: values not used in updating differ from their prediction: {values}, {of_intervals} "
+                f"({probability(p)})",
             )
         )
     return found

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from fmu.posterior.data.held_out_lines import held_out
 from fmu.posterior.frf.term import FRFTerm
 from fmu.progress.phases import by_parts
-from fmu.types import ComplexArray, FloatArray
+from fmu.types import BoolArray, ComplexArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -17,6 +18,23 @@ GROUP = "frfs"
 _JUDGED, _DRAWN, _AT_ONCE = 500, 200, 16
 """Numbers of draws that are compared with the data, and that give the bands; number of draws solved together."""
 _BAND = (0.05, 0.5, 0.95)
+
+
+class HeldOut(NamedTuple):
+    """The comparison of values that were not used with their prediction, by FRF.
+
+    Attributes
+    ----------
+    squares : ndarray, shape (n_frfs,)
+        Chi-square with `freedom` degrees of freedom if the model is correct.
+    freedom : ndarray of int, shape (n_frfs,)
+    inside : ndarray of int, shape (n_frfs,)
+        Number of values whose amplitude is in its 90 % interval.
+    """
+
+    squares: FloatArray
+    freedom: IntArray
+    inside: IntArray
 
 
 def frf_groups(problem: Any, position: FloatArray, rng: np.random.Generator) -> dict[str, xr.Dataset]:
@@ -33,12 +51,18 @@ def frf_groups(problem: Any, position: FloatArray, rng: np.random.Generator) -> 
     -------
     mapping of str to xarray.Dataset
         Dimensions: ``frf``, named by response and drive; ``line``, Hz; ``part``, the real and the imaginary part;
-        ``sample``, evenly spaced draws. Variables: ``measured`` (frf, line, part) and ``sd`` (frf, line) in the
-        units of the data, NaN where a line is not used; ``amplitude`` and ``phase`` (kind, quantile, frf, line),
-        the quantiles 5, 50 and 95 % of the model's FRFs and of a new measurement; phases in degrees; ``squares``
-        (sample, frf), which is chi-square with ``freedom`` (frf) degrees of freedom if the model is correct;
-        ``frac`` (frf), the frequency response assurance criterion of the mean; ``gain`` and ``gain_sd`` (channel),
-        the gain errors that are integrated out.
+        ``sample``, evenly spaced draws. Variables: ``measured`` (frf, line, part), in the units of the data;
+        ``used`` and ``held_out`` (frf, line), whether a value is used, or tests the updated model
+        (`fmu.posterior.data.held_out_lines`); ``amplitude`` and ``phase`` (kind, quantile, frf, line), the
+        quantiles 5, 50 and 95 % of the model's FRFs, with the errors of the channels, and of another measurement;
+        phases in degrees; ``distance`` (frf, line), the root of the sum of the squared errors of the real and the
+        imaginary part (or of log amplitude and phase) in standard deviations, at the mean of the model's FRFs;
+        ``squares`` (sample, frf), which is chi-square with ``freedom`` (frf) degrees of freedom if the model is
+        correct;
+        ``held_squares``, ``held_freedom`` and ``held_inside`` (frf), see `HeldOut`; ``frac`` (frf), the frequency
+        response assurance criterion of the mean at the lines in use, or at the held-out lines of an FRF that is
+        not used; ``gain`` and ``gain_sd`` (channel), the gain errors that are integrated out. What is predicted is
+        NaN where it is neither used nor tested.
     """
     import xarray as xr
 
@@ -46,37 +70,91 @@ def frf_groups(problem: Any, position: FloatArray, rng: np.random.Generator) -> 
     if not terms:
         return {}
     (term,) = terms
+    data = term.data
+    held = held_out(data)
+    every = term.with_use(data.used | held)
     theta = position.reshape(-1, position.shape[-1])
     judged, drawn = (theta[np.unique(np.linspace(0, len(theta) - 1, n).astype(int))] for n in (_JUDGED, _DRAWN))
     squares = np.concatenate(by_parts("predictions", lambda part: term.squares(part, rng), judged, _AT_ONCE))
-    computed = np.concatenate(by_parts("predictions", term.frfs, drawn, _AT_ONCE))
-    measured, sd, used = term.data_in_units()
-    simulated = term.simulate(computed, drawn, rng)
-    amplitudes, phases = zip(*(_bands(part) for part in (computed, simulated)), strict=True)
-    mean = computed.mean(axis=0)
-    channels = [f"{place} {direction}" for place, direction in term.channels.names]
-    gain, gain_sd = (part.mean(axis=0) for part in term.gains(judged[:_AT_ONCE]))
+    computed = np.concatenate(by_parts("predictions", every.frfs, drawn, _AT_ONCE))
+    best, gain_sd = (
+        np.concatenate(part) for part in zip(*by_parts("predictions", term.gains, drawn, _AT_ONCE), strict=True)
+    )
+    gain = best + gain_sd * rng.standard_normal(gain_sd.shape)
+    seen, simulated = every.through_channels(computed, gain), every.simulate(computed, drawn, rng, gain)
+    amplitudes, phases = zip(*(_bands(part) for part in (seen, simulated)), strict=True)
+    lines = (data.used | held).any(axis=0)
+    predicted = (data.used | held)[:, lines]
+    mean, centre = seen.mean(axis=0, keepdims=True), drawn.mean(axis=0, keepdims=True)
+    measured = np.asarray(data.values)
+    distance = np.where(predicted, np.abs(every.distance(mean, centre)[0]), np.nan)
+    tested = _compare(every, seen, drawn, measured[:, lines], np.asarray(amplitudes[1]), held[:, lines])
+    compared = np.where(data.used.any(axis=1, keepdims=True), data.used, held)[:, lines]
+    known = term.channels.gain_sd > 0.0
+
+    def spread(values: FloatArray) -> FloatArray:
+        """Return values at all lines from values at the predicted ones."""
+        found = np.full((*values.shape[:-1], data.n_lines), np.nan)
+        found[..., lines] = values
+        return found
+
     dims = ("kind", "quantile", "frf", "line")
     variables = {
         "measured": (("frf", "line", "part"), np.stack([measured.real, measured.imag], axis=-1)),
-        "sd": (("frf", "line"), np.where(used, sd, np.nan)),
-        "amplitude": (dims, np.array(amplitudes)),
-        "phase": (dims, np.array(phases), {"units": "degree"}),
+        "used": (("frf", "line"), data.used.astype(np.int8)),
+        "held_out": (("frf", "line"), held.astype(np.int8)),
+        "amplitude": (dims, spread(np.array(amplitudes))),
+        "phase": (dims, spread(np.array(phases)), {"units": "degree"}),
+        "distance": (("frf", "line"), spread(distance)),
         "squares": (("sample", "frf"), squares),
-        "freedom": ("frf", 2 * used.sum(axis=1)),
-        "frac": ("frf", _frac(np.where(used, measured, 0.0), np.where(used, mean, 0.0))),
-        "gain": ("channel", gain),
-        "gain_sd": ("channel", np.where(term.channels.gain_sd > 0.0, gain_sd, 0.0)),
+        "freedom": ("frf", 2 * data.used.sum(axis=1)),
+        "held_squares": ("frf", tested.squares),
+        "held_freedom": ("frf", tested.freedom),
+        "held_inside": ("frf", tested.inside),
+        "frac": ("frf", _frac(*(np.where(compared, part, 0.0) for part in (measured[:, lines], mean[0])))),
+        "gain": ("channel", best.mean(axis=0)),
+        "gain_sd": ("channel", np.where(known, np.sqrt(np.mean(gain_sd**2, axis=0) + best.var(axis=0)), 0.0)),
     }
     names = {
-        "frf": list(term.data.labels),
-        "line": term.omega / (2.0 * np.pi),
+        "frf": list(data.labels),
+        "line": np.asarray(data.frequencies_hz),
         "part": ["real", "imaginary"],
         "kind": ["model", "measurement"],
         "quantile": list(_BAND),
-        "channel": channels,
+        "channel": [f"{place} {direction}" for place, direction in term.channels.names],
     }
-    return {GROUP: xr.Dataset(variables, coords=names, attrs={"kind": term.data.kind})}
+    return {GROUP: xr.Dataset(variables, coords=names, attrs={"kind": data.kind})}
+
+
+def _compare(
+    term: FRFTerm,
+    seen: ComplexArray,
+    theta: FloatArray,
+    measured: ComplexArray,
+    amplitude: FloatArray,
+    held: BoolArray,
+) -> HeldOut:
+    """Return the comparison of the values `held` (n_frfs, n_lines) with their prediction.
+
+    With z, the errors at draw s in standard deviations (real and imaginary parts), their mean z̄ over the draws and
+    the matrix A of the deviations (z − z̄)/√(S − 1), the prediction has the covariance I + A Aᵀ, and
+    z̄ᵀ (I + A Aᵀ)⁻¹ z̄ = z̄ᵀ z̄ − z̄ᵀ A (I + Aᵀ A)⁻¹ Aᵀ z̄ is chi-square.
+    """
+    squares, freedom = np.full(len(held), np.nan), 2 * held.sum(axis=1)
+    low, _, high = amplitude
+    inside = np.sum(held & (np.abs(measured) >= low) & (np.abs(measured) <= high), axis=1)
+    errors = term.distance(seen, theta)
+    for f in np.flatnonzero(freedom):
+        z = errors[:, f, held[f]]
+        if np.isfinite(term.freedom):  # errors with Student's distribution count by their normal scores
+            size = np.abs(z)
+            z = z * np.sqrt(term.freedom * np.log1p(size**2 / term.freedom)) / np.maximum(size, 1e-12)
+        z = np.concatenate([z.real, z.imag], axis=1)
+        mean = z.mean(axis=0)
+        A = (z - mean).T / np.sqrt(max(len(z) - 1, 1))
+        along = A.T @ mean
+        squares[f] = mean @ mean - along @ np.linalg.solve(np.eye(A.shape[1]) + A.T @ A, along)
+    return HeldOut(squares, freedom, inside)
 
 
 def _bands(frfs: ComplexArray) -> tuple[FloatArray, FloatArray]:
@@ -89,7 +167,8 @@ def _bands(frfs: ComplexArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _frac(measured: ComplexArray, computed: ComplexArray) -> FloatArray:
-    """Return |Σ d H*|²/(Σ |d|² Σ |H|²) of each FRF (Heylen & Lammens 1996)."""
+    """Return |Σ d H*|²/(Σ |d|² Σ |H|²) of each FRF (Heylen & Lammens 1996); NaN for one without values."""
     cross = np.abs(np.sum(measured * np.conj(computed), axis=1)) ** 2
     size = np.sum(np.abs(measured) ** 2, axis=1) * np.sum(np.abs(computed) ** 2, axis=1)
-    return np.asarray(cross / size)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(cross / size)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -11,6 +12,7 @@ from annotated_types import Ge
 from fmu.arguments import ArgumentError, Count, check_arguments
 from fmu.numbers import hertz
 from fmu.posterior.data.frf_data import FRFData
+from fmu.posterior.data.held_out_lines import held_out
 from fmu.posterior.data.modal_data import ModalData
 from fmu.types import Positive
 
@@ -28,7 +30,8 @@ def pick_modes(
     """Return the resonances of frequency response functions (FRFs) as modes for `fmu.UpdatingProblem`.
 
     Beside `fmu.FRFErrors` alone, these modes are no data. They are paired with the modes of the model, and the
-    search for maxima begins with them. The FRFs already contain what they tell.
+    search for maxima begins with them. The FRFs already contain what they tell. Resonances are looked for at all
+    lines between the lowest and the highest one in use.
 
     Parameters
     ----------
@@ -52,7 +55,10 @@ def pick_modes(
     ValueError
         If no resonance is found, or there are not as many as `numbers`.
     """
-    found = data.pick_frequencies(n or len(numbers) or None).frequencies_hz
+    between = replace(
+        data, use=data.used | held_out(data), band=None
+    )  # with resonances that are left out of updating
+    found = between.pick_frequencies(n or len(numbers) or None).frequencies_hz
     if not len(found):
         rule = "must have a resonance that stands out of the noise; give the frequencies of the modes instead"
         raise ArgumentError("data", rule, "none")

@@ -32,7 +32,7 @@ def assumptions_on_frfs(one: Mapping[str, Any], modes_are_data: bool) -> list[st
     if data["freedom"] is not None:
         shape = f"Student's with {significant(data['freedom'])} degrees of freedom"
     said = [
-        f"Frequency response functions: {n} {kind}, {whole(used)} complex values from {low} to {high} Hz.",
+        f"Frequency response functions: {n} {kind} from {low} to {high} Hz, {whole(used)} complex values used.",
         f"Errors of {what}: {shape}, independent from line to line and between real and imaginary part, with the "
         f"standard deviations of the data{_of_model(one['model_sd'])}.",
     ]

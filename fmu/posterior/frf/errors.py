@@ -15,6 +15,7 @@ from fmu.fem.frf.training import TOLERANCE, Lines
 from fmu.fem.modes.separable import SeparableModel
 from fmu.numbers import significant, typed
 from fmu.posterior.data.frf_data import FRFData
+from fmu.posterior.data.held_out_lines import held_out
 from fmu.posterior.errors.quantities import QuantityErrors
 from fmu.posterior.frf.channels import Channels
 from fmu.posterior.frf.damping import DampingModel, bind_damping, damping_as_dict
@@ -116,16 +117,17 @@ class FRFErrors(QuantityErrors):
         values = np.array([p.start for p in inferred])
         omega = 2.0 * np.pi * np.asarray(data.frequencies_hz)
         used = data.used
+        needed = used | held_out(data)
         receptance = data.as_receptance()
         with np.errstate(invalid="ignore"):
             size = np.abs(receptance.values)
             known = self.model_sd.start if isinstance(self.model_sd, Parameter) else self.model_sd
             sd = np.zeros(size.shape) if receptance.sd is None else receptance.sd
-            unit = np.where(used, np.sqrt(sd**2 + (known * size) ** 2), np.inf)
+            unit = np.where(needed, np.sqrt(sd**2 + (known * size) ** 2), np.inf)
         if not np.all(unit[used] > 0.0):
             rule = "must have standard deviations; give sd or coherence to FRFData, or model_sd to FRFErrors"
             raise ArgumentError("data", rule, "none")
-        lines = used.any(axis=0)
+        lines = needed.any(axis=0)
         of = FRFModel(
             model, responses, drives, damping, start, lower, upper, values,
             Lines(omega[lines], unit[:, lines]),

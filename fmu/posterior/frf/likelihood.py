@@ -18,6 +18,8 @@ _WIDER = (1.0, 0.3, 0.1, 0.03, 0.01)
 """Relative errors of the FRFs in the successive searches for maxima, before the search with the errors given."""
 _WORTHWHILE = 0.5
 """Multiple of the relative noise of the data below which a wider error does not help."""
+FRFS = "FRFs"
+"""Label of the residuals of frequency response functions."""
 
 
 class FRFLikelihood(Likelihood):
@@ -203,7 +205,7 @@ class FRFLikelihood(Likelihood):
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
         """Return the names of the residuals, in the order of `residuals_and_slopes`, given the labels of modes."""
         of_modes = () if self.is_of_frfs_alone else self.modal.labels(modes)
-        return of_modes + ("FRFs",) * (self.n_structural * len(self.responses))
+        return of_modes + (FRFS,) * (self.n_structural * len(self.responses))
 
     def in_standard_deviations(self, frequencies: FloatArray, error: FloatArray, theta: FloatArray) -> FloatArray:
         """Return errors of computed frequencies, (n_modes,) in Hz, in standard deviations of their measurement."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 
@@ -134,11 +135,10 @@ class FRFTerm:
         count_solves(len(theta), with_gradients=True)
         return self._evaluate(theta, gradient=True)
 
-    def data_in_units(self) -> tuple[ComplexArray, FloatArray, BoolArray]:
-        """Return measured FRFs, their standard deviations, and whether each is used, (n_frfs, n_lines) each."""
-        size = np.abs(self._power) * (np.abs(self._measured) if self._is_log else 1.0)
-        measured = np.where(self._used, self._measured * self._power, np.nan)
-        return measured, np.sqrt(self._variance) * size, self._used
+    def with_use(self, use: BoolArray) -> FRFTerm:
+        """Return the term of other values, with use (n_frfs, n_lines), of the same data."""
+        data, own = replace(self.data, use=use, band=None), (self._first, self._is_log, self._model_sd)
+        return FRFTerm(data, self.model, self.channels, self.inferred, *own, self._settings)
 
     def squares(self, theta: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return Σ r² over the used lines of each FRF, (n, n_frfs), at theta (n, ndim).
@@ -158,16 +158,40 @@ class FRFTerm:
             total += np.sum(np.where(self._used[:, lines], squares, 0.0), axis=2)
         return total
 
-    def simulate(self, frfs: ComplexArray, theta: FloatArray, rng: np.random.Generator) -> ComplexArray:
-        """Return simulated measured FRFs, (n, n_frfs, n_lines), for computed ones at theta (n, ndim)."""
+    def error_sd(self, frfs: ComplexArray, theta: FloatArray) -> FloatArray:
+        """Return standard deviations of the errors of H or log H, (n, n_frfs, n_lines), for FRFs at theta."""
         sd = np.sqrt(self._variances(frfs / self._power, theta, slice(None))[0])
-        sd = sd if self._is_log else sd * np.abs(self._power)
-        error = sd * (rng.standard_normal(frfs.shape) + 1j * rng.standard_normal(frfs.shape))
+        return np.broadcast_to(sd if self._is_log else sd * np.abs(self._power), frfs.shape)
+
+    def distance(self, frfs: ComplexArray, theta: FloatArray) -> ComplexArray:
+        """Return errors of the data, or of their logarithms, in standard deviations; see `error_sd`."""
+        measured = self._measured * self._power
+        error = measured - frfs
+        if self._is_log:
+            error = np.log(np.abs(measured / frfs)) + 1j * np.angle(measured / frfs)
+        return np.asarray(error / self.error_sd(frfs, theta))
+
+    def simulate(
+        self, frfs: ComplexArray, theta: FloatArray, rng: np.random.Generator, gain: FloatArray | None = None
+    ) -> ComplexArray:
+        """Return simulated measured FRFs, (n, n_frfs, n_lines), for computed ones at theta (n, ndim).
+
+        Gain errors that are integrated out are `gain` (n, n_channels), or drawn from their prior.
+        """
+        error = self.error_sd(frfs, theta) * (
+            rng.standard_normal(frfs.shape) + 1j * rng.standard_normal(frfs.shape)
+        )
         if np.isfinite(self.freedom):
             error *= np.sqrt(self.freedom / rng.chisquare(self.freedom, frfs.shape))
-        gain = self.channels.gain_sd * rng.standard_normal((len(frfs), len(self.channels.names)))
-        gain = gain[:, self.channels.of_frf, None]
-        return frfs * np.exp(error + gain) if self._is_log else (1.0 + gain) * frfs + error
+        if gain is None:
+            gain = self.channels.gain_sd * rng.standard_normal((len(frfs), len(self.channels.names)))
+        through = self.through_channels(frfs, gain)
+        return through * np.exp(error) if self._is_log else through + error
+
+    def through_channels(self, frfs: ComplexArray, gain: FloatArray) -> ComplexArray:
+        """Return computed FRFs (n, n_frfs, n_lines) with the gain errors (n, n_channels) of their channels."""
+        of_frf = gain[:, self.channels.of_frf, None]
+        return np.asarray(frfs * (np.exp(of_frf) if self._is_log else 1.0 + of_frf))
 
     def gains(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and standard deviation of the gain errors that are integrated out, (n, n_channels) each."""

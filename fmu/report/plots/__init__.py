@@ -18,6 +18,8 @@ from fmu.report.plots.frequencies import plot_frequency_errors as plot_frequency
 from fmu.report.plots.frequencies import plot_frequency_updates as plot_frequency_updates
 from fmu.report.plots.frequencies import plot_left_out as plot_left_out
 from fmu.report.plots.frequencies import plot_predictive_check as plot_predictive_check
+from fmu.report.plots.frf.functions import plot_frf as plot_frf
+from fmu.report.plots.frf.functions import plot_frf_at_start as plot_frf_at_start
 from fmu.report.plots.information import plot_marginals as plot_marginals
 from fmu.report.plots.information import plot_sensitivity as plot_sensitivity
 from fmu.report.plots.models import plot_held_out as plot_held_out

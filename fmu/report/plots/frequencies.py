@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from fmu.analysis.held_out.modes import leave_one_out
 from fmu.analysis.prediction import measured_tests, measurement_in_words, predict_frequencies
 from fmu.analysis.trace.modal_states import GROUP, START
-from fmu.analysis.trace.reading import has, mode_names
+from fmu.analysis.trace.reading import has, mode_names, modes_are_data
 from fmu.numbers import given
 from fmu.report.plots import style
 from fmu.types import FloatArray
@@ -112,7 +112,8 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
     The frequencies before updating are drawn if the trace stores them. Those after updating are the posterior
     means, with the 90 % interval of a new measurement including noise, or without noise if no noise is modelled.
     For repeated tests, a new measurement is the mean of as many tests, and the 90 % interval of one more test is
-    drawn beside it.
+    drawn beside it. Where the modes are no data, as beside frequency response functions alone, the intervals are
+    without noise.
 
     Parameters
     ----------
@@ -129,7 +130,8 @@ def plot_frequency_updates(trace: xr.DataTree, figure: Figure | None = None) -> 
     before = frequencies_before(trace)
     if before is not None:
         series.append(Frequencies("before updating", before, style.GREY, filled=False))
-    prefix, kind = ("noisy_", "with") if "noisy_sd" in table else ("", "without")
+    is_noisy = "noisy_sd" in table and modes_are_data(trace)
+    prefix, kind = ("noisy_", "with") if is_noisy else ("", "without")
     ends = table[[f"{prefix}eti90_lb", f"{prefix}eti90_ub"]].to_numpy().T
     label = f"after: mean, 90 % interval {kind} measurement noise"
     if tests is not None and "noisy_sd" in table:

@@ -13,6 +13,7 @@ from fmu.report.run import ReportedRun
 OF_A_SAMPLER = (
     "tests.losses",
     "updating.parameters",
+    "frf.functions.frfs",
     "updating.frequencies",
     "updating.maxima",
     "updating.evidence",
@@ -42,6 +43,6 @@ def of_a_sampler(run: ReportedRun) -> list[PageSection | Omitted]:
     """Return the list of sections, shown or omitted, of the page of one run."""
     found = []
     for name in OF_A_SAMPLER:
-        module, _, function = name.partition(".")
+        module, _, function = name.rpartition(".")
         found.append(getattr(import_module(f"{__name__}.{module}"), function)(run))
     return found

@@ -17,6 +17,7 @@ from fmu.analysis.trace.modal_states import GROUP, MEAN, MEASURED, START, sketch
 from fmu.analysis.trace.reading import has, parameter_names
 from fmu.fem.frame.drawing import UNCHANGED, draw_svg, parameter_colours
 from fmu.numbers import MISSING, change, decimals, fixed, hertz, share, significant
+from fmu.posterior.frf.likelihood import FRFS
 from fmu.report.document import Details, Items, Omitted, PageSection, PageTable, Part, Pictures, Text, picture
 from fmu.report.model_view import model_view
 from fmu.report.plots.modes import plot_mac, plot_mode_shapes
@@ -81,7 +82,7 @@ def identifiability(run: ReportedRun) -> PageSection | Omitted:
     by_model = (directions(one, _WHERE.get(at, at), left_along(run.trace, one)) for at, one in kept.items())
     tables = (_drawn_directions(found), *by_model)
     parts: list[Part] = [Items(tuple(said)), Text(CRITERION), _contraction(run, found)]
-    if kept:
+    if kept and FRFS not in list(kept.values())[-1].labels:  # their rows are directions, not measured quantities
         words, drawing = sensitivity(run, list(kept.values())[-1])
         parts += [words, Pictures((drawing,))]
     return PageSection("identifiability", title, (*parts, Details("Directions", tables)))

@@ -12,7 +12,7 @@ from fmu.analysis.information import PRIOR, information
 from fmu.analysis.maxima.missed import Visits, visits
 from fmu.analysis.maxima.results import MOST_SHOWN, NEGLIGIBLE, Maxima, share_of_mass
 from fmu.analysis.prediction import measured_tests, measurement_in_words, pinned_parameters
-from fmu.analysis.trace.reading import constant, is_pseudo, mode_names, walkers_of
+from fmu.analysis.trace.reading import constant, is_pseudo, mode_names, modes_are_data, walkers_of
 from fmu.numbers import (
     MISSING,
     change,
@@ -40,6 +40,10 @@ LOOK_AT_FREQUENCIES = (
     "whatever its parameters."
 )
 NO_FREQUENCIES = "the trace holds no frequencies to compare with measured ones"
+NOT_DATA = (
+    "The measured frequencies are no data: the updating follows the frequency response functions. They are the "
+    "resonances that were picked from these, or were given to begin the search."
+)
 
 
 def parameters(run: ReportedRun) -> PageSection:
@@ -108,7 +112,8 @@ def frequencies(run: ReportedRun) -> PageSection | Omitted:
         return Omitted(title, NO_FREQUENCIES)
     before = frequencies_before(run.trace)
     before = np.full(len(table), np.nan) if before is None else before
-    is_noisy, tests = "noisy_sd" in table, measured_tests(run.trace)
+    are_data, tests = modes_are_data(run.trace), measured_tests(run.trace)
+    is_noisy = "noisy_sd" in table and are_data
     has_tests = "test_eti90_lb" in table
     rows, seen = [], []
     for mode, (_, row), f in zip(mode_names(run.trace), table.iterrows(), before, strict=True):
@@ -137,6 +142,9 @@ def frequencies(run: ReportedRun) -> PageSection | Omitted:
             "After: posterior mean of the model's frequency. 90 % intervals: without noise, of the model's "
             f"frequency; of a new measurement, {measurement_in_words(tests)}; and of one more test."
         )
+    if not are_data:
+        header, rows = header[:-1], [row[:-1] for row in rows]
+        caption = "After: posterior mean of the model's frequency, and its 90 % interval."
     if np.isnan(before).all():
         caption += " The trace has no frequencies before updating."
     axes = plot_frequency_updates(run.trace)
@@ -145,7 +153,11 @@ def frequencies(run: ReportedRun) -> PageSection | Omitted:
     return PageSection(
         "frequencies",
         title,
-        (Text(_mean_error(run, before)), PageTable(caption, header, tuple(rows)), Pictures((drawing,))),
+        (
+            Text(f"{_mean_error(run, before)}{'' if are_data else f' {NOT_DATA}'}"),
+            PageTable(caption, header, tuple(rows)),
+            Pictures((drawing,)),
+        ),
     )
 
 

@@ -22,6 +22,11 @@ def test_numbers_name_the_modes_of_the_model():
     assert np.allclose(found.frequencies_hz, frequencies_hz(building(), TRUTH)[0][1:], rtol=0.01)
 
 
+def test_a_resonance_whose_lines_are_left_out_is_a_mode_too():
+    found = fmu.pick_modes(simulate(use=(LINES < 7.0) | (LINES > 11.0)))
+    assert np.allclose(found.frequencies_hz, frequencies_hz(building(), TRUTH)[0], rtol=0.01)
+
+
 def test_wrong_numbers_and_frfs_without_a_resonance_are_told():
     with pytest.raises(ValueError, match=r"numbers: must be 3, one per resonance .* Hz \(got 4\)"):
         fmu.pick_modes(simulate(), numbers=(1, 2, 3, 4))

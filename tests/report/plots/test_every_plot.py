@@ -64,6 +64,7 @@ def test_all_plots_of_traces_are_here():
     others |= {"plot_damage_by_test"}
     others |= {"plot_held_out", "plot_intervals"}  # of several models
     others |= {"plot_mac_matrix", "plot_sensors"}  # of shapes alone
+    others |= {"plot_frf", "plot_frf_at_start"}  # see frf/test_frf_plots.py
     others |= {"plot_forest", "plot_overlaid_marginals", "plot_ranks_of_samplers", "plot_growth"}  # of several
     assert set(Y_LABELS) == set(X_LABELS) == public - others
 

@@ -1,0 +1,44 @@
+"""The section on frequency response functions, and what pages say of modes that are no data."""
+
+import pytest
+
+from fmu.report.document import Omitted, Pictures
+from fmu.report.run import runs_of
+from fmu.report.sections import prediction, updating
+from fmu.report.sections.frf import functions as frfs
+
+
+@pytest.fixture(scope="module")
+def run(frf_trace):
+    return runs_of({"mixture": frf_trace})["mixture"]
+
+
+def tables(section):
+    return [part for part in section.parts if part.kind == "table"]
+
+
+def test_it_has_a_row_and_a_figure_for_each_function(run):
+    section = frfs.frfs(run)
+    table, channels = tables(section)
+    assert [row[0] for row in table.rows] == ["2 x / 2 x", "0 x / 2 x"]
+    assert [row[1] for row in table.rows] == ["112", "112"]
+    assert [row[6] for row in table.rows] == ["8", "8"]
+    assert len([part for part in section.parts if isinstance(part, Pictures)]) == 2
+    assert [row[0] for row in channels.rows] == ["2 x", "0 x"]
+    assert [row[1] == "–" for row in channels.rows] == [True, False]  # only one gain is inferred
+    said = section.parts[0].words
+    assert "No FRF of 2 differs" in said
+    assert "16 others were not used" in said
+
+
+def test_modes_that_are_no_data_are_not_judged(run):
+    assert isinstance(prediction.predictive(run), Omitted)
+    assert isinstance(prediction.left_out(run), Omitted)
+    section = updating.frequencies(run)
+    assert updating.NOT_DATA in section.parts[0].words
+    assert "90 %, with noise, Hz" not in tables(section)[0].header
+
+
+def test_a_run_on_modes_has_no_such_section(beam_traces):
+    other = runs_of({"hmc": beam_traces["hmc"]})["hmc"]
+    assert isinstance(frfs.frfs(other), Omitted)
