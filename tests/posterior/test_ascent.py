@@ -5,8 +5,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import lsq_linear
 
+from fmu.posterior.ascent import Ascent, GaussNewton, ascend, decrement
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.maxima import Ascent, GaussNewton, ascend, decrement, leaders
+from fmu.posterior.maxima import leaders
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem

@@ -5,7 +5,8 @@ import pytest
 
 import fmu
 from fmu.fem.surrogate.coordinates import FARTHEST, Coordinates
-from fmu.posterior.maxima import GaussNewton, local_maxima
+from fmu.posterior.ascent import GaussNewton
+from fmu.posterior.maxima import local_maxima
 from fmu.posterior.scaled import LogScaledDensity, ScaledDensity
 from tests.gradients import assert_gradient
 from tests.models import portal

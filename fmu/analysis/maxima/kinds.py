@@ -36,7 +36,7 @@ def slope(scaled: ScaledDensity, model: Quadratic) -> float:
 
     The slope is √(gᵀH⁻¹g) over the free coordinates: the length of the gradient in the metric of the posterior.
     """
-    from fmu.posterior.maxima import decrement
+    from fmu.posterior.ascent import decrement
 
     falls = decrement(model.position[None], -model.gradient[None], model.hessian[None], scaled.lower, scaled.upper)
     return float(np.sqrt(max(2.0 * falls[0], 0.0)))

@@ -297,7 +297,7 @@ def hessian_at(problem: UpdatingProblem, theta: FloatArray, *, is_rough: bool = 
     hessian : ndarray, shape (ndim, ndim)
     source : {"differences", "Gauss-Newton"}
     """
-    from fmu.posterior.maxima import GaussNewton
+    from fmu.posterior.ascent import GaussNewton
 
     def of_residuals() -> FloatArray:
         return GaussNewton(problem)(ScaledDensity(problem).to_scaled(theta)[None])[2][0]

@@ -391,23 +391,3 @@ def mode_weights(weights: ArrayLike | None, n: int) -> FloatArray:
     if given.shape != (n,) or not np.all(np.isfinite(given) & (given > 0)):
         raise ArgumentError("weights", f"must be {n} positive numbers, one per mode", given.tolist())
     return given
-
-
-def unit_shapes(data: ModalData, name: str) -> FloatArray:
-    """Return the measured shapes scaled to unit length, (n_sensors, n_modes); ValueError without two sensors."""
-    if data.shapes is None:
-        raise ArgumentError(name, "need measured shapes at the sensors", "none")
-    shapes = np.asarray(data.shapes)
-    if len(shapes) < 2:
-        raise ArgumentError(name, "need shapes at two sensors or more", len(shapes))
-    return np.asarray(shapes / np.linalg.norm(shapes, axis=0))
-
-
-def checked_beta(beta: ArrayLike, n_modes: int) -> FloatArray:
-    """Return β of every mode, shape (n_modes,); ValueError if a β is not positive and finite."""
-    array = np.array(beta, dtype=float)
-    if array.ndim > 1 or (array.ndim == 1 and len(array) != n_modes):
-        raise ArgumentError("beta", f"must be a number or {n_modes} numbers", f"shape {array.shape}")
-    if not np.all(np.isfinite(array) & (array > 0)):
-        raise ArgumentError("beta", "must be positive and finite", array.tolist())
-    return np.broadcast_to(array, n_modes).copy()

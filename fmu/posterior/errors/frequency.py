@@ -13,8 +13,8 @@ from fmu.arguments import ArgumentError, check_arguments
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.covariance import checked_covariance
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals, checked_beta, mode_weights
-from fmu.posterior.errors.noise import NoiseIndex, Spread, require_sizes, spread
+from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals, mode_weights
+from fmu.posterior.errors.noise import NoiseIndex, Spread, checked_beta, require_sizes, spread
 from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray, IntArray, Plain
 

@@ -144,3 +144,13 @@ def require_sizes(sd: ArrayLike | Parameter | None, weights: ArrayLike | None) -
 
 def _column(noise: FloatArray, k: int, ndim: int) -> FloatArray:
     return noise[:, k].reshape(-1, *(1,) * ndim)
+
+
+def checked_beta(beta: ArrayLike, n_modes: int) -> FloatArray:
+    """Return β of every mode, shape (n_modes,); ValueError if a β is not positive and finite."""
+    array = np.array(beta, dtype=float)
+    if array.ndim > 1 or (array.ndim == 1 and len(array) != n_modes):
+        raise ArgumentError("beta", f"must be a number or {n_modes} numbers", f"shape {array.shape}")
+    if not np.all(np.isfinite(array) & (array > 0)):
+        raise ArgumentError("beta", "must be positive and finite", array.tolist())
+    return np.broadcast_to(array, n_modes).copy()

@@ -13,7 +13,8 @@ from fmu.fem.condensation import SingularCondensationError, StaticCondensation
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.terms import CoefficientMap, Term, WeightedSum
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.errors.base import Likelihood, checked_beta
+from fmu.posterior.errors.base import Likelihood
+from fmu.posterior.errors.noise import checked_beta
 from fmu.types import FloatArray, Plain
 
 

@@ -9,10 +9,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals, mode_weights, unit_shapes
+from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals, mode_weights
 from fmu.posterior.errors.noise import NoiseIndex, Spread, require_sizes, spread
 from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray, IntArray, Plain
@@ -141,3 +141,13 @@ class ShapeTerm(ErrorTerm):
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of the name and settings of the error model."""
         return {"error": "shape", "spread": self.spread.as_dict()}
+
+
+def unit_shapes(data: ModalData, name: str) -> FloatArray:
+    """Return the measured shapes scaled to unit length, (n_sensors, n_modes); ValueError without two sensors."""
+    if data.shapes is None:
+        raise ArgumentError(name, "need measured shapes at the sensors", "none")
+    shapes = np.asarray(data.shapes)
+    if len(shapes) < 2:
+        raise ArgumentError(name, "need shapes at two sensors or more", len(shapes))
+    return np.asarray(shapes / np.linalg.norm(shapes, axis=0))

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fmu.posterior.ascent import FIRST_DAMPING, MOST_DAMPING, adjust_damping, find_pressed
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.joint.conditional.expansion import information_by_test
 from fmu.posterior.joint.conditional.scores import Scores
-from fmu.posterior.maxima import FIRST_DAMPING, MOST_DAMPING, adjust_damping, find_pressed
 from fmu.posterior.priors.joint import JointPrior
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.scaled import ScaledDensity
@@ -144,7 +144,7 @@ class BlockForm:
     def climb(self, theta: FloatArray, tolerance: float, most_steps: int = 100) -> tuple[FloatArray, BlockHessian]:
         """Return the maximum over scores and `columns` that Levenberg–Marquardt steps reach, and its Hessian.
 
-        The damping of the diagonal is that of `fmu.posterior.maxima.ascend`.
+        The damping of the diagonal is that of `fmu.posterior.ascent.ascend`.
         """
         damping = np.asarray(FIRST_DAMPING)
         value, of_main, of_scores = self.gradient(theta)

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from fmu.posterior.ascent import GaussNewton
 from fmu.posterior.density import Posterior
-from fmu.posterior.maxima import GaussNewton, local_maxima
+from fmu.posterior.maxima import local_maxima
 from fmu.posterior.parameters import Parameter, box
 from fmu.types import FloatArray
 

@@ -8,9 +8,10 @@ from scipy.stats import multivariate_normal
 from fmu.analysis.identifiability import identifiability
 from fmu.analysis.maxima.search import hessian_at
 from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.posterior.ascent import GaussNewton
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.frequency import BetaFrequencyErrors, CorrelatedFrequencyTerm, FrequencyTerm
-from fmu.posterior.maxima import GaussNewton, local_maxima
+from fmu.posterior.maxima import local_maxima
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal
 from fmu.posterior.problem import UpdatingProblem
