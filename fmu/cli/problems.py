@@ -12,6 +12,7 @@ import click
 
 from fmu import cases as builtin
 from fmu import config
+from fmu.arguments import ArgumentError
 from fmu.cli.messages import warnings_as_notes
 from fmu.cli.output import make_writable
 from fmu.config.kept import KeptProblem
@@ -186,7 +187,12 @@ def plan(
             options |= {} if sensors is None else {"sensors": sensors}
             trace = None if run_directory is None else read_choice(run_directory, None)[1]
             make_writable(directory)
-            found = plan_test(problem, **options, trace=trace, draws=draws, seed=seed)
+            try:
+                found = plan_test(problem, **options, trace=trace, draws=draws, seed=seed)
+            except ArgumentError as error:
+                if file.plan is None:
+                    raise
+                raise error.replace_key("target", file.plan.key_of_target) from None
             simulated = simulate_plan(found, tests, seed=seed) if tests else None
         page = write_plan(found, directory, simulated)
     click.echo(found)

@@ -199,7 +199,7 @@ def test_the_next_test_after_several_is_planned_for_a_decision_about_damage(fold
     [
         (("beyond = 0.1", "beyond = 0.7"), "plan.damage.beyond: must be less than 0.5 (got 0.7)"),
         (("exclude", 'target = ["E beam"]\nexclude'), "plan.damage: must not be given with target"),
-        (('of = ["E column"]', 'of = ["E beam"]'), "target.of: must name parameters that vary by damage"),
+        (('of = ["E column"]', 'of = ["E beam"]'), "plan.damage.of: must name parameters that vary by damage"),
         (("exclude", 'like = "August"\nexclude'), "like: must be one of May, June (got 'August')"),
     ],
 )

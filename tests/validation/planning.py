@@ -206,7 +206,7 @@ def main(out: Path, tests: int, kept: Path | None) -> None:
     known = {one.name: one for one in (Section(**fields) for fields in kept_lines(file))}
     parts = completed(((name, name) for name in SECTIONS), known, write, file)
     simulated = accuracy(tests, None if kept is None else kept / "accuracy.jsonl")
-    decided = decisions(2 * tests, None if kept is None else kept / "decisions.jsonl")
+    decided = decisions(4 * tests, None if kept is None else kept / "decisions.jsonl")
     minutes = sum(one.seconds for one in parts) / 60.0
     head = (
         "# Plans of modal tests\n\n"

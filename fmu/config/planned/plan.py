@@ -91,6 +91,11 @@ class PlanTable(TomlTable):
             raise ArgumentError("damage", "must not be given with target; delete one of them")
         return self
 
+    @property
+    def key_of_target(self) -> str:
+        """The key of the target in the problem file, for messages."""
+        return "plan.target" if self.damage is None else "plan.damage"
+
     def count_modes(self) -> int:
         """Return the number of the highest mode to be measured."""
         return _MODES if self.modes is None else self.modes if isinstance(self.modes, int) else max(self.modes)
