@@ -920,6 +920,93 @@ IN_SURROGATES = (
         ("tests/surrogates/test_delayed_acceptance.py",),
     ),
 )
+CLOSED_FORMS, DENSITY = ("tests/fem/frf/test_frf_closed_forms.py",), ("tests/posterior/frf/test_frf_density.py",)
+IN_THE_FRFS = (
+    Fault(
+        "FRFs: damping of the wrong sign",
+        "fmu/fem/frf/proportional.py",
+        "return stiff, np.negative(lossy, out=lossy)",
+        "return stiff, lossy",
+        CLOSED_FORMS,
+    ),
+    Fault(
+        "FRFs: the last damping ratio is not that of higher modes",
+        "fmu/fem/frf/proportional.py",
+        "return np.clip(np.arange(r) - self.n_rigid, 0, len(self.ratios) - 1)",
+        "return (np.arange(r) - self.n_rigid) % len(self.ratios)",
+        CLOSED_FORMS,
+    ),
+    Fault(
+        "FRFs: divided differences of equal eigenvalues without damping",
+        "fmu/fem/frf/proportional.py",
+        "both = g[i, r] * g[i, s] * (1.0 + 1j *",
+        "both = g[i, r] * g[i, s] * (1.0 + 0j *",
+        CLOSED_FORMS,
+    ),
+    Fault(
+        "FRFs: the mass part of a derivative dropped",
+        "fmu/fem/frf/proportional.py",
+        "M = -(0.5 * (of_r + of_s) + 0.5",
+        "M = -(0.0 * (of_r + of_s) + 0.5",
+        CLOSED_FORMS,
+    ),
+    Fault(
+        "FRFs: a loss factor of all terms alike",
+        "fmu/fem/frf/general.py",
+        "of_terms = forms.real - self._eta * forms.imag",
+        "of_terms = forms.real - self._eta.mean() * forms.imag",
+        CLOSED_FORMS,
+    ),
+    Fault(
+        "FRFs: the errors of a large basis are not seen",
+        "fmu/fem/frf/confirming.py",
+        "shift = max(shift, float(np.linalg.norm(Q.T @ error)))",
+        "shift = max(shift, 0.0 * float(np.linalg.norm(Q.T @ error)))",
+        ("tests/fem/frf/test_frf_certificate.py",),
+    ),
+    Fault(
+        "FRFs: the determinant of the gains dropped",
+        "fmu/posterior/frf/term.py",
+        "-0.5 * (best**2 / some + np.log(precision * some))",
+        "-0.5 * (best**2 / some)",
+        DENSITY,
+    ),
+    Fault(
+        "FRFs: the units of the data left out of the density",
+        "fmu/posterior/frf/term.py",
+        "np.where(self._used, 2.0 * units + _LOG_2PI, 0.0)",
+        "np.where(self._used, 0.0 * units + _LOG_2PI, 0.0)",
+        DENSITY,
+    ),
+    Fault(
+        "FRFs: Student's errors of one real number",
+        "fmu/posterior/frf/term.py",
+        "-0.5 * (freedom + 2.0) * np.log1p",
+        "-0.5 * (freedom + 1.0) * np.log1p",
+        DENSITY,
+    ),
+    Fault(
+        "FRFs: the variance does not follow the model",
+        "fmu/posterior/frf/term.py",
+        "weights = weights + 2.0 * np.conj(H) *",
+        "weights = weights + 0.0 * np.conj(H) *",
+        DENSITY,
+    ),
+    Fault(
+        "FRFs: a delay that advances",
+        "fmu/posterior/frf/channels.py",
+        "np.exp(-1j * theta",
+        "np.exp(1j * theta",
+        (*DENSITY, "tests/posterior/frf/test_frf_updating.py"),
+    ),
+    Fault(
+        "FRFs: a check that cannot fail",
+        "fmu/analysis/frf/check.py",
+        "bool(p < limit)",
+        "bool(p < 0.0 * limit)",
+        ("tests/posterior/frf/test_frf_updating.py",),
+    ),
+)
 FAULTS = (
     *IN_THE_SAMPLERS,
     *IN_THE_MIXTURE,
@@ -929,4 +1016,5 @@ FAULTS = (
     *IN_THE_VERDICT,
     *IN_THE_CHECKPOINTS,
     *IN_SURROGATES,
+    *IN_THE_FRFS,
 )

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import click
 import numpy as np
+import pandas as pd
 from scipy import stats
 
 import fmu
@@ -24,6 +25,7 @@ from fmu.analysis.trace.reading import parameter_draws
 from fmu.posterior.problem import UpdatingProblem
 from fmu.types import FloatArray
 from tests import measured_frfs as storeys
+from tests.validation.cantilever_frf import NODES
 from tests.validation.frf_structures import frame_problem, many_lines, ratio_to_eigh
 from tests.validation.kept import completed, kept_lines
 
@@ -335,6 +337,50 @@ The case cantilever-frf as five frequencies, picked from its FRFs, with errors o
 """
 
 
+def channels() -> str:
+    """Return the section on a channel with a wrong gain and one with a delay."""
+    case = fmu.cases.load("cantilever-frf")
+    (term,) = case.likelihood.responses
+    data, gain, delay = term.data, 1.4, 4e-4
+    first, second = list(dict.fromkeys(data.responses))[:2]
+    wrong, sd = np.array(data.values), np.array(data.sd)
+    omega = 2 * np.pi * np.asarray(data.frequencies_hz)
+    for row, response in enumerate(data.responses):
+        if response == first:
+            wrong[row] *= gain
+            sd[row] *= gain
+        if response == second:
+            wrong[row] *= np.exp(-1j * omega * delay)
+    own = {"drives": data.drives, "responses": data.responses, "kind": data.kind}
+    changed = fmu.FRFData(data.frequencies_hz, wrong, sd=sd, **own)
+    moduli, ratios = case.parameters[:5], case.parameters[5:]
+    modes = fmu.ModalData(case.data.frequencies_hz, sd_hz=case.data.sd_hz, numbers=case.data.numbers)
+
+    def run(data: fmu.FRFData, **options: object) -> tuple[pd.DataFrame, object]:
+        errors = fmu.FRFErrors(data, fmu.ModalDamping(ratios), places=NODES, **options)  # type: ignore[arg-type]
+        problem = fmu.UpdatingProblem.reduced(case.model.structure, modes, moduli, pairing="index", error=errors)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            trace = fmu.sample(problem, "mixture", seed=1)
+        return fmu.summary(trace), trace
+
+    right, _ = run(data)
+    table, trace = run(changed, gain_sd={first: 0.5}, delay_sd={second: 1e-3})
+    _, without = run(changed)
+    off = np.max(np.abs(table["mean"][:5] - right["mean"][:5]) / right["sd"][:5])
+    group = trace["frfs"].to_dataset()  # type: ignore[index]
+    label = f"{first[0]} {first[1]}"
+    found = float(group["gain"].sel(channel=label)), float(group["gain_sd"].sel(channel=label))
+    name = f"delay of {second[0]} {second[1]}"
+    return f"""## A channel with gain 1.4, and one with a delay of 0.4 ms
+
+The case cantilever-frf with both put into its data. With `gain_sd` 0.5 and `delay_sd` 1 ms of these channels: gain
+{1 + found[0]:.4f} ± {found[1]:.4f}, delay {1e3 * table["mean"][name]:.4f} ± {1e3 * table["sd"][name]:.4f} ms; the
+moduli differ from those of the right data by at most {off:.1f} of their standard deviations; the model:
+{fmu.diagnose(trace).fit.answer}. With both left out the model is {fmu.diagnose(without).fit.answer}.
+"""
+
+
 @dataclass
 class Section:
     """A section of the page, and the seconds of one core that it took."""
@@ -344,7 +390,13 @@ class Section:
     seconds: float
 
 
-SECTIONS: dict[str, Callable[[], str]] = {"speed": speed, "adds": adds, "memory": memory, "large": large}
+SECTIONS: dict[str, Callable[[], str]] = {
+    "speed": speed,
+    "adds": adds,
+    "channels": channels,
+    "memory": memory,
+    "large": large,
+}
 
 
 def _write(name: str) -> Section:

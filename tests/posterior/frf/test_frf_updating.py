@@ -4,7 +4,18 @@ import numpy as np
 import pytest
 
 import fmu
-from tests.measured_frfs import LINES, POINTS, RATIOS, TRUTH, building, modes, parameters, ratios, simulate
+from tests.measured_frfs import (
+    LINES,
+    POINTS,
+    RATIOS,
+    TRUTH,
+    building,
+    modes,
+    parameters,
+    ratios,
+    receptances,
+    simulate,
+)
 
 TIP, BASE = POINTS
 
@@ -134,6 +145,43 @@ def test_a_drive_that_is_no_free_degree_of_freedom_is_named():
     data = fmu.FRFData(LINES, np.ones((1, len(LINES))) + 1j, ((9, "x"),), (POINTS[0],), "receptance", 0.1)
     with pytest.raises(ValueError, match=r"data.drives.0: must be a place .* free to move \(got 9 x\)"):
         fmu.UpdatingProblem(building(), modes(), parameters(), error=fmu.FRFErrors(**replaced(data=data)))
+
+
+@pytest.mark.parametrize(
+    ("responses", "drives", "lines"),
+    [
+        ((TIP,), (TIP,), LINES[40:41]),
+        ((TIP,), (TIP,), LINES),
+        ((TIP, BASE, TIP, BASE), (TIP, TIP, BASE, BASE), LINES[::4]),
+    ],
+    ids=["one line", "SISO", "MIMO"],
+)
+def test_one_line_one_frf_and_a_matrix_of_frfs(responses, drives, lines):
+    rng = np.random.default_rng(2)
+    H = np.concatenate(
+        [receptances(lines=lines, points=(r,), drive=d) for r, d in zip(responses, drives, strict=True)]
+    )
+    sd = 0.03 * np.abs(H)
+    values = H + sd * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape))
+    data = fmu.FRFData(lines, values, drives, responses, "receptance", sd)
+    own = fmu.FRFErrors(data, fmu.ModalDamping(ratios()))
+    problem = fmu.UpdatingProblem(building(), modes(), parameters(), error=own)
+    theta = np.r_[TRUTH, RATIOS]
+    expected = np.sum(-0.5 * np.abs((values - H) / sd) ** 2 - np.log(2 * np.pi * sd**2))
+    assert np.isclose(problem.log_likelihood(theta), expected, rtol=1e-9)
+    best = fmu.find_map(problem, starts=8).maxima[0]
+    assert best.log_prob >= problem.log_prob(theta)
+
+
+def test_lines_without_values_take_no_part():
+    data = simulate()
+    holes = np.array(data.values)
+    holes[0, 10:20], holes[1, 5] = np.nan, 0.0
+    some = fmu.FRFData(LINES, holes, data.drives, data.responses, data.kind, sd=np.asarray(data.sd))
+    own = fmu.FRFErrors(some, fmu.ModalDamping(ratios()))
+    problem = fmu.UpdatingProblem(building(), modes(), parameters(), error=own)
+    assert problem.likelihood.responses[0].n_data == 2 * (2 * len(LINES) - 11)
+    assert np.isfinite(problem.log_prob(np.r_[TRUTH, RATIOS]))
 
 
 def test_a_discrepancy_needs_errors_of_modes():
