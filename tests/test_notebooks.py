@@ -40,8 +40,8 @@ def shown(cell):
     return [output["data"] for output in cell["outputs"] if output["output_type"] == "execute_result"]
 
 
-def test_there_are_seven():
-    assert [path.stem[:2] for path in PATHS] == ["01", "02", "03", "04", "05", "06", "07"]
+def test_there_are_eight():
+    assert [path.stem[:2] for path in PATHS] == ["01", "02", "03", "04", "05", "06", "07", "08"]
 
 
 @pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)

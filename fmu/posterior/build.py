@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -239,6 +240,8 @@ def _likelihood_of_frfs(
             "needs errors of frequencies or shapes; of FRFs alone the error of the model is FRFErrors(model_sd=…)"
         )
         raise ArgumentError("discrepancy", rule, "FRFErrors")
+    if not (of_modes or any(data.use)):  # the data of another problem of FRFs alone
+        data = replace(data, use=())
     modal = likelihood_of(others or "frequency", beta, model, paired, data, parameters, discrepancy, layout)
     if not of_modes:
         modal = modal.using(np.zeros(0, dtype=np.int64))

@@ -49,6 +49,13 @@ def test_moduli_and_damping_are_found_with_their_uncertainty(plain):
     assert problem.data.use == (False,) * 3
 
 
+def test_the_modes_of_such_a_problem_serve_another(plain):
+    problem, _ = plain
+    own = fmu.FRFErrors(simulate(), fmu.ModalDamping(ratios()))
+    again = fmu.UpdatingProblem(building(), problem.data, parameters(), error=own)
+    assert again.log_prob(np.r_[TRUTH, RATIOS]) == problem.log_prob(np.r_[TRUTH, RATIOS])
+
+
 def test_the_trace_has_predicted_and_measured_frfs(plain):
     problem, trace = plain
     group = trace["frfs"].to_dataset()

@@ -44,7 +44,9 @@ def frfs(run: ReportedRun) -> PageSection | Omitted:
     if len(names) > MOST_DRAWN:
         left = len(names) - MOST_DRAWN
         parts.append(
-            Text(f"The {MOST_DRAWN} with the largest errors are drawn; fmu.plots.plot_frf draws the other {left}.")
+            Text(
+                f"The {MOST_DRAWN} with the largest errors are drawn; fmu.report.plots.plot_frf draws {left} more."
+            )
         )
     channels = _channels(run, group)
     return PageSection("frfs", title, (*parts, *channels))
