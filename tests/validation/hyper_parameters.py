@@ -125,6 +125,9 @@ Written by `python -m tests.validation.hyper_parameters results`, whose first li
 uniform if the posterior is right. All {tests} tests together reject a right posterior with a probability of
 {level}.
 
+Errors of kind "modes" are simulated relative to the true frequency, and the density has them relative to the
+measured one. Where σ is large, this puts the stiffness too low.
+
 {table}"""
 
 if __name__ == "__main__":
