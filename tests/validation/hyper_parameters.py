@@ -126,7 +126,7 @@ uniform if the posterior is right. All {tests} tests together reject a right pos
 {level}.
 
 Errors of kind "modes" are simulated relative to the true frequency, and the density has them relative to the
-measured one. Where σ is large, this puts the stiffness too low.
+measured one. A small p of the stiffness may come from this; no run has tested whether it does.
 
 {table}"""
 
