@@ -32,14 +32,20 @@ from fmu.report.files import OutputDirectory
 from fmu.report.pages import INDEX, render
 from fmu.report.plots.correlation import plot_mac_matrix, plot_sensors
 from fmu.report.plots.frequencies import Frequencies, plot_frequency_errors
+from fmu.report.plots.frf.functions import plot_frf_at_start, shown_frfs
 from fmu.report.plots.modes import plot_mode
 from fmu.report.plots.style import COLOURS, GREY, NARROW, literal, new_figure, rotate_labels
+from fmu.report.sections.frf.functions import MOST_DRAWN
 from fmu.report.sections.origin import assumption_parts
 from fmu.report.sections.structure import directions, legend_of_parameters
 
 if TYPE_CHECKING:
     import xarray as xr
 
+LOOK_AT_FRFS = (
+    "Look for resonances of the test that the model does not have, and for parts that no stiffness could move: a "
+    "wrong kind of FRF has another slope, a wrong channel another height or phase."
+)
 _DRAWN = 560
 _MOST_SHAPES = 12
 
@@ -73,7 +79,7 @@ def write_check(found: Check, directory: str | os.PathLike[str]) -> Path:
 
 def check_page(found: Check) -> Page:
     """Return the page with verdicts, structure, modes, prior prediction, identifiability and gradient."""
-    sections = [_model(found), _modes(found), *_sensors(found), _prior(found)]
+    sections = [_model(found), _modes(found), *_sensors(found), *_responses(found), _prior(found)]
     if found.identifiability is not None:
         sections.append(_identifiability(found.identifiability))
     sections.append(_gradient(found))
@@ -94,6 +100,11 @@ def _verdicts(found: Check) -> tuple[Verdict, ...]:
     doubts = found.modes.doubts
     answer = "No warnings" if not doubts else f"{len(doubts)} warning{'s' if len(doubts) > 1 else ''}"
     verdicts = [Verdict("Are the modes paired correctly?", answer, not doubts, "Warnings on the pairing", doubts)]
+    if found.frfs is not None:
+        odd = found.frfs.doubts
+        answer = "No doubts" if not odd else f"{len(odd)} warning{'s' if len(odd) > 1 else ''}"
+        question = "Are the FRFs what they are said to be?"
+        verdicts.append(Verdict(question, answer, not odd, "Warnings on the FRFs", odd))
     if found.modes.correlation is not None or found.points is not None:
         odd = found.sensor_doubts
         answer = "Yes" if not odd else f"{len(odd)} warning{'s' if len(odd) > 1 else ''}"
@@ -190,6 +201,25 @@ def _sensors(found: Check) -> list[PageSection]:
         "Sensor by sensor", (PageTable("The largest ECoMAC first.", ("sensor", "CoMAC", "ECoMAC"), rows),)
     )
     return [PageSection("sensors", "Test and model at the sensors", (Pictures(tuple(pictures)), every))]
+
+
+def _responses(found: Check) -> list[PageSection]:
+    """Return a list with the section on measured frequency response functions; empty if there are none."""
+    if found.frfs is None:
+        return []
+    table = found.frfs.table().reset_index()
+    rows = tuple(tuple(map(str, row)) for row in table.itertuples(index=False))
+    caption = (
+        "Median error of the values in use, and frequency response assurance criterion of the model at the start."
+    )
+    parts: list[Part] = [PageTable(caption, tuple(table.columns), rows)]
+    said = (*found.frfs.doubts, *found.frfs.notes)
+    parts += [Items(said)] if said else []
+    for k, shown in enumerate(shown_frfs(found.frfs.data)[:MOST_DRAWN]):
+        axes = plot_frf_at_start(shown, found.frfs.computed[k])
+        alt = f"Amplitude and phase of the FRF {shown.name}, measured and computed before updating."
+        parts.append(Pictures((picture(axes, f"frf{k}", alt, LOOK_AT_FRFS if k == 0 else f"FRF {shown.name}."),)))
+    return [PageSection("frfs", "Frequency response functions at the start", tuple(parts))]
 
 
 def _shapes(found: Check, shapes: xr.Dataset) -> tuple[Picture, ...]:

@@ -111,7 +111,7 @@ def frf_groups(problem: Any, position: FloatArray, rng: np.random.Generator) -> 
         "held_squares": ("frf", tested.squares),
         "held_freedom": ("frf", tested.freedom),
         "held_inside": ("frf", tested.inside),
-        "frac": ("frf", _frac(*(np.where(compared, part, 0.0) for part in (measured[:, lines], mean[0])))),
+        "frac": ("frf", frac(*(np.where(compared, part, 0.0) for part in (measured[:, lines], mean[0])))),
         "gain": ("channel", best.mean(axis=0)),
         "gain_sd": ("channel", np.where(known, np.sqrt(np.mean(gain_sd**2, axis=0) + best.var(axis=0)), 0.0)),
     }
@@ -166,8 +166,11 @@ def _bands(frfs: ComplexArray) -> tuple[FloatArray, FloatArray]:
     return np.quantile(np.abs(frfs), _BAND, axis=0), phase
 
 
-def _frac(measured: ComplexArray, computed: ComplexArray) -> FloatArray:
-    """Return |Σ d H*|²/(Σ |d|² Σ |H|²) of each FRF (Heylen & Lammens 1996); NaN for one without values."""
+def frac(measured: ComplexArray, computed: ComplexArray) -> FloatArray:
+    """Return the frequency response assurance criterion |Σ d H*|²/(Σ |d|² Σ |H|²) of each function, (n_frfs,).
+
+    Values (n_frfs, n_lines) that are 0 do not count; without others it is NaN (Heylen & Lammens 1996).
+    """
     cross = np.abs(np.sum(measured * np.conj(computed), axis=1)) ** 2
     size = np.sum(np.abs(measured) ** 2, axis=1) * np.sum(np.abs(computed) ** 2, axis=1)
     with np.errstate(invalid="ignore"):

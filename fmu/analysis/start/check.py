@@ -16,6 +16,7 @@ from fmu.analysis.repeatability import repeatability
 from fmu.analysis.start.discrepancy_doubts import discrepancy_doubts
 from fmu.analysis.start.gradient_check import GradientCheck, check_gradient
 from fmu.analysis.start.initial_modes import InitialModes, initial_modes, modes_as_text
+from fmu.analysis.start.measured_frfs import MeasuredFRFs, measured_frfs
 from fmu.analysis.start.model_words import model_in_words, parameter_table, structure_drawing
 from fmu.analysis.start.prior_prediction import DRAWS, PriorPrediction, prior_prediction
 from fmu.analysis.trace.densities import is_updating
@@ -86,6 +87,8 @@ class Check:
         Warnings about discrepancies that have no effect or are alike, one sentence each.
     points : Matching or None
         The test points matched to nodes of the model; None if no coordinates were given.
+    frfs : MeasuredFRFs or None
+        Measured frequency response functions beside those of the model at the start; None if there are none.
     """
 
     name: str
@@ -105,6 +108,7 @@ class Check:
     priors: tuple[str, ...] = ()
     discrepancy: tuple[str, ...] = ()
     points: Matching | None = None
+    frfs: MeasuredFRFs | None = None
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -115,6 +119,7 @@ class Check:
             *self.modes.doubts,
             *self.sensor_doubts,
             *self.tests,
+            *(() if self.frfs is None else self.frfs.doubts),
             *filter(None, [self.rounding]),
         ]
         if self.identifiability is not None:
@@ -172,6 +177,7 @@ class Check:
             *self._points(),
             ("Modes at the start", self.modes.notes, self.mode_table()),
             *self._sensors(),
+            *self._responses(),
             ("Gradient", (self.gradient.sentence(),), None),
         ]
         if self.identifiability is not None:
@@ -204,6 +210,11 @@ class Check:
         every = len(worst) == len(self.modes.correlation.sensors)
         title = "Sensors" if every else f"The {len(worst)} sensors with the largest ECoMAC"
         return [(title, (LOOK_AT_SENSORS,), worst)]
+
+    def _responses(self) -> list[Block]:
+        if self.frfs is None:
+            return []
+        return [("Frequency response functions", self.frfs.notes, self.frfs.table().reset_index())]
 
     def _assumption_block(self) -> list[Block]:
         import pandas as pd
@@ -241,7 +252,7 @@ class Check:
         return f'<div class="fmu-check">{"".join(parts)}</div>'
 
 
-_WORDS = ("", "point", "sensor", "unit", "prior", "changes", "measured mode", "moves", "mode")
+_WORDS = ("", "FRF", "point", "sensor", "unit", "prior", "changes", "measured mode", "moves", "mode")
 """Columns of text, which are aligned left."""
 
 
@@ -316,6 +327,7 @@ def check(
         priors=(*prior_doubts(problem.parameters), *_without_purpose(problem)),
         discrepancy=tuple(discrepancy_doubts(problem)) if informed else (),
         points=problem.data.points,
+        frfs=measured_frfs(problem),
     )
 
 

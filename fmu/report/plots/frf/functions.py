@@ -9,6 +9,8 @@ import numpy as np
 
 from fmu.analysis.frf.predictions import GROUP
 from fmu.numbers import given
+from fmu.posterior.data.frf_data import FRFData
+from fmu.posterior.data.held_out_lines import held_out
 from fmu.report.plots import style
 from fmu.report.plots.style import AxesArray
 from fmu.types import BoolArray, ComplexArray, FloatArray, IntArray
@@ -55,6 +57,11 @@ class Shown(NamedTuple):
     measured: ComplexArray
     used: BoolArray
     held_out: BoolArray
+
+    def at(self, some: IntArray) -> Shown:
+        """Return the FRF at the lines with the given indices."""
+        parts = self.lines[some], self.measured[some], self.used[some], self.held_out[some]
+        return Shown(self.name, self.unit, *parts)
 
 
 def plot_frf(trace: xr.DataTree, frf: str | None = None, figure: Figure | None = None) -> AxesArray:
@@ -131,6 +138,8 @@ def plot_frf_at_start(shown: Shown, computed: ComplexArray, figure: Figure | Non
     -------
     ndarray of Axes, shape (2,)
     """
+    some = _chosen_lines(np.stack([shown.measured.real, shown.measured.imag], axis=1))
+    shown, computed = shown.at(some), computed[some]
     figure = figure or style.new_figure(_WIDTH, sum(_HEIGHTS[:2]) + 0.5)
     axes = np.asarray(figure.subplots(2, 1, sharex=True, height_ratios=_HEIGHTS[:2]))
     size, angle = np.abs(computed), np.degrees(np.angle(computed))
@@ -139,6 +148,13 @@ def plot_frf_at_start(shown: Shown, computed: ComplexArray, figure: Figure | Non
     style.finish(axes[1], "frequency / Hz")
     style.legend_below(axes[0])
     return axes
+
+
+def shown_frfs(data: FRFData) -> list[Shown]:
+    """Return a list of the measured frequency response functions, with every line."""
+    tested, lines = held_out(data), np.asarray(data.frequencies_hz)
+    rows = zip(data.labels, np.asarray(data.values), data.used, tested, strict=True)
+    return [Shown(style.literal(name), UNITS[data.kind], lines, *row) for name, *row in rows]
 
 
 def frf_names(trace: xr.DataTree) -> list[str]:

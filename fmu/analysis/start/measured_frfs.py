@@ -1,0 +1,79 @@
+"""Measured frequency response functions before sampling, and those of the model at the start."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fmu.analysis.frf.predictions import frac
+from fmu.numbers import MISSING, significant, whole
+from fmu.posterior.data.frf_data import FRFData
+from fmu.posterior.data.held_out_lines import held_out
+from fmu.posterior.frf.term import FRFTerm
+from fmu.tables import data_frame
+from fmu.types import ComplexArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from fmu.posterior.problem import UpdatingProblem
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredFRFs:
+    """Measured frequency response functions, and those of the model before updating.
+
+    Attributes
+    ----------
+    data : FRFData
+    computed : ndarray of complex, shape (n_frfs, n_lines)
+        In the units of the data; NaN at lines that are neither used nor test the updated model.
+    """
+
+    data: FRFData
+    computed: ComplexArray
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Signs that the measurement is not what it is said to be, one sentence each."""
+        return self.data.doubts()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was converted, dropped or assumed, one sentence each."""
+        return self.data.notes
+
+    def table(self) -> pd.DataFrame:
+        """Return one row of text per function: lines in use, relative error, and agreement with the model."""
+        measured, used = np.asarray(self.data.values), self.data.used
+        receptance = self.data.as_receptance()
+        rows = []
+        for i in range(self.data.n_frfs):
+            lines = used[i]
+            alike = frac(np.where(lines, measured[i], 0.0)[None], np.where(lines, self.computed[i], 0.0)[None])
+            error = MISSING
+            if receptance.sd is not None and lines.any():
+                error = significant(float(np.median((receptance.sd[i] / np.abs(receptance.values[i]))[lines])), 2)
+            rows.append(
+                {
+                    "lines in use": whole(int(lines.sum())),
+                    "held out": whole(int(held_out(self.data)[i].sum())),
+                    "sd / |H|, median": error,
+                    "FRAC at the start": significant(float(alike[0]), 2) if lines.any() else MISSING,
+                }
+            )
+        return data_frame(rows, "FRF", list(self.data.labels))
+
+
+def measured_frfs(problem: UpdatingProblem) -> MeasuredFRFs | None:
+    """Return the measured functions of a problem with those of the model at the start; None if there are none."""
+    terms: tuple[FRFTerm, ...] = problem.likelihood.responses
+    if not terms:
+        return None
+    (term,) = terms
+    there = term.data.used | held_out(term.data)
+    computed = np.full(there.shape, np.nan, dtype=complex)
+    computed[:, there.any(axis=0)] = term.with_use(there).frfs(problem.start[None])[0]
+    return MeasuredFRFs(term.data, computed)
