@@ -157,11 +157,11 @@ def export(
         found = information(trace)
         left = () if found is None else found.not_informed
         _values(trace, theta, found).to_csv(stage / VALUES)
-        built = described.model.build(source.folder, described.parameters)
-        source_of = in_the_file([table.name for table in described.parameters if table.updated], names)
+        built = described.model.build(source.folder, described.structural)
+        source_of = in_the_file([table.name for table in described.structural if table.updated], names)
         values = dict(zip(names, theta.tolist(), strict=True)) | problem.layout.held
         if isinstance(built.model, SeparableModel):
-            of_file = [table.name for table in described.parameters]
+            of_file = [table.name for table in described.structural]
             structural = np.array([values[source_of.get(name, name)] for name in of_file])
             write_matrices(built.model, built.places, structural, f"At the {what}", stage)
         starts = values | {key: values[name] for key, name in source_of.items()}

@@ -158,7 +158,16 @@ class FRFTable(Declared):
                 f"must have at most {whole(built.most_modes)} resonances, one per degree of freedom of the model"
             )
             raise BrokenError(ArgumentError("data", rule, modes.n_modes))
-        return replace(modes, sensors=tuple((built.at(place), way) for place, way in modes.sensors))
+        sensors = tuple((built.at(place), way) for place, way in modes.sensors)
+        rule = "must have responses at places and in directions of the model that are free to move"
+        unseen = [
+            ArgumentError("data", rule, f"{place} {way}")
+            for (place, way), sensor in zip(modes.sensors, sensors, strict=True)
+            if not built.model.sees(sensor)
+        ]
+        if unseen:
+            raise BrokenError(*unseen)
+        return replace(modes, sensors=sensors)
 
 
 def _points(given: Sequence[Sequence[int | str]]) -> tuple[tuple[int | str, str], ...] | None:

@@ -210,6 +210,11 @@ def test_points_and_a_dashpot_have_names_of_a_frame(frame_text, folder):
             'drives = [[9, "x"], [9, "x"]]\nkind = "acc',
             r"error.0.data: must be a place .* free to move \(got 9 x\)",
         ),
+        (
+            'kind = "acc',
+            'responses = [[2, "x"], ["roof", "x"]]\nkind = "acc',
+            r"error.0.data: must have responses .* free to move \(got roof x\)",
+        ),
         ('"zeta1", ', '"zeta9", ', "damping.0.ratios.0: must be the name of one of the .*parameters.*'zeta9'"),
         ('"zeta1", ', "-0.1, ", "damping.0.ratios.0: must be greater than or equal to 0"),
         ('kind = "modal"', 'kind = "viscous"', "damping.0.kind: must be one of modal, rayleigh"),
