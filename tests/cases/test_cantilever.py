@@ -134,7 +134,7 @@ def test_registry_of_cases():
 def test_unknown_case(call):
     with pytest.raises(
         ValueError,
-        match=r"^case: must be one of cantilever-section, cantilever-young, .*shear-2dof, .* \(got 'bridge'\)$",
+        match=r"^case: must be one of cantilever-frf, cantilever-section, .*shear-2dof, .* \(got 'bridge'\)$",
     ):
         call("bridge")
 

@@ -979,10 +979,10 @@ IN_THE_FRFS = (
         DENSITY,
     ),
     Fault(
-        "FRFs: Student's errors of one real number",
+        "FRFs: Student's errors as narrow as those of a single line",
         "fmu/posterior/frf/term.py",
+        "-0.5 * freedom * np.log1p",
         "-0.5 * (freedom + 2.0) * np.log1p",
-        "-0.5 * (freedom + 1.0) * np.log1p",
         DENSITY,
     ),
     Fault(

@@ -84,6 +84,8 @@ class FRFTerm:
             self._log_variance = np.log(self._variance)
         self._log_measured = np.log(self._measured)
         self.freedom = data.freedom if data.freedom < _GAUSSIAN else np.inf
+        if np.isfinite(self.freedom):  # of Student's density
+            self._constant += int(np.sum(self._used)) * float(np.log1p(-2.0 / self.freedom))
         self.n_data = 2 * int(np.sum(self._used))
         self._first, self._wider = first, 0.0
         self._sd_column = first + len(inferred) - 1 if model_sd is None else None
@@ -259,8 +261,8 @@ class FRFTerm:
             k, terms = 1.0 / V, -0.5 * a / V - log_V
         else:
             k, terms = (
-                (freedom + 2.0) / (freedom * V + a),
-                -0.5 * (freedom + 2.0) * np.log1p(a / (freedom * V)) - log_V,
+                freedom / (freedom * V + a),
+                -0.5 * freedom * np.log1p(a / (freedom * V)) - log_V,
             )
         terms = terms * used
         if not slopes:
@@ -362,7 +364,7 @@ class FRFTerm:
         p, q, first = self.model.full.n_parameters, self.model.n_values, self._first
         columns = [*range(p), *range(first, first + q)]
         found, mixed = np.zeros((n, n)), np.zeros((len(channels.names), n))
-        share = 1.0 if np.isinf(self.freedom) else (self.freedom + 2.0) / (self.freedom + 4.0)
+        share = 1.0 if np.isinf(self.freedom) else (self.freedom - 2.0) / (self.freedom + 2.0)
         for lines in self._blocks():
             omega, used = self.omega[lines], self._used[:, lines]
             H = self._predict(solved, theta, lines)

@@ -73,9 +73,26 @@ def test_few_hits_give_student_errors():
     d, s = np.asarray(data.values), np.asarray(data.sd)
     _, H, _ = errors()
     z = np.stack([(d - H).real, (d - H).imag], axis=-1) / s[..., None]
-    expected = sum(stats.multivariate_t([0, 0], np.eye(2), df=6).logpdf(z.reshape(-1, 2))) - 2 * np.log(s).sum()
+    own = stats.multivariate_t([0, 0], np.eye(2) * 6 / 4, df=4)  # four hits: six degrees of freedom
+    expected = sum(own.logpdf(z.reshape(-1, 2))) - 2 * np.log(s).sum()
     assert_allclose(p.likelihood.responses[0].terms(THETA[None])[0], expected, rtol=1e-10)
     assert_gradient(p.log_prob_and_grad(THETA)[1], p.log_prob, THETA, 1e-5 * THETA, order=4, of_largest=1e-5)
+
+
+def test_the_slope_of_few_hits_has_the_variance_that_its_curvature_promises():
+    """Over tests with errors of a fixed size: the variance of the gradient is the mean information."""
+    rng, slopes, informations = np.random.default_rng(0), [], []
+    sd = 0.1 * np.abs(receptances())
+    for _ in range(200):
+        noise = rng.standard_normal((5, *sd.shape)) + 1j * rng.standard_normal((5, *sd.shape))
+        data = fmu.FRFData.from_hits(LINES, receptances() + sd * noise, ((2, "x"),) * 2, POINTS, "receptance")
+        own = fmu.FRFErrors(data, fmu.ModalDamping([float(ratio) for ratio in RATIOS]))
+        term = fmu.UpdatingProblem(building(), modes(), parameters(), error=own).likelihood.responses[0]
+        theta = np.r_[TRUTH][None]
+        slopes.append(term.terms_and_gradient(theta)[1][0])
+        informations.append(term.information(theta)[0])
+    ratio = np.var(slopes, axis=0) / np.mean([np.diag(one) for one in informations], axis=0)
+    assert_allclose(ratio, 1.0, atol=4.5 * np.sqrt(2 / 200))  # Student's own density has 1.25 and more
 
 
 @pytest.mark.parametrize("scale", ["linear", "log"])
