@@ -28,6 +28,7 @@ from tests import measured_frfs as storeys
 from tests.validation.cantilever_frf import NODES
 from tests.validation.frf_structures import frame_problem, many_lines, ratio_to_eigh
 from tests.validation.kept import completed, kept_lines
+from tests.validation.sections import write_sections
 
 _SETS, _HITS, _STARTS = 200, 100, 40
 _RANKED = 63
@@ -381,15 +382,6 @@ moduli differ from those of the right data by at most {off:.1f} of their standar
 """
 
 
-@dataclass
-class Section:
-    """A section of the page, and the seconds of one core that it took."""
-
-    name: str
-    text: str
-    seconds: float
-
-
 SECTIONS: dict[str, Callable[[], str]] = {
     "speed": speed,
     "adds": adds,
@@ -397,13 +389,6 @@ SECTIONS: dict[str, Callable[[], str]] = {
     "memory": memory,
     "large": large,
 }
-
-
-def _write(name: str) -> Section:
-    began = time.process_time()
-    text = SECTIONS[name]()
-    print(text, flush=True)
-    return Section(name, text, time.process_time() - began)
 
 
 def _told(make: Callable[[int], Set]) -> Callable[[int], Set]:
@@ -426,8 +411,7 @@ def main(out: Path, kept: Path | None) -> None:
         kept.mkdir(exist_ok=True)
     names = ("sections", "sbc", "hits", "starts")
     files = {name: None if kept is None else kept / f"{name}.jsonl" for name in names}
-    known = {one.name: one for one in (Section(**fields) for fields in kept_lines(files["sections"]))}
-    parts = completed(((name, name) for name in SECTIONS), known, _write, files["sections"])
+    parts = write_sections(SECTIONS, files["sections"])
     of_sets = {
         name: {one.seed: one for one in (Set(**fields) for fields in kept_lines(files[name], list))}
         for name in ("sbc", "hits")

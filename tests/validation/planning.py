@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
@@ -20,11 +19,11 @@ from fmu.analysis.plan.result import Plan
 from fmu.analysis.plan.sensors.bound import relax
 from fmu.analysis.plan.sensors.choice import exchange, greedy
 from tests.shear_building import shear_building
-from tests.validation.kept import completed, kept_lines
 from tests.validation.planned_accuracy import INDEPENDENCE, accuracy
 from tests.validation.planned_damage import decisions
 from tests.validation.planned_structures import frame_problem, grid, problem_of, translations
 from tests.validation.scale_model import Size
+from tests.validation.sections import write_sections
 
 _RANDOM = 200
 
@@ -169,29 +168,12 @@ The plan is within {100 * plan.gap:.2f} % of the best.
 """
 
 
-@dataclass
-class Section:
-    """A section of the page, and the seconds of one core that it took."""
-
-    name: str
-    text: str
-    seconds: float
-
-
 SECTIONS: dict[str, Callable[[], str]] = {
     "medium": medium,
     "exhaustive": exhaustive,
     "known mass": known_mass,
     "large": large,
 }
-
-
-def write(name: str) -> Section:
-    """Return a section of the page."""
-    began = time.process_time()
-    text = SECTIONS[name]()
-    print(text, flush=True)
-    return Section(name, text, time.process_time() - began)
 
 
 @click.command()
@@ -203,8 +185,7 @@ def main(out: Path, tests: int, kept: Path | None) -> None:
     if kept is not None:
         kept.mkdir(exist_ok=True)
     file = None if kept is None else kept / "sections.jsonl"
-    known = {one.name: one for one in (Section(**fields) for fields in kept_lines(file))}
-    parts = completed(((name, name) for name in SECTIONS), known, write, file)
+    parts = write_sections(SECTIONS, file)
     simulated = accuracy(tests, None if kept is None else kept / "accuracy.jsonl")
     decided = decisions(4 * tests, None if kept is None else kept / "decisions.jsonl")
     minutes = sum(one.seconds for one in parts) / 60.0

@@ -179,7 +179,7 @@ def known_before(
     n: int,
     rng: np.random.Generator,
 ) -> Before:
-    """Return what is known before a planned test.
+    """Return the knowledge of the parameters before a planned test.
 
     Parameters
     ----------
@@ -226,7 +226,10 @@ def known_before(
             every = parameter_draws(trace)[..., :p].reshape(-1, p)
         scale = np.linalg.cholesky(np.atleast_2d(np.cov(every.T)))
         draws, reference = every[rng.choice(len(every), n, replace=len(every) < n)], every.mean(axis=0)
-    scores = [Parameter(f"{one.name} score [planned]", 0.0, prior=Normal(1.0)) for one in _scattered(problem)]
+    scores = [
+        Parameter(f"{one.name} score [planned]", 0.0, prior=Normal(1.0))
+        for one in _parameters_of_populations(problem)
+    ]
     added = [*scores, *losses]
     if added:
         drawn = [one.prior.draw(rng, n, one.lower, one.upper) for one in added]
@@ -248,7 +251,7 @@ def known_before(
     )
 
 
-def _scattered(problem: UpdatingProblem) -> list[Parameter]:
+def _parameters_of_populations(problem: UpdatingProblem) -> list[Parameter]:
     """Return the structural parameters with a population, in the order of ``layout.drawn``."""
     layout = problem.layout
     return [p for p in layout.structural if p.name in layout.populations]

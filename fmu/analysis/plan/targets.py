@@ -90,7 +90,7 @@ def target_of(target: Target | None, before: Before) -> FloatArray | None:
 
 
 def without_the_unneeded(before: Before, target: Target | None) -> Before:
-    """Return what is known before a test without the parameters that neither it nor the target depends on."""
+    """Return the knowledge before a test without parameters on which neither the test nor the target depends."""
     if before.is_prior:
         return before
     slopes = [before.slopes(before.values), target_of(target, before)]
@@ -99,7 +99,7 @@ def without_the_unneeded(before: Before, target: Target | None) -> Before:
 
 
 def _predict(target: Callable[[FloatArray], FloatArray], theta: FloatArray) -> FloatArray:
-    """Return what a prediction gives at theta (n, p), shape (n, t)."""
+    """Return the values of a prediction, shape (n, t), at theta (n, p)."""
     found = np.asarray(target(theta), dtype=float)
     if found.shape[:1] != (len(theta),) or not np.all(np.isfinite(found)):
         rule = f"must return finite numbers of shape (n,) or (n, t) at theta (n, {theta.shape[1]})"

@@ -1,4 +1,4 @@
-"""Measured frequency response functions before sampling, and those of the model at the start."""
+"""Measured frequency response functions, and the same functions of the model before updating."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredFRFs:
-    """Measured frequency response functions, and those of the model before updating.
+    """Measured frequency response functions, and the same functions of the model before updating.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class MeasuredFRFs:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Signs that the measurement is not what it is said to be, one sentence each."""
+        """Sentences on signs of a wrong kind, polarity or place of a measurement."""
         return self.data.doubts()
 
     @property
@@ -68,7 +68,7 @@ class MeasuredFRFs:
 
 
 def measured_frfs(problem: UpdatingProblem) -> MeasuredFRFs | None:
-    """Return the measured functions of a problem with those of the model at the start; None if there are none."""
+    """Return the measured functions of a problem beside the model's at the start; None if there are none."""
     terms: tuple[FRFTerm, ...] = problem.likelihood.responses
     if not terms:
         return None

@@ -82,7 +82,7 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
 
 
 def _of_errors(problem: UpdatingProblem, k: int) -> str:
-    """Return what a parameter changes: the k-th of the problem (from 0) that is no parameter of the structure."""
+    """Return the quantity that the k-th parameter (from 0) outside the structure changes."""
     roles = [role for term in problem.likelihood.responses for role in term.roles]
     first = problem.likelihood.n_noise
     return "measurement errors" if k < first else roles[k - first]

@@ -149,7 +149,7 @@ class FRFModel:
         return found
 
     def _key(self, lower: FloatArray, upper: FloatArray, values: FloatArray) -> dict[str, str]:
-        """Return what the basis depends on, for the cache; empty for a structure that is not reduced."""
+        """Return the key of the basis in the cache; empty for a structure that is not reduced."""
         if self.full.size <= EXACT_LIMIT:
             return {}
         lines, given = self.lines, self.damping

@@ -153,7 +153,7 @@ def _flat(prefix: str, content: Mapping[str, Any]) -> Iterator[tuple[str, AnyArr
 
 
 def hdf5_arrays(path: Path) -> dict[str, AnyArray]:
-    """Return the arrays of numbers and of text of an HDF5 file, such as those of MATLAB 7.3.
+    """Return the arrays of numbers and of text of an HDF5 file, such as a file of MATLAB 7.3.
 
     A dataset in a group is named ``group.dataset``. MATLAB stores arrays with their axes reversed, and complex
     numbers as pairs.

@@ -72,7 +72,7 @@ class MeasuredFRFs:
     notes: tuple[str, ...] = ()
 
     def only(self, name: str, frfs: Sequence[int] | None) -> MeasuredFRFs:
-        """Return the FRFs with the given numbers, from 1; all if `frfs` is None. The name is that of the file."""
+        """Return the FRFs with the given numbers, from 1; all if `frfs` is None. `name` is the file's."""
         if frfs is None:
             return self
         rows = rows_of(name, frfs, len(self.values))

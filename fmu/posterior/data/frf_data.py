@@ -376,7 +376,7 @@ class FRFData:
         return identify(self._spectra, self.power, n, reference, least_mpc)
 
     def doubts(self) -> tuple[str, ...]:
-        """Return sentences on signs that the FRFs are not what they are said to be.
+        """Return sentences on signs of a wrong kind, polarity or place of the FRFs.
 
         The signs are a slope or a phase that belongs to another kind of FRF, reciprocal FRFs that differ, a
         driving point that gives energy back, and an sd from few hits; see `fmu.posterior.data.frf.doubts`.

@@ -1,4 +1,4 @@
-"""Doubts about measured frequency response functions: signs that they are not what they are said to be.
+"""Doubts about measured frequency response functions: signs of a wrong kind, polarity or place.
 
 With H = (iω)^k × receptance, k = 0 for a receptance, 1 for a mobility and 2 for an accelerance, a structure with
 little damping has these signs (Ewins 2000, *Modal Testing*, 2nd ed., chapter 2):
@@ -70,7 +70,7 @@ class _Signs(NamedTuple):
 
 
 def doubts(spectra: Spectra, k: int, freedom: float) -> tuple[str, ...]:
-    """Return sentences on signs that FRFs are not what they are said to be.
+    """Return sentences on signs of a wrong kind, polarity or place of FRFs.
 
     Parameters
     ----------
