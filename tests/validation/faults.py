@@ -1002,9 +1002,16 @@ IN_THE_FRFS = (
     Fault(
         "FRFs: a check that cannot fail",
         "fmu/analysis/frf/check.py",
-        "bool(p < limit)",
-        "bool(p < 0.0 * limit)",
+        'bool(p < limit),\n                f"errors {significant(largest)} times the noise"',
+        'False,\n                f"errors {significant(largest)} times the noise"',
         ("tests/posterior/frf/test_frf_updating.py",),
+    ),
+    Fault(
+        "FRFs: a check of values held out that cannot fail",
+        "fmu/analysis/frf/check.py",
+        'bool(p < limit),\n                f"errors {significant(largest)} times those of the prediction"',
+        'False,\n                f"errors {significant(largest)} times those of the prediction"',
+        ("tests/analysis/frf/test_held_out_frfs.py",),
     ),
 )
 FAULTS = (

@@ -39,14 +39,13 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import chdtrc, chdtri, stdtrit
+from scipy.special import chdtrc, stdtrit
 
 from fmu.analysis.fit.check import (
     HELD_OUT,
     LEVEL,
     NOISE,
     PREDICTED,
-    QUANTITY,
     RESIDUALS,
     SHAPE,
     TEST,
@@ -57,6 +56,7 @@ from fmu.analysis.fit.check import (
 from fmu.analysis.fit.measured_shapes import below, correlations_of, paired_mac, shape_warnings
 from fmu.analysis.fit.populations import GROUP as POPULATIONS
 from fmu.analysis.fit.populations import effective_parameters, population_checks
+from fmu.analysis.fit.quantities import quantity_checks
 from fmu.analysis.fit.residual_scores import GROUP as RESIDUAL_SCORES
 from fmu.analysis.frf.check import frf_checks, has_held_out, held_out_checks
 from fmu.analysis.frf.predictions import GROUP as FRFS
@@ -123,7 +123,7 @@ def _kinds(trace: xr.DataTree) -> list[Callable[[float], list[Check]]]:
         kinds.append(partial(frf_checks, trace))
         kinds += [partial(held_out_checks, trace)] if has_held_out(trace) else []
     if has(trace, QUANTITIES):
-        kinds.append(partial(_quantities, trace))
+        kinds.append(partial(quantity_checks, trace))
     if _has_laws(trace):
         kinds.append(partial(population_checks, trace))
     return kinds
@@ -355,33 +355,6 @@ def _free(trace: xr.DataTree, table: pd.DataFrame | None, of: str, beyond: float
     else:
         return ""
     return "the noise was free to grow" if hides else ""
-
-
-def _quantities(trace: xr.DataTree, level: float) -> list[Check]:
-    """Return a list with one check per measured mass or displacement: whether the updated model reproduces it."""
-    group = trace[QUANTITIES].to_dataset()
-    found, limit = [], level / (2 * group.sizes["datum"])
-    for label in map(str, group["datum"].to_numpy()):
-        datum = group.sel(datum=label)
-        measured, sd, unit = float(datum["measured"]), float(datum["sd"]), str(datum["unit"].to_numpy())
-        computed = datum["computed"].to_numpy().ravel()
-        p = float(chdtrc(1.0, ((computed - measured) / sd) ** 2).mean())
-        most = sd * float(np.sqrt(chdtri(1.0, limit)))
-        given_by_model = with_sd(float(computed.mean()), float(computed.std()))
-        values = f"{with_sd(measured, sd)} {unit}, computed {given_by_model} {unit}"
-        found.append(
-            Check(
-                QUANTITY,
-                label,
-                values,
-                f"p {significant(limit, 2)}",
-                p,
-                bool(p < limit),
-                f"{significant(most, 2)} {unit}",
-                f"{label}: the updated model does not give what was measured, {values} ({probability(p)})",
-            )
-        )
-    return found
 
 
 def _shapes(trace: xr.DataTree) -> list[Check]:

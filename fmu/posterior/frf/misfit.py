@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from fmu.types import ComplexArray, FloatArray
 
 
@@ -43,3 +45,8 @@ class Gains(NamedTuple):
     best: FloatArray
     precision: FloatArray
     log_density: FloatArray
+
+
+def square(z: ComplexArray) -> FloatArray:
+    """Return |z|²."""
+    return np.asarray(z.real**2 + z.imag**2)

@@ -14,7 +14,7 @@ from fmu.fem.frf.proportional import ModalResponses
 from fmu.fem.modes.modal import single_thread
 from fmu.posterior.data.frf_data import FRFData
 from fmu.posterior.frf.channels import Channels
-from fmu.posterior.frf.misfit import Gains, Misfit
+from fmu.posterior.frf.misfit import Gains, Misfit, square
 from fmu.posterior.parameters import Parameter
 from fmu.progress.phases import count_solves
 from fmu.types import BoolArray, ComplexArray, FloatArray, Plain
@@ -154,7 +154,7 @@ class FRFTerm:
         gain, total = drawn[:, self.channels.of_frf, None], np.zeros((len(theta), len(self._used)))
         for lines in self._blocks():
             H = self._predict(solved, theta, lines)
-            squares = _square(self._error(H, lines, gain)) / self._variances(H, theta, lines)[0]
+            squares = square(self._error(H, lines, gain)) / self._variances(H, theta, lines)[0]
             if np.isfinite(self.freedom):  # exp(−½ r²) is the probability of a larger error
                 squares = self.freedom * np.log1p(squares / self.freedom)
             total += np.sum(np.where(self._used[:, lines], squares, 0.0), axis=2)
@@ -227,7 +227,7 @@ class FRFTerm:
         """Return the variances V and their logarithms, (n, n_frfs, n_lines) or (n_frfs, n_lines)."""
         if self._has_fixed_variance:
             return self._variance[:, lines], self._log_variance[:, lines]
-        size = np.ones(1) if self._is_log else _square(H)
+        size = np.ones(1) if self._is_log else square(H)
         V = self._variance[:, lines] + (self._sd(theta) ** 2 + self._wider**2) * size
         return V, np.log(V)
 
@@ -256,7 +256,7 @@ class FRFTerm:
         used = self._used[:, lines]
         V, log_V = self._variances(H, theta, lines)
         e = self._error(H, lines, gain)
-        a, freedom = _square(e), self.freedom
+        a, freedom = square(e), self.freedom
         if np.isinf(freedom):
             k, terms = 1.0 / V, -0.5 * a / V - log_V
         else:
@@ -273,7 +273,7 @@ class FRFTerm:
         if not self._has_known_gains and not self._is_log:
             weights = weights - np.conj(H) * (used / (V * precision))
         if not self._has_fixed_variance:
-            size, sd = np.ones(1) if self._is_log else _square(H), self._sd(theta)
+            size, sd = np.ones(1) if self._is_log else square(H), self._sd(theta)
             by_variance = 0.5 * k * a / V - used / V + 0.5 * used * size / (V**2 * precision)
             by_sd = 2.0 * sd * size * by_variance
             if not self._is_log:
@@ -291,7 +291,7 @@ class FRFTerm:
             H = self._predict(solved, theta, lines)
             V, used = self._variances(H, theta, lines)[0], self._used[:, lines]
             e = self._error(H, lines, np.zeros((1, 1, 1)))
-            first, second = (e.real, 1.0) if self._is_log else (np.real(np.conj(H) * e), _square(H))
+            first, second = (e.real, 1.0) if self._is_log else (np.real(np.conj(H) * e), square(H))
             first, second = first / V, second / V
             sums[0] += np.sum(np.where(used, first, 0.0), axis=2)
             sums[1] += np.sum(np.where(used, second, 0.0), axis=2)
@@ -398,8 +398,3 @@ class FRFTerm:
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of the data, the damping and the settings, in plain Python types."""
         return self._settings
-
-
-def _square(z: ComplexArray) -> FloatArray:
-    """Return |z|²."""
-    return np.asarray(z.real**2 + z.imag**2)
