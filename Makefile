@@ -162,6 +162,7 @@ validate: $(READY_BENCH) $(READY_FAST)  ## Calibrate samplers, verdicts, interva
 	.venv/bin/python -m tests.validation.hostile results
 	.venv/bin/python -m tests.validation.surrogate results
 	.venv/bin/python -m tests.validation.planning results
+	.venv/bin/python -m tests.validation.frfs results
 
 mutants: $(READY)  ## Put deliberate faults into a copy and see which test catches each, into results/mutants.md
 	.venv/bin/python -m tests.validation.mutants results/mutants.md
