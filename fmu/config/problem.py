@@ -213,6 +213,8 @@ class ProblemFile(TomlTable):
             mistake = ArgumentError.of(error)
             if self._frfs is not None and mistake.key.startswith("data."):
                 mistake = mistake.at(f"error.{self._frfs[0]}.data")
+            if mistake.key == "use":
+                mistake = mistake.under("measurement")
             raise ConfigurationError(source, [mistake]) from error
 
     def plan_options(self, source: str, folder: Path) -> dict[str, Any]:

@@ -167,9 +167,7 @@ def likelihood_of(
     if of_frfs:
         return _likelihood_of_frfs(of_frfs, error, beta, model, paired, data, parameters, discrepancy, layout)
     if data.used is not None and not len(data.used):
-        raise ArgumentError(
-            "use", "must be true for at least one mode, as there are no other data", list(data.use)
-        )
+        raise ArgumentError("use", "must be true for at least one mode", list(data.use))
     if isinstance(error, str) and error not in ERRORS:
         raise ArgumentError("error", f"must be one of {ERRORS}, or error models", repr(error))
     discrepancies = (discrepancy,) if isinstance(discrepancy, Discrepancy) else tuple(discrepancy)
