@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from fmu.analysis.fit.check import HELD_OUT, RESPONSES, Check, probability
+from fmu.analysis.frf.channel_errors import explain_by_channel
 from fmu.analysis.frf.predictions import GROUP
 from fmu.numbers import share, significant, whole
 
@@ -33,6 +34,8 @@ def frf_checks(trace: xr.DataTree, level: float) -> list[Check]:
         times = float(np.sqrt(squares.mean() / freedom))
         frac, mean = float(one["frac"]), float(squares.mean())
         values = f"Σ r² = {significant(mean)}, {freedom} expected, FRAC {significant(frac)}"
+        explained = explain_by_channel(one) if p < limit else ""
+        cause = f"; {explained}" if explained else ""
         # a chi-square variable of many degrees of freedom is nearly normal
         largest = float(np.sqrt(1.0 + 3.0 * np.sqrt(2.0 / freedom)))
         found.append(
@@ -45,7 +48,7 @@ def frf_checks(trace: xr.DataTree, level: float) -> list[Check]:
                 bool(p < limit),
                 f"errors {significant(largest)} times the noise",
                 f"FRF {name}: the updated model differs from what was measured by {significant(times, 2)} times "
-                f"the noise: {values} ({probability(p)})",
+                f"the noise: {values} ({probability(p)}){cause}",
             )
         )
     return found

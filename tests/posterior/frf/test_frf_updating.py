@@ -1,5 +1,7 @@
 """Updating from frequency response functions, from the search to the verdict."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -87,6 +89,22 @@ def test_a_wrong_gain_that_is_left_out_contradicts_the_model(wrong_gain):
     said = str(fmu.diagnose(update(wrong_gain)[1]))
     assert "contradicted by" in said
     assert "FRF 0 x / 2 x" in said
+    gain = re.search(r"a gain of (\S+) would explain it: infer it by gain_sd", said)
+    assert 1.3 < float(gain[1]) < 1.5
+
+
+def test_a_reversed_sensor_is_named():
+    against = fmu.diagnose(update(simulate(distort=lambda H, w: H * np.array([[1.0], [-1.0]])))[1]).fit.against
+    (said,) = [sentence for sentence in against if sentence.startswith("FRF 0 x / 2 x")]
+    assert "reversed polarity" in said
+
+
+def test_a_wrong_model_is_not_blamed_on_a_channel():
+    """FRFs that no stiffness gives: no gain and no delay makes up for that."""
+    heavy = simulate(distort=lambda H, w: H / (1.0 + 0.3 * np.sin(w / 12.0)))
+    against = fmu.diagnose(update(heavy)[1]).fit.against
+    assert against
+    assert not any("would explain" in sentence for sentence in against)
 
 
 def test_a_delay_is_found_and_left_out_contradicts_the_model():
@@ -95,7 +113,10 @@ def test_a_delay_is_found_and_left_out_contradicts_the_model():
     assert np.all(np.abs(scores(trace)) < 4.0)
     delay = trace["posterior"]["delay of 0 x"].to_numpy()
     assert abs(delay.mean() - 4e-3) < 4 * delay.std()
-    assert "contradicted by" in str(fmu.diagnose(update(delayed)[1]))
+    said = str(fmu.diagnose(update(delayed)[1]))
+    assert "contradicted by" in said
+    found = re.search(r"a delay of (\S+) ms would explain it: infer it by delay_sd", said)
+    assert 3.0 < float(found[1]) < 5.0
 
 
 def test_the_search_finds_the_maximum_from_a_start_far_away():
