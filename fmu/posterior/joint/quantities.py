@@ -13,6 +13,7 @@ from fmu.fem.modes.separable import SeparableModel
 from fmu.formats.shown import names_shown
 from fmu.posterior.errors.base import ErrorModel
 from fmu.posterior.errors.quantities import QuantityErrors, QuantityTerm
+from fmu.posterior.frf.errors import FRFErrors
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.model_in_tests import ModelInTests
 from fmu.posterior.parameters import Parameter
@@ -45,6 +46,11 @@ class Errors(NamedTuple):
 
     def find_mistakes(self, model: Any, tests: Sequence[str]) -> list[str]:
         """Return a list of messages on contradictions between error models, model and tests."""
+        of_frfs = [i for i, one in self.of_quantities.items() if isinstance(one, FRFErrors)]
+        if of_frfs:
+            return [
+                f"error.{of_frfs[0]}: frequency response functions are for a single test (got {len(tests)} tests)"
+            ]
         rule = f"must be the test in which it was measured, one of {names_shown(tests)}"
         found = [
             f"error.{i}.test: {rule} (got {'none' if one.test is None else shown(one.test)})"
