@@ -82,8 +82,12 @@ def local_maxima(
     if near is not None:
         points = np.concatenate([points, np.clip(scaled.to_scaled(near), scaled.lower, scaled.upper)])
     with phase("search", len(points)):
-        for easier in problem.likelihood.easier():
-            points = _ascend_roughly(problem.with_likelihood(easier), points)
+        easier = problem.likelihood.easier()
+        begun = list[FloatArray]()
+        for likelihood in easier:
+            begun.append(points := _ascend_roughly(problem.with_likelihood(likelihood), points))
+        # an easier likelihood may have lost a maximum: the ends of all of them are starts
+        points = np.concatenate(begun) if begun else points
         return maxima_from(problem, scaled, points, most_solves)
 
 

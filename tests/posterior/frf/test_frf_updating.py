@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 import fmu
 from tests.measured_frfs import (
@@ -18,6 +19,7 @@ from tests.measured_frfs import (
     receptances,
     simulate,
 )
+from tests.shear_building import frequencies_hz, shear_building
 
 TIP, BASE = POINTS
 
@@ -126,6 +128,34 @@ def test_the_search_finds_the_maximum_from_a_start_far_away():
     best = fmu.find_map(problem).maxima[0]
     assert np.allclose(best.theta[:3], TRUTH, rtol=5e-3)
     assert best.log_prob > problem.log_prob(np.r_[TRUTH, RATIOS])
+
+
+def test_two_maxima_are_found_where_a_gain_is_free():
+    """Two storeys have the same frequencies at two pairs of stiffnesses; one FRF of unknown gain tells no more."""
+    model = shear_building(("k1", "k2"), 2e6, 1000.0, dofs=[(0, "x"), (1, "x")])
+    pairs = np.array([[1.2, 0.8], [1.6, 0.6]])
+    f = frequencies_hz(model, pairs[0])[0]
+    assert np.allclose(f, frequencies_hz(model, pairs[1])[0])
+    lam, phi = scipy.linalg.eigh(model.K(pairs[0]).toarray(), model.M(pairs[0]).toarray())
+    lines = np.linspace(2.0, 16.0, 60)
+    w = 2 * np.pi * lines
+    H = (phi[0] * phi[1])[None] @ (1 / (lam[:, None] - w**2 + 0.04j * np.sqrt(lam)[:, None] * w))
+    rng, sd = np.random.default_rng(0), 0.05 * np.abs(H)
+    values = H + sd * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape))
+    data = fmu.FRFData(lines, values, ((1, "x"),), ((0, "x"),), "receptance", sd)
+    stiffness = [fmu.Parameter(name, 1.0, 0.4, 2.4) for name in ("k1", "k2")]
+    measured = fmu.ModalData(f * [1.003, 0.998], sd_hz=0.01 * f, numbers=(1, 2))
+
+    def search(**options):
+        own = fmu.FRFErrors(data, fmu.ModalDamping(0.02), **options)
+        return fmu.find_map(fmu.UpdatingProblem(model, measured, stiffness, pairing="index", error=own))
+
+    found = search(gain_sd=1.0)
+    assert np.allclose(sorted(one.theta[0] for one in found.maxima), pairs[:, 0], rtol=0.03)
+    assert min(one.share for one in found.maxima) > 0.2
+    known = search()
+    assert np.allclose(known.maxima[0].theta, pairs[0], rtol=0.03)
+    assert sum(one.share for one in known.maxima[1:]) < 1e-6
 
 
 def test_frfs_and_modes_are_added_up():
