@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Hashable, Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -59,10 +61,12 @@ class FRFCertificate:
         return {f"{_PREFIX}{name}": value for name, value in asdict(self).items()}
 
     @classmethod
-    def from_trace(cls, attrs: dict[str, object]) -> FRFCertificate | None:
+    def from_trace(cls, attrs: Mapping[Hashable, Any]) -> FRFCertificate | None:
         """Return the certificate in the attributes of a trace; None if there is none."""
-        found = {key.removeprefix(_PREFIX): value for key, value in attrs.items() if key.startswith(_PREFIX)}
-        return cls(**found) if found else None  # type: ignore[arg-type]  # written by `attributes`
+        values = {field.name: attrs.get(f"{_PREFIX}{field.name}") for field in fields(cls)}
+        if any(value is None for value in values.values()):
+            return None
+        return cls(**{name: np.asarray(value).item() for name, value in values.items()})
 
     def sentence(self) -> str:
         """Return the sentence on the errors."""

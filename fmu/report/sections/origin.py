@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from fmu.analysis.certificate import exact_in_words
 from fmu.analysis.trace.reading import is_imported
 from fmu.fem.certificates import ReductionCertificate, SurrogateCertificate
+from fmu.fem.frf.confirming import FRFCertificate
 from fmu.numbers import MISSING, apart, fixed, given, share, significant, whole
 from fmu.posterior.assumptions import ERRORS_HEADER, Assumptions
 from fmu.posterior.assumptions import assumptions as assumed
@@ -46,9 +47,10 @@ def certificate(run: ReportedRun) -> PageSection | Omitted:
     of_surrogate = SurrogateCertificate.from_trace(attrs)
     if of_surrogate is not None:
         return _of_surrogate(of_surrogate, exact_in_words(attrs))
-    found = ReductionCertificate.from_trace(attrs)
+    found, of_frfs = ReductionCertificate.from_trace(attrs), FRFCertificate.from_trace(attrs)
+    more = () if of_frfs is None else (Text(of_frfs.sentence()),)
     if found is None:
-        return Omitted(title, "no reduced model was used")
+        return PageSection("certificate", title, more) if more else Omitted(title, "no reduced model was used")
     said = f"{found.draws} of the draws were solved again with the full model"
     bounds: tuple[tuple[str, str, str], ...] = ()
     if found.bound is not None and found.bound_median is not None:  # traces of earlier versions have no bounds
@@ -75,7 +77,7 @@ def certificate(run: ReportedRun) -> PageSection | Omitted:
         *by_full,
     )
     table = PageTable("Reduced against full model", ("quantity", "found", "allowed"), rows)
-    return PageSection("certificate", title, (Text(said), table))
+    return PageSection("certificate", title, (Text(said), table, *more))
 
 
 def _of_surrogate(found: SurrogateCertificate, exact: list[str]) -> PageSection:

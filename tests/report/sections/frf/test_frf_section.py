@@ -2,9 +2,10 @@
 
 import pytest
 
+from fmu.fem.frf.confirming import FRFCertificate
 from fmu.report.document import Omitted, Pictures
 from fmu.report.run import runs_of
-from fmu.report.sections import prediction, updating
+from fmu.report.sections import origin, prediction, updating
 from fmu.report.sections.frf import functions as frfs
 
 
@@ -29,6 +30,16 @@ def test_it_has_a_row_and_a_figure_for_each_function(run):
     said = section.parts[0].words
     assert "No FRF of 2 differs" in said
     assert "16 others were not used" in said
+
+
+def test_the_certificate_of_the_reduced_functions_is_on_the_page(frf_trace):
+    assert isinstance(origin.certificate(runs_of({"mixture": frf_trace})["mixture"]), Omitted)  # of three masses
+    other = frf_trace.copy()
+    found = FRFCertificate(draws=4, shift=0.02, lines=12, direct_error=0.005)
+    other.attrs = frf_trace.attrs | found.attributes()
+    section = origin.certificate(runs_of({"mixture": other})["mixture"])
+    assert section.parts[-1].words == found.sentence()
+    assert "at most 0.02 of its standard deviations" in found.sentence()
 
 
 def test_modes_that_are_no_data_are_not_judged(run):
