@@ -162,10 +162,9 @@ def likelihood_of(
     functions are given, the modes take no part in the likelihood: they are paired, and begin the search for
     maxima.
     """
-    several: Sequence[Any] = error if isinstance(error, Sequence) and not isinstance(error, str) else [error]
-    of_frfs = [one for one in several if isinstance(one, FRFErrors)]
-    if of_frfs:
-        return _likelihood_of_frfs(of_frfs, error, beta, model, paired, data, parameters, discrepancy, layout)
+    given: Sequence[Any] = error if isinstance(error, Sequence) and not isinstance(error, str) else [error]
+    if any(isinstance(one, FRFErrors) for one in given):
+        return _likelihood_of_frfs(given, beta, model, paired, data, parameters, discrepancy, layout)
     if data.used is not None and not len(data.used):
         raise ArgumentError("use", "must be true for at least one mode", list(data.use))
     if isinstance(error, str) and error not in ERRORS:
@@ -179,7 +178,6 @@ def likelihood_of(
             raise ArgumentError("error", "the modal residual needs a SeparableModel", type(model).__name__)
         start = np.array([p.start for p in parameters], dtype=float)
         return ModalResidual(model, data, start, 1.0 if beta is None else beta)
-    given: Any = error if isinstance(error, Sequence) and not isinstance(error, str) else [error]
     if not given or not all(
         one in ("frequency",) or hasattr(one, "bind") or isinstance(one, QuantityErrors) for one in given
     ):
@@ -209,8 +207,7 @@ def likelihood_of(
 
 
 def _likelihood_of_frfs(
-    of_frfs: Sequence[FRFErrors],
-    error: Any,
+    given: Sequence[Any],
     beta: ArrayLike | None,
     model: Any,
     paired: ModalModel,
@@ -228,10 +225,11 @@ def _likelihood_of_frfs(
         raise ArgumentError(
             "error", "frequency response functions need one test and parameters that are updated", got
         )
+    of_frfs = [one for one in given if isinstance(one, FRFErrors)]
     if len(of_frfs) > 1:
         rule = "must have one FRFErrors at most; give all frequency response functions of a test as one FRFData"
         raise ArgumentError("error", rule, len(of_frfs))
-    others = [] if isinstance(error, FRFErrors) else [one for one in error if one not in of_frfs]
+    others = [one for one in given if one not in of_frfs]
     of_modes = any(not isinstance(one, QuantityErrors) for one in others)
     if discrepancy and not of_modes:
         rule = (
@@ -243,8 +241,5 @@ def _likelihood_of_frfs(
     modal = likelihood_of(others or "frequency", beta, model, paired, data, parameters, discrepancy, layout)
     if not of_modes:
         modal = modal.using(np.zeros(0, dtype=np.int64))
-    responses, first = [], len(parameters) + len(modal.noise)
-    for one in of_frfs:
-        responses.append(one.bind_frfs(model, parameters, first))
-        first += len(responses[-1].inferred)
+    responses = [one.bind_frfs(model, parameters, len(parameters) + len(modal.noise)) for one in of_frfs]
     return FRFLikelihood(modal, responses, len(parameters))

@@ -96,7 +96,7 @@ def summarise_update(problem: UpdatingProblem, trace: xr.DataTree, truth: FloatA
 
 @dataclass(frozen=True, eq=False)
 class Updates:
-    """Updates with all simulated tests of one choice of sensors; the attributes are those of `Update`, stacked.
+    """Updates with all simulated tests of one choice of sensors, with the attributes of `Update` stacked.
 
     Attributes
     ----------

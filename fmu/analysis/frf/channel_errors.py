@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fmu.numbers import significant
-from fmu.types import FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -39,27 +38,26 @@ def explain_by_channel(one: xr.Dataset) -> str:
     distance = np.maximum(one["distance"].to_numpy()[used], np.finfo(float).tiny)
     weight = (distance / np.maximum(np.abs(d - H), np.finfo(float).tiny)) ** 2  # 1/V
 
-    def left(factor: FloatArray) -> FloatArray:
-        """Return the squared errors with the FRF times a factor of shape (n, 1) or (n, n_lines)."""
-        return np.asarray(np.sum(weight * np.abs(d - factor * H) ** 2, axis=-1))
+    def squares_with(factor: Any) -> Any:
+        """Return the squared errors with the FRF times a number, or times factors (..., n_lines)."""
+        return np.sum(weight * np.abs(d - factor * H) ** 2, axis=-1)
 
     gain = float(np.sum(weight * np.real(np.conj(H) * d)) / np.sum(weight * np.abs(H) ** 2))
     centre, width = 0.0, np.pi / float(np.max(omega)) * 4.0
     for _ in range(_ROUNDS):
         delays = centre + np.linspace(-width, width, _STEPS)
-        centre = float(delays[np.argmin(left(np.exp(-1j * omega * delays[:, None])))])
+        centre = float(delays[np.argmin(squares_with(np.exp(-1j * omega * delays[:, None])))])
         width *= 4.0 / _STEPS
     sign = "reversed polarity and " * (gain < 0.0)
-    by_delay = np.exp(-1j * omega * centre)[None]
-    found = [
-        (left(np.array([[-1.0]])), "reversed polarity would explain it: correct the sign of the channel"),
-        (
-            left(np.array([[gain]])),
-            f"{sign}a gain of {significant(abs(gain))} would explain it: infer it by gain_sd",
+    polarity = "reversed polarity would explain it: correct the sign of the channel"
+    found = {
+        polarity: squares_with(-1.0),
+        f"{sign}a gain of {significant(abs(gain))} would explain it: infer it by gain_sd": squares_with(gain),
+        f"a delay of {significant(1e3 * centre)} ms would explain it: infer it by delay_sd": squares_with(
+            np.exp(-1j * omega * centre)
         ),
-        (left(by_delay), f"a delay of {significant(1e3 * centre)} ms would explain it: infer it by delay_sd"),
-    ]
-    (rest, said), base = min(found, key=lambda pair: float(pair[0][0])), float(left(np.ones((1, 1)))[0])
-    if float(found[0][0][0]) < _SIMPLER * float(rest[0]):
-        rest, said = found[0]
-    return said if float(rest[0]) < _EXPLAINS * base else ""
+    }
+    best = min(found, key=found.__getitem__)
+    if found[polarity] < _SIMPLER * found[best]:
+        best = polarity
+    return best if found[best] < _EXPLAINS * squares_with(1.0) else ""

@@ -69,10 +69,9 @@ class GeneralResponses:
         eta = np.concatenate([source.at(values) for source in damping.losses], axis=1)
         self._parts = block.stiffness_terms(theta)  # (n, n_terms, r, r)
         self.loss = np.einsum("nk,nkij->nij", eta, self._parts)
-        c = [source.at(values)[:, :, None] for source in damping.viscous]
         self.C = damping.alpha.at(values)[:, :, None] * self.M + damping.beta.at(values)[:, :, None] * self.K
-        for k, of in enumerate(c):
-            self.C = self.C + of * damping.dashpots[k]
+        for source, dashpot in zip(damping.viscous, damping.dashpots, strict=True):
+            self.C = self.C + source.at(values)[:, :, None] * dashpot
         self._eta = eta
         self._poles = [
             self._solve(K, C, M) for K, C, M in zip(self.K + 1j * self.loss, self.C, self.M, strict=True)

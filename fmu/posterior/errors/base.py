@@ -280,6 +280,11 @@ class Likelihood:
         return self
 
     @property
+    def frequency_term(self) -> ErrorTerm | None:
+        """The first error model of frequencies; None if there is no such error model."""
+        return next((term for term in self.terms_of if term.of_frequencies), None)
+
+    @property
     def n_noise(self) -> int:
         """Number of inferred standard deviations of errors of modes, the first of `noise`."""
         return len(self.noise)

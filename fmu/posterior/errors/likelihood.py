@@ -13,7 +13,7 @@ from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.numbers import names_in_words
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.errors.base import Chain, ErrorModel, ErrorTerm, Evaluated, Likelihood
+from fmu.posterior.errors.base import Chain, ErrorModel, Evaluated, Likelihood
 from fmu.posterior.errors.frequency import BetaFrequencyErrors, CorrelatedFrequencyTerm, FrequencyTerm
 from fmu.posterior.errors.noise import numbering
 from fmu.posterior.errors.quantities import QuantityTerm
@@ -93,11 +93,6 @@ class ModalLikelihood(Likelihood):
     def _choose_fast_path(self) -> FrequencyTerm | CorrelatedFrequencyTerm | None:
         """Return `error` for an evaluation that saves µs at a single theta; None for an uncertain model."""
         return None if self.model.is_uncertain else self.error
-
-    @property
-    def frequency_term(self) -> ErrorTerm | None:
-        """The first error model of frequencies; None if there is no such error model."""
-        return next((term for term in self.terms_of if term.of_frequencies), None)
 
     @property
     def correlated(self) -> CorrelatedFrequencyTerm | None:

@@ -76,7 +76,7 @@ class FRFLikelihood(Likelihood):
     @property
     def frequency_term(self) -> ErrorTerm | None:
         """The first error model of frequencies; None if there is no such error model."""
-        return next((term for term in self.modal.terms_of if term.of_frequencies), None)
+        return self.modal.frequency_term
 
     @property
     def n_noise(self) -> int:

@@ -7,14 +7,12 @@ from collections.abc import Hashable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fmu.arguments import ArgumentError, shown
 from fmu.formats.modes.measured_modes import is_node
 from fmu.numbers import given, significant, whole
-from fmu.types import BoolArray, Dof, FloatArray
+from fmu.types import BoolArray, ComplexArray, Dof, FloatArray
 
-ComplexArray = NDArray[np.complex128]
 _DIRECTION = re.compile(r"-?r?[xyz]")
 _ROUNDING = 1e-5
 """A coherence that a file rounded to six digits may exceed 1 by this."""

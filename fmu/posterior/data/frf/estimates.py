@@ -7,8 +7,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from fmu.arguments import ArgumentError
-from fmu.posterior.data.frf.checks import ComplexArray, complex_array
-from fmu.types import FloatArray
+from fmu.posterior.data.frf.checks import complex_array
+from fmu.types import ComplexArray, FloatArray
 
 Estimator = Literal["H1", "H2"]
 _SEGMENTS = 8

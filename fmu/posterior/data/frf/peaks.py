@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fmu.posterior.data.frf.checks import ComplexArray
-from fmu.types import BoolArray, Dof, FloatArray
+from fmu.types import BoolArray, ComplexArray, Dof, FloatArray
 
 KINDS = ("receptance", "mobility", "accelerance")
 """Kinds of FRFs by the power k of iω by which the receptance is multiplied."""
