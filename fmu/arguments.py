@@ -12,8 +12,10 @@ from __future__ import annotations
 import builtins
 import inspect
 import os
+import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import cache, wraps
+from pathlib import Path
 from types import FunctionType
 from typing import TYPE_CHECKING, Annotated, Any, Self, Union, get_args, get_origin
 
@@ -146,6 +148,35 @@ def check_arguments[Door: Callable[..., object]](door: Door) -> Door:
         return door(*args, **kwargs)
 
     return call  # type: ignore[return-value]
+
+
+class OldNameWarning(FutureWarning):
+    """Warning for an argument, or a key in a file, that has another name now."""
+
+
+def with_present_names(given: Mapping[str, Any], present: Mapping[str, str]) -> dict[str, Any]:
+    """Return arguments, or a table of a file, with `present` names in place of old ones; warn of each old name."""
+    old = [name for name in present if name in given and present[name] not in given]
+    for name in old:
+        text = f"{name} is now called {present[name]}: the old name still works; please replace it"
+        warnings.warn(text, OldNameWarning, skip_file_prefixes=(f"{Path(__file__).parent}{os.sep}",))
+    return {present[name] if name in old else name: value for name, value in given.items()}
+
+
+def takes_old_names[Door: type](**present: str) -> Callable[[Door], Door]:
+    """Return a decorator of a class that takes arguments by their old names too, with an `OldNameWarning`."""
+
+    def decorate(door: Door) -> Door:
+        init = door.__init__  # type: ignore[misc]
+
+        @wraps(init)
+        def call(self: object, *args: object, **kwargs: object) -> None:
+            init(self, *args, **with_present_names(kwargs, present))
+
+        door.__init__ = call  # type: ignore[misc]
+        return door
+
+    return decorate
 
 
 def require(name: str, value: object, rule: object) -> None:

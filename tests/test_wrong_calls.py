@@ -49,7 +49,7 @@ def test_every_public_name_is_called(outcomes):
 
 
 LISTED = {
-    "discrepancy": lambda: fmu.FrequencyErrors(discrepancy="x"),
+    "model_sd": lambda: fmu.FrequencyErrors(model_sd="x"),
     "use": lambda: fmu.ModalData([1.0, 2.0], use="ab"),
     "softness": lambda: fmu.UpdatingProblem(**_posed(), softness=-1),
     "mass": lambda: fmu.PointMass(1, -1.0),

@@ -206,11 +206,11 @@ def calls(folder: Path) -> Iterator[Call]:
         "kind": "relative",
         "sd": [0.01, 0.02],
         "weights": [1.0, 2.0],
-        "discrepancy": fmu.Parameter("sd", 0.1, 0.0, 1.0),
+        "model_sd": fmu.Parameter("sd", 0.1, 0.0, 1.0),
     }
     yield Call("FrequencyErrors", fmu.FrequencyErrors, errors)
     yield Call("StudentErrors", fmu.StudentErrors, errors | {"freedom": 4.0})
-    yield Call("ShapeErrors", fmu.ShapeErrors, {key: errors[key] for key in ("sd", "weights", "discrepancy")})
+    yield Call("ShapeErrors", fmu.ShapeErrors, {key: errors[key] for key in ("sd", "weights", "model_sd")})
     yield Call("MACErrors", fmu.MACErrors, {"sd": 0.01, "weights": [1.0, 2.0], "together": [["1", "2"]]})
     yield Call(
         "Geometry",

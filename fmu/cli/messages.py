@@ -107,6 +107,7 @@ def _fail(message: str, *mistakes: object, code: int = BAD_INPUT) -> NoReturn:
 @contextmanager
 def warnings_as_notes() -> Iterator[None]:
     """Print warnings on stores, rounding, surrogates and the like as notes, without their line of code."""
+    from fmu.arguments import OldNameWarning
     from fmu.fem.programs.store import StoreWarning
     from fmu.posterior.reduction.train_reduced import ReductionWarning
     from fmu.posterior.rounding import RoundingWarning
@@ -114,7 +115,7 @@ def warnings_as_notes() -> Iterator[None]:
     from fmu.surrogates.learning import SurrogateWarning
 
     notes = (
-        CheckpointWarning, OtherArithmeticWarning, ReductionWarning, RoundingWarning,
+        CheckpointWarning, OldNameWarning, OtherArithmeticWarning, ReductionWarning, RoundingWarning,
         StoreWarning, SurrogateWarning,
     )  # fmt: skip
 

@@ -7,9 +7,9 @@ from typing import Annotated, Any, TypeGuard, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Tag
+from pydantic import BeforeValidator, Tag
 
-from fmu.arguments import ArgumentError
+from fmu.arguments import ArgumentError, with_present_names
 from fmu.config.frf.errors import FRFTable
 from fmu.config.mistakes import BrokenError, Mistakes
 from fmu.config.tables import Declared, Name, Number, Numbers, OneOf, Positive, by_kind, kind_of, tuple_as_list
@@ -18,6 +18,7 @@ from fmu.formats.shown import names_shown, quote
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors import ERROR_MODELS
 from fmu.posterior.errors.base import ErrorModel
+from fmu.posterior.errors.noise import OLD_NAMES
 from fmu.posterior.errors.quantities import QuantityErrors
 from fmu.posterior.frf.errors import FRFErrors
 from fmu.posterior.parameters import Parameter
@@ -45,8 +46,14 @@ def _in_a_file(annotation: object) -> object:
     return found | None if optional else found
 
 
+def _with_present_names(table: object) -> object:
+    return with_present_names(table, OLD_NAMES) if isinstance(table, dict) else table
+
+
 ErrorTable = Annotated[
-    Declared, OneOf("of", {name: (model,) for name, model in ERROR_MODELS.items()}, _in_a_file, (FRFTable,))
+    Declared,
+    OneOf("of", {name: (model,) for name, model in ERROR_MODELS.items()}, _in_a_file, (FRFTable,)),
+    BeforeValidator(_with_present_names),
 ]
 
 
@@ -83,7 +90,7 @@ def build_error_models(
             models.append(read_frfs(table, **inferred) if isinstance(table, FRFTable) else table.build(**inferred))
         except BrokenError as error:
             found += [mistake.under(f"error.{i}") for mistake in error.mistakes]
-    rule = "must be used as sd or discrepancy of an [[error]]"
+    rule = "must be used as sd or model_sd of an [[error]]"
     found += [
         ArgumentError(f"noise.{i}.name", rule, quote(name)) for i, name in enumerate(known) if name not in used
     ]
@@ -121,7 +128,7 @@ def beside_tests(tables: Sequence[Declared], models: Sequence[ErrorModel], data:
     """
     rule = (
         "must not be given together with tests, whose scatter gives the error of their mean. Leave it out and "
-        "use discrepancy for the model error, or replace tests by frequencies (the means) with an sd"
+        "use model_sd for the model error, or replace tests by frequencies (the means) with an sd"
     )
     return [
         ArgumentError(f"error.{i}.sd", rule, quote(table.given_arguments()["sd"]))

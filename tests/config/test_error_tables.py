@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 import fmu
+from fmu.arguments import OldNameWarning
 from fmu.config import ConfigurationError, load
 from tests.shear_building import shear_building
 
@@ -18,7 +19,7 @@ weights = [1.0, 0.5]
 [[error]]
 of = "shapes"
 sd = [[0.05, 0.1], [0.1, 0.2]]
-discrepancy = "delta"
+model_sd = "delta"
 
 [[error]]
 of = "mac"
@@ -52,7 +53,7 @@ def test_error_models(text, folder):
     delta = fmu.Parameter("delta", 0.1, 0.01, 0.5)
     errors = [
         fmu.FrequencyErrors("relative", sigma, [1.0, 0.5]),
-        fmu.ShapeErrors([[0.05, 0.1], [0.1, 0.2]], discrepancy=delta),
+        fmu.ShapeErrors([[0.05, 0.1], [0.1, 0.2]], model_sd=delta),
         fmu.MACErrors(0.05),
     ]
     model = shear_building(["k1", "k2"], mass=[16.5e3, 16.1e3], dofs=[("first", "x"), ("second", "x")])
@@ -64,13 +65,33 @@ def test_error_models(text, folder):
     assert_allclose(from_file.log_prob(theta), built.log_prob(theta), rtol=1e-12)
 
 
+def test_the_old_name_of_model_sd(text, folder):
+    """Files and scripts of version 1.0 say ``discrepancy``; their densities are the same in every bit."""
+    (folder / "new.toml").write_text(text)
+    new = load(folder / "new.toml")
+    (folder / "old.toml").write_text(text.replace("model_sd", "discrepancy"))
+    with pytest.warns(OldNameWarning, match="discrepancy is now called model_sd"):
+        old = load(folder / "old.toml")
+    theta = new.sample_prior(np.random.default_rng(1), 20)
+    assert_array_equal(old.log_prob(theta), new.log_prob(theta))
+    delta = fmu.Parameter("delta", 0.1, 0.01, 0.5)
+    for make in (fmu.FrequencyErrors, fmu.ShapeErrors, fmu.StudentErrors):
+        with pytest.warns(OldNameWarning) as seen:
+            assert make(discrepancy=delta) == make(model_sd=delta)
+        assert seen[0].filename == __file__
+    both = text.replace('model_sd = "delta"', 'model_sd = "delta"\ndiscrepancy = "delta"')
+    (folder / "both.toml").write_text(both)
+    with pytest.raises(ConfigurationError, match=r"error\.1\.discrepancy"):
+        load(folder / "both.toml")
+
+
 BROKEN = [
     ('sd = "sigma"', 'sd = "tau"', "error.0.sd: must be the name of a [[noise]] table: sigma, delta (got 'tau')"),
-    ('discrepancy = "delta"', 'discrepancy = "eps"', "error.1.discrepancy: must be the name of a [[noise]] table"),
+    ('model_sd = "delta"', 'model_sd = "eps"', "error.1.model_sd: must be the name of a [[noise]] table"),
     (
-        'discrepancy = "delta"\n',
+        'model_sd = "delta"\n',
         "",
-        "noise.1.name: must be used as sd or discrepancy of an [[error]] (got 'delta')",
+        "noise.1.name: must be used as sd or model_sd of an [[error]] (got 'delta')",
     ),
     ('name = "delta"', 'name = "k1"', "noise.1.name: must not be the name of another parameter (got 'k1')"),
     ("lower = 0.01", "lower = 0.2", "noise.1.start: must be finite and within [0.2, 0.5] (got 0.1)"),
@@ -120,7 +141,7 @@ def test_a_deviation_that_an_exact_fit_would_let_vanish(text, folder):
     ("old", "new"),
     [
         ('"half-normal", sd = 0.05', '"log-normal", median = 0.02, sigma = 1.0'),  # vanishes faster
-        ('sd = "sigma"', 'sd = 0.01\ndiscrepancy = "sigma"'),  # beside errors of a known size
+        ('sd = "sigma"', 'sd = 0.01\nmodel_sd = "sigma"'),  # beside errors of a known size
         ('of = "mac"\nsd = 0.05', 'of = "mac"\nsd = "sigma"'),  # of four errors
     ],
 )

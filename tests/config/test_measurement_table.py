@@ -150,7 +150,7 @@ def test_an_error_of_a_size_of_its_own_beside_tests(mistakes, sd):
     assert found.startswith(
         "error.0.sd: must not be given together with tests, whose scatter gives the error of their mean"
     )
-    assert "discrepancy" in found
+    assert "model_sd" in found
 
 
 def test_tables(problem, folder):

@@ -59,7 +59,7 @@ def test_beta():
         (FrequencyErrors("absolute", 0.05), "a known σ of 0.05 Hz", [0.05, 0.05]),
         (FrequencyErrors("eigenvalue", 0.04), "relative to their size: Gaussian and independent, with a known σ",
          [0.02, 0.04]),
-        (FrequencyErrors("relative", 0.03, discrepancy=NOISE), "a known σ of 3 % and a σ that is inferred, noise",
+        (FrequencyErrors("relative", 0.03, model_sd=NOISE), "a known σ of 3 % and a σ that is inferred, noise",
          [0.0361, 0.0721]),
     ],
 )  # fmt: skip

@@ -87,7 +87,7 @@ def test_unbounded_parameters(young):
 def test_inferred_errors_come_after_what_is_drawn(young):
     data = replace(young.data, sd_hz=0.1 * np.arange(1, 6))
     scatter = fmu.Parameter("scatter", 0.01, 1e-4, 0.1, fmu.LogNormal(0.01, 0.5))
-    errors = [fmu.FrequencyErrors(discrepancy=scatter)]
+    errors = [fmu.FrequencyErrors(model_sd=scatter)]
     model = young.model.structure
     problem = fmu.UpdatingProblem(model, data, young.parameters, error=errors)
     html = problem._repr_html_()

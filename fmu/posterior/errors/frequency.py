@@ -9,18 +9,19 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmu.arguments import ArgumentError, check_arguments
+from fmu.arguments import ArgumentError, check_arguments, takes_old_names
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.covariance import checked_covariance
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals, mode_weights
-from fmu.posterior.errors.noise import NoiseIndex, Spread, checked_beta, require_sizes, spread
+from fmu.posterior.errors.noise import OLD_NAMES, NoiseIndex, Spread, checked_beta, require_sizes, spread
 from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray, IntArray, Plain
 
 Kind = Literal["absolute", "relative", "eigenvalue"]
 
 
+@takes_old_names(**OLD_NAMES)
 @check_arguments
 @dataclass(frozen=True)
 class FrequencyErrors:
@@ -36,7 +37,7 @@ class FrequencyErrors:
         deviation of the data; if the data have a covariance, absolute errors are correlated.
     weights : array_like, shape (n_modes,), optional
         Weights w_i of the modes: the variance of ε_i is sd²/w_i.
-    discrepancy : Parameter, optional
+    model_sd : Parameter, optional
         Standard deviation sd_d of the model error, to be inferred, in the unit of ε. The model error is
         independent from mode to mode and adds sd_d²/w_i to the variance of ε_i.
 
@@ -44,7 +45,7 @@ class FrequencyErrors:
     -----
     Model errors are rarely independent: a mass that was not modelled shifts many frequencies at once, and the
     parameters compensate for the shift by more than their standard deviations indicate. If the prior of a
-    discrepancy reaches zero (half-normal), the posterior may be hard to sample; a log-normal prior excludes zero.
+    model_sd reaches zero (half-normal), the posterior may be hard to sample; a log-normal prior excludes zero.
     With as many parameters as frequencies, a standard deviation of zero fits best: inferring a standard deviation
     requires more data, or an informative prior.
     """
@@ -52,7 +53,7 @@ class FrequencyErrors:
     kind: Kind = "relative"
     sd: ArrayLike | Parameter | None = None
     weights: ArrayLike | None = None
-    discrepancy: Parameter | None = None
+    model_sd: Parameter | None = None
 
     def __post_init__(self) -> None:
         require_sizes(self.sd, self.weights)
@@ -68,9 +69,9 @@ class FrequencyErrors:
         measured = np.asarray(data.frequencies_hz)
         sd = self.sd
         if sd is None and data.covariance_hz2 is not None:
-            if self.kind != "absolute" or self.weights is not None or self.discrepancy is not None:
+            if self.kind != "absolute" or self.weights is not None or self.model_sd is not None:
                 raise ArgumentError(
-                    "sd", "errors with a covariance must be absolute, without weights or a discrepancy"
+                    "sd", "errors with a covariance must be absolute, without weights or a model_sd"
                 )
             return CorrelatedFrequencyTerm(measured, np.asarray(data.covariance_hz2))
         if sd is None and data.sd_hz is not None:
@@ -78,8 +79,8 @@ class FrequencyErrors:
             sd = np.asarray(data.sd_hz) / per_hz[self.kind]
         unit = measured if self.kind == "relative" else np.ones(len(measured))
         size = unit / np.sqrt(mode_weights(self.weights, len(measured)))
-        bound = FrequencyTerm(self.kind, measured, spread("frequency errors", sd, self.discrepancy, size, index))
-        if self.sd is None and self.discrepancy is None and self.weights is None:
+        bound = FrequencyTerm(self.kind, measured, spread("frequency errors", sd, self.model_sd, size, index))
+        if self.sd is None and self.model_sd is None and self.weights is None:
             bound.tests = data.tests
         return bound
 

@@ -18,6 +18,9 @@ from fmu.types import FloatArray, IntArray, Plain
 NoiseIndex = Callable[[Parameter], int]
 """A function that returns the index of an inferred standard deviation among those of the problem."""
 
+OLD_NAMES = {"discrepancy": "model_sd"}
+"""Present names of the arguments of error models by their old names."""
+
 
 def numbering(noise: list[Parameter]) -> NoiseIndex:
     """Return a function that returns the index of a parameter in `noise`, and appends the parameter if missing."""
@@ -85,7 +88,7 @@ class Spread:
 def spread(
     name: str,
     sd: ArrayLike | Parameter | None,
-    discrepancy: Parameter | None,
+    model_sd: Parameter | None,
     size: FloatArray,
     index: NoiseIndex,
 ) -> Spread:
@@ -96,9 +99,9 @@ def spread(
     name : str
         Name of the errors, for messages.
     sd : float, array_like or Parameter or None
-        Standard deviations in units of `size`: known, inferred (one value for all errors), or None if the
-        discrepancy is the only error.
-    discrepancy : Parameter, optional
+        Standard deviations in units of `size`: known, inferred (one value for all errors), or None if
+        `model_sd` is the only error.
+    model_sd : Parameter, optional
         A further standard deviation to be inferred, in units of `size`.
     size : ndarray
         Factor for each error by which standard deviations are multiplied.
@@ -110,7 +113,7 @@ def spread(
         If a standard deviation is not positive and finite, does not have the shape of the errors, can be negative,
         or is missing.
     """
-    inferred = [p for p in (sd, discrepancy) if isinstance(p, Parameter)]
+    inferred = [p for p in (sd, model_sd) if isinstance(p, Parameter)]
     for parameter in inferred:
         if parameter.lower < 0:
             raise ArgumentError(

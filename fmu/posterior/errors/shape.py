@@ -9,15 +9,16 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmu.arguments import ArgumentError, check_arguments
+from fmu.arguments import ArgumentError, check_arguments, takes_old_names
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals, mode_weights
-from fmu.posterior.errors.noise import NoiseIndex, Spread, require_sizes, spread
+from fmu.posterior.errors.noise import OLD_NAMES, NoiseIndex, Spread, require_sizes, spread
 from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray, IntArray, Plain
 
 
+@takes_old_names(**OLD_NAMES)
 @check_arguments
 @dataclass(frozen=True)
 class ShapeErrors:
@@ -39,13 +40,13 @@ class ShapeErrors:
         Standard deviation of a component of a shape of unit length; by default the standard deviation of the data.
     weights : array_like, shape (n_modes,), optional
         Weights w_i of the modes: the variances of mode i are sd²/w_i.
-    discrepancy : Parameter, optional
+    model_sd : Parameter, optional
         Standard deviation of the model error of a component of a shape of unit length, to be inferred.
     """
 
     sd: ArrayLike | Parameter | None = None
     weights: ArrayLike | None = None
-    discrepancy: Parameter | None = None
+    model_sd: Parameter | None = None
 
     def __post_init__(self) -> None:
         require_sizes(self.sd, self.weights)
@@ -62,7 +63,7 @@ class ShapeErrors:
         unit = unit_shapes(data, "shape errors")
         size = np.ones(unit.shape) / np.sqrt(mode_weights(self.weights, unit.shape[1]))
         sd = data.shapes_sd if self.sd is None else self.sd
-        return ShapeTerm(unit, spread("shape errors", sd, self.discrepancy, size, index))
+        return ShapeTerm(unit, spread("shape errors", sd, self.model_sd, size, index))
 
     def n_errors(self, data: ModalData) -> int:
         """Return the total number of shape components of all used modes."""

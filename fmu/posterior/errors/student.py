@@ -10,20 +10,21 @@ from annotated_types import Ge
 from numpy.typing import ArrayLike as ArrayLike  # the inherited annotations are read here
 from scipy.special import digamma, gammaln, ndtri, polygamma, stdtr
 
-from fmu.arguments import ArgumentError, check_arguments, require
+from fmu.arguments import ArgumentError, check_arguments, require, takes_old_names
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.numbers import given
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors.base import ErrorTerm, Evaluated, Residuals
 from fmu.posterior.errors.frequency import FrequencyErrors, FrequencyTerm
 from fmu.posterior.errors.frequency import Kind as Kind
-from fmu.posterior.errors.noise import NoiseIndex
+from fmu.posterior.errors.noise import OLD_NAMES, NoiseIndex
 from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray, IntArray, Plain
 
 LEAST_FREEDOM = 1.0
 
 
+@takes_old_names(**OLD_NAMES)
 @check_arguments
 @dataclass(frozen=True)
 class StudentErrors(FrequencyErrors):
@@ -38,7 +39,7 @@ class StudentErrors(FrequencyErrors):
     freedom : float or Parameter
         Degrees of freedom ν, at least 1: known, or to be inferred. With ν = 4, an error beyond 3σ has a
         probability of 4 %, and an error beyond 10σ of 0.06 %. From ν = 30 on the distribution is nearly Gaussian.
-    kind, sd, weights, discrepancy
+    kind, sd, weights, model_sd
         As in `fmu.FrequencyErrors`; σ is the scale, which is √((ν − 2)/ν) times the standard deviation.
     """
 

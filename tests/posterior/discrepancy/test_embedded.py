@@ -28,7 +28,7 @@ ERRORS = {
     "shapes too": [fmu.FrequencyErrors("relative", sd=0.02), fmu.ShapeErrors(sd=0.1)],
     "shapes, inferred": [
         fmu.FrequencyErrors("eigenvalue", sd=0.04),
-        fmu.ShapeErrors(sd=[[0.1, 0.2, 0.15], [0.05, 0.1, 0.1], [0.1, 0.08, 0.3]], discrepancy=SIGMA),
+        fmu.ShapeErrors(sd=[[0.1, 0.2, 0.15], [0.05, 0.1, 0.1], [0.1, 0.08, 0.3]], model_sd=SIGMA),
     ],
     "shapes alone, inferred": [fmu.ShapeErrors(sd=SIGMA)],
 }

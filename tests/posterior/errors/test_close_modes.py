@@ -34,7 +34,7 @@ ERRORS = {
     "relative": fmu.FrequencyErrors("relative", sd=NOISE),
     "eigenvalue": fmu.FrequencyErrors("eigenvalue", sd=0.02, weights=[1.0, 2.0]),
     "shapes": fmu.ShapeErrors(sd=[[0.1, 0.1], [0.2, 0.1], [0.1, 0.3]]),
-    "shapes, inferred": fmu.ShapeErrors(sd=0.05, discrepancy=NOISE),
+    "shapes, inferred": fmu.ShapeErrors(sd=0.05, model_sd=NOISE),
     "MAC": fmu.MACErrors(sd=0.1),
 }
 

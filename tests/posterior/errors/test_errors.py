@@ -45,14 +45,14 @@ MODELS = {
     "relative, weighted": [FrequencyErrors("relative", sd=[0.02, 0.03, 0.01], weights=[1.0, 0.5, 2.0])],
     "eigenvalue": [FrequencyErrors("eigenvalue", sd=1 / 16)],
     "inferred": [FrequencyErrors("relative", sd=SIGMA)],
-    "discrepancy": [FrequencyErrors("relative", sd=0.02, discrepancy=DELTA)],
+    "error of the model": [FrequencyErrors("relative", sd=0.02, model_sd=DELTA)],
     "shapes": [ShapeErrors(sd=0.1)],
     "a sensor each": [ShapeErrors(sd=np.linspace(0.05, 0.3, 9).reshape(3, 3))],
     "shapes, inferred": [ShapeErrors(sd=SIGMA, weights=[1.0, 2.0, 0.3])],
     "MAC": [MACErrors(sd=0.05)],
     "MAC, inferred": [MACErrors(sd=SIGMA)],
     "all": [
-        FrequencyErrors("relative", sd=SIGMA, discrepancy=DELTA),
+        FrequencyErrors("relative", sd=SIGMA, model_sd=DELTA),
         ShapeErrors(sd=DELTA),
         MACErrors(sd=Parameter("tau", start=0.3, lower=0.01, upper=1.0)),
     ],
@@ -194,7 +194,7 @@ def test_mac_errors_are_a_density_of_what_is_missing_of_one(sd):
 
 
 def test_a_deviation_that_two_models_name_is_one_parameter(structure, data):
-    errors = [FrequencyErrors(sd=SIGMA), ShapeErrors(sd=SIGMA, discrepancy=DELTA)]
+    errors = [FrequencyErrors(sd=SIGMA), ShapeErrors(sd=SIGMA, model_sd=DELTA)]
     assert ModalLikelihood(structure, data, errors).noise == (SIGMA, DELTA)
 
 

@@ -18,7 +18,7 @@ ERRORS = {
     "relative": [fmu.FrequencyErrors("relative", sd=NOISE)],
     "eigenvalue": [fmu.FrequencyErrors("eigenvalue", sd=0.02, weights=[1.0, 2.0])],
     "shapes": [fmu.FrequencyErrors(sd=0.01), fmu.ShapeErrors(sd=0.2)],
-    "shapes, inferred": [fmu.ShapeErrors(sd=0.1, discrepancy=NOISE)],
+    "shapes, inferred": [fmu.ShapeErrors(sd=0.1, model_sd=NOISE)],
     "MAC": [fmu.FrequencyErrors(sd=NOISE), fmu.MACErrors(sd=0.2)],
 }
 
