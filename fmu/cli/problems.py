@@ -51,7 +51,8 @@ def problem_of(case: str, pairing: str | None) -> KeptProblem:
             f"{case!r} is neither a built-in problem ({known}) nor a .toml file.", param_hint="'CASE'"
         )
     path = Path(case) if case.endswith(".toml") else builtin.path(case)
-    found = config.read(path)
+    with warnings_as_notes():
+        found = config.read(path)
     return KeptProblem(path, path.parent, pairing or found.pairing)
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from annotated_types import Gt
 
-from fmu.arguments import ArgumentError, check_arguments
+from fmu.arguments import ArgumentError, check_arguments, with_present_names
 from fmu.config.mistakes import ConfigurationError as ConfigurationError
 from fmu.config.mistakes import of_validation, place
 from fmu.formats.files import why_no_file
@@ -82,6 +82,7 @@ def read(path: Path) -> ProblemFile:
     from pydantic import ValidationError
 
     from fmu.config.problem import ProblemFile
+    from fmu.posterior.errors.noise import OLD_NAMES
 
     why = why_no_file(path)
     if why:
@@ -93,6 +94,10 @@ def read(path: Path) -> ProblemFile:
     beyond = list(_out_of_size(content))
     if beyond:
         raise ConfigurationError(path.name, beyond)
+    tables = content.get("error")
+    if isinstance(tables, list):
+        known = [with_present_names(one, OLD_NAMES) if isinstance(one, dict) else one for one in tables]
+        content["error"] = known
     try:
         return ProblemFile.model_validate(content)
     except ValidationError as error:

@@ -7,9 +7,9 @@ from typing import Annotated, Any, TypeGuard, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BeforeValidator, Tag
+from pydantic import Tag
 
-from fmu.arguments import ArgumentError, with_present_names
+from fmu.arguments import ArgumentError
 from fmu.config.frf.errors import FRFTable
 from fmu.config.mistakes import BrokenError, Mistakes
 from fmu.config.tables import Declared, Name, Number, Numbers, OneOf, Positive, by_kind, kind_of, tuple_as_list
@@ -18,7 +18,6 @@ from fmu.formats.shown import names_shown, quote
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.errors import ERROR_MODELS
 from fmu.posterior.errors.base import ErrorModel
-from fmu.posterior.errors.noise import OLD_NAMES
 from fmu.posterior.errors.quantities import QuantityErrors
 from fmu.posterior.frf.errors import FRFErrors
 from fmu.posterior.parameters import Parameter
@@ -46,14 +45,8 @@ def _in_a_file(annotation: object) -> object:
     return found | None if optional else found
 
 
-def _with_present_names(table: object) -> object:
-    return with_present_names(table, OLD_NAMES) if isinstance(table, dict) else table
-
-
 ErrorTable = Annotated[
-    Declared,
-    OneOf("of", {name: (model,) for name, model in ERROR_MODELS.items()}, _in_a_file, (FRFTable,)),
-    BeforeValidator(_with_present_names),
+    Declared, OneOf("of", {name: (model,) for name, model in ERROR_MODELS.items()}, _in_a_file, (FRFTable,))
 ]
 
 

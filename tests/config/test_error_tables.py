@@ -70,8 +70,9 @@ def test_the_old_name_of_model_sd(text, folder):
     (folder / "new.toml").write_text(text)
     new = load(folder / "new.toml")
     (folder / "old.toml").write_text(text.replace("model_sd", "discrepancy"))
-    with pytest.warns(OldNameWarning, match="discrepancy is now called model_sd"):
+    with pytest.warns(OldNameWarning, match="discrepancy is now called model_sd") as seen:
         old = load(folder / "old.toml")
+    assert seen[0].filename == __file__
     theta = new.sample_prior(np.random.default_rng(1), 20)
     assert_array_equal(old.log_prob(theta), new.log_prob(theta))
     delta = fmu.Parameter("delta", 0.1, 0.01, 0.5)
