@@ -106,7 +106,7 @@ def _fail(message: str, *mistakes: object, code: int = BAD_INPUT) -> NoReturn:
 
 @contextmanager
 def warnings_as_notes() -> Iterator[None]:
-    """Print warnings on old names, stores, rounding, surrogates and the like as notes, without their line of code."""
+    """Print warnings on old names, stores, rounding and the like as notes, without their line of code."""
     from fmu.arguments import OldNameWarning
     from fmu.fem.programs.store import StoreWarning
     from fmu.posterior.reduction.train_reduced import ReductionWarning
