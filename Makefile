@@ -1,6 +1,6 @@
 # Set-up and everyday commands. The environment is .venv; nothing outside the project is touched.
 .DEFAULT_GOAL := help
-.PHONY: help paper environments test test-kernels test-fast test-programs lint notebooks notebooks-save docs bench bench-whole validate mutants clean-environment
+.PHONY: help paper environments test test-kernels test-fast test-programs lint notebooks notebooks-save docs bench bench-whole validate mutants results-status results-list clean-environment
 
 PYTHON_CANDIDATES := $(PYTHON) python3.12 python3.13 python3.14 python3 python
 READY := .venv/.ready
@@ -166,6 +166,12 @@ validate: $(READY_BENCH) $(READY_FAST)  ## Calibrate samplers, verdicts, interva
 
 mutants: $(READY)  ## Put deliberate faults into a copy and see which test catches each, into results/mutants.md
 	.venv/bin/python -m tests.validation.mutants results/mutants.md
+
+results-status: $(READY)  ## List the pages of results/ that are older than the code, and say so in their first lines
+	.venv/bin/python -m tests.results status
+
+results-list: $(READY)  ## List the studies of results/, with their groups, budgets and pages
+	.venv/bin/python -m tests.results list
 
 clean-environment:  ## Remove .venv, to be made anew by the next command
 	rm -rf .venv

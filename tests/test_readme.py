@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from fmu.numbers import whole
+from tests.results.stamps import Stamp
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "results"
@@ -99,6 +100,11 @@ def test_costs_of_samplers_are_those_of_the_page_beside_them(readme):
     page = (RESULTS / "compare" / "report" / "index.html").read_text(encoding="utf-8")
     for solves in table["criterion_solves"]:
         assert whole(float(f"{solves:.3g}")) in page
+
+
+def test_the_readme_says_which_commit_its_figures_are_of(readme):
+    stamp = Stamp.of((RESULTS / "compare" / "README.md").read_text(encoding="utf-8"))
+    assert f"(results/compare/README.md) on {stamp.date}, commit {stamp.commit}." in plain(readme)
 
 
 def test_workers_and_kills_are_those_of_their_pages():

@@ -1,14 +1,161 @@
-"""Runs of a study kept in a file of JSON, one a line, from which an interrupted study is continued."""
+"""Units of work of a study, each kept as soon as it is done: a study that was killed goes on where it was.
+
+Every study takes the same arguments::
+
+    python -m tests.validation.NAME OUT [--kept DIRECTORY] [--minutes M]
+"""
 
 from __future__ import annotations
 
+import argparse
 import json
+import os
+import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+PROGRESS = "progress.json"
+"""Beside the units: how many of each kind are done, and how many there are."""
+
+
+def study_parser(doc: str | None) -> argparse.ArgumentParser:
+    """Return a parser with the arguments of every study: OUT, ``--kept`` and ``--minutes``."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path, help="directory of the page")
+    parser.add_argument("--kept", type=Path, help="directory of the units that are done; it is continued")
+    parser.add_argument(
+        "--minutes", type=float, default=np.inf, help="time of all units together after which none is begun"
+    )
+    return parser
+
+
+def fields_of[Run](kind: Callable[..., Run], of_list: Callable[[list[Any]], Any] = tuple) -> Callable[[Any], Run]:
+    """Return the function that makes a dataclass of its kept fields, lists among them as `of_list`."""
+
+    def read(fields: dict[str, Any]) -> Run:
+        return kind(**{name: of_list(x) if isinstance(x, list) else x for name, x in fields.items()})
+
+    return read
+
+
+def as_kept(value: Any) -> Any:
+    """Return the value unchanged, as JSON gives it back."""
+    return value
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit of work: its key, its result as JSON has it, and what it took."""
+
+    key: Any
+    result: Any
+    processor_s: float
+    wall_s: float
+
+
+class Units:
+    """The units of a study.
+
+    Parameters
+    ----------
+    kept : path, optional
+        Directory with a file of JSON for each kind of unit, a unit a line.
+    minutes : float
+        Wall time of all units, those of earlier runs included, after which no further one is begun.
+    """
+
+    def __init__(self, kept: Path | None = None, minutes: float = np.inf) -> None:
+        self._kept = kept
+        self._budget_s = 60.0 * minutes
+        self._progress: dict[str, tuple[int, int]] = {}
+        self._earlier: dict[str, dict[str, Unit]] = {}
+        if kept is not None:
+            kept.mkdir(parents=True, exist_ok=True)
+            self._earlier = {path.stem: _units_in(path) for path in sorted(kept.glob("*.jsonl"))}
+        known = [unit for units in self._earlier.values() for unit in units.values()]
+        self.processor_s = sum(unit.processor_s for unit in known)
+        self.wall_s = sum(unit.wall_s for unit in known)
+
+    def completed[Job, Run](
+        self,
+        kind: str,
+        jobs: Iterable[tuple[Any, Job]],
+        make: Callable[[Job], Run],
+        read: Callable[[Any], Run] = as_kept,
+    ) -> list[Run]:
+        """Return the results of the jobs that are done, in their order; those not known are done first.
+
+        Parameters
+        ----------
+        kind : str
+            Name of the file and in the line of progress.
+        jobs : iterable of (key, job)
+            The key tells a job from others of its kind; JSON must be able to write it.
+        make : callable
+            Does a job. Its result is a dataclass, or something that JSON can write.
+        read : callable
+            Makes the result of its JSON. New results go through JSON too, so that killed studies give equal pages.
+        """
+        jobs, known, found = list(jobs), self._earlier.setdefault(kind, {}), []
+        for key, job in jobs:
+            name = json.dumps(key)
+            if name not in known and self.wall_s <= self._budget_s:
+                known[name] = self._do(kind, key, job, make)
+                self._report(kind, len(found) + 1, len(jobs))
+                print(f"{self.counts} ({self.wall_s / 60.0:.1f} min): {key}", flush=True)
+            if name in known:
+                found.append(read(known[name].result))
+        self._report(kind, len(found), len(jobs))
+        return found
+
+    @property
+    def counts(self) -> str:
+        """The units that are done, such as ``17 of 300 sets``."""
+        return ", ".join(f"{done} of {of} {kind}" for kind, (done, of) in self._progress.items())
+
+    def _do[Job](self, kind: str, key: Any, job: Job, make: Callable[[Job], Any]) -> Unit:
+        began, began_wall = _processor_s(), time.monotonic()
+        result = make(job)
+        fields = asdict(result) if is_dataclass(result) and not isinstance(result, type) else result
+        line = json.dumps(
+            asdict(Unit(key, fields, _processor_s() - began, time.monotonic() - began_wall)), default=_plain
+        )
+        if self._kept is not None:
+            with (self._kept / f"{kind}.jsonl").open("a", encoding="utf-8") as file:
+                file.write(line + "\n")
+        unit = Unit(**json.loads(line))
+        self.processor_s += unit.processor_s
+        self.wall_s += unit.wall_s
+        return unit
+
+    def _report(self, kind: str, done: int, of: int) -> None:
+        self._progress[kind] = (done, of)
+        if self._kept is not None:
+            (self._kept / PROGRESS).write_text(json.dumps(self._progress), encoding="utf-8")
+
+
+def _units_in(path: Path) -> dict[str, Unit]:
+    """Return the units of a file by their keys; the last line may have been cut short by a kill."""
+    text = path.read_text(encoding="utf-8")
+    whole = text[: text.rfind("\n") + 1]
+    if whole != text:
+        path.write_text(whole, encoding="utf-8")
+    units = [Unit(**json.loads(line)) for line in whole.splitlines()]
+    return {json.dumps(unit.key): unit for unit in units}
+
+
+def _processor_s() -> float:
+    """Return the time of this process and of its children that have ended."""
+    return sum(os.times()[:4])
+
+
+def _plain(value: Any) -> Any:
+    """Return arrays and numbers of NumPy, and dataclasses, as JSON has them."""
+    return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value.tolist()
 
 
 def kept_lines(file: Path | None, of_list: Callable[[list[Any]], Any] = tuple) -> list[dict[str, Any]]:
