@@ -22,7 +22,8 @@ from fmu.paper.experiment import (
 )
 from fmu.paper.plan import PAPER_SAMPLERS
 from fmu.paper.published import EXPERIMENTS
-from fmu.paper.vector_beta import VectorBeta
+from fmu.paper.studies.vector_beta import VectorBeta
+from fmu.paper.studies.wrong_model import WrongModel
 from fmu.report.plots import TITLES
 
 if TYPE_CHECKING:
@@ -68,6 +69,8 @@ class Findings:
         Errors of the reduced model at some draws of every run (`fmu.analysis.certificate`), by the same keys.
     weighted : VectorBeta, optional
         Results with a β for every mode, if that run was performed.
+    wrong : WrongModel, optional
+        Results with a model that may be wrong.
     """
 
     case: str
@@ -87,9 +90,10 @@ class Findings:
     lengths: Mapping[str, tuple[int, int, int]]
     certificates: Mapping[str, Mapping[str, float]]
     weighted: VectorBeta | None = None
+    wrong: WrongModel | None = None
 
     @classmethod
-    def of(cls, result: Result, weighted: VectorBeta | None = None) -> Findings:
+    def of(cls, result: Result, weighted: VectorBeta | None = None, wrong: WrongModel | None = None) -> Findings:
         """Return the findings of the runs of an experiment."""
         traces = {f"{name}, paper": trace for name, trace in result.paper.items()}
         traces |= {f"{name}, long": trace for name, trace in result.long.items()}
@@ -124,6 +128,7 @@ class Findings:
                 for key, trace in traces.items()
             },
             weighted=weighted,
+            wrong=wrong,
         )
 
     @property

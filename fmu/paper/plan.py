@@ -60,6 +60,8 @@ class Plan:
         of chains with one start.
     weighted : tuple of (case, pairing)
         The experiments that are repeated by HMC with a separate β for every mode.
+    wrong : Length
+        The length of the runs with a model that may be wrong, by the mixture.
     starts : int
         Number of optimiser starts of the search for maxima.
     box_points : int
@@ -93,6 +95,7 @@ class Plan:
         ("cantilever-young", "shape"),
         ("cantilever-section", "shape"),
     )
+    wrong: Length = Length(8_000, 1_000, 4)
     starts: int = 256
     box_points: int = 2**14
     seed: int = 1

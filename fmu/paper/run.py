@@ -19,8 +19,8 @@ from fmu.paper.findings import Findings
 from fmu.paper.page import experiment_page
 from fmu.paper.plan import PAPER_SAMPLERS, SAMPLERS, Plan
 from fmu.paper.published import EXPERIMENTS
-from fmu.paper.summary import summary_page
-from fmu.paper.vector_beta import (
+from fmu.paper.studies import wrong_model
+from fmu.paper.studies.vector_beta import (
     SAMPLER,
     VectorBeta,
     plot_vector_beta,
@@ -28,6 +28,8 @@ from fmu.paper.vector_beta import (
     side_by_side,
     vector_beta_page,
 )
+from fmu.paper.studies.wrong_model import WrongModel, plot_wrong_model, study_wrong_model, wrong_model_page
+from fmu.paper.summary import summary_page
 from fmu.progress import Report
 from fmu.report.files import OutputDirectory
 from fmu.report.pages import FOLDER, write_pages
@@ -86,7 +88,9 @@ def run_experiment(case: str, pairing: str, plan: Plan, stage: Path, progress: R
     with single_thread():
         result = compute(case, pairing, plan, progress)
         weighted = _run_weighted(result, plan, stage, progress) if (case, pairing) in plan.weighted else None
-        findings = Findings.of(result, weighted)
+        trace, wrong = study_wrong_model(result, plan, progress)
+        _save(trace, f"{result.name}-{wrong_model.SAMPLER}-model-error.nc", stage)
+        findings = Findings.of(result, weighted, wrong)
         write_experiment(result, findings, stage)
     return findings
 
@@ -94,16 +98,19 @@ def run_experiment(case: str, pairing: str, plan: Plan, stage: Path, progress: R
 def _run_weighted(result: Result, plan: Plan, stage: Path, progress: Report | None) -> VectorBeta:
     """Perform the run with a β for every mode, write its trace, and return the comparison with the scalar β."""
     trace = sample_weighted(result, plan, progress)
-    (stage / "traces").mkdir(parents=True, exist_ok=True)
-    save_trace(trace, stage / "traces" / f"{result.name}-{SAMPLER}-vector-beta.nc")
+    _save(trace, f"{result.name}-{SAMPLER}-vector-beta.nc", stage)
     return side_by_side(result, trace)
+
+
+def _save(trace: xr.DataTree, name: str, stage: Path) -> None:
+    (stage / "traces").mkdir(parents=True, exist_ok=True)
+    save_trace(trace, stage / "traces" / name)
 
 
 def write_experiment(result: Result, findings: Findings, stage: Path) -> None:
     """Write the tables, figures and traces of one experiment, and a report on its long runs, below `stage`."""
-    directory, traces = stage / findings.name, stage / "traces"
-    for path in (directory, traces):
-        path.mkdir(parents=True, exist_ok=True)
+    directory = stage / findings.name
+    directory.mkdir(parents=True, exist_ok=True)
     tables = findings.parameters, findings.frequencies, findings.comparison, findings.maxima
     for name, table in zip(TABLES, tables, strict=True):
         table.to_csv(directory / f"{name}.csv")
@@ -111,12 +118,13 @@ def write_experiment(result: Result, findings: Findings, stage: Path) -> None:
     write_figures(result, findings.frequencies, directory)
     write_pages(result.long, directory / FOLDER)
     for name, trace in _traces(result):
-        save_trace(trace, traces / name)
+        _save(trace, name, stage)
 
 
 def file_names(plan: Plan) -> list[str]:
     """Return the list of the files that the command may write, as paths relative to the output directory."""
     names = ["README.md", "errata.md", "recomputed.csv", "recomputed.md"]
+    names += [f"model-error.{kind}" for kind in ("md", "csv", "png")]
     for name in (directory_of(*experiment) for experiment in plan.experiments):
         names += [f"{name}/tables.md", f"{name}/convergence.png"]
         names += [f"{name}/{table}.csv" for table in TABLES]
@@ -124,7 +132,7 @@ def file_names(plan: Plan) -> list[str]:
         names += [f"{name}/report/{page}.html" for page in ("index", *SAMPLERS)]
         names += [f"traces/{name}-{sampler}-paper.nc" for sampler in PAPER_SAMPLERS]
         names += [f"traces/{name}-{sampler}-long.nc" for sampler in SAMPLERS]
-        names += [f"traces/{name}-hmc-one-start.nc"]
+        names += [f"traces/{name}-hmc-one-start.nc", f"traces/{name}-{wrong_model.SAMPLER}-model-error.nc"]
     weighted = [directory_of(*experiment) for experiment in plan.experiments if experiment in plan.weighted]
     names += [f"traces/{name}-{SAMPLER}-vector-beta.nc" for name in weighted]
     return names + ([f"vector-beta.{kind}" for kind in ("md", "csv", "png")] if weighted else [])
@@ -160,6 +168,17 @@ def write_closing_pages(everything: Sequence[Findings], plan: Plan, stage: Path)
     for name, text in pages.items():
         (stage / name).write_text(text, encoding="utf-8")
     _write_vector_beta([f.weighted for f in everything if f.weighted is not None], stage)
+    write_model_error([f.wrong for f in everything if f.wrong is not None], stage)
+
+
+def write_model_error(studies: Sequence[WrongModel], stage: Path) -> None:
+    """Write the page, table and figure of the experiments with a model that may be wrong."""
+    import pandas as pd
+
+    (stage / "model-error.md").write_text(wrong_model_page(studies), encoding="utf-8")
+    table = pd.concat({study.name: study.modes for study in studies}, names=["experiment"])
+    table.to_csv(stage / "model-error.csv")
+    plot_wrong_model(studies).savefig(stage / "model-error.png", dpi=DPI)
 
 
 def _write_vector_beta(studies: Sequence[VectorBeta], stage: Path) -> None:

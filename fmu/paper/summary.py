@@ -8,7 +8,8 @@ from fmu.numbers import about, fixed, share, significant, whole, with_interval
 from fmu.paper.experiment import PAIRED_BY
 from fmu.paper.findings import Findings, judge, statement
 from fmu.paper.page import ENDS, JUDGED_BY, SOLVE, TO_CONVERGE, WOULD_NEED
-from fmu.paper.vector_beta import RELATIVE, VectorBeta, outcome
+from fmu.paper.studies.vector_beta import RELATIVE, VectorBeta, outcome
+from fmu.paper.studies.wrong_model import HOW_TO_READ, WrongModel, summary_table
 from fmu.report.plots import TITLES
 from fmu.tables import markdown_table
 
@@ -16,6 +17,7 @@ FILES = {
     "errata.md": "errors in the paper, found from its tables and the model",
     "recomputed.md, recomputed.csv": "the forty published frequencies, recomputed",
     "vector-beta.md, .csv, .png": "β as a vector, which the paper proposes but does not test",
+    "model-error.md, .csv, .png": "a model that may be wrong: each mode predicted by the others, with and without",
     "*/tables.md": "one experiment with one pairing: the paper's tables beside ours, convergence, cost, maxima",
     "*/parameters.csv, */frequencies.csv, */comparison.csv, */maxima.csv": "the same numbers, SI units, in full",
     "*/trace-*.png, */corner-*.png, */frequencies-*.png": "paths, posterior and frequency errors of each sampler",
@@ -60,6 +62,9 @@ def summary_page(everything: Sequence[Findings], recomputed: str, seed: int, ver
     studies = [findings.weighted for findings in everything if findings.weighted is not None]
     if studies:
         parts += ["## A β for every mode\n", _remark(studies)]
+    wrong = [findings.wrong for findings in everything if findings.wrong is not None]
+    if wrong:
+        parts += ["## With a model that may be wrong\n", _wrong(wrong)]
     parts += ["## Files\n", markdown_table(("file", "what it is"), FILES.items(), words=(0, 1))]
     parts += ["## How it was made\n", _how(seed, versions)]
     return "\n".join(parts)
@@ -153,6 +158,13 @@ def _remark(studies: Sequence[VectorBeta]) -> str:
         "The paper blames the one β for the error of mode 1, and expects a vector to lower it (section 5.1). With "
         f"σ = {share(RELATIVE)} of each measured frequency, sampled by HMC ([vector-beta.md](vector-beta.md)):\n\n"
         + "".join(f"- {outcome(study)}\n" for study in studies)
+    )
+
+
+def _wrong(studies: Sequence[WrongModel]) -> str:
+    return (
+        "The data contradict the model. Here its parameters may scatter from mode to mode, by an inferred share τ "
+        f"([model-error.md](model-error.md)). {HOW_TO_READ}\n\n" + summary_table(studies)
     )
 
 

@@ -5,6 +5,7 @@ import pytest
 from fmu.paper.experiment import compute
 from fmu.paper.findings import Findings
 from fmu.paper.plan import PAPER_SAMPLERS, Length, Plan
+from fmu.paper.studies.wrong_model import study_wrong_model
 
 EXPERIMENT = ("cantilever-section", "shape")
 
@@ -23,6 +24,7 @@ def plan():
             "mixture": Length(40, 20, 2),
         },
         one_start=Length(30, 20, 2),
+        wrong=Length(40, 20, 2),
         starts=16,
         box_points=2**8,
     )
@@ -41,3 +43,9 @@ def result(plan, messages):
 @pytest.fixture(scope="session")
 def findings(result):
     return Findings.of(result)
+
+
+@pytest.fixture(scope="session")
+def wrong_model(result, plan):
+    """The trace with scatter, and the comparison with the long run."""
+    return study_wrong_model(result, plan)

@@ -16,13 +16,14 @@ from fmu.report.files import MANIFEST
 
 
 @pytest.fixture(scope="module")
-def out(plan, result, quick_figures, no_pictures, tmp_path_factory):
+def out(plan, result, wrong_model, quick_figures, no_pictures, tmp_path_factory):
     """The files on the experiment that the other tests compute; pictures on pages are of other tests."""
     directory = tmp_path_factory.mktemp("paper") / "results"
     directory.mkdir()
     (directory / "notes.md").write_text("mine")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("fmu.paper.run.compute", lambda *experiment: result)
+        patch.setattr("fmu.paper.run.study_wrong_model", lambda *experiment: wrong_model)
         run_paper(directory, plan=plan, workers=1)
     return directory
 

@@ -11,10 +11,11 @@ import numpy as np
 from fmu.analysis.convergence.diagnosis import diagnose
 from fmu.analysis.convergence.diagnostics import summary
 from fmu.analysis.maxima.search import find_map
-from fmu.numbers import customary_unit, fixed, given, share, with_sd
+from fmu.numbers import fixed, given, share
 from fmu.paper.experiment import PAIRED_BY, Result, directory_of, posterior_mean, rows_of
 from fmu.paper.plan import Plan, Runs, long_settings
 from fmu.paper.published import EXPERIMENTS
+from fmu.paper.studies.moments import moments, moments_table
 from fmu.progress import Report
 from fmu.report.plots import BLACK, COLOURS, FONT, GREY, finish, new_figure
 from fmu.tables import data_frame, markdown_table
@@ -109,9 +110,6 @@ def side_by_side(result: Result, weighted: xr.DataTree) -> VectorBeta:
     traces = {SCALAR: result.long[SAMPLER], VECTOR: weighted}
     diagnoses = {SCALAR: result.diagnoses[SAMPLER], VECTOR: diagnose(weighted)}
     summaries = {name: summary(trace) for name, trace in traces.items()}
-    parameters: dict[str, object] = {"unit": result.problem.units}
-    for name, table in summaries.items():
-        parameters |= {f"{name}_mean": table["mean"].to_numpy(), f"{name}_sd": table["sd"].to_numpy()}
     runs = {
         name: (diagnoses[name].converged, table["rhat"].max(), table["ess_bulk"].min())
         for name, table in summaries.items()
@@ -120,7 +118,7 @@ def side_by_side(result: Result, weighted: xr.DataTree) -> VectorBeta:
         case=result.published.case,
         pairing=result.pairing,
         modes=_mode_table(result, traces),
-        parameters=data_frame(parameters, "parameter", result.problem.names),
+        parameters=moments(result.problem, traces),
         runs=pd.DataFrame.from_dict(runs, orient="index", columns=["converged", "rhat", "ess"]),
         reasons={name: diagnosis.reasons for name, diagnosis in diagnoses.items()},
     )
@@ -167,7 +165,7 @@ def vector_beta_page(studies: Sequence[VectorBeta]) -> str:
             f"## {study.title[0].upper()}{study.title[1:]}\n",
             _runs(study),
             _modes(study),
-            _parameters(study),
+            moments_table(study.parameters, NAMES),
         ]
     return "\n".join(parts)
 
@@ -205,16 +203,6 @@ def _modes(study: VectorBeta) -> str:
             cells += [fixed(row[f"{name}_{of}"], 2) for of in ("hz", "error")]
         rows.append(cells)
     return markdown_table(header, rows)
-
-
-def _parameters(study: VectorBeta) -> str:
-    rows = []
-    for name, row in rows_of(study.parameters):
-        unit = customary_unit(row["unit"])
-        moments = [[row[f"{b}_{of}"] / unit.factor for of in ("mean", "sd")] for b in NAMES]
-        cells = [with_sd(mean, sd) for mean, sd in moments]
-        rows.append((unit.label(name), *cells))
-    return "Posterior mean and standard deviation:\n\n" + markdown_table(("parameter", *NAMES.values()), rows)
 
 
 def plot_vector_beta(studies: Sequence[VectorBeta], figure: Figure | None = None) -> Figure:

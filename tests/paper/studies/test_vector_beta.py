@@ -9,8 +9,7 @@ import pytest
 from fmu.analysis.convergence.diagnosis import maxima_of
 from fmu.analysis.trace.reading import parameter_draws
 from fmu.paper.run import file_names
-from fmu.paper.summary import summary_page
-from fmu.paper.vector_beta import (
+from fmu.paper.studies.vector_beta import (
     outcome,
     plot_vector_beta,
     relative_weights,
@@ -18,6 +17,7 @@ from fmu.paper.vector_beta import (
     side_by_side,
     vector_beta_page,
 )
+from fmu.paper.summary import summary_page
 
 MEASURED = np.array([31.9, 197.9, 553.0, 1082.2, 1781.5])
 
