@@ -10,7 +10,8 @@ import scipy.sparse as sp
 
 from fmu.arguments import ArgumentError
 from fmu.formats.matrices.abaqus import HELD
-from fmu.formats.matrices.limits import Labelled, Matrix, Motions
+from fmu.formats.matrices.limits import Labelled, Matrix, Motions, RefusedError
+from fmu.formats.models.constrained import constrain, motions_of
 from fmu.formats.models.exported import NO_MESH, DofName, Mesh
 from fmu.formats.shown import names_shown
 from fmu.types import DIRECTIONS, FloatArray
@@ -51,6 +52,8 @@ def assemble(
     where : sequence of str
         The argument that gave each matrix, for messages.
     mesh : Mesh, optional
+        Its constraints are applied to matrices that have rows for dependent degrees of freedom; otherwise they
+        only give the motions of these; see `fmu.formats.models.constrained`.
         If nodes of the mesh have their own axes, matrices are rotated to global axes where all three displacements
         (or rotations) of a node have rows. Otherwise the rows keep their axes, and displacements (or rotations)
         along global axes are weighted sums of degrees of freedom.
@@ -58,9 +61,10 @@ def assemble(
     Raises
     ------
     ValueError
-        If rows have no names, a matrix has no row in common with the first, or no row is left.
+        If rows have no names, a matrix has no row in common with the first, no row is left, or the constraints of
+        the mesh contradict each other (``mesh:``).
     """
-    assumed: dict[str, None] = {}
+    assumed: dict[str, str] = {}
     named = [_name_rows(one, at, mesh, assumed) for one, at in zip(read, where, strict=True)]
     for names, at in zip(named, where, strict=True):
         if not set(names) & set(named[0]):
@@ -72,6 +76,12 @@ def assemble(
         _place_rows(one.matrix, [index[dof] for dof in names], len(dofs))
         for one, names in zip(read, named, strict=True)
     ]
+    means = {name: weights for one in read for name, weights in one.motions.items()}
+    try:
+        within = constrain(matrices, dofs, mesh, means, is_whole="g" in assumed.values())
+    except RefusedError as error:
+        raise ArgumentError("mesh", str(error)) from error
+    matrices, dofs = within.matrices, within.dofs
     largest = np.max([np.abs(matrix.diagonal()) for matrix in matrices[:n_stiffness]], axis=0)
     is_held = largest >= HELD
     is_empty = np.sum([abs(matrix).sum(axis=1) for matrix in matrices], axis=0) == 0.0
@@ -87,8 +97,10 @@ def assemble(
     turn, motions, told = _turn_axes(dofs, mesh.axes)
     if turn is not None:
         matrices = [sp.csr_array(turn.T @ matrix @ turn) for matrix in matrices]
-    means = {name: weights for one in read for name, weights in one.motions.items()}
-    return Assembled(matrices, dofs, means | motions, [*notes_of(read), *assumed, *notes, *told])
+    if within.transformation is not None:
+        following, lost = motions_of(within.transformation, dofs, turn, mesh.axes)
+        motions, told = motions | following, [*told, *lost]
+    return Assembled(matrices, dofs, means | motions, [*notes_of(read), *assumed, *within.notes, *notes, *told])
 
 
 def notes_of(read: Sequence[Labelled]) -> list[str]:
@@ -96,8 +108,8 @@ def notes_of(read: Sequence[Labelled]) -> list[str]:
     return list(dict.fromkeys(note for one in read for note in one.notes))
 
 
-def _name_rows(one: Labelled, where: str, mesh: Mesh, assumed: dict[str, None]) -> tuple[DofName, ...]:
-    """Return the names of the rows of a matrix, and add the assumption made, if any, to `assumed`."""
+def _name_rows(one: Labelled, where: str, mesh: Mesh, assumed: dict[str, str]) -> tuple[DofName, ...]:
+    """Return the names of the rows of a matrix, and add the assumption made and its set, if any, to `assumed`."""
     n = one.matrix.shape[0]
     if one.dofs is not None and len(one.dofs) != n:
         raise ArgumentError(where, f"must name {n} degrees of freedom", len(one.dofs))
@@ -109,7 +121,7 @@ def _name_rows(one: Labelled, where: str, mesh: Mesh, assumed: dict[str, None]) 
         return one.dofs
     for which, names in mesh.sets.items():
         if len(names) == n:
-            assumed[f"Rows have no names: they are taken for the {n} of the {which}-set."] = None
+            assumed[f"Rows have no names: they are taken for the {n} of the {which}-set."] = which
             return names
     known = ", ".join(f"{len(names)} of the {name}-set" for name, names in mesh.sets.items())
     rule = f"has {n} rows without names: give them in a file of node,direction a row (dofs)"

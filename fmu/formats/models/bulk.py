@@ -2,8 +2,9 @@
 
 Matrices are along the axes of each node's output coordinate system, CD. Rows of OP4 files have no names: the rows
 of the g-set are the nodes in ascending order with six components each, and scalar points with one component. The
-smaller sets that this module knows are the a-set, if ASET entries define it, and otherwise the f-set: the g-set
-without the components that GRID, SPC and SPC1 hold.
+smaller sets that this module knows are the n-set, the g-set without the components that constraints make dependent
+(`fmu.formats.constraints.nastran`); the f-set, the n-set without the components that GRID, SPC and SPC1 hold; and
+the a-set, if ASET entries define it.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from typing import Literal
 
 import numpy as np
 
+from fmu.formats.constraints.nastran import Constraints, equations_of
+from fmu.formats.constraints.rigid import Point
 from fmu.formats.matrices.limits import MOST_DOFS, RefusedError
 from fmu.formats.matrices.nastran.cards import cards, components, expand_list, identity, number, whole
 from fmu.formats.matrices.nastran.includes import BULK_DATA, deck_lines
@@ -47,16 +50,18 @@ class _Deck:
 
     grids: dict[int, tuple[int, FloatArray]] = field(default_factory=dict)
     outputs: dict[int, int] = field(default_factory=dict)
-    held: dict[int, set[int]] = field(default_factory=dict)
+    permanent: dict[int, set[int]] = field(default_factory=dict)
+    held: dict[int, dict[int, set[int]]] = field(default_factory=dict)
     kept: dict[int, set[int]] = field(default_factory=dict)
     scalars: set[int] = field(default_factory=set)
     systems: dict[int, Definition] = field(default_factory=dict)
     elements: list[tuple[int, ...]] = field(default_factory=list)
     kinds: list[str] = field(default_factory=list)
+    constraints: Constraints = field(default_factory=Constraints)
 
 
 def _read(path: Path) -> Mesh:
-    deck, defaults, dependent = _Deck(), ("", "", ""), 0
+    deck, defaults, omitted = _Deck(), ("", "", ""), 0
     for name, fields in cards(deck_lines(path)):
         fields = fields + [""] * (8 - len(fields))
         if name == "GRDSET":
@@ -71,11 +76,13 @@ def _read(path: Path) -> Mesh:
             deck.scalars |= set(expand_list(fields, "SPOINT"))
         elif name in _SET:
             _members(deck, name, fields)
-        elif name in ("MPC", "RBE1", "RBE2", "RBE3", "RBAR", "RROD", "RTRPLT", "OMIT", "OMIT1"):
-            dependent += 1
+        elif name in ("OMIT", "OMIT1"):
+            omitted += 1
+        else:
+            deck.constraints.add(name, fields)
         if len(deck.grids) + len(deck.scalars) > MOST_NODES or len(deck.elements) > MOST_ELEMENTS:
             raise RefusedError(f"must have at most {MOST_NODES} nodes and {MOST_ELEMENTS} elements")
-    return _mesh(deck, defaults, dependent)
+    return _mesh(deck, defaults, omitted)
 
 
 def _grid(deck: _Deck, fields: list[str]) -> None:
@@ -87,7 +94,7 @@ def _grid(deck: _Deck, fields: list[str]) -> None:
     deck.grids[node] = whole(fields[1], f"{what}: CP", -2), place
     deck.outputs[node] = whole(fields[5], f"{what}: CD", -2)
     if fields[6]:
-        deck.held[node] = set(components(fields[6], f"{what}: PS"))
+        deck.permanent[node] = set(components(fields[6], f"{what}: PS"))
 
 
 def _element(deck: _Deck, name: str, fields: list[str]) -> None:
@@ -118,9 +125,9 @@ def _system(deck: _Deck, way: Literal["1", "2"], kind: Kind, fields: list[str]) 
 
 
 def _members(deck: _Deck, name: str, fields: list[str]) -> None:
-    """Add the components named in an entry to the kept components (ASET) or the held components (SPC)."""
-    into = deck.kept if name.startswith("ASET") else deck.held
+    """Add the components named in an entry to the kept components (ASET) or the held components of a set (SPC)."""
     skipped = 0 if name.startswith("ASET") else 1
+    into = deck.held.setdefault(identity(fields[0], f"{name}: its set"), {}) if skipped else deck.kept
     if name.endswith("1"):
         which = components(fields[skipped], name)
         for node in expand_list(fields[skipped + 1 :], name):
@@ -131,7 +138,7 @@ def _members(deck: _Deck, name: str, fields: list[str]) -> None:
             into.setdefault(identity(fields[at], name), set()).update(components(fields[at + 1], name))
 
 
-def _mesh(deck: _Deck, defaults: tuple[str, str, str], dependent: int) -> Mesh:
+def _mesh(deck: _Deck, defaults: tuple[str, str, str], omitted: int) -> Mesh:
     position, output, permanent = defaults
     default_in, default_out = whole(position, "GRDSET: CP", 0), whole(output, "GRDSET: CD", 0)
     fluid = [node for node, system in deck.outputs.items() if system == -1]
@@ -142,28 +149,51 @@ def _mesh(deck: _Deck, defaults: tuple[str, str, str], dependent: int) -> Mesh:
     places = {node: systems.place(node) for node in grids}
     own = {node: default_out if cd == -2 else cd for node, cd in deck.outputs.items()}
     axes = {node: systems.axes(cd, node) for node, cd in own.items() if cd}
-    if permanent:
-        for node in set(grids) - set(deck.held):
-            deck.held[node] = set(components(permanent, "GRDSET: PS"))
     both = deck.scalars & set(grids)
     if both:
         raise RefusedError(f"must have each point once (as GRID and SPOINT: {names_shown(sorted(both))})")
     order = sorted([*grids, *deck.scalars])
     if 6 * len(order) > 6 * MOST_DOFS:
         raise RefusedError(f"must have at most {MOST_DOFS} points")
+    held = _find_held(deck, set(components(permanent, "GRDSET: PS")) if permanent else set())
+
+    def point(node: int) -> Point:
+        if node not in places:
+            raise RefusedError(f"must have the nodes of all constraints (there is no node {node})")
+        return Point(node, places[node], axes.get(node, np.eye(3)))
+
+    equations = equations_of(deck.constraints, point, deck.scalars)
+    dependent = {one.dependent for one in equations}
     every = [(node, k) for node in order for k in ([1] if node in deck.scalars else range(1, 7))]
-    chosen = {"g": every}
+    sets = {"g": [(node, DIRECTIONS[k - 1]) for node, k in every]}
+    sets["n"] = [name for name in sets["g"] if name not in dependent]
+    sets["f"] = [name for name in sets["n"] if name not in held]
     if deck.kept:
-        chosen["a"] = [(node, k) for node, k in every if k in deck.kept.get(node, ())]
-    elif deck.held:
-        chosen["f"] = [(node, k) for node, k in every if k not in deck.held.get(node, ())]
-    sets: dict[str, tuple[DofName, ...]] = {
-        name: tuple((node, DIRECTIONS[k - 1]) for node, k in rows) for name, rows in chosen.items()
+        kept = ((node, k) for node, k in every if k in deck.kept.get(node, ()))
+        sets["a"] = [(node, DIRECTIONS[k - 1]) for node, k in kept]
+    names = list(sets)
+    chosen = {
+        name: tuple(rows)
+        for k, (name, rows) in enumerate(sets.items())
+        if all(len(sets[larger]) > len(rows) for larger in names[:k])
     }
-    notes = []
-    if dependent:
-        notes.append(f"Of {dependent} MPC, rigid elements and OMIT entries the mesh knows nothing.")
-    return mesh_of(places, deck.elements, deck.kinds, notes, axes, sets)
+    notes = [f"Of {omitted} OMIT entries the mesh knows nothing."] if omitted else []
+    notes += deck.constraints.notes
+    notes += [f"{count} {name} entries are not read." for name, count in deck.constraints.unread.items()]
+    for kind, known in (("MPC", deck.constraints.mpc), ("SPC", deck.held)):
+        if known and not deck.constraints.sets(kind, sorted(known)):
+            notes.append(f"No {kind} set acts, as the case control selects none.")
+    mesh = mesh_of(places, deck.elements, deck.kinds, notes, axes, chosen)
+    return mesh._replace(equations=tuple(equations), held=frozenset(held))
+
+
+def _find_held(deck: _Deck, permanent: set[int]) -> set[DofName]:
+    """Return the degrees of freedom that GRID (or GRDSET, `permanent`) and the SPC sets that act hold."""
+    held = {node: deck.permanent.get(node, permanent) for node in deck.grids}
+    for one in deck.constraints.sets("SPC", sorted(deck.held)):
+        for node, which in deck.held.get(one, {}).items():
+            held[node] = held.get(node, set()) | which
+    return {(node, DIRECTIONS[k - 1]) for node, which in held.items() for k in which}
 
 
 FORMAT = MeshFormat(BULK_DATA, _read)

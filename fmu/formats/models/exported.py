@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
+from fmu.formats.constraints.equations import Equation
 from fmu.formats.matrices.limits import DofName as DofName
 from fmu.formats.matrices.limits import Motions, RefusedError
 from fmu.types import FloatArray, IntArray
@@ -38,6 +39,10 @@ class Mesh(NamedTuple):
         Unit vectors (rows) along which the degrees of freedom of a node are, if they are not along global axes.
     sets : mapping of str to tuple of (node, direction)
         Possible rows of matrices without names, by the program's name of the set, such as ``"g"``.
+    equations : tuple of Equation
+        Constraints between degrees of freedom, along the axes of each node.
+    held : frozenset of (node, direction)
+        Degrees of freedom that supports hold, along the axes of each node.
     """
 
     nodes: IntArray
@@ -47,6 +52,8 @@ class Mesh(NamedTuple):
     notes: tuple[str, ...] = ()
     axes: Mapping[int, FloatArray] = {}
     sets: Mapping[str, tuple[DofName, ...]] = {}
+    equations: tuple[Equation, ...] = ()
+    held: frozenset[DofName] = frozenset()
 
 
 NO_MESH = Mesh(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), (), ())

@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+from fmu.formats.constraints.calculix import Constraints, constraints_of
 from fmu.formats.matrices.limits import RefusedError, text_lines
 from fmu.formats.models.exported import MOST_ELEMENTS, MOST_NODES, Mesh, MeshFormat, mesh_of
 from fmu.formats.shown import quote
@@ -53,6 +54,10 @@ def parse(lines: Iterator[str]) -> Mesh:
         If a line of a node or an element is malformed.
     """
     nodes: dict[int, tuple[float, float, float]] = {}
+    constraints = Constraints()
+    numbered: dict[int, tuple[int, ...]] = {}
+    node_set: list[int] = []
+    element_set: list[int] = []
     elements: list[tuple[int, ...]] = []
     kinds: list[str] = []
     unknown: dict[str, None] = {}
@@ -74,11 +79,15 @@ def parse(lines: Iterator[str]) -> Mesh:
             if reading in _REFUSED:
                 raise RefusedError(f"line {number}: {_REFUSED[reading]}")
             is_transformed |= reading == "TRANSFORM"
+            constraints.begin(reading, options, number)
             if reading in ("NODE", "ELEMENT") and "INPUT" in options:
                 raise RefusedError(f"line {number}: {_REFUSED['INCLUDE'].replace('INCLUDE', 'INPUT')}")
             if reading == "NODE" and options.get("SYSTEM", "R") not in ("R", ""):
                 raise RefusedError(f"line {number}: {_REFUSED['SYSTEM']}")
+            if reading == "NODE":
+                node_set = constraints.nodes_of.setdefault(options.get("NSET", ""), [])
             if reading == "ELEMENT":
+                element_set = constraints.elements_of.setdefault(options.get("ELSET", ""), [])
                 kind, needed = kind_of(options.get("TYPE", ""))
                 if not kind:
                     unknown[options.get("TYPE", "")] = None
@@ -86,7 +95,9 @@ def parse(lines: Iterator[str]) -> Mesh:
         elif reading == "NODE":
             words = [word.strip() for word in line.rstrip(",").split(",")]
             x, y, z = (*(_number(word, number) for word in words[1:4]), 0.0, 0.0, 0.0)[:3]
-            nodes[_id(words[0], number)] = (x, y, z)
+            node = _id(words[0], number)
+            nodes[node] = (x, y, z)
+            node_set.append(node)
             if len(nodes) > MOST_NODES:
                 raise RefusedError(f"must have at most {MOST_NODES} nodes")
         elif reading == "ELEMENT":
@@ -97,15 +108,21 @@ def parse(lines: Iterator[str]) -> Mesh:
                 ends = ahead[1 : needed + 1]
                 elements.append((ends[0], ends[2], ends[1]) if kind == "line3" else tuple(ends))
                 kinds.append(kind)
+                numbered[ahead[0]] = elements[-1]
+                element_set.append(ahead[0])
                 ahead = []
                 if len(elements) > MOST_ELEMENTS:
                     raise RefusedError(f"must have at most {MOST_ELEMENTS} elements")
+        else:
+            constraints.add(reading, line)
     if ahead:
         raise ValueError(f"its last element has {len(ahead) - 1} of its {needed} nodes")
     notes = [f"Elements of the unknown type {quote(one)} are left out of the mesh." for one in unknown]
     if is_transformed:
         notes.append(TRANSFORMED)
-    return mesh_of(nodes, elements, kinds, notes)
+    equations, held, of_constraints = constraints_of(constraints, nodes, numbered)
+    mesh = mesh_of(nodes, elements, kinds, [*notes, *of_constraints])
+    return mesh._replace(equations=tuple(equations), held=frozenset(held))
 
 
 TRANSFORMED = "The deck has *TRANSFORM: degrees of freedom are along global axes, as CalculiX writes them."

@@ -89,6 +89,7 @@ def test_matrices_of_abaqus(tmp_path):
 BULK = """\
 SOL 103
 CEND
+SPC = 9
 BEGIN BULK
 GRDSET                 1                               2       6
 GRID          10              1.      2.      3.
@@ -127,7 +128,7 @@ def test_bulk_data(tmp_path):
     assert len(mesh.sets["g"]) == 6 * 6 + 3
     assert mesh.sets["g"][6:9] == ((15, "x"), (16, "x"), (17, "x"))
     free = mesh.sets["f"]
-    assert len(free) == 6 * 6 + 3 - 6 - 3 - 2
+    assert len(free) == 6 * 6 + 3 - 6 - 3 - 5  # SPC1, GRID 20, and GRDSET at the other five
     assert (20, "z") not in free
     assert (91, "x") not in free
     assert (10, "rz") not in free

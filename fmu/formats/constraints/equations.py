@@ -1,0 +1,95 @@
+"""Linear constraint equations: each gives one dependent degree of freedom as a weighted sum of others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from fmu.formats.matrices.limits import DofName, RefusedError
+from fmu.formats.shown import names_shown
+from fmu.types import FloatArray
+
+RANK = 1e-10
+"""Smallest pivot of a constraint, relative to its largest, that defines a dependent degree of freedom."""
+NEGLIGIBLE = 1e-14
+"""Weights below this, relative to the largest of an equation, are rounding errors."""
+
+
+class Equation(NamedTuple):
+    """One dependent degree of freedom: u_dependent = Σ weight u.
+
+    Attributes
+    ----------
+    dependent : (node id, direction)
+    weights : mapping of (node id, direction) to float
+        Rotations are in rad. The axes are those of each node's degrees of freedom. Empty if the dependent degree
+        of freedom does not move.
+    source : str
+        The entry of the file that gives the equation, for messages: ``"RBE2 11"``.
+    """
+
+    dependent: DofName
+    weights: Mapping[DofName, float]
+    source: str
+
+
+def solve_for_dependents(
+    rows: Sequence[Mapping[DofName, float]], dependents: Sequence[DofName], source: str
+) -> list[Equation]:
+    """Return the equations of the dependents of one constraint, from Σ coefficient u = 0 for each row.
+
+    Parameters
+    ----------
+    rows : sequence of mapping of (node id, direction) to float
+        As many rows as dependents.
+    dependents : sequence of (node id, direction)
+    source : str
+        The entry of the file, for messages.
+
+    Raises
+    ------
+    RefusedError
+        If the rows do not determine the dependents.
+    """
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    column = {name: k for k, name in enumerate(names)}
+    R = np.zeros((len(rows), len(names)))
+    for i, row in enumerate(rows):
+        for name, value in row.items():
+            R[i, column[name]] += value
+    if any(name not in column for name in dependents):
+        return _refuse(dependents, source)
+    wanted = [column[name] for name in dependents]
+    rest = [k for k in range(len(names)) if k not in set(wanted)]
+    scale = np.max(np.abs(R), axis=1, initial=0.0)
+    if len(rows) != len(wanted) or not np.all(scale > 0.0):
+        return _refuse(dependents, source)
+    R /= scale[:, None]
+    unit = np.max(np.abs(R[:, wanted]), axis=0)
+    if not np.all(unit > 0.0) or np.linalg.cond(R[:, wanted] / unit) > 1.0 / RANK:
+        return _refuse(dependents, source)
+    weights = -np.linalg.solve(R[:, wanted], R[:, rest])
+    return weighted(dependents, [names[k] for k in rest], weights, source)
+
+
+def weighted(
+    dependents: Sequence[DofName], names: Sequence[DofName], weights: FloatArray, source: str
+) -> list[Equation]:
+    """Return one equation per dependent, from weights (n_dependents, n_names); rounding errors are dropped."""
+    found = []
+    for dependent, row in zip(dependents, np.asarray(weights), strict=True):
+        keep = np.flatnonzero(np.abs(row) > NEGLIGIBLE * np.max(np.abs(row), initial=0.0))
+        found.append(Equation(dependent, {names[k]: float(row[k]) for k in keep.tolist()}, source))
+    return found
+
+
+def shown(name: DofName) -> str:
+    """Return the words that name a degree of freedom: ``node 8 x``."""
+    return f"node {name[0]} {name[1]}"
+
+
+def _refuse(dependents: Sequence[DofName], source: str) -> list[Equation]:
+    which = names_shown([shown(name) for name in dependents])
+    raise RefusedError(f"must have constraints that determine their dependents ({source} does not: {which})")

@@ -1,0 +1,262 @@
+"""Constraints in Nastran bulk data: RBE2, RBE3, RBAR, MPC and MPCADD; which sets of SPC and MPC act.
+
+MSC Nastran, *Quick reference guide*. Rigid elements always act. MPC and SPC entries act if the case control
+selects their set; in a file of bulk data alone all do.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fmu.formats.constraints.equations import Equation, shown, solve_for_dependents
+from fmu.formats.constraints.rigid import ALL, Point, mean_motion, rigid_body, rigid_link
+from fmu.formats.matrices.limits import MOST_ENTRIES, DofName, RefusedError
+from fmu.formats.matrices.nastran.cards import components, expand_list, identity, number
+from fmu.formats.shown import names_shown, quote
+from fmu.types import DIRECTIONS
+
+ENTRIES = ("RBE2", "RBE3", "RBAR", "MPC", "MPCADD", "SPCADD")
+UNREAD = ("RBE1", "RROD", "RTRPLT", "RSSCON", "RSPLINE", "RJOINT", "MPCAX", "SUPORT", "SUPORT1")
+"""Entries that constrain and are not read."""
+_SELECTION = re.compile(r"(MPC|SPC)=(\d{1,9})$")
+
+Followed = list[tuple[list[int], float, list[int]]]
+"""The components, the weight, and the nodes of each group of an RBE3."""
+
+
+@dataclass(eq=False)
+class Constraints:
+    """The constraint entries of a deck.
+
+    Attributes
+    ----------
+    rigid : list of (name, fields)
+        Rigid elements.
+    mpc : dict of int to list of (fields)
+        MPC entries by set.
+    added : dict of (kind, int) to list of int
+        Sets that MPCADD and SPCADD combine.
+    selected : dict of str to set of int
+        Sets that the case control selects, by kind: ``"MPC"`` and ``"SPC"``.
+    is_deck : bool
+        Whether there is case control.
+    unread : dict of str to int
+        Number of entries that are not read, by name.
+    n_fields : int
+        Number of fields of all entries.
+    notes : list of str
+    is_of_mystran : bool
+        Whether the executive control has MYSTRAN's OUTPUT4, which Nastran has in DMAP only. MYSTRAN takes the
+        weights of rotations in an RBE3 as they are; see `fmu.formats.constraints.rigid`. MYSTRAN 18.0 has other
+        equations than Nastran if an RBE3 follows other components than 123, has other components than 123456 at
+        its reference point, or has points with axes of their own; a note says so.
+    """
+
+    rigid: list[tuple[str, list[str]]] = field(default_factory=list)
+    mpc: dict[int, list[list[str]]] = field(default_factory=dict)
+    added: dict[tuple[str, int], list[int]] = field(default_factory=dict)
+    selected: dict[str, set[int]] = field(default_factory=lambda: {"MPC": set(), "SPC": set()})
+    is_deck: bool = False
+    unread: dict[str, int] = field(default_factory=dict)
+    n_fields: int = 0
+    notes: list[str] = field(default_factory=list)
+    is_of_mystran: bool = False
+
+    def add(self, name: str, fields: list[str]) -> None:
+        """Keep an entry if it is one of constraints or of their selection."""
+        if name in ENTRIES:
+            self.n_fields += len(fields)
+            if self.n_fields > MOST_ENTRIES:
+                raise RefusedError(f"must have constraints of at most {MOST_ENTRIES} fields")
+        if name in ("RBE2", "RBE3", "RBAR"):
+            self.rigid.append((name, fields))
+        elif name == "MPC":
+            self.mpc.setdefault(identity(fields[0], "MPC: its set"), []).append(fields)
+        elif name in ("MPCADD", "SPCADD"):
+            own = identity(fields[0], f"{name}: its set")
+            self.added[name[:3], own] = expand_list(fields[1:], name)
+        elif name in UNREAD:
+            self.unread[name] = self.unread.get(name, 0) + 1
+        elif name.startswith("BEGIN"):
+            self.is_deck = True
+        elif name.startswith("OUTPUT4 ") and not self.is_deck:
+            self.is_of_mystran = True
+        elif name[:3] in ("MPC", "SPC") and not self.is_deck:
+            found = _SELECTION.match("".join([name, *fields]).replace(" ", ""))
+            if found:
+                self.selected[found[1]].add(int(found[2]))
+
+    def sets(self, kind: str, known: Sequence[int]) -> list[int]:
+        """Return the sets of a kind, ``"MPC"`` or ``"SPC"``, that act, in ascending order.
+
+        Raises
+        ------
+        RefusedError
+            If subcases select different sets, or a combined set is not in the deck.
+        """
+        if not self.is_deck:
+            return sorted(known)
+        chosen = self.selected[kind]
+        if len(chosen) > 1:
+            raise RefusedError(f"must select one {kind} set for all subcases (got {names_shown(sorted(chosen))})")
+        found: dict[int, None] = {}
+        for one in chosen:
+            for part in self.added.get((kind, one), [one]):
+                found[part] = None
+        missing = [one for one in found if one not in known and kind == "MPC"]
+        if missing:
+            raise RefusedError(
+                f"must have the {kind} set {missing[0]} that it selects (it has {names_shown(known)})"
+            )
+        return sorted(found)
+
+
+def equations_of(
+    constraints: Constraints, point: Callable[[int], Point], scalars: Collection[int]
+) -> list[Equation]:
+    """Return the equations of the constraints that act, along the axes of each node's degrees of freedom.
+
+    Parameters
+    ----------
+    constraints : Constraints
+    point : callable
+        ``point(node)`` returns the place and axes of a node; RefusedError if there is no such node.
+    scalars : collection of int
+        Scalar points, which have the direction x alone.
+
+    Raises
+    ------
+    RefusedError, ValueError
+        If an entry is malformed, names an unknown node or does not determine its dependents.
+    """
+    found: list[Equation] = []
+    for name, fields in constraints.rigid:
+        source = f"{name} {identity(fields[0], f'{name}: its number')}"
+        if name == "RBE2":
+            found += _rbe2(fields, point, source)
+        elif name == "RBE3":
+            found += _rbe3(fields, point, source, constraints)
+        else:
+            found += _rbar(fields, point, source)
+    for one in constraints.sets("MPC", sorted(constraints.mpc)):
+        for k, fields in enumerate(constraints.mpc.get(one, []), 1):
+            found.append(_mpc(fields, point, scalars, f"MPC {one}, equation {k}"))
+    return found
+
+
+def _rbe2(fields: list[str], point: Callable[[int], Point], source: str) -> list[Equation]:
+    reference = point(identity(fields[1], f"{source}: GN"))
+    which = components(_given(fields[2], f"{source}: CM"), f"{source}: CM")
+    nodes = fields[3:]
+    while nodes and not nodes[-1]:
+        nodes = nodes[:-1]
+    if nodes and "." in nodes[-1]:  # ALPHA, of thermal expansion
+        nodes = nodes[:-1]
+    dependents = expand_list(nodes, f"{source}: GM")
+    if not dependents:
+        raise ValueError(f"{source} must have dependent nodes (it has none)")
+    return rigid_link(reference, [point(node) for node in dependents], which, source)
+
+
+def _rbe3(
+    fields: list[str], point: Callable[[int], Point], source: str, constraints: Constraints
+) -> list[Equation]:
+    reference = point(identity(fields[2], f"{source}: REFGRID"))
+    which = components(_given(fields[3], f"{source}: REFC"), f"{source}: REFC")
+    groups, dependents = _groups([word for word in fields[4:] if word], source)
+    followed = [(point(node), tuple(group), weight) for group, weight, nodes in groups for node in nodes]
+    points = [reference, *(one for one, _, _ in followed)]
+    is_plain = all(tuple(group) == ALL[:3] for _, group, _ in followed) and tuple(which) == ALL
+    if constraints.is_of_mystran and not (is_plain and all(np.array_equal(one.axes, np.eye(3)) for one in points)):
+        constraints.notes.append(
+            f"MYSTRAN 18.0 has other equations than Nastran for {source}: matrices of all degrees of freedom are "
+            "reduced as in Nastran, and the motion of its reference point is Nastran's."
+        )
+    found = mean_motion(reference, which, followed, source, by_length=not constraints.is_of_mystran)
+    if not dependents:
+        return found
+    rows = [{one.dependent: 1.0} | {name: -w for name, w in one.weights.items()} for one in found]
+    chosen = [name for node, group in dependents for name in point(node).names(group)]
+    return solve_for_dependents(rows, chosen, source)
+
+
+def _groups(words: list[str], source: str) -> tuple[Followed, list[tuple[int, list[int]]]]:
+    """Return the groups of an RBE3, and the nodes and components of UM, if these are to be dependent instead."""
+    groups: Followed = []
+    dependents: list[tuple[int, list[int]]] = []
+    at = 0
+    while at < len(words) and words[at] not in ("UM", "ALPHA"):
+        if "." in words[at]:
+            weight = number(words[at], f"{source}: a weight")
+            group = components(words[at + 1] if at + 1 < len(words) else "?", f"{source}: components")
+            groups.append((group, weight, []))
+            at += 2
+            continue
+        if not groups:
+            raise ValueError(f"{source} must begin with a weight, a real number (got {quote(words[at])})")
+        until = at
+        while until < len(words) and words[until] not in ("UM", "ALPHA") and "." not in words[until]:
+            until += 1
+        groups[-1][2].extend(expand_list(words[at:until], f"{source}: nodes"))
+        at = until
+    if at < len(words) and words[at] == "UM":
+        rest = words[at + 1 :]
+        rest = rest[: rest.index("ALPHA")] if "ALPHA" in rest else rest
+        if len(rest) % 2:
+            raise ValueError(f"{source} must have components for each node of UM")
+        for node, which in zip(rest[::2], rest[1::2], strict=True):
+            dependents.append((identity(node, f"{source}: UM"), components(which, f"{source}: UM")))
+    if not any(nodes for _, _, nodes in groups):
+        raise ValueError(f"{source} must have nodes to follow (it has none)")
+    return [one for one in groups if one[2]], dependents
+
+
+def _rbar(fields: list[str], point: Callable[[int], Point], source: str) -> list[Equation]:
+    ends = [point(identity(fields[1 + k], f"{source}: node {k + 1}")) for k in range(2)]
+    independent = [_some(fields[3 + k], f"{source}: CN") for k in range(2)]
+    dependent = [_some(fields[5 + k], f"{source}: CM") for k in range(2)]
+    if not any(dependent):
+        dependent = [[k for k in ALL if k not in which] for which in independent]
+    return rigid_body(
+        [(end, which) for end, which in zip(ends, independent, strict=True) if which] or [(ends[0], [])],
+        [(end, which) for end, which in zip(ends, dependent, strict=True) if which],
+        source,
+    )
+
+
+def _some(text: str, what: str) -> list[int]:
+    return components(text, what) if text and text != "0" else []
+
+
+def _given(text: str, what: str) -> str:
+    if text in ("", "0"):
+        raise ValueError(f"{what} must be components 1 to 6 (it is empty)")
+    return text
+
+
+def _mpc(fields: list[str], point: Callable[[int], Point], scalars: Collection[int], source: str) -> Equation:
+    row: dict[DofName, float] = {}
+    first: DofName | None = None
+    for line in range(0, len(fields), 8):
+        words = fields[line : line + 8]
+        for node, which, factor in (words[1:4], words[4:7]):
+            if not node:
+                continue
+            own = identity(node, f"{source}: a node")
+            if own not in scalars:
+                point(own)
+            direction = components(which, f"{source}: a component")
+            if len(direction) != 1:
+                raise ValueError(f"{source} must have one component at each node (got {quote(which)})")
+            name = own, DIRECTIONS[direction[0] - 1]
+            row[name] = row.get(name, 0.0) + number(factor, f"{source}: a factor", 0.0)
+            first = first or name
+    if first is None or not row[first]:
+        where = f"{source}: the factor of {shown(first)} is zero" if first else f"{source} has no terms"
+        raise RefusedError(f"must have equations that determine their first degree of freedom ({where})")
+    weights: Mapping[DofName, float] = {name: -a / row[first] for name, a in row.items() if name != first and a}
+    return Equation(first, weights, source)

@@ -1,0 +1,159 @@
+"""Rigid links, and points that follow the weighted mean motion of others (RBE3), as constraint equations.
+
+The small motion of a rigid body, x = (u, θ) at a reference point, moves a point at the distance r by u + θ × r and
+turns it by θ. A point that follows others by a weighted mean moves as the rigid body that fits them best,
+
+    minimise Σ_i w_i (u_i − H_iᵀ x)²    ⇒    Σ_i w_i H_i H_iᵀ x = Σ_i w_i H_i u_i,
+
+where H_iᵀ x is the motion along the degree of freedom i. MYSTRAN, *User's reference manual*, appendix E. Nastran
+multiplies the weights of rotations by L², L the mean distance of the points from the reference point (MSC Nastran,
+*Linear static analysis user's guide*, RBE3), so that they have the units of the weights of displacements.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from fmu.formats.constraints.equations import RANK, Equation, shown, weighted
+from fmu.formats.matrices.limits import DofName, RefusedError
+from fmu.formats.shown import names_shown
+from fmu.types import DIRECTIONS, FloatArray
+
+
+class Point(NamedTuple):
+    """A node of a constraint.
+
+    Attributes
+    ----------
+    node : int
+    place : ndarray, shape (3,)
+        Global coordinates.
+    axes : ndarray, shape (3, 3)
+        Unit vectors (rows) along which the node's degrees of freedom are.
+    """
+
+    node: int
+    place: FloatArray
+    axes: FloatArray
+
+    def names(self, components: Sequence[int]) -> list[DofName]:
+        """Return the names of components from 1 to 6."""
+        return [(self.node, DIRECTIONS[k - 1]) for k in components]
+
+
+ALL = (1, 2, 3, 4, 5, 6)
+
+
+def rigid_motion(point: Point, reference: Point) -> FloatArray:
+    """Return S (6, 6) of u_point = S u_reference, of a point on a rigid body, along each node's axes."""
+    x, y, z = point.place - reference.place
+    turned = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # θ × r = turned θ
+    own, other = point.axes, reference.axes.T
+    S = np.zeros((6, 6))
+    S[:3, :3] = S[3:, 3:] = own @ other
+    S[:3, 3:] = own @ turned @ other
+    return S
+
+
+def rigid_link(
+    reference: Point, points: Sequence[Point], components: Sequence[int], source: str
+) -> list[Equation]:
+    """Return the equations of components (1 to 6) of points that move with a reference point as one rigid body."""
+    rows = [k - 1 for k in components]
+    found: list[Equation] = []
+    for point in points:
+        S = rigid_motion(point, reference)[rows]
+        found += weighted(point.names(components), reference.names(ALL), S, source)
+    return found
+
+
+def rigid_body(
+    independent: Sequence[tuple[Point, Sequence[int]]],
+    dependent: Sequence[tuple[Point, Sequence[int]]],
+    source: str,
+) -> list[Equation]:
+    """Return the equations of a rigid body whose motion six components of one or several points determine (RBAR).
+
+    Raises
+    ------
+    RefusedError
+        If there are not six independent components, or they do not determine the motion of the body.
+    """
+    origin = independent[0][0]
+    names = [name for point, which in independent for name in point.names(which)]
+    B = np.concatenate([_rows(point, which, origin) for point, which in independent])
+    scale = _length([point for point, _ in [*independent, *dependent]], origin)
+    B = B * scale
+    if len(B) != 6 or np.linalg.cond(B) > 1.0 / RANK:
+        which = names_shown([shown(name) for name in names])
+        raise RefusedError(
+            f"must have six independent components that determine how a rigid body moves ({source} has {which})"
+        )
+    found: list[Equation] = []
+    for point, components in dependent:
+        S = _rows(point, components, origin) * scale
+        found += weighted(point.names(components), names, np.linalg.solve(B.T, S.T).T, source)
+    return found
+
+
+def mean_motion(
+    reference: Point,
+    components: Sequence[int],
+    followed: Sequence[tuple[Point, Sequence[int], float]],
+    source: str,
+    *,
+    by_length: bool = True,
+) -> list[Equation]:
+    """Return the equations of a reference point that follows the weighted mean motion of others (RBE3).
+
+    Parameters
+    ----------
+    reference : Point
+    components : sequence of int
+        Components from 1 to 6 of the reference point that follow.
+    followed : sequence of (Point, components, weight)
+        The points with the components that are followed, and the weight of each of these components.
+    source : str
+        The entry of the file, for messages.
+    by_length : bool
+        Whether the weights of rotations are multiplied by L², as in Nastran; MYSTRAN takes them as they are.
+
+    Raises
+    ------
+    RefusedError
+        If the weights are not positive, or the followed components do not determine those of the reference point.
+    """
+    names = [name for point, which, _ in followed for name in point.names(which)]
+    H = np.concatenate([_rows(point, which, reference) for point, which, _ in followed])
+    weight = np.concatenate([np.full(len(which), w) for _, which, w in followed])
+    if not np.all(np.isfinite(weight) & (weight >= 0.0)) or not np.any(weight > 0.0):
+        raise RefusedError(f"must have weights that are not negative ({source} has others)")
+    points = [point for point, _, _ in followed]
+    mean = float(np.mean([np.linalg.norm(point.place - reference.place) for point in points]))
+    turns = np.concatenate([np.array(which) > 3 for _, which, _ in followed])
+    if by_length and mean > 0.0:
+        weight = np.where(turns, weight * mean**2, weight)
+    scale = _length(points, reference)  # of x, so that metres and radians compare
+    root = np.sqrt(weight)[:, None]
+    U, size, Vt = np.linalg.svd(root * H * scale, full_matrices=False)
+    rank = int(np.sum(size > RANK * size[0]))
+    unknown = np.eye(6) - Vt[:rank].T @ Vt[:rank]
+    rows = [k - 1 for k in components]
+    if np.max(np.abs(unknown[rows])) > np.sqrt(RANK):
+        which = names_shown([shown(name) for name in reference.names(components)])
+        raise RefusedError(f"must follow components that determine {which} ({source} does not)")
+    X = scale[:, None] * (Vt[:rank].T / size[:rank]) @ (U[:, :rank] * root).T
+    return weighted(reference.names(components), names, X[rows], source)
+
+
+def _rows(point: Point, components: Sequence[int], reference: Point) -> FloatArray:
+    return rigid_motion(point, reference)[[k - 1 for k in components]]
+
+
+def _length(points: Sequence[Point], reference: Point) -> FloatArray:
+    """Return the scale (6,) of a rigid motion: 1 of displacements, 1/L of rotations, L the largest distance."""
+    size = max(float(np.linalg.norm(point.place - reference.place)) for point in points)
+    return np.array([1.0] * 3 + [1.0 / size if size > 0.0 else 1.0] * 3)

@@ -1,0 +1,122 @@
+"""The matrix T of u = T q, from equations whose dependent degrees of freedom may follow other dependents.
+
+With the equations u = C u + P q, where C has the weights of the dependents and P selects the independent degrees
+of freedom q, T = (I − C)⁻¹ P. Without circles C is nilpotent, and
+
+    (I − C)⁻¹ = (I + C)(I + C²)(I + C⁴) …,
+
+so that a chain of n equations takes log₂ n products of sparse matrices. K_q = Tᵀ K T and M_q = Tᵀ M T are the
+matrices of the constrained structure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+
+from fmu.formats.constraints.equations import Equation, shown
+from fmu.formats.matrices.limits import MOST_ENTRIES, DofName, RefusedError
+from fmu.formats.shown import names_shown
+
+TOLD = 6
+"""Number of degrees of freedom that a message names."""
+
+
+class Transformation(NamedTuple):
+    """The matrix T of u = T q.
+
+    Attributes
+    ----------
+    T : csr_array, shape (n_dof, n_independent)
+    dofs : list of (node id, direction)
+        Names of the rows of T: those given, then the further ones that the equations name.
+    independent : list of (node id, direction)
+        Names of the columns, in the order of `dofs`.
+    """
+
+    T: sp.csr_array
+    dofs: list[DofName]
+    independent: list[DofName]
+
+
+def transformation(
+    equations: Sequence[Equation], dofs: Sequence[DofName], held: Collection[DofName] = ()
+) -> Transformation:
+    """Return T of u = T q for the degrees of freedom q that are neither dependent nor held.
+
+    Parameters
+    ----------
+    equations : sequence of Equation
+        In any order; a dependent may follow other dependents.
+    dofs : sequence of (node id, direction)
+        The rows of the unconstrained matrices.
+    held : collection of (node id, direction)
+        Degrees of freedom that do not move.
+
+    Raises
+    ------
+    RefusedError
+        If a degree of freedom is dependent twice, or dependent and held, dependents follow each other in a circle,
+        or T has too many entries. The message names them and the constraints.
+    """
+    source = _check_dependents(equations, held)
+    names = list(dict.fromkeys([*dofs, *source, *(name for one in equations for name in one.weights)]))
+    index = {name: i for i, name in enumerate(names)}
+    n = len(names)
+    counts = [len(one.weights) for one in equations]
+    row = np.repeat(np.array([index[one.dependent] for one in equations], dtype=np.int64), counts)
+    column = np.array([index[name] for one in equations for name in one.weights], dtype=np.int64)
+    entry = np.array([w for one in equations for w in one.weights.values()], dtype=float)
+    C = sp.csr_array((entry, (row, column)), shape=(n, n))
+    _check_circles(C, names, source)
+    still = set(held)
+    free = np.array(
+        [i for i, name in enumerate(names) if name not in source and name not in still], dtype=np.int64
+    )
+    P = sp.csr_array((np.ones(len(free)), (free, np.arange(len(free)))), shape=(n, len(free)))
+    T, power = sp.csr_array(P + C @ P), C
+    while True:  # ends: C is nilpotent
+        power = sp.csr_array(power @ power)
+        if not power.nnz:
+            break
+        T = sp.csr_array(T + power @ T)
+        if max(power.nnz, T.nnz) > MOST_ENTRIES:
+            raise RefusedError(f"must have constraints of at most {MOST_ENTRIES} weights in all")
+    return Transformation(T, names, [names[i] for i in free.tolist()])
+
+
+def _check_dependents(equations: Sequence[Equation], held: Collection[DofName]) -> dict[DofName, str]:
+    """Return the constraint of each dependent; RefusedError if there are two of them, or the dependent is held."""
+    source: dict[DofName, str] = {}
+    still = set(held)
+    for one in equations:
+        name = one.dependent
+        if name in source:
+            by = f"{shown(name)} in {source[name]} and {one.source}"
+            raise RefusedError(f"must have each dependent degree of freedom once ({by})")
+        if name in still:
+            raise RefusedError(
+                f"must have no dependent degree of freedom that is held ({shown(name)}, of {one.source}, is)"
+            )
+        source[name] = one.source
+    return source
+
+
+def _check_circles(C: sp.csr_array, names: Sequence[DofName], source: dict[DofName, str]) -> None:
+    """Raise RefusedError if dependents follow each other in a circle."""
+    _, label = connected_components(C, directed=True, connection="strong")
+    _, first, count = np.unique(label, return_index=True, return_counts=True)
+    alone = C.diagonal() != 0.0
+    if np.any(count > 1):
+        here = np.flatnonzero(label == label[first[count > 1].min()])
+    elif np.any(alone):
+        here = np.flatnonzero(alone)[:1]
+    else:
+        return
+    which = names_shown([shown(names[i]) for i in here[:TOLD].tolist()])
+    by = names_shown(list(dict.fromkeys(source[names[i]] for i in here.tolist()))[:TOLD])
+    raise RefusedError(f"must have no constraints that follow each other in a circle ({which}, of {by})")

@@ -1,0 +1,167 @@
+"""Matrices under the constraints of a mesh, and the motions of the dependent degrees of freedom.
+
+Some programs write K and M of all degrees of freedom, others Tᵀ K T and Tᵀ M T of the independent ones. The rows
+tell which: where a dependent degree of freedom has a row that is not zero, T is still to be applied.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from fmu.formats.constraints.equations import Equation
+from fmu.formats.constraints.transformation import Transformation, transformation
+from fmu.formats.matrices.limits import MOST_ENTRIES, DofName, Motions, RefusedError
+from fmu.formats.models.exported import Mesh
+from fmu.formats.shown import names_shown
+from fmu.types import DIRECTIONS, FloatArray
+
+_TRIPLES = (DIRECTIONS[:3], DIRECTIONS[3:])
+
+
+class Constrained(NamedTuple):
+    """Matrices of the degrees of freedom that no constraint of the mesh makes dependent.
+
+    Attributes
+    ----------
+    matrices : list of csr_array, shape (n_dof, n_dof)
+    dofs : list of (node id, direction)
+    transformation : Transformation, optional
+        T of u = T q; None without constraints.
+    notes : list of str
+    """
+
+    matrices: list[sp.csr_array]
+    dofs: list[DofName]
+    transformation: Transformation | None
+    notes: list[str]
+
+
+def constrain(
+    matrices: Sequence[sp.csr_array], dofs: Sequence[DofName], mesh: Mesh, means: Motions, *, is_whole: bool
+) -> Constrained:
+    """Return the matrices without dependent and held degrees of freedom, and T.
+
+    Parameters
+    ----------
+    matrices : sequence of csr_array, shape (n_dof, n_dof)
+    dofs : sequence of (node id, direction)
+    mesh : Mesh
+        With the constraints, and the supports that are not yet in matrices of all degrees of freedom.
+    means : mapping
+        Motions that are weighted sums of rows, in which constraints may be expressed; see `Motions`.
+    is_whole : bool
+        Whether the rows are known to be all of the mesh, so that neither constraints nor supports are in them.
+
+    Raises
+    ------
+    RefusedError
+        See `transformation`; or if a constraint couples too many degrees of freedom.
+    """
+    has_row = np.sum([abs(matrix).sum(axis=1) for matrix in matrices], axis=0) > 0.0
+    rows = {name for name, there in zip(dofs, has_row.tolist(), strict=True) if there}
+    dependent = {one.dependent for one in mesh.equations}
+    is_whole = is_whole or not rows.isdisjoint(dependent)
+    held = mesh.held if is_whole else mesh.held - rows
+    if not mesh.equations:
+        free = [i for i, name in enumerate(dofs) if not (is_whole and name in held and name in rows)]
+        kept = [dofs[i] for i in free]
+        notes = [_of_supports(len(dofs) - len(kept))] if len(kept) < len(dofs) else []
+        return Constrained([matrix[free][:, free] for matrix in matrices], kept, None, notes)
+    followed = {name for one in mesh.equations for name in one.weights} - dependent
+    own = [Equation(name, weights, "the mean of copies") for name, weights in means.items() if name in followed]
+    T = transformation([*mesh.equations, *own], dofs, held)
+    if not is_whole:
+        return Constrained(list(matrices), list(dofs), T, [])
+    _check_fill(T, mesh.equations, rows)
+    top = sp.csr_array(T.T[: len(dofs)])
+    n_held = len([name for name in held if name in rows])
+    notes = [f"{len(dependent)} degrees of freedom follow others by constraints of the mesh."]
+    notes += [_of_supports(n_held)] if n_held else []
+    order = sorted(
+        range(len(T.independent)), key=lambda i: (T.independent[i][0], DIRECTIONS.index(T.independent[i][1]))
+    )
+    top = sp.csr_array(top[:, order])
+    T = T._replace(T=sp.csr_array(T.T[:, order]), independent=[T.independent[i] for i in order])
+    return Constrained([sp.csr_array(top.T @ matrix @ top) for matrix in matrices], T.independent, T, notes)
+
+
+def _of_supports(count: int) -> str:
+    return f"{count} degrees of freedom are left out: supports of the mesh hold them."
+
+
+def _check_fill(T: Transformation, equations: Sequence[Equation], rows: set[DofName]) -> None:
+    """Raise RefusedError if constraints make matrices with too many entries."""
+    counts = dict(zip(T.dofs, np.diff(T.T.indptr).tolist(), strict=True))
+    largest: dict[str, int] = {}
+    for one in equations:
+        if one.dependent in rows:
+            largest[one.source] = max(largest.get(one.source, 0), counts[one.dependent])
+    if sum(count**2 for count in largest.values()) > MOST_ENTRIES:
+        source = max(largest, key=lambda name: largest[name])
+        raise RefusedError(
+            f"must have constraints that couple at most {MOST_ENTRIES} pairs of degrees of freedom "
+            f"({source} couples each of {largest[source]} to all others)"
+        )
+
+
+def motions_of(
+    T: Transformation, dofs: Sequence[DofName], turn: sp.csr_array | None, axes: Mapping[int, FloatArray]
+) -> tuple[dict[DofName, dict[DofName, float]], list[str]]:
+    """Return the motions along global axes of the nodes with dependent degrees of freedom, and notes.
+
+    Parameters
+    ----------
+    T : Transformation
+    dofs : sequence of (node id, direction)
+        Rows of the final matrices; the other columns of T have none.
+    turn : csr_array, shape (n_dof, n_dof), optional
+        u = turn u_final, where the rows of nodes were rotated to global axes.
+    axes : mapping of int to ndarray, shape (3, 3)
+        Axes of the nodes' own degrees of freedom, unit vectors in rows.
+    """
+    index = {name: i for i, name in enumerate(dofs)}
+    known = [(j, index[name]) for j, name in enumerate(T.independent) if name in index]
+    columns, finals = np.array(known, dtype=np.int64).reshape(-1, 2).T
+    select = sp.csr_array((np.ones(len(known)), (columns, finals)), shape=(T.T.shape[1], len(dofs)))
+    to_final = sp.csr_array(T.T @ (select if turn is None else select @ turn))
+    lost = sp.csr_array(abs(T.T)) @ np.isin(np.arange(T.T.shape[1]), columns, invert=True).astype(float) > 0.0
+    row_of = {name: i for i, name in enumerate(T.dofs)}
+    independent = set(T.independent)
+    nodes = dict.fromkeys(node for node, d in T.dofs if (node, d) not in independent)
+    place: dict[tuple[int, int], float] = {}
+    names: list[DofName] = []
+    unknown: dict[int, None] = {}
+    for node in nodes:
+        for three in _TRIPLES:
+            there = [(k, row_of[node, d]) for k, d in enumerate(three) if (node, d) in row_of]
+            if all(T.dofs[row] in independent for _, row in there):
+                continue
+            if any(lost[row] for _, row in there):
+                unknown[node] = None
+                continue
+            own = axes.get(node, np.eye(3))
+            for j, d in enumerate(three):
+                seen = [(row, float(own[k, j])) for k, row in there if abs(own[k, j]) > 1e-14]
+                if seen:
+                    place |= {(len(names), row): weight for row, weight in seen}
+                    names.append((node, d))
+    notes = []
+    if unknown:
+        notes.append(f"No sensors can be at nodes that follow others without rows: {names_shown(list(unknown))}.")
+    if not names:
+        return {}, notes
+    at, weights = np.array(list(place), dtype=np.int64), np.array(list(place.values()))
+    seen_by = sp.csr_array((weights, (at[:, 0], at[:, 1])), shape=(len(names), len(T.dofs))) @ to_final
+    seen_by = sp.csr_array(seen_by)
+    found = {}
+    for i, name in enumerate(names):
+        here = slice(seen_by.indptr[i], seen_by.indptr[i + 1])
+        seen_at = zip(seen_by.indices[here].tolist(), seen_by.data[here].tolist(), strict=True)
+        weights_of = {dofs[j]: weight for j, weight in seen_at if weight}
+        if weights_of and weights_of != {name: 1.0}:
+            found[name] = weights_of
+    return found, notes
