@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fmu.numbers import MISSING, apart, given, significant, with_sd
-from fmu.posterior.frf.assumptions import assumptions_on_frfs
+from fmu.posterior.frf.assumptions import NO_DATA, assumptions_on_frfs
 from fmu.posterior.parameters import prior_in_words
 from fmu.posterior.prior_doubts import outside_bounds
 from fmu.types import FloatArray
@@ -73,7 +73,8 @@ def assumptions(
     are_data = not used or any(used)
     said = _errors(likelihood, problem["parameters"], data, inferred) if are_data or not responses else []
     for one in responses:
-        said += assumptions_on_frfs(one, are_data)
+        said += assumptions_on_frfs(one)
+    said += [NO_DATA] if responses and not are_data else []
     priors = outside_bounds(problem["parameters"])
     cut = "Priors: independent, cut off at the bounds; both are in the table of the parameters."
     unused = [str(label) for label, use in zip(data["labels"], data.get("use", ()), strict=False) if not use]

@@ -23,11 +23,12 @@ from fmu.posterior.errors.base import ErrorModel, Likelihood
 from fmu.posterior.errors.frequency import BetaFrequencyErrors
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.errors.mixture import MixtureLikelihood
-from fmu.posterior.errors.quantities import QuantityErrors
+from fmu.posterior.errors.quantities import QuantityErrors, QuantityTerm
 from fmu.posterior.errors.residual import ModalResidual
 from fmu.posterior.frf.errors import FRFErrors
-from fmu.posterior.frf.likelihood import FRFLikelihood
+from fmu.posterior.frf.likelihood import FRFLikelihood, FRFsOfTest
 from fmu.posterior.joint.layout import Layout
+from fmu.posterior.joint.quantities import StructureInTest, bind_quantities
 from fmu.posterior.parameters import Parameter
 
 ERRORS = ("frequency", "modal-residual")
@@ -194,13 +195,15 @@ def likelihood_of(
         make: Any = MixtureLikelihood if paired.is_soft else ModalLikelihood
         likelihood: Likelihood = make(paired, data, errors)
         return likelihood
-    if others and (paired.is_soft or not isinstance(model, SeparableModel)):
+    if others and len(layout.tests) == 1 and (paired.is_soft or not isinstance(model, SeparableModel)):
         got = "soft pairing" if paired.is_soft else type(model).__name__
         raise ArgumentError("error", "a mass or a displacement needs a SeparableModel, paired one to one", got)
-    named = [one.test for one in others if one.test is not None]
-    if named:
-        raise ArgumentError("test", "must not be given where there is one test only", repr(named[0]))
-    quantities = [one.bind_structure(model, parameters) for one in others]
+    quantities: Sequence[QuantityTerm]
+    if len(layout.tests) == 1:
+        _check_single(others)
+        quantities = [one.bind_structure(model, parameters) for one in others]
+    else:
+        quantities = bind_quantities({given.index(one): one for one in others}, model, layout)
     if discrepancies:
         return DiscrepantLikelihood(paired, data, errors, quantities, discrepancies, layout)
     return ModalLikelihood(paired, data, errors, quantities)
@@ -217,18 +220,17 @@ def _likelihood_of_frfs(
     layout: Layout,
 ) -> Likelihood:
     """Return the likelihood of frequency response functions and of the modes that have errors beside them."""
-    if paired.is_soft or not isinstance(model, SeparableModel):
-        got = "soft pairing" if paired.is_soft else type(model).__name__
-        raise ArgumentError("error", "frequency response functions need a SeparableModel, paired one to one", got)
-    if not layout.is_identity or layout.held:
-        got = "several tests" if not layout.held else f"{next(iter(layout.held))} is not updated"
-        raise ArgumentError(
-            "error", "frequency response functions need one test and parameters that are updated", got
-        )
     of_frfs = [one for one in given if isinstance(one, FRFErrors)]
-    if len(of_frfs) > 1:
-        rule = "must have one FRFErrors at most; give all frequency response functions of a test as one FRFData"
-        raise ArgumentError("error", rule, len(of_frfs))
+    if len(layout.tests) == 1:
+        if paired.is_soft or not isinstance(model, SeparableModel):
+            rule = "frequency response functions need a SeparableModel, paired one to one"
+            raise ArgumentError("error", rule, "soft pairing" if paired.is_soft else type(model).__name__)
+        if len(of_frfs) > 1:
+            rule = (
+                "must have one FRFErrors at most; give all frequency response functions of a test as one FRFData"
+            )
+            raise ArgumentError("error", rule, len(of_frfs))
+        _check_single(of_frfs)
     others = [one for one in given if one not in of_frfs]
     of_modes = any(not isinstance(one, QuantityErrors) for one in others)
     if discrepancy and not of_modes:
@@ -238,8 +240,28 @@ def _likelihood_of_frfs(
         raise ArgumentError("discrepancy", rule, "FRFErrors")
     if not (of_modes or any(data.use)):  # the data of another problem of FRFs alone
         data = replace(data, use=())
-    modal = likelihood_of(others or "frequency", beta, model, paired, data, parameters, discrepancy, layout)
+    modal: Any = likelihood_of(others or "frequency", beta, model, paired, data, parameters, discrepancy, layout)
     if not of_modes:
         modal = modal.using(np.zeros(0, dtype=np.int64))
-    responses = [one.bind_frfs(model, parameters, len(parameters) + len(modal.noise)) for one in of_frfs]
-    return FRFLikelihood(modal, responses, len(parameters))
+    every = []
+    for one in of_frfs:
+        here = StructureInTest(model, list(parameters), 0, np.arange(len(parameters)))
+        if len(layout.tests) > 1:
+            here = StructureInTest.of(one.test, model, layout)
+        try:
+            term = one.bind_frfs(here.structure, here.parameters)
+        except ValueError as error:
+            if one.test is None:
+                raise
+            raise ArgumentError.of(error).under(f"error.{given.index(one)}") from error
+        names = [p.name for p in layout.structural]
+        of_damping = [names.index(p.name) for p in term.inferred[: term.model.n_values] if p.name in names]
+        every.append(FRFsOfTest(term, here.test, np.concatenate([here.numbers, of_damping]).astype(np.int64)))
+    return FRFLikelihood(modal, every, len(layout.structural), len(layout.tests))
+
+
+def _check_single(given: Sequence[QuantityErrors]) -> None:
+    """Raise ArgumentError if an error model of a single test names a test."""
+    named = [one.test for one in given if one.test is not None]
+    if named:
+        raise ArgumentError("test", "must not be given where there is one test only", repr(named[0]))

@@ -181,8 +181,13 @@ class Posterior:
         that at least one FRF uses.
         """
         points, single = self._points(theta)
-        found = [term.frfs(points) for term in self.likelihood.responses]
+        found = [term.frfs(own) for term, own in self.responses_at(points)]
         return tuple(one[0] if single else one for one in found)
+
+    def responses_at(self, theta: FloatArray) -> list[tuple[Any, FloatArray]]:
+        """Return each `FRFTerm` with its own parameters, (n, n_own), at theta (n, ndim)."""
+        of_model = self.layout.of_model(theta)
+        return [(one.term, one.own(of_model)) for one in self.likelihood.every]
 
     def frequencies(self, theta: ArrayLike) -> FloatArray:
         """Return the frequencies in Hz paired with the measured modes, shape (n_modes,) or (n, n_modes).

@@ -215,8 +215,9 @@ def _responses(found: Check) -> list[PageSection]:
     parts: list[Part] = [PageTable(caption, tuple(table.columns), rows)]
     said = (*found.frfs.doubts, *found.frfs.notes)
     parts += [Items(said)] if said else []
-    for k, shown in enumerate(shown_frfs(found.frfs.data)[:MOST_DRAWN]):
-        axes = plot_frf_at_start(shown, found.frfs.computed[k])
+    drawn = [pair for one in found.frfs.tests for pair in zip(shown_frfs(one), one.computed, strict=True)]
+    for k, (shown, computed) in enumerate(drawn[:MOST_DRAWN]):
+        axes = plot_frf_at_start(shown, computed)
         alt = f"Amplitude and phase of the FRF {shown.name}, measured and computed before updating."
         parts.append(Pictures((picture(axes, f"frf{k}", alt, LOOK_AT_FRFS if k == 0 else f"FRF {shown.name}."),)))
     return [PageSection("frfs", "Frequency response functions at the start", tuple(parts))]

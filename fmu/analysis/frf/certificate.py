@@ -36,11 +36,11 @@ def certify_frfs(trace: xr.DataTree, problem: UpdatingProblem, draws: int = _DRA
     """
     if not problem.likelihood.responses:
         return None
-    (term,) = problem.likelihood.responses
     theta = parameter_draws(trace).reshape(-1, problem.ndim)
     rng = np.random.default_rng(int(trace.attrs["seed"]))
     some = theta[rng.permutation(len(theta))[:draws]]
-    found = confirm(term.model, *term.split(some))
+    each = [confirm(term.model, *term.split(own)) for term, own in problem.responses_at(some)]
+    found = FRFCertificate.worst(one for one in each if one is not None)
     if found is not None and not found.ok:
         warnings.warn(found.sentence(), CertificateWarning, stacklevel=2)
     return found

@@ -18,6 +18,8 @@ GROUP = "frfs"
 _JUDGED, _DRAWN, _AT_ONCE = 500, 200, 16
 """Numbers of draws that are compared with the data, and that give the bands; number of draws solved together."""
 _BAND = (0.05, 0.5, 0.95)
+_FILL = {"in_spectrum": 0, "used": 0, "held_out": 0}
+"""Values at lines that only the spectra of other tests have, where they are not NaN."""
 
 
 class HeldOut(NamedTuple):
@@ -50,13 +52,15 @@ def frf_groups(problem: Any, position: FloatArray, rng: np.random.Generator) -> 
     Returns
     -------
     mapping of str to xarray.Dataset
-        Dimensions: ``frf``, named by response and drive; ``line``, Hz; ``part``, the real and the imaginary part;
-        ``sample``, evenly spaced draws. Variables: ``measured`` (frf, line, part), in the units of the data;
-        ``used`` and ``held_out`` (frf, line), whether a value is used, or tests the updated model
-        (`fmu.posterior.data.held_out_lines`); ``amplitude`` and ``phase`` (kind, quantile, frf, line), the
-        quantiles 5, 50 and 95 % of the model's FRFs, with the errors of the channels, and of another measurement;
-        phases in degrees; ``distance`` (frf, line), the root of the sum of the squared errors of the real and the
-        imaginary part (or of log amplitude and phase) in standard deviations, at the mean of the model's FRFs;
+        Dimensions: ``frf``, named by response and drive, and by the test if there are several; ``line``, Hz, those
+        of all tests; ``part``, the real and the imaginary part; ``sample``, evenly spaced draws. Variables:
+        ``response`` (frf), the kind of the FRF; ``in_spectrum`` (frf, line), whether its spectrum has the line;
+        ``measured`` (frf, line, part), in the units of the data; ``used`` and ``held_out`` (frf, line), whether a
+        value is used, or tests the updated model (`fmu.posterior.data.held_out_lines`); ``amplitude`` and
+        ``phase`` (kind, quantile, frf, line), the quantiles 5, 50 and 95 % of the model's FRFs, with the errors of
+        the channels, and of another measurement; phases in degrees; ``distance`` (frf, line), the root of the sum
+        of the squared errors of the real and the imaginary part (or of log amplitude and phase) in standard
+        deviations, at the mean of the model's FRFs;
         ``squares`` (sample, frf), which is chi-square with ``freedom`` (frf) degrees of freedom if the model is
         correct;
         ``held_squares``, ``held_freedom`` and ``held_inside`` (frf), see `HeldOut`; ``frac`` (frf), the frequency
@@ -66,14 +70,26 @@ def frf_groups(problem: Any, position: FloatArray, rng: np.random.Generator) -> 
     """
     import xarray as xr
 
-    terms: tuple[FRFTerm, ...] = problem.likelihood.responses
-    if not terms:
+    theta = position.reshape(-1, position.shape[-1])
+    found = [_group_of_test(term, own, rng) for term, own in problem.responses_at(theta)]
+    if not found:
         return {}
-    (term,) = terms
+    together = []
+    for dim, other in (("frf", "channel"), ("channel", "frf")):
+        parts = [one.drop_dims(other) for one in found]
+        together.append(
+            xr.concat(parts, dim, data_vars="minimal", join="outer", fill_value=_FILL, combine_attrs="override")
+        )
+    return {GROUP: xr.merge(together)}
+
+
+def _group_of_test(term: FRFTerm, theta: FloatArray, rng: np.random.Generator) -> xr.Dataset:
+    """Return the group of the FRFs of one test, at draws of the own parameters of `term`, (n, n_own)."""
+    import xarray as xr
+
     data = term.data
     held = held_out(data)
     every = term.with_use(data.used | held)
-    theta = position.reshape(-1, position.shape[-1])
     judged, drawn = (theta[np.unique(np.linspace(0, len(theta) - 1, n).astype(int))] for n in (_JUDGED, _DRAWN))
     squares = np.concatenate(by_parts("predictions", lambda part: term.squares(part, rng), judged, _AT_ONCE))
     computed = np.concatenate(by_parts("predictions", every.frfs, drawn, _AT_ONCE))
@@ -100,6 +116,8 @@ def frf_groups(problem: Any, position: FloatArray, rng: np.random.Generator) -> 
 
     dims = ("kind", "quantile", "frf", "line")
     variables = {
+        "response": ("frf", [data.kind] * data.n_frfs),
+        "in_spectrum": (("frf", "line"), np.ones(held.shape, dtype=np.int8)),
         "measured": (("frf", "line", "part"), np.stack([measured.real, measured.imag], axis=-1)),
         "used": (("frf", "line"), data.used.astype(np.int8)),
         "held_out": (("frf", "line"), held.astype(np.int8)),
@@ -116,14 +134,14 @@ def frf_groups(problem: Any, position: FloatArray, rng: np.random.Generator) -> 
         "gain_sd": ("channel", np.where(known, np.sqrt(np.mean(gain_sd**2, axis=0) + best.var(axis=0)), 0.0)),
     }
     names = {
-        "frf": list(data.labels),
+        "frf": [f"{term.of_test}{label}" for label in data.labels],
         "line": np.asarray(data.frequencies_hz),
         "part": ["real", "imaginary"],
         "kind": ["model", "measurement"],
         "quantile": list(_BAND),
-        "channel": [f"{place} {direction}" for place, direction in term.channels.names],
+        "channel": [f"{term.of_test}{place} {direction}" for place, direction in term.channels.names],
     }
-    return {GROUP: xr.Dataset(variables, coords=names, attrs={"kind": data.kind})}
+    return xr.Dataset(variables, coords=names)
 
 
 def _compare(

@@ -13,7 +13,7 @@ from fmu.posterior.data.frf_data import FRFData
 from fmu.posterior.data.held_out_lines import held_out
 from fmu.posterior.frf.term import FRFTerm
 from fmu.tables import data_frame
-from fmu.types import ComplexArray
+from fmu.types import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,26 +27,55 @@ class MeasuredFRFs:
 
     Attributes
     ----------
+    tests : tuple of MeasuredInTest
+        One for each test with such functions.
+    """
+
+    tests: tuple[MeasuredInTest, ...]
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Sentences on signs of a wrong kind, polarity or place of a measurement."""
+        return tuple(f"{one.of_test}{said}" for one in self.tests for said in one.data.doubts())
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was converted, dropped or assumed, one sentence each."""
+        return tuple(f"{one.of_test}{said}" for one in self.tests for said in one.data.notes)
+
+    def table(self) -> pd.DataFrame:
+        """Return one row of text per function: lines in use, relative error, and agreement with the model."""
+        names = [f"{one.of_test}{label}" for one in self.tests for label in one.data.labels]
+        return data_frame([row for one in self.tests for row in one.rows()], "FRF", names)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredInTest:
+    """The measured functions of a test, and the same functions of the model before updating.
+
+    Attributes
+    ----------
+    of_test : str
+        What the names of the functions begin with: the test and a colon, or nothing for a single test.
     data : FRFData
     computed : ndarray of complex, shape (n_frfs, n_lines)
         In the units of the data; NaN at lines that are neither used nor test the updated model.
     """
 
+    of_test: str
     data: FRFData
     computed: ComplexArray
 
-    @property
-    def doubts(self) -> tuple[str, ...]:
-        """Sentences on signs of a wrong kind, polarity or place of a measurement."""
-        return self.data.doubts()
+    @classmethod
+    def at(cls, term: FRFTerm, own: FloatArray) -> MeasuredInTest:
+        """Return the functions of a term beside those of the model at its own parameters (1, n_own)."""
+        there = term.data.used | held_out(term.data)
+        computed = np.full(there.shape, np.nan, dtype=complex)
+        computed[:, there.any(axis=0)] = term.with_use(there).frfs(own)[0]
+        return cls(term.of_test, term.data, computed)
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What was converted, dropped or assumed, one sentence each."""
-        return self.data.notes
-
-    def table(self) -> pd.DataFrame:
-        """Return one row of text per function: lines in use, relative error, and agreement with the model."""
+    def rows(self) -> list[dict[str, str]]:
+        """Return a list with the row of each function in the table."""
         measured, used = np.asarray(self.data.values), self.data.used
         receptance = self.data.as_receptance()
         rows = []
@@ -64,16 +93,10 @@ class MeasuredFRFs:
                     "FRAC at the start": significant(float(alike[0]), 2) if lines.any() else MISSING,
                 }
             )
-        return data_frame(rows, "FRF", list(self.data.labels))
+        return rows
 
 
 def measured_frfs(problem: UpdatingProblem) -> MeasuredFRFs | None:
     """Return the measured functions of a problem beside the model's at the start; None if there are none."""
-    terms: tuple[FRFTerm, ...] = problem.likelihood.responses
-    if not terms:
-        return None
-    (term,) = terms
-    there = term.data.used | held_out(term.data)
-    computed = np.full(there.shape, np.nan, dtype=complex)
-    computed[:, there.any(axis=0)] = term.with_use(there).frfs(problem.start[None])[0]
-    return MeasuredFRFs(term.data, computed)
+    found = tuple(MeasuredInTest.at(*one) for one in problem.responses_at(problem.start[None]))
+    return MeasuredFRFs(found) if found else None

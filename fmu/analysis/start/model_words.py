@@ -64,9 +64,7 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
     for k in listed:
         parameter = problem.parameters[k]
         found, unit = problem.matrices_of(k), customary_unit(parameter.unit)
-        changes = "" if found is None else _changes(*found)
-        if k >= problem.n_structural:
-            changes = _of_errors(problem, k - problem.n_structural)
+        changes = _beside_structure(problem, k) if found is None else _changes(*found)
         rows.append(
             {
                 "unit": unit.name,
@@ -81,11 +79,16 @@ def parameter_table(problem: UpdatingProblem) -> pd.DataFrame:
     return table if any(table["changes"]) else table.drop(columns="changes")
 
 
-def _of_errors(problem: UpdatingProblem, k: int) -> str:
-    """Return the quantity that the k-th parameter (from 0) outside the structure changes."""
-    roles = [role for term in problem.likelihood.responses for role in term.roles]
-    first = problem.likelihood.n_noise
-    return "measurement errors" if k < first else roles[k - first]
+def _beside_structure(problem: UpdatingProblem, k: int) -> str:
+    """Return the quantity outside the structure that the k-th parameter (from 0) changes; empty for none."""
+    roles = {
+        p.name: role
+        for term in problem.likelihood.responses
+        for p, role in zip(term.inferred, term.roles, strict=True)
+    }
+    of, is_of_errors = problem.roles[k].of, k >= problem.n_structural
+    name = problem.names[k] if of is None else problem.layout.structural[of].name
+    return roles.get(name, "measurement errors" if is_of_errors else "")
 
 
 def structure_drawing(problem: UpdatingProblem) -> tuple[str, list[str | None]]:

@@ -294,8 +294,12 @@ def _frequency_groups(
         of_model = problem.layout.of_model
         found = distinct.evaluate(lambda theta: likelihood.terms_given_others(of_model(theta)))
         terms[GIVEN_OTHERS] = (dims, found[:, :, : together.shape[-1]])
-    for term in likelihood.responses:
-        terms[FRFS] = (dims[:2], distinct.evaluate(term.terms))
+    if likelihood.responses:
+        of_frfs = distinct.evaluate(
+            lambda theta: np.stack([term.terms(own) for term, own in problem.responses_at(theta)], axis=1)
+        )
+        one = of_frfs.shape[2] == 1
+        terms[FRFS] = (dims[:2], of_frfs[..., 0]) if one else ((*dims[:2], "test_of_frfs"), of_frfs)
     # a pseudo-likelihood, or an error model of shapes alone, has no measurement noise of frequencies
     if likelihood.simulates:
         noise = generator(result.seed, NOISE_STREAM)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -50,6 +50,15 @@ class FRFCertificate:
     lines: int
     direct_error: float
     tolerance: float = ALLOWED
+
+    @classmethod
+    def worst(cls, certificates: Iterable[FRFCertificate]) -> FRFCertificate | None:
+        """Return one certificate of several tests at the same draws, with the largest errors; None for none."""
+        every = list(certificates)
+        if not every:
+            return None
+        shift, lines, direct = ([vars(one)[key] for one in every] for key in ("shift", "lines", "direct_error"))
+        return cls(every[0].draws, max(shift), sum(lines), max(direct))
 
     @property
     def ok(self) -> bool:

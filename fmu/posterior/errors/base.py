@@ -246,8 +246,8 @@ class Likelihood:
         The error models whose squared residuals measure the fit of the model; see `ErrorTerm.is_chi_square`.
     quantities : tuple of QuantityTerm
         Measured quantities other than modes (`fmu.posterior.errors.quantities`).
-    responses : tuple of FRFTerm
-        Measured frequency response functions (`fmu.posterior.frf.term`).
+    responses, every : tuple of FRFTerm, tuple of FRFsOfTest
+        Measured frequency response functions, and the same in their tests (`fmu.posterior.frf.likelihood`).
     used : ndarray of int, shape (n_used,), or None
         Indices (from 0) of the measured modes whose terms make up the likelihood; None for all modes.
     has_discrepancy : bool
@@ -266,6 +266,7 @@ class Likelihood:
     chi_square: tuple[ErrorTerm, ...] = ()
     quantities: tuple[Any, ...] = ()
     responses: tuple[Any, ...] = ()
+    every: tuple[Any, ...] = ()
     used: IntArray | None = None
     has_discrepancy: bool = False
 

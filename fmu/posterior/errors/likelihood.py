@@ -343,6 +343,13 @@ class ModalLikelihood(Likelihood):
         of_quantities = [np.full(len(term.labels), term.test) for term in self.quantities]
         return np.concatenate([self.of_used(self.model.test_of_modes), *of_quantities])
 
+    @property
+    def test_of_residuals(self) -> IntArray:
+        """Index of the test that each residual of `residuals_and_slopes` belongs to, shape (n_residuals,)."""
+        modes = self.of_used(self.model.test_of_modes)
+        found = [np.repeat(modes, len(term.labels([""]))) for term in self.terms_of]
+        return np.concatenate([*found, *(np.full(len(term.labels), term.test) for term in self.quantities)])
+
     def _with_quantities_and_slopes(
         self, terms: FloatArray, slopes: FloatArray, theta: FloatArray, chain: Chain | None = None
     ) -> tuple[FloatArray, FloatArray]:
@@ -380,7 +387,7 @@ class ModalLikelihood(Likelihood):
                     continue
                 r, J = (self.of_used(part, 1) for part in residuals_of_term(term, seen, noise))
                 values.append(r.reshape(len(r), -1))
-                slopes.append(J.reshape(*values[-1].shape, -1))
+                slopes.append(J.reshape(*values[-1].shape, J.shape[-1]))
         return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
 
     def _information(self, J: FloatArray, theta: FloatArray) -> FloatArray:

@@ -13,15 +13,13 @@ NO_DATA = (
 )
 
 
-def assumptions_on_frfs(one: Mapping[str, Any], modes_are_data: bool) -> list[str]:
-    """Return sentences on the frequency response functions of a problem, their errors and the damping.
+def assumptions_on_frfs(one: Mapping[str, Any]) -> list[str]:
+    """Return sentences on the frequency response functions of a test, their errors and the damping.
 
     Parameters
     ----------
     one : mapping
         The result of `FRFTerm.as_dict`.
-    modes_are_data : bool
-        Whether measured modes are used in updating too.
     """
     data = one["data"]
     n, used = len(data["drives"]), int(data["n_used"])
@@ -31,8 +29,10 @@ def assumptions_on_frfs(one: Mapping[str, Any], modes_are_data: bool) -> list[st
     shape = "Gaussian"
     if data["freedom"] is not None:
         shape = f"Student's with {significant(data['freedom'])} degrees of freedom"
+    test = f"{one['test']}: " if "test" in one else ""
     said = [
-        f"Frequency response functions: {n} {kind} from {low} to {high} Hz, {whole(used)} complex values used.",
+        f"{test}Frequency response functions: {n} {kind} from {low} to {high} Hz, {whole(used)} complex values "
+        "used.",
         f"Errors of {what}: {shape}, independent from line to line and between real and imaginary part, with the "
         f"standard deviations of the data{_of_model(one['model_sd'])}.",
     ]
@@ -41,7 +41,7 @@ def assumptions_on_frfs(one: Mapping[str, Any], modes_are_data: bool) -> list[st
             each = names_in_words([f"{channel} (sd {given(sd)}{unit})" for channel, sd in one[key].items()])
             said.append(f"Unknown {name}s of response channels: {each}.")
     said.append(f"Damping: {'; '.join(map(_damping, one['damping']))}.")
-    return said + ([] if modes_are_data else [NO_DATA])
+    return said
 
 
 def _of_model(sd: float | str) -> str:

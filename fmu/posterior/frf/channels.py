@@ -45,7 +45,13 @@ class Channels:
 
     @classmethod
     def of(
-        cls, data: FRFData, gains: Mapping[Any, float], delays: Mapping[Any, float], first: int, integrates: bool
+        cls,
+        data: FRFData,
+        gains: Mapping[Any, float],
+        delays: Mapping[Any, float],
+        first: int,
+        integrates: bool,
+        of_test: str = "",
     ) -> Channels:
         """Return the channels of the FRFs.
 
@@ -58,12 +64,14 @@ class Channels:
             Index in theta of the first parameter of the channels.
         integrates : bool
             Whether gains are integrated out, which needs Gaussian errors.
+        of_test : str
+            What the names of channels in those of parameters begin with.
         """
         names = tuple(dict.fromkeys(data.responses))
         parameters: list[Parameter] = []
         gain, delay = np.full(len(names), -1), np.full(len(names), -1)
         for j, name in enumerate(names):
-            label = f"{name[0]} {name[1]}"
+            label = f"{of_test}{name[0]} {name[1]}"
             if name in gains and not integrates:
                 gain[j] = first + len(parameters)
                 sd = gains[name]

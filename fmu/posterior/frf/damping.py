@@ -123,14 +123,24 @@ DampingModel = ModalDamping | RayleighDamping | StructuralDamping | Dashpot | Da
 """The settings of damping; several are added up."""
 
 
+def inferred_in(given: DampingModel | Sequence[DampingModel]) -> list[Parameter]:
+    """Return the list of the parameters of damping models, each once."""
+    found: list[Parameter] = []
+    for one in given if isinstance(given, Sequence) else [given]:
+        for value in vars(one).values():
+            several = value.values() if isinstance(value, Mapping) else value
+            parts = several if isinstance(value, Mapping | Sequence) else [value]
+            found += [part for part in parts if isinstance(part, Parameter) and part not in found]
+    return found
+
+
 def bind_damping(
     given: DampingModel | Sequence[DampingModel],
     model: SeparableModel,
     names: Sequence[str],
-    inferred: list[Parameter],
     places: Mapping[str, Any],
 ) -> Damping:
-    """Return the damping of a model; parameters to be inferred are appended to `inferred`.
+    """Return the damping of a model, whose damping parameters are those of `inferred_in`.
 
     Parameters
     ----------
@@ -138,7 +148,6 @@ def bind_damping(
     model : SeparableModel
     names : sequence of str
         Parameters of the model.
-    inferred : list of Parameter
     places : mapping of str to node
         Nodes of the model for names of places.
 
@@ -149,6 +158,7 @@ def bind_damping(
         a matrix does not fit, or modal ratios are combined with damping that couples the modes.
     """
     models: Sequence[DampingModel] = given if isinstance(given, Sequence) else [given]
+    inferred = inferred_in(models)
     if not models:
         raise ArgumentError(
             "damping", "must have one damping model at least, such as fmu.ModalDamping(0.01)", "none"
@@ -159,8 +169,6 @@ def bind_damping(
             return Source(float(value))
         if value.lower < 0.0:
             raise ArgumentError(f"damping.{value.name}.lower", "must be at least 0", value.lower)
-        if value not in inferred:
-            inferred.append(value)
         return Source(value.start, inferred.index(value))
 
     ratios: tuple[Source, ...] = ()

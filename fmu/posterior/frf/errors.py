@@ -18,7 +18,7 @@ from fmu.posterior.data.frf_data import FRFData
 from fmu.posterior.data.held_out_lines import held_out
 from fmu.posterior.errors.quantities import QuantityErrors
 from fmu.posterior.frf.channels import Channels
-from fmu.posterior.frf.damping import DampingModel, bind_damping, damping_as_dict
+from fmu.posterior.frf.damping import DampingModel, bind_damping, damping_as_dict, inferred_in
 from fmu.posterior.frf.term import FRFTerm
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.reduction.region import training_box
@@ -58,7 +58,9 @@ class FRFErrors(QuantityErrors):
     delay_sd : float, or mapping of (place, direction) to float, s
         Standard deviation of the delay τ_j of each response channel, or of those named. Each is inferred.
     test : str, optional
-        Must not be given: frequency response functions are data of a single test.
+        With `fmu.JointProblem`: the test in which the FRFs were measured, whose parameters the structure has.
+        Damping parameters, and an inferred `model_sd`, of the same name are the same in several tests; gains and
+        delays belong to their test.
     places : mapping of str to node, optional
         Nodes of the model for names of places in the data, the damping and the channels.
 
@@ -84,8 +86,6 @@ class FRFErrors(QuantityErrors):
         if self.data.freedom <= 2.0:
             rule = "must have standard deviations from three hits or averages at least"
             raise ArgumentError("data", rule, significant(1.0 + self.data.freedom / 2.0))
-        if self.test is not None:
-            raise ArgumentError("test", "must not be given where there is one test only", repr(self.test))
         if isinstance(self.model_sd, Parameter) and self.model_sd.lower < 0.0:
             raise ArgumentError(f"model_sd.{self.model_sd.name}.lower", "must be at least 0", self.model_sd.lower)
 
@@ -96,16 +96,14 @@ class FRFErrors(QuantityErrors):
     def _nodes(self, points: Sequence[Dof]) -> list[Dof]:
         return [(self.places.get(str(place), place), direction) for place, direction in points]
 
-    def bind_frfs(self, model: SeparableModel, parameters: Sequence[Parameter], first: int) -> FRFTerm:
+    def bind_frfs(self, model: SeparableModel, parameters: Sequence[Parameter]) -> FRFTerm:
         """Return the errors bound to a structure; a reduced model of its FRFs is trained.
 
         Parameters
         ----------
         model : SeparableModel
         parameters : sequence of Parameter
-            Parameters of the model, which are the leading ones of theta.
-        first : int
-            Index in theta of the first parameter that is inferred for the FRFs.
+            Parameters of the model.
 
         Raises
         ------
@@ -119,9 +117,8 @@ class FRFErrors(QuantityErrors):
                 if not model.sees(point):
                     rule = "must be a place and a direction of the model that are free to move"
                     raise ArgumentError(f"data.{key}.{k}", rule, " ".join(map(str, named[k])))
-        inferred: list[Parameter] = []
-        names = [p.name for p in parameters]
-        damping = bind_damping(self.damping, model, names, inferred, self.places)
+        inferred = inferred_in(self.damping)
+        damping = bind_damping(self.damping, model, [p.name for p in parameters], self.places)
         start = np.array([p.start for p in parameters])
         lower, upper = training_box(parameters)
         values = np.array([p.start for p in inferred])
@@ -153,13 +150,14 @@ class FRFErrors(QuantityErrors):
         gains, delays = (
             _by_channel(k, v, data) for k, v in (("gain_sd", self.gain_sd), ("delay_sd", self.delay_sd))
         )
-        channels = Channels.of(data, gains, delays, first + len(inferred), integrates=np.isinf(data.freedom))
+        first, of_test = len(parameters) + len(inferred), "" if self.test is None else f"{self.test}: "
+        channels = Channels.of(data, gains, delays, first, np.isinf(data.freedom), of_test)
         inferred += channels.parameters
         if isinstance(self.model_sd, Parameter):
             inferred.append(self.model_sd)
         own = None if isinstance(self.model_sd, Parameter) else float(self.model_sd)
         is_log = self.scale == "log"
-        return FRFTerm(data, of, channels, tuple(inferred), first, is_log, own, self.as_dict())
+        return FRFTerm(data, of, channels, tuple(inferred), is_log, own, self.as_dict(), of_test)
 
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of the data, the damping and the settings, in plain Python types."""
@@ -167,6 +165,7 @@ class FRFErrors(QuantityErrors):
         sd = self.model_sd.name if isinstance(self.model_sd, Parameter) else self.model_sd
         return {
             "error": "frf",
+            **({} if self.test is None else {"test": self.test}),
             "data": self.data.as_dict(),
             "points": [str(one) for one in self._nodes((*self.data.responses, *self.data.drives))],
             "damping": [damping_as_dict(one) for one in models],

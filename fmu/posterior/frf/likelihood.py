@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.errors.base import Chain, ErrorTerm, Likelihood
+from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.frf.term import FRFTerm
 from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray, IntArray, Plain
@@ -22,43 +23,103 @@ FRFS = "FRFs"
 """Label of the residuals of frequency response functions."""
 
 
+class FRFsOfTest(NamedTuple):
+    """The FRFs of a test, as functions of the parameters in all tests.
+
+    Attributes
+    ----------
+    term : FRFTerm
+    test : int
+        Index of the test.
+    structural : ndarray of int, shape (s,)
+        The index of each of the first s parameters of `term` among the structural parameters; the others are
+        inferred beside the structure.
+    columns, slopes : ndarray of int, shape (n_own,)
+        The index of each parameter of `term` in theta of the likelihood, and among the derivatives of a value in
+        the test, which are by the structural parameters in the test and by the inferred parameters.
+    """
+
+    term: FRFTerm
+    test: int
+    structural: IntArray
+    columns: IntArray = np.empty(0, dtype=np.int64)
+    slopes: IntArray = np.empty(0, dtype=np.int64)
+
+    @property
+    def further(self) -> tuple[Parameter, ...]:
+        """The parameters of `term` that are inferred beside the structure."""
+        return self.term.inferred[len(self.structural) - self.term.model.full.n_parameters :]
+
+    def own(self, theta: FloatArray) -> FloatArray:
+        """Return the parameters of `term`, (n, n_own), at theta of the likelihood (n, ndim)."""
+        if len(self.columns) == theta.shape[1]:  # of a single test, in their order
+            return theta
+        return theta.take(self.columns, axis=1)
+
+    def by_structural(self, n: int, n_structural: int, chain: Chain | None) -> FloatArray:
+        """Return the derivatives of the first s parameters of `term` by the parameters of the problem, (n, s, N).
+
+        These N are without those inferred beside the structure, which has `n_structural` parameters in a test.
+        """
+        s = len(self.structural)
+        found = np.zeros((n, s, n_structural))
+        found[:, np.arange(s), self.structural] = 1.0
+        return found if chain is None else chain(found, np.full(s, self.test))
+
+
 class FRFLikelihood(Likelihood):
     """The sum of the log-likelihood of the modes and of the log-densities of FRFs.
 
     Parameters
     ----------
-    of_modes : Likelihood
+    modal : ModalLikelihood
         The likelihood of the modes; of no mode where the FRFs are the only data.
-    responses : sequence of FRFTerm
+    every : sequence of FRFsOfTest
     n_structural : int
-        Number of parameters of the structure.
+        Number of parameters of the structure in a test.
+    n_tests : int
 
     Attributes
     ----------
-    modal : Likelihood
+    modal : ModalLikelihood
         The likelihood of the modes.
+    model : ModalModel
+        The model of the modes.
+    every : tuple of FRFsOfTest
     responses : tuple of FRFTerm
 
     Notes
     -----
-    The parameters that are inferred for the FRFs follow those of the errors of modes. What is not said here is as
-    in the likelihood of the modes.
+    The parameters that are inferred for the FRFs beside those of the structure follow those of the errors of the
+    modes. What is not said here is as in the likelihood of the modes.
     """
 
     of_modes = True
 
-    def __init__(self, modal: Likelihood, responses: Sequence[FRFTerm], n_structural: int) -> None:
-        self.modal, self.responses, self.n_structural = modal, tuple(responses), n_structural
-        inferred: list[Parameter] = []
-        for term in self.responses:
-            inferred += term.inferred
-        self.noise = (*modal.noise, *inferred)
-        self._n_modal = n_structural + len(modal.noise)
+    def __init__(
+        self, modal: ModalLikelihood, every: Sequence[FRFsOfTest], n_structural: int, n_tests: int
+    ) -> None:
+        self.modal, self.n_structural = modal, n_structural
+        noise = list(modal.noise)
+        for one in every:
+            noise += [p for p in one.further if p not in noise]
+        self.noise = tuple(noise)
+        placed = []
+        for one in every:
+            further = np.array([noise.index(p) for p in one.further], dtype=np.int64)
+            columns, slopes = (
+                np.concatenate([first + one.structural, n + further])
+                for first, n in ((one.test * n_structural, n_tests * n_structural), (0, n_structural))
+            )
+            placed.append(one._replace(columns=columns, slopes=slopes))
+        self.every = tuple(placed)
+        self._n_modal = n_tests * n_structural + len(modal.noise)
         self._adopt()
 
     def _adopt(self) -> None:
         """Take over what the likelihood of the modes says of the modes."""
-        modal = self.modal
+        modal, self.responses = self.modal, tuple(one.term for one in self.every)
+        self.model = modal.model
         self.needs_shapes, self.simulates, self.has_discrepancy = (
             modal.needs_shapes, modal.simulates, modal.has_discrepancy,
         )  # fmt: skip
@@ -72,6 +133,11 @@ class FRFLikelihood(Likelihood):
     def is_of_frfs_alone(self) -> bool:
         """Whether no measured mode is used."""
         return self.modal.used is not None and len(self.modal.used) == 0
+
+    @property
+    def _has_no_terms_of_modes(self) -> bool:
+        """Whether the FRFs are the only data, so that the modes need not be computed."""
+        return self.is_of_frfs_alone and not self.quantities
 
     @property
     def frequency_term(self) -> ErrorTerm | None:
@@ -91,11 +157,11 @@ class FRFLikelihood(Likelihood):
         """Return the likelihood with another model of the modes."""
         return self._with(self.modal.with_model(model))
 
-    def _with(self, modal: Likelihood, responses: Sequence[FRFTerm] | None = None) -> Self:
+    def _with(self, modal: ModalLikelihood, every: Sequence[FRFsOfTest] | None = None) -> Self:
         other = copy(self)
         other.modal = modal
-        if responses is not None:
-            other.responses = tuple(responses)
+        if every is not None:
+            other.every = tuple(every)
         other._adopt()
         return other
 
@@ -107,10 +173,10 @@ class FRFLikelihood(Likelihood):
         """
         noise = min(term.relative_noise for term in self.responses)
         wider = [relative for relative in _WIDER if relative > _WORTHWHILE * noise]
-        every = self.modal.using(None)
-        stages: list[Likelihood] = [self._with(every, ())]
+        modes = self.modal.using(None)
+        stages: list[Likelihood] = [self._with(modes, ())]
         for relative in wider:
-            stages.append(self._with(every, [term.widen(relative) for term in self.responses]))
+            stages.append(self._with(modes, [one._replace(term=one.term.widen(relative)) for one in self.every]))
         return stages
 
     def _of_modes(self, theta: FloatArray) -> FloatArray:
@@ -121,25 +187,28 @@ class FRFLikelihood(Likelihood):
         return self._with_responses(self._modal_terms(theta), theta)
 
     def _modal_terms(self, theta: FloatArray) -> FloatArray:
-        if self.is_of_frfs_alone:
+        if self._has_no_terms_of_modes:
             return np.empty((len(theta), 0))
         return self.modal.terms(self._of_modes(theta))
 
     def _with_responses(self, terms: FloatArray, theta: FloatArray) -> FloatArray:
-        return np.concatenate([terms, *(term.terms(theta)[:, None] for term in self.responses)], axis=1)
+        found = [one.term.terms(one.own(theta))[:, None] for one in self.every]
+        return np.concatenate([terms, *found], axis=1)
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the terms and their gradients, shape (n, n_terms, ndim)."""
         values, slopes = [], []
-        if not self.is_of_frfs_alone:
+        N = self.n_structural + len(self.noise)
+        if not self._has_no_terms_of_modes:
             terms, slope = self.modal.terms_and_gradient(self._of_modes(theta))
-            whole = np.zeros((*terms.shape, theta.shape[1]))
+            whole = np.zeros((*terms.shape, N))
             whole[..., : slope.shape[-1]] = slope
             values, slopes = [terms], [whole]
-        for term in self.responses:
-            value, gradient = term.terms_and_gradient(theta)
+        for one in self.every:
+            value, gradient = one.term.terms_and_gradient(one.own(theta))
             values.append(value[:, None])
-            slopes.append(gradient[:, None])
+            slopes.append(np.zeros((len(theta), 1, N)))
+            slopes[-1][:, 0, one.slopes] = gradient
         return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
@@ -167,45 +236,61 @@ class FRFLikelihood(Likelihood):
         self, theta: FloatArray, chain: Chain | None = None
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood (n,), its gradient (n, ndim) and the information (n, ndim, ndim)."""
-        n, ndim = theta.shape
+        n, P = len(theta), self.n_structural
+        none = np.zeros((n, 0, P))
+        N = (none if chain is None else chain(none, np.zeros(0, dtype=np.int64))).shape[-1]
+        ndim = N + len(self.noise)
         value, gradient, information = np.zeros(n), np.zeros((n, ndim)), np.zeros((n, ndim, ndim))
-        if not self.is_of_frfs_alone:
-            m = self._n_modal
+        if not self._has_no_terms_of_modes:
+            m = N + len(self.modal.noise)
             value, gradient[:, :m], information[:, :m, :m] = self.modal.quadratic(self._of_modes(theta), chain)
-        for term in self.responses:
-            one, slope = term.terms_and_gradient(theta)
-            value, gradient, information = value + one, gradient + slope, information + term.information(theta)
+        for one in self.every:
+            own, s = one.own(theta), len(one.structural)
+            D = np.zeros((n, len(one.columns), ndim))  # the chain rule
+            D[:, :s, :N] = one.by_structural(n, P, chain)
+            D[:, np.arange(s, len(one.columns)), N - P + one.slopes[s:]] = 1.0
+            Dt = np.swapaxes(D, 1, 2)
+            term, slope = one.term.terms_and_gradient(own)
+            value, gradient = value + term, gradient + (Dt @ slope[..., None])[..., 0]
+            information += Dt @ one.term.information(own) @ D
         return value, gradient, information
 
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
         """Return residuals (n, n_residuals) and their derivatives (n, n_residuals, n_structural).
 
-        The FRFs have as many residuals as the structure has parameters: with J the square root of their
-        information on these parameters, given the best values of all others, the residuals are −J⁻ᵀ times the
-        gradient.
+        The FRFs of a test have as many residuals as parameters of the structure: with J the square root of their
+        information on these parameters, given the best values of all others for this test, the residuals are −J⁻ᵀ
+        times the gradient.
         """
         values, slopes = [], []
-        if not self.is_of_frfs_alone:
+        if not self._has_no_terms_of_modes:
             r, J = self.modal.residuals_and_slopes(self._of_modes(theta), chain)
             values, slopes = [r], [J]
-        for term in self.responses:
-            gradient, information = term.terms_and_gradient(theta)[1], term.information(theta)
-            found = [_whiten(*pair, self.n_structural) for pair in zip(gradient, information, strict=True)]
+        for one in self.every:
+            own, s = one.own(theta), len(one.structural)
+            gradient, information = one.term.terms_and_gradient(own)[1], one.term.information(own)
+            found = [_whiten(*pair, s) for pair in zip(gradient, information, strict=True)]
             r, J = (np.stack(part) for part in zip(*found, strict=True))
             values.append(r)
-            slopes.append(J)
+            slopes.append(J @ one.by_structural(len(theta), self.n_structural, chain))
         return np.concatenate(values, axis=1), np.concatenate(slopes, axis=1)
 
     @property
     def test_of_terms(self) -> IntArray:
         """Index of the test that each term belongs to, shape (n_terms,)."""
-        of_modes = np.zeros(0, dtype=np.int64) if self.is_of_frfs_alone else self.modal.test_of_terms
-        return np.concatenate([of_modes, np.zeros(len(self.responses), dtype=np.int64)])
+        of_modes = np.zeros(0, dtype=np.int64) if self._has_no_terms_of_modes else self.modal.test_of_terms
+        return np.concatenate([of_modes, np.array([one.test for one in self.every], dtype=np.int64)])
+
+    @property
+    def test_of_residuals(self) -> IntArray:
+        """Index of the test that each residual of `residuals_and_slopes` belongs to, shape (n_residuals,)."""
+        found = [] if self._has_no_terms_of_modes else [self.modal.test_of_residuals]
+        return np.concatenate([*found, *(np.full(len(one.structural), one.test) for one in self.every)])
 
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
         """Return the names of the residuals, in the order of `residuals_and_slopes`, given the labels of modes."""
-        of_modes = () if self.is_of_frfs_alone else self.modal.labels(modes)
-        return of_modes + (FRFS,) * (self.n_structural * len(self.responses))
+        of_modes = () if self._has_no_terms_of_modes else self.modal.labels(modes)
+        return of_modes + (FRFS,) * sum(len(one.structural) for one in self.every)
 
     def in_standard_deviations(self, frequencies: FloatArray, error: FloatArray, theta: FloatArray) -> FloatArray:
         """Return errors of computed frequencies, (n_modes,) in Hz, in standard deviations of their measurement."""
@@ -233,16 +318,17 @@ class FRFLikelihood(Likelihood):
 
     def why_not_finite(self, theta: FloatArray) -> str | None:
         """Return the reason why the terms are not finite at theta, shape (ndim,); None if they are finite."""
-        found = None if self.is_of_frfs_alone else self.modal.why_not_finite(theta[: self._n_modal])
-        if found is None and not all(np.isfinite(term.terms(theta[None])[0]) for term in self.responses):
-            found = "the log-likelihood is not finite: the FRFs have no value"
+        found = None if self._has_no_terms_of_modes else self.modal.why_not_finite(theta[: self._n_modal])
+        for one in [] if found else self.every:
+            if not np.isfinite(one.term.terms(one.own(theta[None]))[0]):
+                return f"the log-likelihood is not finite: {one.term.of_test}the FRFs have no value"
         return found
 
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of names and settings in plain Python types."""
         return self.modal.as_dict() | {
             "responses": [term.as_dict() for term in self.responses],
-            "inferred": [p.name for term in self.responses for p in term.inferred],
+            "inferred": [p.name for p in self.noise[len(self.modal.noise) :]],
         }
 
 

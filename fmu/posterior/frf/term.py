@@ -31,21 +31,22 @@ _LOG_2PI = float(np.log(2.0 * np.pi))
 class FRFTerm:
     """Measured FRFs bound to a structure.
 
+    Here theta has the term's own parameters: those of the structure, followed by `inferred`.
+
     Attributes
     ----------
     data : FRFData
     model : FRFModel
     channels : Channels
     inferred : tuple of Parameter
-        Parameters of the damping, of the channels, and the relative error of the model, as far as they are
-        inferred.
+        Those of the damping, of the channels, and the relative error of the model, as far as they are inferred.
     n_data : int
         Number of measured real numbers that are used.
+    of_test : str
+        What the names of FRFs and channels begin with: the test and a colon, or nothing for a single test.
 
     Parameters
     ----------
-    first : int
-        Index in theta of the first of `inferred`: those of the damping, those of the channels, and σ.
     is_log : bool
         Whether the errors are those of log H.
     model_sd : float or None
@@ -60,13 +61,13 @@ class FRFTerm:
         model: FRFModel,
         channels: Channels,
         inferred: tuple[Parameter, ...],
-        first: int,
         is_log: bool,
         model_sd: float | None,
         settings: dict[str, Plain],
+        of_test: str = "",
     ) -> None:
         self.data, self.model, self.channels, self.inferred = data, model, channels, inferred
-        self._is_log, self._model_sd, self._settings = is_log, model_sd, settings
+        self._is_log, self._model_sd, self._settings, self.of_test = is_log, model_sd, settings, of_test
         lines = data.used.any(axis=0)
         self.omega = 2.0 * np.pi * np.asarray(data.frequencies_hz)[lines]
         self._power = (1j * self.omega) ** data.power
@@ -87,8 +88,8 @@ class FRFTerm:
         if np.isfinite(self.freedom):  # of Student's density
             self._constant += int(np.sum(self._used)) * float(np.log1p(-2.0 / self.freedom))
         self.n_data = 2 * int(np.sum(self._used))
-        self._first, self._wider = first, 0.0
-        self._sd_column = first + len(inferred) - 1 if model_sd is None else None
+        self._first, self._wider = model.full.n_parameters, 0.0
+        self._sd_column = self._first + len(inferred) - 1 if model_sd is None else None
 
     def widen(self, relative: float) -> FRFTerm:
         """Return the same term with a further relative error of the model, for a search that begins far away."""
@@ -115,10 +116,9 @@ class FRFTerm:
 
     def frfs(self, theta: FloatArray) -> ComplexArray:
         """Return the computed FRFs in the units of the data, (n, n_frfs, n_lines), at theta (n, ndim)."""
-        every = slice(None)
         with single_thread():
             parts = [
-                self._predict(self._solve(theta[rows]), theta[rows], every) * self._power
+                self._predict(self._solve(theta[rows]), theta[rows], slice(None)) * self._power
                 for rows in self._rows(len(theta), len(self.omega))
             ]
         return np.concatenate(parts) if parts else np.empty((0, *self._used.shape), dtype=complex)
@@ -139,8 +139,8 @@ class FRFTerm:
 
     def with_use(self, use: BoolArray) -> FRFTerm:
         """Return the term of other values, with use (n_frfs, n_lines), of the same data."""
-        data, own = replace(self.data, use=use, band=None), (self._first, self._is_log, self._model_sd)
-        return FRFTerm(data, self.model, self.channels, self.inferred, *own, self._settings)
+        data, own = replace(self.data, use=use, band=None), (self._is_log, self._model_sd, self._settings)
+        return FRFTerm(data, self.model, self.channels, self.inferred, *own, self.of_test)
 
     def squares(self, theta: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return Σ r² over the used lines of each FRF, (n, n_frfs), at theta (n, ndim).

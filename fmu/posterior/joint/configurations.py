@@ -66,9 +66,12 @@ def _covariance(data: ModalData) -> FloatArray:
 
 
 def find_configurations(
-    model: Model, tests: Sequence[Test], layout: Layout, options: Mapping[str, Any]
+    model: Model, tests: Sequence[Test], layout: Layout, of_model: int, options: Mapping[str, Any]
 ) -> tuple[list[Configuration], Any]:
-    """Return a list of configurations, each with its trained model; and the tolerance of the model reduction."""
+    """Return a list of configurations, each with its trained model; and the tolerance of the model reduction.
+
+    The first `of_model` structural parameters are those of the model.
+    """
     keys = [test.configuration for test in tests]
     first_mode = np.cumsum([0, *(test.data.n_modes for test in tests)])
     found, tolerance = [], None
@@ -78,7 +81,7 @@ def find_configurations(
         first = tests[here[0]]
         number = {p.name: j for j, p in enumerate(layout.structural)}
         known = {number[name]: value for name, value in first.known.items()}
-        kept = [j for j in range(len(layout.structural)) if j not in known]
+        kept = [j for j in range(of_model) if j not in known]
         changed: Any = model
         if first.masses or first.springs or known:
             if not isinstance(model, SeparableModel):

@@ -10,6 +10,7 @@ import numpy as np
 from fmu.arguments import OwnRule, check_arguments
 from fmu.engines.base import Engine
 from fmu.fem.pairing.modal_model import Model
+from fmu.formats.shown import names_shown
 from fmu.posterior.build import check_names
 from fmu.posterior.discrepancy.embedded import Discrepancy
 from fmu.posterior.errors.base import ErrorModel
@@ -88,8 +89,9 @@ def JointProblem(  # capitalised because it constructs a problem
         same parameters in every test, beside what varies between the tests.
     pairing, beta, error, reduction, engine, name
         See `UpdatingProblem` and `UpdatingProblem.reduced`. ``"soft"`` pairing and the modal residual are only for
-        a single test. `fmu.MassErrors` and `fmu.StaticErrors` must name the test in which the mass was weighed or
-        the displacement was measured: ``fmu.MassErrors(32.5e3, sd=300.0, test="autumn")``.
+        a single test. `fmu.MassErrors`, `fmu.StaticErrors` and `fmu.FRFErrors` must name the test in which the
+        mass was weighed, or the displacement or the FRFs were measured: ``fmu.MassErrors(32.5e3, sd=300.0,
+        test="autumn")``. Damping parameters follow those of the model, and `varies` may name them too.
 
     Returns
     -------
@@ -105,11 +107,12 @@ def JointProblem(  # capitalised because it constructs a problem
     """
     tests = tuple(tests)
     slopes = {key: dict(value) for key, value in (slopes or {}).items()}
+    errors, of_model = Errors.of(error), len(parameters)
+    parameters = [*parameters, *errors.damping_parameters()]
     check_names(parameters)
     reference = (tests[0].group if tests else "") if reference is None else reference
-    errors = Errors.of(error)
     ways = {p.name: Shared() for p in parameters} | {name: way_of(how) for name, how in (varies or {}).items()}
-    found = find_mistakes(tests, parameters, ways, slopes, reference, correlation)
+    found = find_mistakes(tests, parameters, of_model, ways, slopes, reference, correlation)
     found += errors.find_mistakes(model, [test.name for test in tests])
     if any(isinstance(one, (ShapeErrors, MACErrors)) for one in np.ravel(np.array(error, dtype=object))):
         found += mistakes_of_shapes(tests)
@@ -120,15 +123,18 @@ def JointProblem(  # capitalised because it constructs a problem
         raise ValueError(f"tests: {what} is for a single test (got {len(tests)})")
     layout = build_layout(parameters, tests, ways, slopes, reference, correlation)
     data = stack_tests(tests)
-    common: dict[str, Any] = {"beta": beta, "error": errors.of_modes}
-    options = {"pairing": pairing, "reduction": reduction, "engine": engine, **common}
-    parts, tolerance = find_configurations(model, tests, layout, options)
+    common: dict[str, Any] = {"beta": beta}
+    options = {"pairing": pairing, "reduction": reduction, "engine": engine, "error": errors.of_modes, **common}
+    parts, tolerance = find_configurations(model, tests, layout, of_model, options)
     joint = ModelInTests(parts, [test.name for test in tests], len(parameters), data.n_modes)
-    common |= {"name": name, "layout": layout}
+    common |= {"name": name, "layout": layout, "error": error}
     problem = plain = UpdatingProblem(joint, data, parameters, **common)
+    if plain.is_hierarchical and plain.likelihood.every and plain.likelihood.noise:
+        names = names_shown([p.name for p in plain.likelihood.noise])
+        rule = "must have known errors beside a population; infer gains alone, of Gaussian errors"
+        raise TestsError([f"error: frequency response functions {rule} (got inferred {names})"])
     if discrepancy:
         problem = UpdatingProblem(joint, data, parameters, discrepancy=discrepancy, **common)
-    problem.likelihood.quantities = plain.likelihood.quantities = errors.bound(joint, layout)
     problem.tolerance = tolerance
     # the scores are centred by what each test says alone, and a discrepancy couples the tests
     return problem.with_layout(centre_scores(plain)) if problem.is_hierarchical else problem
@@ -215,12 +221,16 @@ def draw_next_test(
 def find_mistakes(
     tests: Sequence[Test],
     parameters: Sequence[Parameter],
+    of_model: int,
     varies: Mapping[str, Varies],
     slopes: Slopes,
     reference: str,
     correlation: float | None = None,
 ) -> list[str]:
-    """Return a list of messages on contradictions between tests and parameters, each naming the argument."""
+    """Return a list of messages on contradictions between tests and parameters, each naming the argument.
+
+    The first `of_model` parameters are those of the model, the others those of the damping.
+    """
     names = [p.name for p in parameters]
     found = ["tests: must be at least 2 (got 1)"] if len(tests) == 1 else []
     found = found or ([] if tests else ["tests: must be at least 2 (got none)"])
@@ -229,8 +239,9 @@ def find_mistakes(
         first = taken.setdefault(test.name, t)
         if first != t:
             found.append(f"tests.{t}.name: must not be that of tests.{first} (got {test.name!r})")
-        unknown = [name for name in test.known if name not in names]
-        found += [f"tests.{t}.known: must name parameters among {', '.join(names)} (got {n!r})" for n in unknown]
+        of_structure = names[:of_model]
+        rule = f"must name parameters among {', '.join(of_structure)}"
+        found += [f"tests.{t}.known: {rule} (got {n!r})" for n in test.known if n not in of_structure]
         others = {label for other in tests if other is not test for label in other.data.labels}
         if len(tests) > 1 and not others & set(test.data.labels):
             labels = ", ".join(test.data.labels)

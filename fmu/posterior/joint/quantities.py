@@ -1,4 +1,4 @@
-"""Weighed masses and static displacements, each measured in one of several tests."""
+"""Masses, displacements and frequency response functions, each measured in one of several tests."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from fmu.fem.modes.separable import SeparableModel
 from fmu.formats.shown import names_shown
 from fmu.posterior.errors.base import ErrorModel
 from fmu.posterior.errors.quantities import QuantityErrors, QuantityTerm
+from fmu.posterior.frf.damping import inferred_in
 from fmu.posterior.frf.errors import FRFErrors
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.model_in_tests import ModelInTests
@@ -29,7 +30,7 @@ class Errors(NamedTuple):
     of_modes : str or sequence of ErrorModel
         Error models of the modes of all tests; ``"frequency"`` if none is given.
     of_quantities : mapping of int to QuantityErrors
-        Error models of masses and displacements, by their index in the argument `error`.
+        Error models of masses, displacements and FRFs, by their index in the argument `error`.
     """
 
     of_modes: Any
@@ -44,53 +45,101 @@ class Errors(NamedTuple):
             return cls(error, {})
         return cls([one for i, one in enumerate(given) if i not in quantities] or "frequency", quantities)
 
+    @property
+    def of_frfs(self) -> dict[int, FRFErrors]:
+        """The error models of frequency response functions, by their index in the argument `error`."""
+        return {i: one for i, one in self.of_quantities.items() if isinstance(one, FRFErrors)}
+
+    def damping_parameters(self) -> list[Parameter]:
+        """Return the list of the damping parameters of all tests, each once."""
+        found: list[Parameter] = []
+        for one in self.of_frfs.values():
+            found += [p for p in inferred_in(one.damping) if p not in found]
+        return found
+
     def find_mistakes(self, model: Any, tests: Sequence[str]) -> list[str]:
         """Return a list of messages on contradictions between error models, model and tests."""
-        of_frfs = [i for i, one in self.of_quantities.items() if isinstance(one, FRFErrors)]
-        if of_frfs:
-            return [
-                f"error.{of_frfs[0]}: frequency response functions are for a single test (got {len(tests)} tests)"
-            ]
         rule = f"must be the test in which it was measured, one of {names_shown(tests)}"
         found = [
             f"error.{i}.test: {rule} (got {'none' if one.test is None else shown(one.test)})"
             for i, one in self.of_quantities.items()
             if one.test not in tests
         ]
+        of_tests = [one.test for one in self.of_frfs.values()]
+        rule = "must not be that of another FRFErrors; give all frequency response functions of a test together"
+        found += [
+            f"error.{i}.test: {rule} (got {shown(one.test)})"
+            for k, (i, one) in enumerate(self.of_frfs.items())
+            if one.test in of_tests[:k]
+        ]
+        if self.of_frfs and self.of_modes == "frequency" and not found:
+            without = [test for test in tests if test not in of_tests]
+            rule = "must be given for every test, or errors of modes too"
+            found += [f"error: frequency response functions {rule} (got none of {names_shown(without)})"] * bool(
+                without
+            )
         if self.of_quantities and not isinstance(model, SeparableModel):
             first = next(iter(self.of_quantities))
+            what = "a frequency response function" if self.of_frfs else "a mass or a displacement"
             found.append(
-                f"error.{first}: a mass or a displacement needs a model with matrices, a SeparableModel "
-                f"(got {type(model).__name__})"
+                f"error.{first}: {what} needs a model with matrices, a SeparableModel (got {type(model).__name__})"
             )
         return found
 
-    def bound(self, joint: ModelInTests, layout: Layout) -> tuple[QuantityTerm, ...]:
-        """Return one term per error model of quantities, as a function of the parameters in all tests.
 
-        The labels of a term begin with the name of its test.
+class StructureInTest(NamedTuple):
+    """The structure in one of several tests.
 
-        Raises
-        ------
-        ValueError
-            If a quantity cannot be computed for the structure in its test.
-        """
+    Attributes
+    ----------
+    structure : SeparableModel
+    parameters : list of Parameter
+        Its p parameters, with the bounds that their values have in the test.
+    test : int
+        Index of the test.
+    numbers : ndarray of int, shape (p,)
+        Indices of its parameters among the structural parameters.
+    """
+
+    structure: Any
+    parameters: list[Parameter]
+    test: int
+    numbers: IntArray
+
+    @classmethod
+    def of(cls, test: str | None, joint: ModelInTests, layout: Layout) -> StructureInTest:
+        """Return the structure in the test of this name."""
         lower, upper = layout.box()
-        found = []
-        for i, one in self.of_quantities.items():
-            t = joint.tests.index(str(one.test))
-            part = next(part for part in joint.configurations if t in part.tests)
-            parameters = [_close_box(layout.structural[j], lower[t, j], upper[t, j]) for j in part.parameters]
-            structure: Any = part.model.structure
-            try:
-                term = one.bind_structure(structure, parameters)
-            except ValueError as error:
-                raise ValueError(f"error.{i}.{error}") from error
-            labels = tuple(f"{one.test}: {label}" for label in term.labels)
-            columns = t * joint.n_structural + part.parameters
-            computed = InOneTest(term.computed, columns, part.parameters, joint.n_structural)
-            found.append(term._replace(labels=labels, computed=computed, test=t))
-        return tuple(found)
+        t = joint.tests.index(str(test))
+        part = next(part for part in joint.configurations if t in part.tests)
+        parameters = [_close_box(layout.structural[j], lower[t, j], upper[t, j]) for j in part.parameters]
+        return cls(part.model.structure, parameters, t, part.parameters)
+
+
+def bind_quantities(
+    given: Mapping[int, QuantityErrors], joint: ModelInTests, layout: Layout
+) -> tuple[QuantityTerm, ...]:
+    """Return one term per error model of quantities, as a function of the parameters in all tests.
+
+    The labels of a term begin with the name of its test. `given` has the error models by their index in `error`.
+
+    Raises
+    ------
+    ValueError
+        If a quantity cannot be computed for the structure in its test.
+    """
+    found = []
+    for i, one in given.items():
+        here = StructureInTest.of(one.test, joint, layout)
+        try:
+            term = one.bind_structure(here.structure, here.parameters)
+        except ValueError as error:
+            raise ValueError(f"error.{i}.{error}") from error
+        labels = tuple(f"{one.test}: {label}" for label in term.labels)
+        columns = here.test * joint.n_structural + here.numbers
+        computed = InOneTest(term.computed, columns, here.numbers, joint.n_structural)
+        found.append(term._replace(labels=labels, computed=computed, test=here.test))
+    return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)

@@ -242,14 +242,6 @@ def test_lines_without_values_take_no_part():
     assert np.isfinite(problem.log_prob(np.r_[TRUTH, RATIOS]))
 
 
-def test_several_tests_are_refused():
-    tests = [fmu.Test(name, modes()) for name in ("before", "after")]
-    with pytest.raises(
-        ValueError, match=r"error.0: frequency response functions are for a single test \(got 2 tests\)"
-    ):
-        fmu.JointProblem(building(), tests, parameters(), error=fmu.FRFErrors(**replaced()))
-
-
 def test_a_discrepancy_needs_errors_of_modes():
     with pytest.raises(ValueError, match="discrepancy: needs errors of frequencies or shapes"):
         fmu.UpdatingProblem(

@@ -9,9 +9,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from fmu.box import find_inside
-from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.joint.conditional.bend import find_bend
-from fmu.posterior.joint.conditional.expansion import expand
+from fmu.posterior.joint.conditional.expansion import OfTests, expand
 from fmu.posterior.joint.conditional.main import MainGivenValues
 from fmu.posterior.joint.conditional.scores import ScoresGivenMain
 from fmu.posterior.joint.conditional.shift import MainGivenScores
@@ -113,7 +112,7 @@ def scatter_about_typical(
 
 
 def _compute(problem: UpdatingProblem) -> Conditionals:
-    assert isinstance(problem.likelihood, ModalLikelihood)  # of several tests
+    assert isinstance(problem.likelihood, OfTests)  # of several tests
     plain = problem.with_layout(problem.layout.remove_centring())
     own = ScaledDensity(problem).to_theta(typical_point(problem))[None]
     theta = problem.layout.standardise_scores(own)

@@ -8,8 +8,12 @@ import numpy as np
 
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.errors.noise import Spread
+from fmu.posterior.frf.likelihood import FRFLikelihood
 from fmu.posterior.joint.layout import Layout, sum_by_test
 from fmu.types import FloatArray, IntArray
+
+OfTests = ModalLikelihood | FRFLikelihood
+"""The likelihoods of several tests."""
 
 
 class Expansion(NamedTuple):
@@ -54,7 +58,7 @@ class Expansion(NamedTuple):
         return np.where(counts > 0, total / np.maximum(counts, 1), 1.0)[..., None]
 
 
-def expand(layout: Layout, likelihood: ModalLikelihood, theta: FloatArray) -> Expansion:
+def expand(layout: Layout, likelihood: OfTests, theta: FloatArray) -> Expansion:
     """Return the log-likelihoods of the tests to second order about one theta, (ndim,)."""
     slopes = likelihood.terms_and_gradient(layout.of_model(theta[None]))[1][..., : len(layout.structural)]
     slope = sum_by_test(slopes, likelihood.test_of_terms, len(layout.tests))[0]
@@ -67,17 +71,8 @@ def expand(layout: Layout, likelihood: ModalLikelihood, theta: FloatArray) -> Ex
     return Expansion(values, slope, information, noise, spreads, likelihood.model.test_of_modes)
 
 
-def information_by_test(layout: Layout, likelihood: ModalLikelihood, theta: FloatArray) -> FloatArray:
+def information_by_test(layout: Layout, likelihood: OfTests, theta: FloatArray) -> FloatArray:
     """Return the information of each test on its structural parameters, (n_tests, P, P), at theta (ndim,)."""
     J = likelihood.residuals_and_slopes(layout.of_model(theta[None]))[1]
     products = J[..., :, None] * J[..., None, :]
-    return sum_by_test(products, _tests_of_residuals(likelihood), len(layout.tests))[0]
-
-
-def _tests_of_residuals(likelihood: ModalLikelihood) -> IntArray:
-    """Return the index of the test of each residual of ``residuals_and_slopes``, shape (n_residuals,)."""
-    modes = likelihood.of_used(likelihood.model.test_of_modes)
-    names = tuple(map(str, range(len(modes))))
-    repeats = [len(term.labels(names)) // len(names) for term in likelihood.terms_of]
-    found = [np.repeat(modes, n) for n in repeats]
-    return np.concatenate([*found, *(np.full(len(term.labels), term.test) for term in likelihood.quantities)])
+    return sum_by_test(products, likelihood.test_of_residuals, len(layout.tests))[0]

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from fmu.analysis.frf.predictions import GROUP
+from fmu.analysis.start.measured_frfs import MeasuredInTest
 from fmu.numbers import given
-from fmu.posterior.data.frf_data import FRFData
 from fmu.posterior.data.held_out_lines import held_out
 from fmu.report.plots import style
 from fmu.report.plots.style import AxesArray
@@ -93,11 +93,12 @@ def plot_frf(trace: xr.DataTree, frf: str | None = None, figure: Figure | None =
     if frf is not None and frf not in names:
         raise ValueError(f"frf: must be one of {', '.join(names)} (got {frf!r})")
     group = trace[GROUP].to_dataset().sel(frf=frf or names[0])
+    group = group.isel(line=np.flatnonzero(group["in_spectrum"].to_numpy()))
     group = group.isel(line=_chosen_lines(group["measured"].to_numpy()))
     parts = group["measured"].to_numpy()
     shown = Shown(
         style.literal(frf or names[0]),
-        UNITS[str(trace[GROUP].attrs["kind"])],
+        UNITS[str(group["response"].item())],
         group["line"].to_numpy(),
         parts[:, 0] + 1j * parts[:, 1],
         group["used"].to_numpy().astype(bool),
@@ -150,11 +151,15 @@ def plot_frf_at_start(shown: Shown, computed: ComplexArray, figure: Figure | Non
     return axes
 
 
-def shown_frfs(data: FRFData) -> list[Shown]:
-    """Return a list of the measured frequency response functions, with every line."""
-    tested, lines = held_out(data), np.asarray(data.frequencies_hz)
-    rows = zip(data.labels, np.asarray(data.values), data.used, tested, strict=True)
-    return [Shown(style.literal(name), UNITS[data.kind], lines, *row) for name, *row in rows]
+def shown_frfs(measured: MeasuredInTest) -> list[Shown]:
+    """Return a list of the measured frequency response functions of a test, with every line."""
+    data = measured.data
+    lines, rows = (
+        np.asarray(data.frequencies_hz),
+        zip(np.asarray(data.values), data.used, held_out(data), strict=True),
+    )
+    names = [style.literal(f"{measured.of_test}{label}") for label in data.labels]
+    return [Shown(name, UNITS[data.kind], lines, *row) for name, row in zip(names, rows, strict=True)]
 
 
 def frf_names(trace: xr.DataTree) -> list[str]:
