@@ -1,6 +1,7 @@
 # Set-up and everyday commands. The environment is .venv; nothing outside the project is touched.
 .DEFAULT_GOAL := help
-.PHONY: help paper environments test test-kernels test-fast test-programs lint notebooks notebooks-save docs bench bench-whole validate mutants results-status results-list clean-environment
+.PHONY: help environments test test-kernels test-fast test-programs lint notebooks notebooks-save docs \
+  results results-status results-list paper bench mutants validate clean-environment
 
 PYTHON_CANDIDATES := $(PYTHON) python3.12 python3.13 python3.14 python3 python
 READY := .venv/.ready
@@ -10,7 +11,7 @@ READY_FAST := .venv/fast/.ready
 READY_PROGRAMS := .venv/programs/.ready
 
 help:  ## Show this list
-	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):[^#]*## /  make \1|/' | column -t -s '|'
+	@grep -hE '^[a-z -]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z -]+):[^#]*## /  make \1|/' | column -t -s '|'
 
 $(READY): pyproject.toml constraints.txt
 	@set -e; found=; for p in $(PYTHON_CANDIDATES); do \
@@ -20,9 +21,6 @@ $(READY): pyproject.toml constraints.txt
 	[ -x .venv/bin/python ] || "$$found" -m venv .venv; \
 	.venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test]'; \
 	touch $(READY)
-
-paper: $(READY)  ## Run both experiments of the paper with every sampler, into results/
-	.venv/bin/fmu paper --out results
 
 # Left to `make test-programs`.
 RUN_PROGRAMS := tests/programs tests/report/test_there_and_back.py
@@ -116,62 +114,24 @@ docs: $(READY_DOCS)  ## Build the guide and the reference, from docstrings and n
 	mkdir -p .docs/source
 	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m sphinx --quiet --fail-on-warning --keep-going --jobs auto -c notebooks/guide .docs/source .docs/html
 
-bench: export OPENBLAS_NUM_THREADS = 1
-bench: $(READY_BENCH)  ## Measure the speed budget and the samplers' peers, into results/benchmarks.md
-	mkdir -p .benchmarks
-	.venv/bin/python -m pytest tests/benchmarks --benchmark-only --benchmark-json=.benchmarks/run.json
-	.venv/bin/python -m tests.benchmarks.profile .benchmarks/profile.md
-	.venv/bin/python -m tests.benchmarks.peers .benchmarks/peers.json
-	.venv/bin/python -m tests.benchmarks.peers.report .benchmarks/peers.json .benchmarks/peers.md results/benchmarks/peers.png
-	.venv/bin/python -m tests.benchmarks.table .benchmarks/run.json results/benchmarks.md .benchmarks/profile.md .benchmarks/peers.md
-	.venv/bin/python -m pytest --quiet tests/test_readme.py
-
-bench-whole: export OPENBLAS_NUM_THREADS = 1
-bench-whole: $(READY_BENCH)  ## Measure whole runs, search and warm-up counted, beside nested samplers, into results/whole-runs.md
-	.venv/bin/python -m tests.benchmarks.peers.whole_runs .benchmarks/whole.json
-	.venv/bin/python -m tests.benchmarks.peers.whole_runs.page .benchmarks/whole.json results/whole-runs.md results/benchmarks/whole-runs.png
-
-validate: export OPENBLAS_NUM_THREADS = 1
-validate: $(READY_BENCH) $(READY_FAST)  ## Calibrate samplers, verdicts, intervals and evidences, and update GARTEUR, into results/ (validation.md and others)
-	.venv/bin/python -m tests.validation results
-	.venv/bin/python -m tests.validation.verdicts results
-	.venv/bin/python -m tests.validation.densities results
-	.venv/bin/python -m tests.validation.coverage results
-	.venv/bin/python -m tests.validation.evidence results
-	.venv/bin/python -m tests.validation.seeds results
-	.venv/bin/python -m tests.validation.replicates results
-	.venv/bin/python -m tests.validation.starts results
-	.venv/bin/python -m tests.validation.left_out results
-	.venv/bin/python -m tests.validation.wrong_model results
-	.venv/bin/python -m tests.validation.wrong_structures results
-	.venv/bin/python -m tests.validation.hyper_parameters results
-	.venv/bin/python -m tests.validation.fit results
-	.venv/bin/python -m tests.validation.contradictions results
-	.venv/bin/python -m tests.validation.several_tests results
-	.venv/bin/python -m tests.validation.damage_intervals results
-	.venv/bin/python -m tests.validation.populations results
-	.venv/bin/python -m tests.validation.garteur results
-	.venv/bin/python -m tests.validation.kills results
-	.venv/bin/python -m tests.validation.kernels results
-	.venv/bin/python -m pytest --quiet -m validate
-	.venv/bin/python -m tests.validation.random_models results
-	.venv/bin/python -m tests.validation.workers results
-	.venv/bin/python -m tests.validation.bound results
-	.venv/bin/python -m tests.validation.emcee_moves results
-	.venv/bin/python -m tests.validation.scale results
-	.venv/bin/python -m tests.validation.hostile results
-	.venv/bin/python -m tests.validation.surrogate results
-	.venv/bin/python -m tests.validation.planning results
-	.venv/bin/python -m tests.validation.frfs results
-
-mutants: $(READY)  ## Put deliberate faults into a copy and see which test catches each, into results/mutants.md
-	.venv/bin/python -m tests.validation.mutants results/mutants.md
+results: $(READY_BENCH) $(READY_FAST)  ## Write all pages of results/ that are older than the code; it goes on where it was killed
+	.venv/bin/python -m tests.results run $(STUDIES)
 
 results-status: $(READY)  ## List the pages of results/ that are older than the code, and say so in their first lines
 	.venv/bin/python -m tests.results status
 
 results-list: $(READY)  ## List the studies of results/, with their groups, budgets and pages
 	.venv/bin/python -m tests.results list
+
+paper mutants: $(READY)  ## The same for one group of studies: the paper repeated, deliberate faults
+	.venv/bin/python -m tests.results run $@
+
+bench: $(READY_BENCH)  ## The same for the speed budget and the peers of the samplers
+	.venv/bin/python -m tests.results run bench
+
+validate: $(READY_BENCH) $(READY_FAST)  ## The same for the studies of samplers, intervals and verdicts; and the long versions of tests
+	.venv/bin/python -m tests.results run validate
+	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest --quiet -m validate
 
 clean-environment:  ## Remove .venv, to be made anew by the next command
 	rm -rf .venv

@@ -1,6 +1,6 @@
 """All studies whose pages are in results/: this table alone says what there is.
 
-`make results-status` says which pages are older than the code, and `make results-list` prints the table.
+`make results` runs those whose pages are missing or older than the code, and `make results-list` prints the table.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ STUDIES = (
     Study("paper", 15, "fmu", tuple(f"{page}.md" for page in _OF_PAPER),
           (*_EXPERIMENTS, "recomputed.csv", "vector-beta.csv", "vector-beta.png", "manifest.json"), PAPER,
           exclusive=True, also=("fmu.cli",), arguments=("paper", "--out", "{out}")),
-    Study("benchmarks", 35, "tests.benchmarks.table", ("benchmarks.md",), ("benchmarks",), BENCHMARKS,
+    Study("benchmarks", 35, "tests.benchmarks", ("benchmarks.md",), ("benchmarks",), BENCHMARKS,
           exclusive=True, also=(_PEERS, "tests.benchmarks.test_log_prob", "tests.benchmarks.test_tower")),
     Study("whole-runs", 35, f"{_PEERS}.whole_runs", ("whole-runs.md",), ("benchmarks",), BENCHMARKS,
           exclusive=True),

@@ -1,21 +1,18 @@
 """Validate every sampler, long.
 
-    python -m tests.validation OUT_DIRECTORY [--workers N] [--only WORD] [--kept FILE]
+    python -m tests.validation OUT [--kept DIRECTORY] [--minutes M] [--workers N] [--only WORD]
 
 Exit code 1 where a gate fails. The numbers do not depend on the workers. With a word, only the samplers whose
-title has it are tried, and their numbers are printed instead of written. With a file, samplers that it holds are
-not tried again.
+title has it are tried, and their numbers are printed instead of written.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,7 +22,7 @@ from fmu.engines import engine
 from tests.validation.calibration import Calibration, calibrate
 from tests.validation.contenders import CONTENDERS
 from tests.validation.effective_size import TARGETS, Ratio, error_ratios
-from tests.validation.kept import completed, kept_lines
+from tests.validation.kept import Units, study_parser
 from tests.validation.page import Study, calibration_table, ratio_table, write
 
 REPLICATES = 200
@@ -71,29 +68,28 @@ def _processor_s() -> float:
     return sum(os.times()[:4])
 
 
-def main(directory: Path, workers: int, only: str = "", kept: Path | None = None) -> int:
+def main() -> int:
     """Run both studies, write ``validation.md`` and its figure, and return the exit code."""
-    known = {found.title: found for found in (Tried.of_line(**fields) for fields in kept_lines(kept))}
-    chosen = [(contender.title, i) for i, contender in enumerate(CONTENDERS) if only in contender.title]
+    parser = study_parser(__doc__)
+    parser.add_argument("--workers", type=int, default=1, help="processes that share the replicates")
+    parser.add_argument("--only", default="", help="part of the titles of the samplers to be tried")
+    asked = parser.parse_args()
+    units = Units(asked.kept, asked.minutes)
+    chosen = [(contender.title, i) for i, contender in enumerate(CONTENDERS) if asked.only in contender.title]
     with threadpool_limits(1), tempfile.TemporaryDirectory() as cache:
         os.environ["FMU_CACHE_DIR"] = cache  # a reduced model of an earlier version must not answer for this one
-        runs = completed(chosen, known, lambda i: tried(i, workers), kept)
+        runs = units.completed(
+            "samplers", chosen, lambda i: tried(i, asked.workers), lambda kept: Tried.of_line(**kept)
+        )
     study = Study({one.title: one.calibration for one in runs}, {one.title: one.ratios for one in runs})
-    if only:
+    if asked.only:
         print(calibration_table(study), ratio_table(study), sep="\n")
     else:
-        write(study, directory, sum(one.processor_s for one in runs))
+        write(study, asked.out, units.processor_s)
     for failure in study.failures:
         print(failure)
     return 1 if study.failures else 0
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(prog="python -m tests.validation")
-    parser.add_argument("directory", type=Path)
-    parser.add_argument("--workers", type=int, default=1, help="processes that share the replicates")
-    parser.add_argument(
-        "--only", default="", help="part of the titles of the samplers to be tried; nothing is written"
-    )
-    parser.add_argument("--kept", type=Path, help="file of the samplers tried so far; it is continued")
-    sys.exit(main(**vars(parser.parse_args())))
+    sys.exit(main())

@@ -1,4 +1,6 @@
-"""The bound of reduced frequencies against full solves: python -m tests.validation.bound OUT_DIRECTORY [--quick].
+"""The bound of reduced frequencies against full solves.
+
+    python -m tests.validation.bound OUT [--kept DIRECTORY] [--minutes M] [--quick]
 
 Writes ``bound.md``. Exit code 1 if an error exceeds its bound, or the bound is far above the error.
 """
@@ -6,10 +8,9 @@ Writes ``bound.md``. Exit code 1 if an error exceeds its bound, or the bound is 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
 from itertools import chain
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +27,7 @@ from fmu.numbers import MISSING, significant, whole
 from fmu.tables import markdown_table
 from fmu.types import FloatArray
 from tests.fem.reduced.test_frequency_bound import BUILT, box
+from tests.validation.kept import Units, fields_of, study_parser
 from tests.validation.scale_model import Size, scale_problem
 
 SEED = 2000
@@ -120,13 +122,17 @@ def examined(case: Case) -> Found:
     )
 
 
-def shipped() -> Iterator[Case]:
+Group = Callable[[], list[Case]]
+"""Makes cases that are trained together."""
+
+
+def shipped() -> Iterator[tuple[str, Group]]:
     """Yield the built-in cases."""
     for name in cases.names():
-        yield from _of_problem(name, cases.load(name), POINTS)
+        yield name, lambda name=name: _of_problem(name, cases.load(name), POINTS)
 
 
-def frames() -> Iterator[Case]:
+def frames() -> Iterator[tuple[str, Group]]:
     """Yield the frames of the study of scale."""
     for size, n_parameters, tolerance, points in (
         (Size(3, 3, 2), 5, 1e-6, POINTS),
@@ -137,20 +143,23 @@ def frames() -> Iterator[Case]:
         (Size(70, 6, 4), 5, 1e-6, 10 * FEWEST),
         (Size(70, 6, 4), 50, 1e-3, 10 * FEWEST),
     ):
-        name = f"frame, `{significant(tolerance, 1)}`"
-        yield from _of_problem(name, scale_problem(size, n_parameters, tolerance), points)
+        name, of = f"frame, `{significant(tolerance, 1)}`", (size, n_parameters, tolerance)
+        yield (
+            f"{name}, {size}, {n_parameters}",
+            lambda name=name, of=of, points=points: _of_problem(name, scale_problem(*of), points),
+        )
 
 
-def chains() -> Iterator[Case]:
+def chains() -> Iterator[tuple[str, Group]]:
     """Yield small structures of every kind: free, without mass, with crossing modes, with vanishing springs."""
     for built in BUILT:
-        yield _of_chain(built)
+        yield built.__name__, lambda built=built: [_of_chain(built)]
 
 
-def _of_problem(name: str, problem: fmu.UpdatingProblem | fmu.JointProblem, points: int) -> Iterator[Case]:
-    """Yield the structure of a problem, or those of its tests, each over the box that it was trained for."""
-    for structure in reduced_structures(problem.model):
-        yield Case(name, structure, structure.lower[0], structure.upper[0], points)
+def _of_problem(name: str, problem: fmu.UpdatingProblem | fmu.JointProblem, points: int) -> list[Case]:
+    """Return the structure of a problem, or those of its tests, each over the box that it was trained for."""
+    every = reduced_structures(problem.model)
+    return [Case(name, one, one.lower[0], one.upper[0], points) for one in every]
 
 
 def _of_chain(built: Callable[[], Any]) -> Case:
@@ -190,15 +199,22 @@ def page(found: list[Found]) -> str:
     )
 
 
-def main(out: Path, quick: bool) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Examine all cases and write the page."""
-    found = []
-    for case in chain(*([] if quick else [shipped(), frames()]), chains()):
-        found.append(examined(case))
-        print(found[-1].name, found[-1].exceeded, found[-1].error, found[-1].bound, flush=True)
-    (out / "bound.md").write_text(page(found), encoding="utf-8")
-    return 0 if all(of.is_sound for of in found) else 1
+    parser = study_parser(__doc__)
+    parser.add_argument("--quick", action="store_true", help="small structures alone")
+    asked = parser.parse_args(arguments)
+    groups = chain(*([] if asked.quick else [shipped(), frames()]), chains())
+    found = Units(asked.kept, asked.minutes).completed(
+        "structures",
+        groups,
+        lambda group: [asdict(examined(case)) for case in group()],
+        lambda of: [fields_of(Found, np.array)(one) for one in of],
+    )
+    every = [one for of in found for one in of]
+    (asked.out / "bound.md").write_text(page(every), encoding="utf-8")
+    return 0 if all(of.is_sound for of in every) else 1
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1]), "--quick" in sys.argv[2:]))
+    sys.exit(main())

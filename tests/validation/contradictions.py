@@ -1,6 +1,6 @@
 """Does a page say two things that contradict each other? A checker of pages, and 200 random problems.
 
-    python -m tests.validation.contradictions OUT_DIRECTORY [--n N]
+    python -m tests.validation.contradictions OUT [--kept DIRECTORY] [--minutes M] [--n N]
 
 What a page says is held against what else it says, and against the log-probability of its problem: shares against
 gradients and draws, intervals against bounds, checks against their power, certainty against the verdict on the
@@ -9,14 +9,12 @@ model. Exit code 1 where a page contradicts itself.
 
 from __future__ import annotations
 
-import argparse
 import re
 import sys
-import time
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -30,6 +28,7 @@ from fmu.report.run import runs_of
 from fmu.report.sections.verdicts import ASSUMED
 from tests.pictures import without_pictures
 from tests.validation.contradictions_cases import LENGTH, random_case
+from tests.validation.kept import Units, each, fields_of, study_parser
 
 PROBLEMS = 200
 _NUMBER = r"[-+]?\d+(?:[  ]\d{3})*(?:\.\d+)?(?:e[-+]?\d+)?"
@@ -215,24 +214,26 @@ def page_of(seed: int) -> tuple[Said, str]:
         return said_of(trace, case.problem), f"{case.words}; {case.sampler}"
 
 
-def main(directory: Path, n: int) -> int:
-    """Check `n` pages, write ``contradictions.md`` and return the exit code."""
+def checked(seed: int) -> Any:
+    """Return what the page of a problem says against itself."""
+    from tests.validation.contradictions_page import Checked
+
+    said, words = page_of(seed)
+    return Checked.of(seed, words, said, contradictions(said))
+
+
+def main() -> int:
+    """Check pages, write ``contradictions.md`` and return the exit code."""
     from tests.validation.contradictions_page import Checked, write
 
-    began, found = time.process_time(), []
-    for seed in range(n):
-        said, words = page_of(seed)
-        against = contradictions(said)
-        found.append(Checked.of(seed, words, said, against))
-        for line in against:
-            print(f"{seed} ({words}): {line}", flush=True)
-    write(found, directory, time.process_time() - began)
+    parser = study_parser(__doc__)
+    parser.add_argument("--n", type=int, default=PROBLEMS)
+    asked = parser.parse_args()
+    units = Units(asked.kept, asked.minutes)
+    found = units.completed("pages", each(range(asked.n)), checked, fields_of(Checked))
+    write(found, asked.out, units.processor_s)
     return 1 if any(one.against for one in found) else 0
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("directory", type=Path)
-    parser.add_argument("--n", type=int, default=PROBLEMS)
-    arguments = parser.parse_args()
-    sys.exit(main(arguments.directory, arguments.n))
+    sys.exit(main())

@@ -1,6 +1,6 @@
 """Do intervals hold the truth as often as they say, where the noise is inferred too?
 
-    python -m tests.validation.coverage OUT_DIRECTORY [--replicates N] [--seed N] [--workers N] [--kept FILE]
+    python -m tests.validation.coverage OUT [--kept DIRECTORY] [--minutes M] [--replicates N] [--seed N]
 
 Truths, noise among them, from the prior of the case shear-10dof, a measurement of each and a run on it. A 90 %
 interval then holds the truth in 90 % of the runs, whatever the prior is; and the ranks of the truth are uniform
@@ -9,15 +9,12 @@ interval then holds the truth in 90 % of the runs, whatever the prior is; and th
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
-from multiprocessing import get_context
-from pathlib import Path
+from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +26,9 @@ from fmu.samplers import HamiltonianMonteCarlo, Run
 from fmu.types import BoolArray, FloatArray
 from tests.validation import ten_storeys
 from tests.validation.bands import UniformRanks
-from tests.validation.kept import keep, kept_lines
+from tests.validation.kept import Units, fields_of, study_parser
 
-REPLICATES, SEED, WORKERS = 2000, 20262, 2
+REPLICATES, SEED = 2000, 20262
 CHAINS, WARMUP, DRAWS = 16, 100, 40
 LEAST_ESS = 200
 """Of every quantity; runs that have less are drawn on."""
@@ -175,34 +172,25 @@ def lost_to_draws(ess: FloatArray, draws: int) -> FloatArray:
     return np.asarray((0.5 - TAIL) * np.sum(1.0 / ess + 1.0 / draws, axis=-1))
 
 
-def study(
-    replicates: int = REPLICATES, seed: int = SEED, workers: int = WORKERS, kept: Path | None = None
-) -> Study:
-    """Return the study; the runs do not depend on the number of workers.
-
-    With a file, those that it holds, one a line, and the others, which are added to it.
-    """
-    seeds = np.random.SeedSequence(seed).spawn(replicates)
-    runs = [Replicate(**fields) for fields in kept_lines(kept, np.array)[:replicates]]
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_start) as pool:
-        for run in pool.map(_replicate, seeds[len(runs) :]):
-            runs.append(run)
-            keep(kept, run)
-    return Study(runs)
+def study(units: Units, replicates: int = REPLICATES, seed: int = SEED) -> Study:
+    """Return the study."""
+    seeds = enumerate(np.random.SeedSequence(seed).spawn(replicates))
+    with threadpool_limits(1):
+        return Study(units.completed("replicates", seeds, _replicate, fields_of(Replicate, np.array)))
 
 
-def _start() -> None:
-    global _model, _limits
-    _limits = threadpool_limits(1)
-    _model = ten_storeys.structure()
+@cache
+def _structure() -> Any:
+    """Return the model."""
+    return ten_storeys.structure()
 
 
 def _replicate(seed: np.random.SeedSequence) -> Replicate:
     """Return what a run on a truth of its own says; RuntimeError if it does not reach `LEAST_ESS`."""
     began = time.process_time()
-    rng = np.random.default_rng(seed)
-    truth, data = ten_storeys.drawn(rng, _model)
-    problem = ten_storeys.problem(_model, data)
+    rng, model = np.random.default_rng(seed), _structure()
+    truth, data = ten_storeys.drawn(rng, model)
+    problem = ten_storeys.problem(model, data)
     run = Run(
         problem,
         HamiltonianMonteCarlo(),
@@ -241,22 +229,20 @@ def _replicate(seed: np.random.SeedSequence) -> Replicate:
     )
 
 
-def main(directory: Path, replicates: int, seed: int, workers: int, kept: Path | None) -> int:
+def main() -> int:
     """Run the study, write ``coverage.md`` and its figure, and return the exit code."""
     from tests.validation.coverage_page import write
 
-    found = study(replicates, seed, workers, kept)
-    write(found, directory)
+    parser = study_parser(__doc__)
+    parser.add_argument("--replicates", type=int, default=REPLICATES)
+    parser.add_argument("--seed", type=int, default=SEED)
+    asked = parser.parse_args()
+    found = study(Units(asked.kept, asked.minutes), asked.replicates, asked.seed)
+    write(found, asked.out)
     for failure in found.failures:
         print(failure)
     return 1 if found.failures else 0
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(prog="python -m tests.validation.coverage")
-    parser.add_argument("directory", type=Path)
-    parser.add_argument("--replicates", type=int, default=REPLICATES)
-    parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--workers", type=int, default=WORKERS, help="processes that share the replicates")
-    parser.add_argument("--kept", type=Path, help="file of the runs made so far, one a line; it is continued")
-    sys.exit(main(**vars(parser.parse_args())))
+    sys.exit(main())

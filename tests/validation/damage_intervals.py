@@ -1,6 +1,6 @@
 """How often the intervals of the damaged building of notebook 05 hold the truth, over many simulated data sets.
 
-    python -m tests.validation.damage_intervals OUT_DIRECTORY [--replicates N] [--seed N] [--kept FILE]
+    python -m tests.validation.damage_intervals OUT [--kept DIRECTORY] [--minutes M] [--replicates N] [--seed N]
 
 The building of `notebooks/05-damage.ipynb` and its six days: storey 2 has lost 15 %, stiffness falls by 0.3 %
 per °C, errors are 0.5 % of the frequencies and 0.01 in the shapes. Only the errors differ from data set to data
@@ -11,11 +11,9 @@ intervals hold the truth less often than a binomial distribution allows, at 1 in
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +22,7 @@ from threadpoolctl import threadpool_limits
 
 import fmu
 from fmu.types import FloatArray
-from tests.validation.kept import completed, kept_lines
+from tests.validation.kept import Units, each, fields_of, study_parser
 from tests.validation.several_tests import building, modes
 
 REPLICATES, SEED = 100, 20_282
@@ -115,16 +113,14 @@ def page(found: Sequence[DataSet]) -> tuple[str, bool]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", type=Path)
+    """Update the data sets that are missing, write the page, and return the exit code."""
+    parser = study_parser(__doc__)
     parser.add_argument("--replicates", type=int, default=REPLICATES)
     parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--kept", type=Path, help="file in which data sets are kept, to continue from")
     asked = parser.parse_args()
-    known = {line["seed"]: DataSet(**line) for line in kept_lines(asked.kept)}
+    units, seeds = Units(asked.kept, asked.minutes), range(asked.seed, asked.seed + asked.replicates)
     with threadpool_limits(1):
-        seeds = range(asked.seed, asked.seed + asked.replicates)
-        found = completed(((seed, seed) for seed in seeds), known, one_data_set, asked.kept)
+        found = units.completed("data sets", each(seeds), one_data_set, fields_of(DataSet))
     text, passed = page(found)
     (asked.out / "damage-intervals.md").write_text(text, encoding="utf-8")
     return 0 if passed else 1

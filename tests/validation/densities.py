@@ -1,20 +1,19 @@
-"""Verdicts on runs on plain log-densities with exact moments: python -m tests.validation.densities OUT_DIRECTORY.
+"""Verdicts on runs on plain log-densities with exact moments.
+
+    python -m tests.validation.densities OUT [--kept DIRECTORY] [--minutes M]
 
 Writes ``densities.md``. Each run draws until the verdict is good or its evaluations are spent. Exit code 1 if a
 run is called converged, without "locally", whose means, standard deviations or evidence are off by more than five
 standard errors; or if fewer than 90 % of the runs on densities with one maximum and light tails are called
-converged without it. Parts run side by side: ``--part 1/2 --to FILE`` writes rows, ``--from FILE …`` the page.
+converged without it.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 import warnings
-from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,6 +25,7 @@ from fmu.analysis.trace.reading import parameter_draws, walkers_of
 from fmu.numbers import MISSING, share, significant, whole
 from fmu.tables import markdown_table
 from tests import densities, plain_densities
+from tests.validation.kept import Units, fields_of, study_parser
 
 SEEDS = {"mixture": 9, "hmc": 7, "mh": 7, "slice": 6, "emcee": 4}
 """Runs of each sampler on each density."""
@@ -92,7 +92,7 @@ def modified(t: float, y: Any, error: float) -> float:
 
 
 def cases() -> Iterator[tuple[Any, str, int]]:
-    """Yield every density, sampler and seed, so that interleaved parts take equally long."""
+    """Yield every density, sampler and seed, one seed of all after the other."""
     for seed in range(1, max(SEEDS.values()) + 1):
         for make in (*densities.ALL, *plain_densities.ALL):
             for sampler, seeds in SEEDS.items():
@@ -167,29 +167,15 @@ def share_converged(rows: list[Row]) -> float:
     return float(np.mean([row.state == CONVERGED for row in rows])) if rows else np.nan
 
 
-def main(argv: Iterable[str]) -> int:
-    """Run the study, or a part of it, and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--part", default="1/1")
-    parser.add_argument("--to", type=Path)
-    parser.add_argument("--from", type=Path, nargs="*", dest="kept", default=[])
-    asked = parser.parse_args(list(argv))
-    rows = [Row(**row) for path in asked.kept for row in json.loads(path.read_text())]
-    if not rows:
-        part, parts = map(int, asked.part.split("/"))
-        todo = list(cases())[part - 1 :: parts]
-        for n, (density, sampler, seed) in enumerate(todo, 1):
-            rows.append(ran(density, sampler, seed))
-            print(f"{n} of {len(todo)}: {rows[-1]}", flush=True)
-            if asked.to is not None:
-                asked.to.write_text(json.dumps([asdict(row) for row in rows]))
-    if asked.to is not None:
-        return 0
-    (asked.out / "densities.md").write_text(page(rows))
+def main() -> int:
+    """Run the study and write the page."""
+    asked = study_parser(__doc__).parse_args()
+    keyed = (((density.name, sampler, seed), (density, sampler, seed)) for density, sampler, seed in cases())
+    rows = Units(asked.kept, asked.minutes).completed("runs", keyed, lambda job: ran(*job), fields_of(Row))
+    (asked.out / "densities.md").write_text(page(rows), encoding="utf-8")
     made = {d.name: d for d in (make() for make in (*densities.ALL, *plain_densities.ALL))}
     return int(any(row.is_wrong for row in rows) or not share_converged(usual(rows, made)) >= ENOUGH)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

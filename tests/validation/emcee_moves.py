@@ -1,4 +1,6 @@
-"""Moves of plain emcee on the paper's experiments: python -m tests.validation.emcee_moves OUT_DIRECTORY [--quick].
+"""Moves of plain emcee on the paper's experiments.
+
+    python -m tests.validation.emcee_moves OUT [--kept DIRECTORY] [--minutes M] [--quick]
 
 Writes ``emcee-moves.md``. Exit code 1 if two moves that have both converged disagree.
 """
@@ -6,10 +8,9 @@ Writes ``emcee-moves.md``. Exit code 1 if two moves that have both converged dis
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from pathlib import Path
 from typing import Any
 
 import emcee
@@ -20,6 +21,7 @@ from fmu.numbers import share, significant, whole
 from fmu.samplers.snooker import SnookerMove
 from fmu.tables import markdown_table
 from fmu.types import FloatArray
+from tests.validation.kept import Units, each, fields_of, study_parser
 
 EXPERIMENTS = tuple((f"cantilever-{of}", pairing) for of in ("young", "section") for pairing in ("shape", "index"))
 ENSEMBLES, WALKERS = 4, 32
@@ -164,17 +166,23 @@ def page(found: list[Found]) -> str:
     )
 
 
-def main(out: Path, quick: bool) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Try all moves on all experiments and write the page."""
-    found = []
-    for case, pairing in EXPERIMENTS[2:3] if quick else EXPERIMENTS:
-        problem = fmu.cases.load(case, pairing)
-        for move in MOVES:
-            found.append(tried(problem, f"{case}, by {pairing}", move, LENGTHS[:1] if quick else LENGTHS))
-            print(found[-1], flush=True)
-    (out / "emcee-moves.md").write_text(page(found), encoding="utf-8")
+    parser = study_parser(__doc__)
+    parser.add_argument("--quick", action="store_true", help="one experiment, and short runs")
+    asked = parser.parse_args(arguments)
+    experiments, lengths = (EXPERIMENTS[2:3], LENGTHS[:1]) if asked.quick else (EXPERIMENTS, LENGTHS)
+
+    def run(job: tuple[str, str, str]) -> Found:
+        case, pairing, move = job
+        return tried(fmu.cases.load(case, pairing), f"{case}, by {pairing}", move, lengths)
+
+    jobs = [(*experiment, move) for experiment in experiments for move in MOVES]
+    units = Units(asked.kept, asked.minutes)
+    found = units.completed("runs", each(jobs), run, fields_of(Found, np.array))
+    (asked.out / "emcee-moves.md").write_text(page(found), encoding="utf-8")
     return 1 if disagreements(found) else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1]), "--quick" in sys.argv[2:]))
+    sys.exit(main())

@@ -1,6 +1,6 @@
 """Evidences of the paper's two beams and of Beck & Au's building, each in several independent ways.
 
-    python -m tests.validation.evidence OUT_DIRECTORY
+    python -m tests.validation.evidence OUT [--kept DIRECTORY] [--minutes M]
 
 Exit code 1 where two ways disagree.
 """
@@ -8,10 +8,8 @@ Exit code 1 where two ways disagree.
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Iterator
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -24,6 +22,7 @@ from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 from fmu.samplers.mixture.quadratic import Quadratic
 from fmu.types import BoolArray, FloatArray
 from tests.two_storeys import quadrature
+from tests.validation.kept import Units, each, study_parser
 
 CHAINS, WARMUP, DRAWS, SEED = 24, 200, 300, 1
 IMPORTANCE_DRAWS = 8192
@@ -191,29 +190,48 @@ def wide(case: str, relative: float) -> Estimate:
     return weighed(problem, list(fmu.find_map(problem)))
 
 
-def study() -> tuple[list[Row], dict[float, list[Estimate]]]:
+def evidences(case: str, pairing: str) -> list[Row]:
+    """Return the evidence of a case, and those of its regions, if it is the one with separate regions."""
+    problem = fmu.cases.load(case, pairing)
+    maxima = fmu.find_map(problem)
+    rows = [row(case, pairing, problem, maxima)]
+    if case == "shear-2dof":
+        rows[0].ways["quadrature"] = Estimate(quadrature().log_evidence, 0.0)
+    return [*rows, *regions(case, problem, maxima)] if (case, pairing) == BEAMS[-1] else rows
+
+
+def _row(fields: dict[str, Any]) -> Row:
+    """Return a row from what is kept of it."""
+    ways = {name: Estimate(**way) for name, way in fields["ways"].items()}
+    return Row(**fields | {"ways": ways, "theta": np.array(fields["theta"])})
+
+
+def study(units: Units) -> tuple[list[Row], dict[float, list[Estimate]]]:
     """Return all rows, and the evidences of both beams by shape for errors of a share of the frequencies."""
-    building = fmu.cases.load("shear-2dof")
-    rows = [row("shear-2dof", "index", building, fmu.find_map(building))]
-    rows[0].ways["quadrature"] = Estimate(quadrature().log_evidence, 0.0)
-    for case, pairing in BEAMS:
-        problem = fmu.cases.load(case, pairing)
-        maxima = fmu.find_map(problem)
-        rows.append(row(case, pairing, problem, maxima))
-        print(f"{case} by {pairing}: {rows[-1].ways} after {time.process_time():.0f} s", flush=True)
-    for found in regions("cantilever-section", problem, maxima):
-        rows.append(found)
-        print(f"region {found.region}: {found.ways} after {time.process_time():.0f} s", flush=True)
-    return rows, {share: [wide(case, share) for case, _ in BEAMS[:2]] for share in SHARES}
+    rows = units.completed(
+        "cases",
+        each([("shear-2dof", "index"), *BEAMS]),
+        lambda one: [asdict(found) for found in evidences(*one)],
+        lambda kept: [_row(fields) for fields in kept],
+    )
+    shares = units.completed(
+        "errors",
+        each(SHARES),
+        lambda share: [asdict(wide(case, share)) for case, _ in BEAMS[:2]],
+        lambda kept: [Estimate(**fields) for fields in kept],
+    )
+    return [one for found in rows for one in found], dict(zip(SHARES, shares, strict=False))
 
 
-def main(directory: str) -> int:
+def main() -> int:
     """Run everything, write ``evidence.md``, and return the exit code."""
     from tests.validation.evidence_page import write
 
+    asked = study_parser(__doc__).parse_args()
+    units = Units(asked.kept, asked.minutes)
     with threadpool_limits(1):
-        rows, shares = study()
-    write(rows, shares, Path(directory), time.process_time())
+        rows, shares = study(units)
+    write(rows, shares, asked.out, units.processor_s)
     failures = [failure for one in rows for failure in one.failures]
     for failure in failures:
         print(failure)
@@ -221,4 +239,4 @@ def main(directory: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    sys.exit(main())

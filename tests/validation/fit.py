@@ -1,6 +1,6 @@
 """How often is a right model contradicted, and a wrong one?
 
-    python -m tests.validation.fit OUT_DIRECTORY
+    python -m tests.validation.fit OUT [--kept DIRECTORY] [--minutes M]
 
 Simulated measurements of a shear building of eight storeys, updated with the stiffnesses of three groups of
 storeys by Hamiltonian Monte Carlo, as a user would, and the verdict of `fmu.diagnose` on the model. The truth is
@@ -11,13 +11,10 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from multiprocessing import get_context
-from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import beta, binom
@@ -28,6 +25,7 @@ from fmu.analysis.fit.check import LEVEL
 from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE
 from fmu.types import FloatArray
 from tests.validation import ten_storeys
+from tests.validation.kept import Units, each, study_parser
 
 STOREYS, STIFFNESS, MASS = 8, 1.5e8, 1e5  # N/m, kg
 storey = partial(ten_storeys.storey, storeys=STOREYS, stiffness=STIFFNESS)
@@ -42,7 +40,7 @@ RIGHT, OTHERS, WRONG, FEW = 300, 40, 20, 10
 """Simulated problems of a right model, of each of the other right ones, of each size of an error, and of each
 with few data."""
 WARMUP, DRAWS, CHAINS = 70, 100, 8
-SEED, WORKERS = 15, 2
+SEED = 15
 GATE = 1e-3
 """The probability that a gate fails a verdict whose rate is `LEVEL`."""
 FOUND = 0.9
@@ -253,44 +251,44 @@ def judged(problem: fmu.UpdatingProblem, seed: int) -> Outcome:
     return Outcome(found.fit.verdict, kinds, found.converged, time.process_time() - began)
 
 
-def _start() -> None:
-    global _limits
-    _limits = threadpool_limits(1)
-
-
-def _one(task: tuple[Setting, np.random.SeedSequence]) -> Outcome:
-    setting, sequence = task
-    rng = np.random.default_rng(sequence)
-    return judged(simulated(setting, rng, Building(setting.modes)), int(rng.integers(2**31)))
-
-
-def study(workers: int = WORKERS, tell: Callable[[str], None] = print) -> Study:
-    """Return the study; the runs do not depend on the number of workers."""
+def study(units: Units) -> Study:
+    """Return the study."""
     of_curves = [setting for curve in CURVES.values() for setting in curve]
     settings = [*RIGHT_ONES[:1], *of_curves, *FEW_ONES, *RIGHT_ONES[1:]]
-    rates = {}
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_start) as pool:
-        for k, setting in enumerate(settings):
-            seeds = np.random.SeedSequence([SEED, k]).spawn(setting.n)
-            rates[setting] = Rate(setting, list(pool.map(_one, [(setting, seed) for seed in seeds])))
-            tell(f"{setting.label}: {rates[setting].count(CONTRADICTED)} of {setting.n} contradicted")
+
+    def run(task: tuple[int, int]) -> list[Any]:
+        k, i = task
+        setting = settings[k]
+        rng = np.random.default_rng(np.random.SeedSequence([SEED, k]).spawn(setting.n)[i])
+        found = judged(simulated(setting, rng, Building(setting.modes)), int(rng.integers(2**31)))
+        return [k, found.verdict, sorted(found.kinds), found.converged, found.seconds]
+
+    # one problem of each setting after the other: a study that ends early has some of all
+    tasks = sorted(
+        ((k, i) for k, setting in enumerate(settings) for i in range(setting.n)), key=lambda task: task[1]
+    )
+    outcomes: dict[Setting, list[Outcome]] = {setting: [] for setting in settings}
+    for k, verdict, kinds, converged, seconds in units.completed("problems", each(tasks), run):
+        outcomes[settings[k]].append(Outcome(verdict, frozenset(kinds), converged, seconds))
     return Study(
-        [rates[setting] for setting in RIGHT_ONES],
-        [rates[setting] for setting in FEW_ONES],
-        {name: [rates[setting] for setting in curve] for name, curve in CURVES.items()},
+        [Rate(setting, outcomes[setting]) for setting in RIGHT_ONES],
+        [Rate(setting, outcomes[setting]) for setting in FEW_ONES],
+        {name: [Rate(setting, outcomes[setting]) for setting in curve] for name, curve in CURVES.items()},
     )
 
 
-def main(directory: str) -> int:
+def main() -> int:
     """Run the study, write ``fit.md`` and its figure, and return the exit code."""
     from tests.validation.fit_page import write
 
-    found = study()
-    write(found, Path(directory))
+    asked = study_parser(__doc__).parse_args()
+    with threadpool_limits(1):
+        found = study(Units(asked.kept, asked.minutes))
+    write(found, asked.out)
     for failure in found.failures:
         print(failure)
     return 1 if found.failures else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    sys.exit(main())

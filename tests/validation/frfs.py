@@ -1,6 +1,8 @@
 """Updating from frequency response functions: calibration, coverage, repeated searches, size, memory and speed.
 
-``python -m tests.validation.frfs results`` writes ``frfs.md``; ``--kept DIRECTORY`` continues where it stopped.
+    python -m tests.validation.frfs OUT [--kept DIRECTORY] [--minutes M]
+
+Writes ``frfs.md``.
 """
 
 from __future__ import annotations
@@ -13,9 +15,8 @@ import warnings
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
-from pathlib import Path
+from functools import cache
 
-import click
 import numpy as np
 import pandas as pd
 from scipy import stats
@@ -27,7 +28,7 @@ from fmu.types import FloatArray
 from tests import measured_frfs as storeys
 from tests.validation.cantilever_frf import NODES
 from tests.validation.frf_structures import frame_problem, many_lines, ratio_to_eigh
-from tests.validation.kept import completed, kept_lines
+from tests.validation.kept import Units, each, fields_of, study_parser
 from tests.validation.sections import write_sections
 
 _SETS, _HITS, _STARTS = 200, 100, 40
@@ -165,28 +166,31 @@ PROBLEMS: dict[str, Callable[[], UpdatingProblem]] = {
 }
 
 
-def starts_of(name: str, file: Path | None, known: dict[str, Start]) -> list[Start]:
-    """Return runs of a problem from starts drawn from its prior; the first is the reference, twice as long."""
+@cache
+def _referred(name: str) -> tuple[fmu.UpdatingProblem, pd.DataFrame, FloatArray]:
+    """Return a problem, the summary of a long run, and starts drawn from the prior."""
     problem = PROBLEMS[name]()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         reference = fmu.summary(fmu.sample(problem, "mixture", draws=4000, warmup=500, seed=1000))
-    points = problem.sample_prior(np.random.default_rng(5), _STARTS)
+    return problem, reference, problem.sample_prior(np.random.default_rng(5), _STARTS)
 
-    def run(seed: int) -> Start:
-        began = time.process_time()
-        posed = _with_start(problem, points[seed])
-        found = fmu.find_map(posed, starts=16, seed=seed + 1)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            trace = fmu.sample(posed, "mixture", draws=500, warmup=200, seed=seed + 1, maxima=found)
-        own = fmu.summary(trace)
-        error = np.hypot(own["mcse_mean"], reference["mcse_mean"])
-        off = float(np.max(np.abs(own["mean"] - reference["mean"]) / error))
-        converged = bool(fmu.diagnose(trace).converged)
-        return Start(name, seed, converged, off, len(found.maxima), time.process_time() - began)
 
-    return completed(((f"{name} {seed}", seed) for seed in range(_STARTS)), known, run, file)
+def started(key: tuple[str, int]) -> Start:
+    """Return a run of a problem from a start of its own."""
+    name, seed = key
+    problem, reference, points = _referred(name)
+    began = time.process_time()
+    posed = _with_start(problem, points[seed])
+    found = fmu.find_map(posed, starts=16, seed=seed + 1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        trace = fmu.sample(posed, "mixture", draws=500, warmup=200, seed=seed + 1, maxima=found)
+    own = fmu.summary(trace)
+    error = np.hypot(own["mcse_mean"], reference["mcse_mean"])
+    off = float(np.max(np.abs(own["mean"] - reference["mean"]) / error))
+    converged = bool(fmu.diagnose(trace).converged)
+    return Start(name, seed, converged, off, len(found.maxima), time.process_time() - began)
 
 
 def starts_page(runs: Sequence[Start]) -> str:
@@ -391,45 +395,24 @@ SECTIONS: dict[str, Callable[[], str]] = {
 }
 
 
-def _told(make: Callable[[int], Set]) -> Callable[[int], Set]:
-    """Return a function that prints a line for each set that it makes."""
-
-    def print_set(seed: int) -> Set:
-        found = make(seed)
-        print(f"{make.__name__} {seed}: converged {found.converged}, {found.seconds:.1f} s", flush=True)
-        return found
-
-    return print_set
-
-
-@click.command()
-@click.argument("out", type=click.Path(path_type=Path, file_okay=False))
-@click.option("--kept", type=click.Path(path_type=Path), help="Directory of what is done; it is continued.")
-def main(out: Path, kept: Path | None) -> None:
-    """Write frfs.md to OUT."""
-    if kept is not None:
-        kept.mkdir(exist_ok=True)
-    names = ("sections", "sbc", "hits", "starts")
-    files = {name: None if kept is None else kept / f"{name}.jsonl" for name in names}
-    parts = write_sections(SECTIONS, files["sections"])
-    of_sets = {
-        name: {one.seed: one for one in (Set(**fields) for fields in kept_lines(files[name], list))}
-        for name in ("sbc", "hits")
-    }
-    sbc = completed(((i, i) for i in range(_SETS)), of_sets["sbc"], _told(calibrated), files["sbc"])
-    hits = completed(((i, i) for i in range(_HITS)), of_sets["hits"], _told(of_hits), files["hits"])
-    begun = [Start(**fields) for fields in kept_lines(files["starts"])]
-    runs = {f"{one.problem} {one.seed}": one for one in begun}
-    starts = [run for name in PROBLEMS for run in starts_of(name, files["starts"], runs)]
-    every = [*(one.seconds for one in parts), *(one.seconds for one in (*sbc, *hits, *starts))]
+def main() -> int:
+    """Write frfs.md."""
+    asked = study_parser(__doc__).parse_args()
+    units = Units(asked.kept, asked.minutes)
+    parts = write_sections(SECTIONS, units)
+    sbc = units.completed("calibrations", each(range(_SETS)), calibrated, fields_of(Set, list))
+    hits = units.completed("sets of hits", each(range(_HITS)), of_hits, fields_of(Set, list))
+    keys = [(name, seed) for name in PROBLEMS for seed in range(_STARTS)]
+    starts = units.completed("starts", each(keys), started, fields_of(Start))
     head = (
         "# Updating from frequency response functions\n\n"
         "Written by `make validate` (`python -m tests.validation.frfs results`), in "
-        f"{sum(every) / 60.0:.0f} minutes of one core.\n"
+        f"{units.processor_s / 60.0:.0f} minutes of one core.\n"
     )
-    page = [head, *(one.text for one in parts), calibration_page(sbc), hits_page(hits), starts_page(starts)]
-    (out / "frfs.md").write_text("\n".join(page), encoding="utf-8")
+    page = [head, *parts, calibration_page(sbc), hits_page(hits), starts_page(starts)]
+    (asked.out / "frfs.md").write_text("\n".join(page), encoding="utf-8")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -1,4 +1,6 @@
-"""Update GARTEUR SM-AG19, the case ``garteur``: python -m tests.validation.garteur OUT_DIRECTORY.
+"""Update GARTEUR SM-AG19, the case ``garteur``.
+
+    python -m tests.validation.garteur OUT [--kept DIRECTORY] [--minutes M]
 
 Writes ``garteur.md`` and its figures. Exit code 1 where a gate fails.
 """
@@ -8,7 +10,6 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +28,7 @@ from fmu.report.plots.modes import plot_mac, plot_mode_shapes
 from fmu.report.plots.style import DPI
 from fmu.tables import markdown_table
 from fmu.types import FloatArray
+from tests.validation.kept import Units, each, study_parser
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -92,14 +94,20 @@ class Update:
         return found
 
 
-def update(draws: int = DRAWS) -> Update:
-    """Search and sample."""
+def update(units: Units, folder: Path, draws: int = DRAWS) -> Update:
+    """Search and sample; the traces are written into the folder."""
     problem = cases.load("garteur")
     maxima = fmu.find_map(problem)
-    trace = _sampled(problem, maxima, draws)
     used = problem.using([label for label in problem.data.labels if label not in HELD_OUT])
-    without = _sampled(used, fmu.find_map(used), draws)
-    return Update(problem, maxima, trace, fmu.summary(trace), without, time.process_time())
+
+    def run(name: str) -> str:
+        of, its_maxima = (problem, maxima) if name == "all modes" else (used, fmu.find_map(used))
+        file = folder / f"{name}.nc"
+        fmu.save_trace(_sampled(of, its_maxima, draws), file)
+        return str(file)
+
+    trace, without = map(fmu.load_trace, units.completed("runs", each(("all modes", "some held out")), run))
+    return Update(problem, maxima, trace, fmu.summary(trace), without, units.processor_s)
 
 
 def _sampled(problem: fmu.UpdatingProblem, maxima: Maxima, draws: int) -> xr.DataTree:
@@ -235,12 +243,13 @@ def _bullets(sentences: Sequence[str]) -> str:
     return "\n".join(f"- {sentence}" for sentence in sentences)
 
 
-def main(directory: str) -> int:
+def main() -> int:
     """Run, write the page, and return the exit code."""
+    asked = study_parser(__doc__).parse_args()
     with threadpool_limits(1), tempfile.TemporaryDirectory() as cache:
         os.environ["FMU_CACHE_DIR"] = cache  # a reduced model of an earlier version must not answer for this one
-        done = update()
-        write(done, Path(directory))
+        done = update(Units(asked.kept, asked.minutes), asked.kept or Path(cache))
+        write(done, asked.out)
     for failure in done.failures:
         print(failure)
     return 1 if done.failures else 0
@@ -326,4 +335,4 @@ the joint is in pitch, and the weights on the drums, stay what they were thought
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    sys.exit(main())

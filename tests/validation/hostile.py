@@ -1,6 +1,6 @@
 """Two thousand problem files changed at random, and some five hundred broken files that problems name.
 
-    python -m tests.validation.hostile OUT_DIRECTORY
+    python -m tests.validation.hostile OUT [--kept DIRECTORY] [--minutes M] [--workers N]
 
 Each is checked as ``fmu check`` does. Exit code 1 if any ends in a traceback, a crash, a message that does not say
 what is wrong, or takes too much time or memory.
@@ -12,15 +12,17 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
-from fmu.engines import default_workers
 from fmu.tables import markdown_table
 from tests.validation.hostile_beside import count
 from tests.validation.hostile_files import SEED
 from tests.validation.hostile_run import BAD_INPUT, MOST_MIB, SOON_S, Verdict, verdicts
+from tests.validation.kept import Units, study_parser
 
-PROBLEMS = 2000
+PROBLEMS, AT_ONCE = 2000, 100
 FAULTS = {
     "traceback": "traceback", "died": "crash", "late": "too late", "memory": "too much memory",
     "message": "poor message", "exit": "other exit code", "start": "no finite start",
@@ -88,16 +90,28 @@ def _table(found: Sequence[Verdict], title: str, kind: Callable[[Verdict], str])
     return markdown_table(head, rows, words=(0, 6))
 
 
-def main(out: Path) -> int:
+def main() -> int:
     """Check all and write the page; 1 if anything is wrong."""
+    parser = study_parser(__doc__)
+    parser.add_argument("--workers", type=int, default=1, help="processes that share the files")
+    asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as made:
         n = count(Path(made))
-    which = [f"problem {i}" for i in range(PROBLEMS)] + [f"beside {i}" for i in range(n)]
-    found = list(verdicts(which, SEED, default_workers()))
-    problems, beside = found[:PROBLEMS], found[PROBLEMS:]
-    (out / "hostile.md").write_text(page(problems, beside), encoding="utf-8")
-    return int(any(verdict.fault for verdict in found))
+
+    def check(names: list[str]) -> list[Any]:
+        return [asdict(verdict) for verdict in verdicts(names, SEED, asked.workers)]
+
+    def of(kind: str, files: int) -> list[Verdict]:
+        firsts = range(0, files, AT_ONCE)
+        jobs = [(k, [f"{kind} {i}" for i in range(k, min(k + AT_ONCE, files))]) for k in firsts]
+        found = units.completed(f"batches of {kind} files", jobs, check)
+        return [Verdict(**fields) for batch in found for fields in batch]
+
+    units = Units(asked.kept, asked.minutes)
+    problems, beside = of("problem", PROBLEMS), of("beside", n)
+    (asked.out / "hostile.md").write_text(page(problems, beside), encoding="utf-8")
+    return int(any(verdict.fault for verdict in (*problems, *beside)))
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1])))
+    sys.exit(main())

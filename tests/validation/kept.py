@@ -12,6 +12,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,11 @@ def fields_of[Run](kind: Callable[..., Run], of_list: Callable[[list[Any]], Any]
 def as_kept(value: Any) -> Any:
     """Return the value unchanged, as JSON gives it back."""
     return value
+
+
+def each[Key](keys: Iterable[Key]) -> list[tuple[Key, Key]]:
+    """Return jobs that are their own keys."""
+    return [(key, key) for key in keys]
 
 
 @dataclass(frozen=True)
@@ -86,6 +92,7 @@ class Units:
         jobs: Iterable[tuple[Any, Job]],
         make: Callable[[Job], Run],
         read: Callable[[Any], Run] = as_kept,
+        at_once: int = 1,
     ) -> list[Run]:
         """Return the results of the jobs that are done, in their order; those not known are done first.
 
@@ -99,38 +106,44 @@ class Units:
             Does a job. Its result is a dataclass, or something that JSON can write.
         read : callable
             Makes the result of its JSON. New results go through JSON too, so that killed studies give equal pages.
+        at_once : int
+            Threads that do jobs side by side; it is for jobs that wait for processes of their own.
         """
-        jobs, known, found = list(jobs), self._earlier.setdefault(kind, {}), []
-        for key, job in jobs:
-            name = json.dumps(key)
-            if name not in known and self.wall_s <= self._budget_s:
-                known[name] = self._do(kind, key, job, make)
-                self._report(kind, len(found) + 1, len(jobs))
+        jobs, known = list(jobs), self._earlier.setdefault(kind, {})
+        keyed = [(json.dumps(key), key, job) for key, job in jobs]
+        missing = [one for one in keyed if one[0] not in known]
+        self._report(kind, len(jobs) - len(missing), len(jobs))
+
+        def do(one: tuple[str, Any, Job]) -> Run | None:
+            return make(one[2]) if self.wall_s <= self._budget_s else None
+
+        with ThreadPoolExecutor(at_once) as pool:
+            results = pool.map(do, missing) if at_once > 1 else map(do, missing)
+            began = _processor_s(), time.monotonic()
+            for n, ((name, key, _), result) in enumerate(zip(missing, results, strict=True), 1):
+                if result is None:
+                    break
+                ended = _processor_s(), time.monotonic()
+                known[name] = self._keep(kind, key, result, ended[0] - began[0], ended[1] - began[1])
+                began = ended
+                self._report(kind, len(jobs) - len(missing) + n, len(jobs))
                 print(f"{self.counts} ({self.wall_s / 60.0:.1f} min): {key}", flush=True)
-            if name in known:
-                found.append(read(known[name].result))
-        self._report(kind, len(found), len(jobs))
-        return found
+        return [read(known[name].result) for name, _, _ in keyed if name in known]
 
     @property
     def counts(self) -> str:
         """The units that are done, such as ``17 of 300 sets``."""
         return ", ".join(f"{done} of {of} {kind}" for kind, (done, of) in self._progress.items())
 
-    def _do[Job](self, kind: str, key: Any, job: Job, make: Callable[[Job], Any]) -> Unit:
-        began, began_wall = _processor_s(), time.monotonic()
-        result = make(job)
+    def _keep(self, kind: str, key: Any, result: Any, processor_s: float, wall_s: float) -> Unit:
         fields = asdict(result) if is_dataclass(result) and not isinstance(result, type) else result
-        line = json.dumps(
-            asdict(Unit(key, fields, _processor_s() - began, time.monotonic() - began_wall)), default=_plain
-        )
+        line = json.dumps(asdict(Unit(key, fields, processor_s, wall_s)), default=_plain)
         if self._kept is not None:
             with (self._kept / f"{kind}.jsonl").open("a", encoding="utf-8") as file:
                 file.write(line + "\n")
-        unit = Unit(**json.loads(line))
-        self.processor_s += unit.processor_s
-        self.wall_s += unit.wall_s
-        return unit
+        self.processor_s += processor_s
+        self.wall_s += wall_s
+        return Unit(**json.loads(line))
 
     def _report(self, kind: str, done: int, of: int) -> None:
         self._progress[kind] = (done, of)

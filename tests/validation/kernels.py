@@ -1,9 +1,9 @@
 """The whole test suite as other processors would compute: once with each kernel of OpenBLAS that can run here.
 
-    python -m tests.validation.kernels OUT_DIRECTORY
+    python -m tests.validation.kernels OUT [--kept DIRECTORY] [--minutes M]
 
 The last bits of a product depend on the kernel. A test that passes with one of them only has a tolerance below the
-rounding of its arithmetic. The page is written after every kernel; the exit code is 1 if a test failed.
+rounding of its arithmetic. The exit code is 1 if a test failed.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 from fmu.tables import markdown_table
 from tests.kernels import kernels
+from tests.validation.kept import Units, each, study_parser
 
 LEFT_OUT = ("tests/programs", "tests/report/test_there_and_back.py")
 """These need other programs, and are run by `make test-programs`."""
@@ -84,15 +84,14 @@ def page(outcomes: Sequence[Outcome]) -> str:
     )
 
 
-def main(out: str) -> int:
+def main() -> int:
     """Run the suite with every kernel and write the page; return the exit code."""
-    outcomes = []
-    for kernel in kernels():
-        print(f"Kernel {kernel}", flush=True)
-        outcomes.append(run_suite(kernel))
-        (Path(out) / "kernels.md").write_text(page(outcomes), encoding="utf-8")
+    asked = study_parser(__doc__).parse_args()
+    units = Units(asked.kept, asked.minutes)
+    outcomes = units.completed("kernels", each(kernels()), run_suite, lambda kept: Outcome(*kept))
+    (asked.out / "kernels.md").write_text(page(outcomes), encoding="utf-8")
     return int(any(one.failed for one in outcomes))
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1]))
+    sys.exit(main())

@@ -1,4 +1,6 @@
-"""Runs of every sampler that are killed without warning, and gone on with: python -m tests.validation.kills OUT.
+"""Runs of every sampler that are killed without warning, and gone on with.
+
+    python -m tests.validation.kills OUT [--kept DIRECTORY] [--minutes M]
 
 Exit code 1 where one of them is not, to the last bit, the run that nobody killed, or lost more than it may.
 """
@@ -8,7 +10,6 @@ from __future__ import annotations
 import fcntl
 import itertools
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from fmu.runs.content import numbered_files, read_state
+from tests.validation.kept import Units, each, fields_of, study_parser
 from tests.validation.kills_run import LOSS_S, LOSS_STEPS, SIZES, drawn, load, same, teller
 
 KILLS, OF_THEM_WRITING, SEED = 20, 6, 1
@@ -251,21 +253,16 @@ def killed(problem: Any, name: str) -> Row:
     return row
 
 
-def main(directory: str) -> int:
+def main() -> int:
     """Kill everything, write ``kills.md``, and return the exit code."""
     from tests.validation.kills_page import write
 
-    rows = []
+    asked = study_parser(__doc__).parse_args()
+    units = Units(asked.kept, asked.minutes)
     with threadpool_limits(1):
         problem = load()
-        for name in SIZES:
-            rows.append(killed(problem, name))
-            print(rows[-1], flush=True)
-    used = sum(
-        usage.ru_utime + usage.ru_stime
-        for usage in map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    )
-    write(rows, Path(directory), used)
+        rows = units.completed("samplers", each(SIZES), lambda name: killed(problem, name), fields_of(Row))
+    write(rows, asked.out, units.processor_s)
     failures = [failure for row in rows for failure in row.failures]
     for failure in failures:
         print(failure)
@@ -273,4 +270,4 @@ def main(directory: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    sys.exit(main())

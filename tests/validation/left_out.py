@@ -1,6 +1,6 @@
 """Each measured mode of the built-in cases predicted by the others, against evidences from runs of HMC.
 
-    python -m tests.validation.left_out OUT_DIRECTORY [CASE ...]
+    python -m tests.validation.left_out OUT [--kept DIRECTORY] [--minutes M]...]
 
 Exit code 1 where a number of `fmu.leave_one_out` is off by more than 0.1 nat, or the probabilities of measurements
 of a model that is right are not uniform.
@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 import time
 import warnings
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +28,7 @@ from fmu.numbers import significant
 from fmu.tables import markdown_table
 from fmu.types import FloatArray
 from tests.two_storeys import left_out as by_quadrature
+from tests.validation.kept import Units, each, study_parser
 from tests.validation.storeys import DESIGN_HZ, SD_HZ, problem, reduced_model
 
 CASES = (
@@ -177,16 +178,19 @@ def probabilities() -> FloatArray:
     return np.array(found)
 
 
-def main(directory: str, *cases: str) -> int:
+def main() -> int:
     """Run everything, write ``left-out.md``, and return the exit code."""
+    asked = study_parser(__doc__).parse_args()
+    units = Units(asked.kept, asked.minutes)
     with threadpool_limits(1), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # GARTEUR's reduced model just misses its tolerance
-        found = [row for case, pairing in CASES if not cases or case in cases for row in rows(case, pairing)]
-        p = probabilities()
+        kept = units.completed("cases", each(CASES), lambda of: [asdict(row) for row in rows(*of)])
+        (p,) = units.completed("simulations", each([REPLICATES]), lambda _: probabilities(), np.array)
+    found = [Row(**fields) for of_case in kept for fields in of_case]
     uniform = [float(kstest(column, "uniform").pvalue) for column in p.T]
     failures = [f"{row.case}, mode {row.mode}: {row.elpd} for {row.reference}" for row in found if row.is_off]
     failures += [f"p of mode {k + 1} is not uniform: {value}" for k, value in enumerate(uniform) if value < LEVEL]
-    write(found, uniform, failures, Path(directory))
+    write(found, uniform, failures, asked.out, units.processor_s)
     for failure in failures:
         print(failure)
     return 1 if failures else 0
@@ -199,7 +203,9 @@ def _with_error(row: Row) -> str:
     return f"{row.reference:.3f}" + (f" ± {row.reference_error:.3f}" if row.reference_error else "")
 
 
-def write(found: list[Row], uniform: list[float], failures: list[str], directory: Path) -> None:
+def write(
+    found: list[Row], uniform: list[float], failures: list[str], directory: Path, processor_s: float
+) -> None:
     """Write ``left-out.md`` into the directory."""
     cells = [
         [row.case, row.mode, row.method or "none", f"{row.pareto_k:.2f}",
@@ -212,7 +218,7 @@ def write(found: list[Row], uniform: list[float], failures: list[str], directory
     known = [abs(row.elpd - row.reference) for row in found if np.isfinite(row.elpd)]
     page = PAGE.format(
         verdict="**All within 0.1 nat.**" if not failures else "**Off:** " + "; ".join(failures),
-        minutes=time.process_time() / 60.0,
+        minutes=processor_s / 60.0,
         largest=max(known),
         printed=len(known),
         modes=len(found),
@@ -249,4 +255,4 @@ test gives {uniform} for the two modes.
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    sys.exit(main())

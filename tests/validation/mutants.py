@@ -1,7 +1,9 @@
 """Put every deliberate fault into a copy of the project and see which test catches it.
 
-python -m tests.validation.mutants OUT.md [WORD …]: with words, only the faults whose names contain one of them.
-Exit code 1 where a fault survives, 2 where the tests of the project as it is fail.
+    python -m tests.validation.mutants OUT [--kept DIRECTORY] [--minutes M] [--only WORD …] [--workers N]
+
+With words, only the faults whose names contain one of them. The tests of a fault run one file after the other, the
+fastest first. Exit code 1 where a fault survives, 2 where the tests of the project as it is fail.
 """
 
 from __future__ import annotations
@@ -13,15 +15,18 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from queue import Queue
 
 from fmu.tables import markdown_table
 from tests.validation.faults import FAULTS, Fault
+from tests.validation.kept import Units, each, fields_of, study_parser
 
 PROJECT = Path(__file__).parents[2]
 PATIENCE_S = 180.0
-"""How long one file of tests may take; a fault that makes it hang is not caught by that."""
+"""How long one file of tests may take; a fault that makes it hang is not caught by that: it survives."""
 FAILED = re.compile(r"^(?:FAILED|ERROR) (.*?)(?: - .*)?$", re.MULTILINE)
 TESTS_FAILED = 1
 """pytest's exit code where tests ran, and failed."""
@@ -52,7 +57,7 @@ def mutated(text: str, fault: Fault) -> str:
 def copy_of_the_project(directory: Path) -> Path:
     """Copy what the tests need into `directory` and return the copy's root."""
     root = directory / "project"
-    root.mkdir()
+    root.mkdir(parents=True)
     for part in ("fmu", "tests"):
         shutil.copytree(PROJECT / part, root / part, ignore=shutil.ignore_patterns("__pycache__", ".*_cache"))
     for part in ("pyproject.toml", "README.md"):
@@ -63,19 +68,20 @@ def copy_of_the_project(directory: Path) -> Path:
     return root
 
 
-def try_tests(root: Path, tests: tuple[str, ...]) -> Verdict:
-    """Run tests of the copy until one fails.
+def try_tests(root: Path, tests: Sequence[str]) -> Verdict:
+    """Run tests of the copy until one fails, or takes longer than `PATIENCE_S` a file.
 
     Raises
     ------
     RuntimeError
         If pytest does not get as far as running them.
-    subprocess.TimeoutExpired
-        If they take longer than `PATIENCE_S` a file.
     """
     began = time.perf_counter()
     options = ("-x", "-q", "--tb=no", "-rfE", "-p", "no:cacheprovider")
-    done = _python(root, "-m", "pytest", *options, *tests, patience_s=PATIENCE_S * len(tests))
+    try:
+        done = _python(root, "-m", "pytest", *options, *tests, patience_s=PATIENCE_S * len(tests))
+    except subprocess.TimeoutExpired:
+        return Verdict(None, time.perf_counter() - began)
     wall_s = time.perf_counter() - began
     if done.returncode == 0:
         return Verdict(None, wall_s)
@@ -85,33 +91,53 @@ def try_tests(root: Path, tests: tuple[str, ...]) -> Verdict:
     return Verdict(failed.group(1), wall_s)
 
 
-def try_fault(root: Path, fault: Fault) -> Verdict:
-    """Put the fault into the copy, run its tests, and take it out again."""
+def try_fault(root: Path, fault: Fault, tests: Sequence[str]) -> Verdict:
+    """Put the fault into the copy, run tests, and take it out again."""
     path = root / fault.file
     sound = path.read_text()
     path.write_text(mutated(sound, fault))
     try:
-        return try_tests(root, fault.tests)
+        return try_tests(root, tests)
     finally:
         path.write_text(sound)
 
 
-def main(target: str, *words: str) -> int:
+def main() -> int:
     """Try the faults, write the table, and return the exit code."""
-    faults = [fault for fault in FAULTS if not words or any(word in fault.name for word in words)]
+    parser = study_parser(__doc__)
+    parser.add_argument("--only", nargs="*", default=[""], metavar="WORD")
+    parser.add_argument("--workers", type=int, default=2, help="copies of the project that share the faults")
+    asked = parser.parse_args()
+    faults = [fault for fault in FAULTS if any(word in fault.name for word in asked.only)]
+    units, tests = Units(asked.kept, asked.minutes), sorted({test for fault in faults for test in fault.tests})
     with tempfile.TemporaryDirectory() as directory:
-        root = copy_of_the_project(Path(directory))
-        sound = try_tests(root, tuple(sorted({test for fault in faults for test in fault.tests})))
-        if sound.caught_by is not None:
-            print(f"without any fault: {sound.caught_by} fails")
+        roots: Queue[Path] = Queue()
+        for number in range(asked.workers):
+            roots.put(copy_of_the_project(Path(directory) / str(number)))
+
+        def in_a_copy(run: Callable[[Path], Verdict]) -> Verdict:
+            root = roots.get()
+            try:
+                return run(root)
+            finally:
+                roots.put(root)
+
+        def sound(test: str) -> Verdict:
+            return in_a_copy(lambda root: try_tests(root, [test]))
+
+        def put(fault: Fault) -> Verdict:
+            return in_a_copy(lambda root: try_fault(root, fault, sorted(fault.tests, key=seconds.__getitem__)))
+
+        read = fields_of(Verdict)
+        found = units.completed("files of tests", each(tests), sound, read, asked.workers)
+        failing = [verdict.caught_by for verdict in found if verdict.caught_by is not None]
+        if failing or len(found) < len(tests):
+            print(f"without any fault: {', '.join(failing) or 'not all files of tests have run'}")
             return 2
-        verdicts = {}
-        for fault in faults:
-            verdicts[fault] = try_fault(root, fault)
-            caught_by = verdicts[fault].caught_by or "SURVIVES"
-            print(f"{fault.name}: {caught_by} ({verdicts[fault].wall_s:.0f} s)", flush=True)
-    Path(target).parent.mkdir(parents=True, exist_ok=True)
-    Path(target).write_text(page(verdicts, sum(os.times()[:4])))
+        seconds = {test: verdict.wall_s for test, verdict in zip(tests, found, strict=True)}
+        jobs = ((fault.name, fault) for fault in faults)
+        verdicts = dict(zip(faults, units.completed("faults", jobs, put, read, asked.workers), strict=False))
+    (asked.out / "mutants.md").write_text(page(verdicts, units.processor_s), encoding="utf-8")
     return 1 if any(verdict.caught_by is None for verdict in verdicts.values()) else 0
 
 
@@ -153,4 +179,4 @@ without a fault all of them pass.
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    sys.exit(main())

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -13,7 +12,7 @@ import fmu
 from fmu.analysis.plan.result import PLANNED
 from fmu.sampling.simulated_updates import REASONS
 from tests.shear_building import shear_building
-from tests.validation.kept import completed, kept_lines
+from tests.validation.kept import Units, fields_of
 from tests.validation.planned_structures import beam, grid, problem_of
 
 INDEPENDENCE = "effective independence"
@@ -68,11 +67,10 @@ def simulate(name: str, tests: int) -> Accuracy:
     )
 
 
-def accuracy(tests: int, kept: Path | None) -> str:
-    """Return the section on simulated tests of five structures; those in the file `kept` are not repeated."""
-    lines = [Accuracy(**fields) for fields in kept_lines(kept, list)]
-    known = {one.name: one for one in lines if one.tests == tests}
-    found = completed(((name, name) for name in structures()), known, lambda name: simulate(name, tests), kept)
+def accuracy(tests: int, units: Units) -> str:
+    """Return the section on simulated tests of five structures."""
+    keyed = (((name, tests), name) for name in structures())
+    found = units.completed("structures", keyed, lambda name: simulate(name, tests), fields_of(Accuracy, list))
     every = np.concatenate([np.ravel(one.ratios) for one in found])
     low, middle, high = np.quantile(every, [0.05, 0.5, 0.95])
     own = np.quantile(np.concatenate([np.ravel(one.at_truth) for one in found]), [0.05, 0.5, 0.95])

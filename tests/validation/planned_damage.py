@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 import fmu
 from fmu.types import Dof, FloatArray
 from tests.shear_building import frequencies_hz, shear_building
-from tests.validation.kept import completed, kept_lines
+from tests.validation.kept import Units, each, fields_of
 
 BEYOND, LOSSES = 0.1, {"nothing": 0.0, "20 %": 0.2}
 _NAMES, _FREQUENCY_SD, _SHAPE_SD, _UNKNOWN_SHAPE = ("k1", "k2", "k3"), 0.01, 0.03, 10.0
@@ -92,11 +91,10 @@ def _at(data: fmu.ModalData, sensors: tuple[Dof, ...], rows: list[int]) -> fmu.M
     return replace(data, sensors=sensors, shapes=shapes, shapes_sd=sd)
 
 
-def decisions(replicates: int, kept: Path | None) -> str:
-    """Return the section on decisions about damage; those in the file `kept` are not repeated."""
-    known = {(one.loss, one.seed): one for one in (Decided(**fields) for fields in kept_lines(kept))}
-    jobs = [((loss, seed), (loss, seed)) for loss in LOSSES for seed in range(replicates)]
-    found = completed(jobs, known, decide, kept)
+def decisions(replicates: int, units: Units) -> str:
+    """Return the section on decisions about damage."""
+    jobs = [(loss, seed) for seed in range(replicates) for loss in LOSSES]
+    found = units.completed("decisions", each(jobs), decide, fields_of(Decided))
     rows = []
     for loss in LOSSES:
         mine = [one for one in found if one.loss == loss]

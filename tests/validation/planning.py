@@ -1,16 +1,17 @@
 """What plans of modal tests are worth: choices against bounds and searches, and expected against real accuracy.
 
-``python -m tests.validation.planning results`` writes ``planning.md``.
+    python -m tests.validation.planning OUT [--kept DIRECTORY] [--minutes M] [--tests N]
+
+Writes ``planning.md``.
 """
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 from itertools import combinations
-from pathlib import Path
 
-import click
 import numpy as np
 
 import fmu
@@ -19,6 +20,7 @@ from fmu.analysis.plan.result import Plan
 from fmu.analysis.plan.sensors.bound import relax
 from fmu.analysis.plan.sensors.choice import exchange, greedy
 from tests.shear_building import shear_building
+from tests.validation.kept import Units, study_parser
 from tests.validation.planned_accuracy import INDEPENDENCE, accuracy
 from tests.validation.planned_damage import decisions
 from tests.validation.planned_structures import frame_problem, grid, problem_of, translations
@@ -176,27 +178,22 @@ SECTIONS: dict[str, Callable[[], str]] = {
 }
 
 
-@click.command()
-@click.argument("out", type=click.Path(path_type=Path, file_okay=False))
-@click.option("--tests", default=20, show_default=True, help="Simulated tests of each structure.")
-@click.option("--kept", type=click.Path(path_type=Path), help="Directory of what is done; it is continued.")
-def main(out: Path, tests: int, kept: Path | None) -> None:
-    """Write planning.md to OUT."""
-    if kept is not None:
-        kept.mkdir(exist_ok=True)
-    file = None if kept is None else kept / "sections.jsonl"
-    parts = write_sections(SECTIONS, file)
-    simulated = accuracy(tests, None if kept is None else kept / "accuracy.jsonl")
-    decided = decisions(4 * tests, None if kept is None else kept / "decisions.jsonl")
-    minutes = sum(one.seconds for one in parts) / 60.0
+def main() -> int:
+    """Write planning.md."""
+    parser = study_parser(__doc__)
+    parser.add_argument("--tests", type=int, default=20, help="simulated tests of each structure")
+    asked = parser.parse_args()
+    units = Units(asked.kept, asked.minutes)
+    parts = write_sections(SECTIONS, units)
+    parts += [decisions(4 * asked.tests, units), accuracy(asked.tests, units)]
     head = (
         "# Plans of modal tests\n\n"
-        "Written by `make validate` (`python -m tests.validation.planning results`). The first four\n"
-        f"sections took {minutes:.1f} minutes of one core.\n"
+        "Written by `make validate` (`python -m tests.validation.planning results`), in "
+        f"{units.processor_s / 60.0:.0f} minutes of one core.\n"
     )
-    page = [head, *(one.text for one in parts), decided, simulated]
-    (out / "planning.md").write_text("\n".join(page), encoding="utf-8")
+    (asked.out / "planning.md").write_text("\n".join([head, *parts]), encoding="utf-8")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

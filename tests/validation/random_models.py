@@ -1,4 +1,6 @@
-"""Forty random models, posed and solved: python -m tests.validation.random_models OUT_DIRECTORY.
+"""Forty random models, posed and solved.
+
+    python -m tests.validation.random_models OUT [--kept DIRECTORY] [--minutes M]
 
 Writes ``random-models.md``. Exit code 1 if a model costs more than its budget of counted work, if a frequency is
 wrong, if a library warns, or if a model is refused whose digits are not lost.
@@ -10,8 +12,8 @@ import os
 import re
 import sys
 import warnings
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +27,7 @@ from fmu.tables import markdown_table
 from fmu.types import FloatArray
 from tests.models.extended_precision import rounded
 from tests.models.random_models import RandomModel, random_model
+from tests.validation.kept import Units, each, study_parser
 from tests.work import Work, counted
 
 MODES, POINTS, SD = 3, 2, 5e-3
@@ -194,16 +197,28 @@ def page(found: list[Found]) -> str:
     )
 
 
-def main(out: Path) -> int:
+def kept_of(found: Found) -> dict[str, Any]:
+    """Return what is kept of a model: all but the model, which follows from its seed."""
+    return {f.name: getattr(found, f.name) for f in fields(found) if f.name != "random"} | {
+        "work": asdict(found.work)
+    }
+
+
+def of_kept(kept: dict[str, Any]) -> Found:
+    """Return a model from what is kept of it."""
+    random = random_model(kept["seed"], MOST_DOFS)
+    return Found(**kept | {"random": random, "work": Work(**kept["work"]), "said": tuple(kept["said"])})
+
+
+def main() -> int:
     """Examine all models and write the page."""
-    found = []
-    for seed in SEEDS:
-        found.append(examined(seed))
-        print(seed, found[-1].random, found[-1].work, found[-1].faults or found[-1].refused or "", flush=True)
-    (out / "random-models.md").write_text(page(found), encoding="utf-8")
+    asked = study_parser(__doc__).parse_args()
+    units = Units(asked.kept, asked.minutes)
+    found = units.completed("models", each(SEEDS), lambda seed: kept_of(examined(seed)), of_kept)
+    (asked.out / "random-models.md").write_text(page(found), encoding="utf-8")
     return 1 if any(of.faults for of in found) or sum(of.refused is not None for of in found) > MOST_REFUSED else 0
 
 
 if __name__ == "__main__":
     os.environ["FMU_CACHE_DIR"] = ""  # nothing from an earlier run
-    sys.exit(main(Path(sys.argv[1])))
+    sys.exit(main())

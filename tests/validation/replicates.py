@@ -1,6 +1,6 @@
 """Standard errors against what estimates are off by, in many replicates.
 
-    python -m tests.validation.replicates OUT_DIRECTORY [--kept FILE]
+    python -m tests.validation.replicates OUT [--kept DIRECTORY] [--minutes M]
 
 Means, standard deviations, 5 % and 95 % quantiles and log-evidences of 400 short runs on each of two posteriors,
 against importance sampling that knows nothing of the runs; and quantiles of known processes. Exit code 1 where
@@ -10,12 +10,11 @@ file, runs that it holds are not repeated.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 
@@ -31,7 +30,7 @@ from fmu.analysis.trace.reading import parameter_draws
 from fmu.tables import markdown_table
 from fmu.types import FloatArray
 from tests.validation import storeys
-from tests.validation.kept import completed, kept_lines
+from tests.validation.kept import Units, each, fields_of, study_parser
 from tests.validation.processes import PROCESSES, Process
 
 RUNS, WARMUP, DRAWS = 400, 400, 400
@@ -221,18 +220,22 @@ def of_process(number: int, process: Process) -> list[Row]:
     return [Row((*title, f"{100 * p:g} %"), z[:, k]) for k, p in enumerate(TAILS)]
 
 
-def main(directory: Path, kept: Path | None) -> int:
+def main() -> int:
     """Run the study, write ``replicates.md``, and return the exit code."""
-    known = {(one.case, one.seed): one for one in (Replicate(**fields) for fields in kept_lines(kept, list))}
-    keys = [(case, seed) for case in CASES for seed in range(1, RUNS + 1)]
+    asked = study_parser(__doc__).parse_args()
+    units = Units(asked.kept, asked.minutes)
+    keys = [(case, seed) for seed in range(1, RUNS + 1) for case in CASES]
     with threadpool_limits(1):
-        runs = completed(zip(keys, keys, strict=True), known, lambda key: replicate(*key), kept)
-        began = time.process_time()
-        processes = [row for k, process in enumerate(PROCESSES) for row in of_process(k, process)]
-        seconds = sum(one.processor_s for one in runs) + time.process_time() - began
+        found = units.completed(
+            "processes",
+            enumerate(PROCESSES),
+            lambda process: [asdict(row) for row in of_process(PROCESSES.index(process), process)],
+        )
+        processes = [Row(tuple(row["what"]), np.array(row["z"])) for of in found for row in of]
+        runs = units.completed("runs", each(keys), lambda key: replicate(*key), fields_of(Replicate, list))
         rows = of_runs(runs)
         wrong = [row for row in rows + processes if not row.is_right]
-        write(directory, runs, rows, processes, wrong, seconds)
+        write(asked.out, runs, rows, processes, wrong, units.processor_s)
     for row in wrong:
         print(", ".join((*row.what, *row.cells())))
     return 1 if wrong else 0
@@ -265,7 +268,7 @@ def write(
     page = PAGE.format(
         minutes=seconds / 60.0,
         verdict=verdict,
-        runs=RUNS,
+        runs=" and ".join(dict.fromkeys(str(sum(one.case == case for one in runs)) for case in CASES)),
         draws=DRAWS,
         warmup=WARMUP,
         low=WITHIN[0],
@@ -315,7 +318,4 @@ draws can be right.
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(prog="python -m tests.validation.replicates")
-    parser.add_argument("directory", type=Path)
-    parser.add_argument("--kept", type=Path, help="file of the runs made so far, one a line; it is continued")
-    sys.exit(main(**vars(parser.parse_args())))
+    sys.exit(main())

@@ -1,17 +1,15 @@
 """How time and memory grow with degrees of freedom, parameters and chains, and where the reduced basis ends.
 
-    python -m tests.validation.scale OUT_DIRECTORY [--quick] [--keep | --page] [--fast PYTHON] [--before CHECKOUT]
+    python -m tests.validation.scale OUT [--kept DIRECTORY] [--minutes M] [--quick] [--fast PYTHON]
+        [--before CHECKOUT]
 
-Every row is measured in a process of its own, one after the other, with one BLAS thread. It takes an hour and
-more. With ``--keep`` rows that are in OUT_DIRECTORY/scale/rows already are not measured again, with ``--page``
-none is, and the page is that of the rows that are there; ``--quick`` measures small frames alone, in a minute.
-PYTHON has the extra ``fast`` (`make test-fast` makes one, the default); CHECKOUT is a copy of the sources before
-training by residuals, of which the training alone is measured.
+Every row is measured in a process of its own, one after the other, with one BLAS thread. ``--quick`` measures
+small frames alone, in a minute. PYTHON has the extra ``fast`` (`make test-fast` makes one, the default); CHECKOUT
+is a copy of the sources before training by residuals, of which the training alone is measured.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
@@ -20,8 +18,10 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 from fmu.fem.modes.solver import PARDISO, SUPERLU
+from tests.validation.kept import Units, study_parser
 from tests.validation.scale_files import CELLS
 from tests.validation.scale_page import figures, page
 from tests.validation.scale_row import Row
@@ -66,6 +66,8 @@ def rows(quick: bool = False) -> Tables:
 
 BEFORE = (Row(*LARGE, FEW, 1e-6), Row(*LARGE, MANY, 1e-3), Row(*LARGE, MANY, 1e-6))
 """Rows of which the training before this one is measured too."""
+BEFORE_ROWS = Path("results/scale/rows")
+"""Where that is kept; it is of another commit."""
 
 
 def measure(row: Row | WholeRun, file: Path, cache: str, python: str, source: Path | None = None) -> None:
@@ -96,46 +98,48 @@ def measured_before(folder: Path, checkout: Path) -> None:
             print(file.stem, flush=True)
 
 
-def main(out: Path, quick: bool, keep: bool, page_only: bool, fast: str, before: Path | None) -> int:
+def main() -> int:
     """Measure what is missing and write the page."""
-    tables = rows(quick)
-    folder = out / "scale" / "rows"
+    parser = study_parser(__doc__)
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--fast", default=str(FAST))
+    parser.add_argument("--before", type=Path)
+    asked = parser.parse_args()
+    tables, folder = rows(asked.quick), asked.out / "scale" / "rows"
     folder.mkdir(parents=True, exist_ok=True)
-    known = {path.stem for path in folder.glob("*.json")} if keep or page_only else set()
-    pythons = {SUPERLU: sys.executable, PARDISO: fast}
+    if asked.before is not None:
+        measured_before(BEFORE_ROWS, asked.before)
     with tempfile.TemporaryDirectory() as cache:
-        for row in (row for wanted in tables.values() for row in wanted):
-            if row.name in known or page_only:
-                continue
-            file, cached = folder / f"{row.name}.json", isinstance(row, Row) and row.cached
-            if cached and not os.listdir(cache):
-                measure(row, file, cache, pythons[row.solver])
-            measure(row, file, cache if cached else "", pythons[row.solver])
-            known.add(row.name)
-            print(row.name, flush=True)
-    if before is not None:
-        measured_before(folder, before)
 
-    def read(name: str) -> dict[str, object] | None:
-        file = folder / f"{name}.json"
+        def run(row: Row | WholeRun) -> Any:
+            file, cached = folder / f"{row.name}.json", isinstance(row, Row) and row.cached
+            python = {SUPERLU: sys.executable, PARDISO: asked.fast}[row.solver]
+            if cached and not os.listdir(cache):
+                measure(row, file, cache, python)
+            measure(row, file, cache if cached else "", python)
+            return json.loads(file.read_text(encoding="utf-8"))
+
+        every = {row.name: row for wanted in tables.values() for row in wanted}
+        measured = Units(asked.kept, asked.minutes).completed(
+            "rows", every.items(), lambda row: {"name": row.name, "row": run(row)}
+        )
+    known = {one["name"]: one["row"] for one in measured}
+    for name, row in known.items():
+        (folder / f"{name}.json").write_text(json.dumps(row, indent=1), encoding="utf-8")
+
+    def earlier(name: str) -> Any:
+        file = BEFORE_ROWS / f"before-{name}.json"
         return json.loads(file.read_text(encoding="utf-8")) if file.exists() else None
 
     found = {
-        name: [of | {"before": read(f"before-{row.name}")} for row in wanted if (of := read(row.name)) is not None]
+        name: [known[row.name] | {"before": earlier(row.name)} for row in wanted if row.name in known]
         for name, wanted in tables.items()
     }
     for name, figure in figures(found).items():
-        figure.savefig(out / "scale" / name, dpi=150)
-    (out / "scale.md").write_text(page(found), encoding="utf-8")
+        figure.savefig(asked.out / "scale" / name, dpi=150)
+    (asked.out / "scale.md").write_text(page(found), encoding="utf-8")
     return 0
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser()
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--keep", action="store_true")
-    parser.add_argument("--page", action="store_true", dest="page_only")
-    parser.add_argument("--fast", default=str(FAST))
-    parser.add_argument("--before", type=Path)
-    sys.exit(main(**vars(parser.parse_args())))
+    sys.exit(main())

@@ -2,7 +2,7 @@
 
 And with three more posteriors, five times each: how many effective draws has the mixture per evaluation?
 
-    python -m tests.validation.seeds OUT_DIRECTORY [--kept FILE]
+    python -m tests.validation.seeds OUT [--kept DIRECTORY] [--minutes M]
 
 Exit code 1 where a run of default length has not converged, has a wrong mass of a maximum or a wrong log-evidence,
 or where the mixture has fewer effective draws per evaluation than wanted. With a file, runs that it holds are not
@@ -11,7 +11,6 @@ repeated.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -29,7 +28,7 @@ from fmu.analysis.maxima.missed import visits
 from fmu.analysis.trace.reading import in_solves
 from fmu.tables import markdown_table
 from tests.validation.evidence import Estimate, weighed
-from tests.validation.kept import completed, kept_lines
+from tests.validation.kept import Units, fields_of, study_parser
 
 SEEDS = 20
 REFERENCE_DRAWS = 65_536
@@ -197,14 +196,14 @@ def efficiencies(outcomes: Sequence[Outcome]) -> dict[Experiment, float]:
     return {experiment: float(np.median(values)) for experiment, values in found.items()}
 
 
-def main(directory: Path, kept: Path | None) -> int:
+def main() -> int:
     """Run the study, write ``seeds.md``, and return the exit code."""
-    known = [Outcome(**fields) for fields in kept_lines(kept)]
-    done = {(one.experiment, one.sampler, one.start, one.seed): one for one in known}
-    keys = list(jobs())
+    asked = study_parser(__doc__).parse_args()
+    units = Units(asked.kept, asked.minutes)
+    keyed = (((one.case, one.pairing, *rest), (one, *rest)) for one, *rest in jobs())
     with threadpool_limits(1):
-        outcomes = completed(zip(keys, keys, strict=True), done, lambda key: outcome(*key), kept)
-        write(outcomes, directory)
+        outcomes = units.completed("runs", keyed, lambda job: outcome(*job), fields_of(Outcome))
+        write(outcomes, asked.out)
         wrong = failures(outcomes)
     for failure in wrong:
         print(failure)
@@ -288,7 +287,4 @@ counted as the log-probabilities that it costs; the median of the runs. Of all r
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(prog="python -m tests.validation.seeds")
-    parser.add_argument("directory", type=Path)
-    parser.add_argument("--kept", type=Path, help="file of the runs made so far, one a line; it is continued")
-    sys.exit(main(**vars(parser.parse_args())))
+    sys.exit(main())

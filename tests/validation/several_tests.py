@@ -1,6 +1,7 @@
 """Several tests of one structure: are populations, the next test and damage told as surely as they are known?
 
-    python -m tests.validation.several_tests OUT_DIRECTORY [--replicates N] [--seed N] [--kept FILE] [--only STUDY]
+    python -m tests.validation.several_tests OUT [--kept DIRECTORY] [--minutes M]
+        [--replicates N] [--seed N] [--only STUDY]
 
 Four studies of simulated shear buildings, written to several-tests.md. Exit code 1 where a gate fails.
 
@@ -17,10 +18,7 @@ Four studies of simulated shear buildings, written to several-tests.md. Exit cod
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,7 +28,7 @@ from threadpoolctl import threadpool_limits
 import fmu
 from fmu.types import FloatArray
 from tests.shear_building import shear_building
-from tests.validation.kept import kept_lines
+from tests.validation.kept import Units, each, study_parser
 from tests.validation.several_tests_page import BEYOND, INTERVAL, RANKED, page
 
 REPLICATES, SEED = 200, 20_281
@@ -205,26 +203,22 @@ def studied(study: str, number: int, seed: int) -> dict[str, Any]:
 
 def main() -> int:
     """Run what is missing, and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("out", type=Path)
+    parser = study_parser(__doc__)
     parser.add_argument("--replicates", type=int, default=REPLICATES)
     parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--kept", type=Path)
     parser.add_argument("--only", choices=tuple(STUDIES))
-    arguments = parser.parse_args()
-    runs: list[dict[str, Any]] = kept_lines(arguments.kept, list)
-    known = {(run["study"], run["number"]) for run in runs}
+    asked = parser.parse_args()
+    keys = [
+        (study, number)
+        for number in range(asked.replicates)
+        for study in ((asked.only,) if asked.only else STUDIES)
+        if study != "scattered" or number < SCATTERED
+    ]
+    units = Units(asked.kept, asked.minutes)
     with threadpool_limits(1):
-        for number in range(arguments.replicates):
-            for study in STUDIES if arguments.only is None else (arguments.only,):
-                if (study, number) in known or (study == "scattered" and number >= SCATTERED):
-                    continue
-                runs.append(studied(study, number, arguments.seed))
-                if arguments.kept is not None:
-                    with arguments.kept.open("a", encoding="utf-8") as lines:
-                        lines.write(json.dumps(runs[-1]) + "\n")
+        runs = units.completed("replicates", each(keys), lambda key: studied(*key, asked.seed))
     text, passed = page(runs)
-    (arguments.out / "several-tests.md").write_text(text, encoding="utf-8")
+    (asked.out / "several-tests.md").write_text(text, encoding="utf-8")
     return 0 if passed else 1
 
 

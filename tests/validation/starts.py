@@ -1,6 +1,6 @@
 """Where chains end that start at the maxima of the posterior, and where those that start from the prior do.
 
-    python -m tests.validation.starts OUT_DIRECTORY
+    python -m tests.validation.starts OUT [--kept DIRECTORY] [--minutes M]
 
 Exit code 1 where a chain that started at the maxima is stuck at one that holds less than 1 %.
 """
@@ -8,10 +8,10 @@ Exit code 1 where a chain that started at the maxima is stuck at one that holds 
 from __future__ import annotations
 
 import sys
-import time
 import warnings
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from fmu.analysis.trace.reading import parameter_draws
 from fmu.tables import markdown_table
 from fmu.types import FloatArray
 from tests.four_storeys import SD, TRUTH, four_storeys
+from tests.validation.kept import Units, each, fields_of, study_parser
 
 WARMUP, DRAWS = 200, 100
 SEEDS = {"hmc": 20, "mh": 5, "slice": 3, "emcee": 2}
@@ -95,23 +96,39 @@ def sampled(problem: Any, maxima: Maxima, sampler: str, init: str, seed: int) ->
     return Run(stuck.size, int(stuck.sum()), int(still.sum()), visits)
 
 
-def study() -> Iterator[Row]:
+PROBLEMS: dict[str, Callable[[], Any]] = {"frame of four storeys": four_storeys} | {
+    f"{case}, by {'number' if pairing == 'index' else pairing}": partial(fmu.cases.load, case, pairing)
+    for case, pairing in BEAMS
+}
+
+
+@cache
+def problem_of(name: str) -> tuple[Any, Maxima]:
+    """Return a problem and its maxima."""
+    problem = PROBLEMS[name]()
+    return problem, fmu.find_map(problem)
+
+
+def study(units: Units) -> Iterator[Row]:
     """Yield all rows."""
-    problems = {"frame of four storeys": four_storeys()} | {
-        f"{case}, by {'number' if pairing == 'index' else pairing}": fmu.cases.load(case, pairing)
-        for case, pairing in BEAMS
-    }
-    for name, problem in problems.items():
-        maxima = fmu.find_map(problem)
-        shares = np.array([m.share for m in maxima])
-        for sampler in SEEDS:
-            for init, seeds in (("maxima", SEEDS), ("prior", SEEDS_FROM_PRIOR)):
-                runs = (sampled(problem, maxima, sampler, init, seed) for seed in range(1, seeds[sampler] + 1))
-                row = Row(name, sampler, init, shares, tuple(runs))
-                stuck, still = (sum(getattr(run, what) for run in row.runs) for what in ("stuck", "still"))
-                print(f"{name}, {sampler} from {init}: {stuck} stuck, {still} still, {time.process_time():.0f} s",
-                      flush=True)  # fmt: skip
-                yield row
+    kinds = [
+        (name, sampler, init, seeds[sampler])
+        for name in PROBLEMS
+        for sampler in SEEDS
+        for init, seeds in (("maxima", SEEDS), ("prior", SEEDS_FROM_PRIOR))
+    ]
+
+    def run(key: tuple[str, str, str, int]) -> dict[str, Any]:
+        name, sampler, init, seed = key
+        return {"kind": key[:3], "run": asdict(sampled(*problem_of(name), sampler, init, seed))}
+
+    keys = [(*kind, seed) for *kind, seeds in kinds for seed in range(1, seeds + 1)]
+    found = units.completed("runs", each(keys), run)
+    for name, sampler, init, _ in kinds:
+        runs = [fields_of(Run, np.array)(one["run"]) for one in found if one["kind"] == [name, sampler, init]]
+        if runs:
+            shares = np.array([m.share for m in problem_of(name)[1]])
+            yield Row(name, sampler, init, shares, tuple(runs))
 
 
 def write(rows: list[Row], directory: Path, processor_s: float) -> None:
@@ -198,11 +215,13 @@ the paper.
 """
 
 
-def main(directory: str) -> int:
+def main() -> int:
     """Run everything, write ``starts.md``, and return the exit code."""
+    asked = study_parser(__doc__).parse_args()
+    units = Units(asked.kept, asked.minutes)
     with threadpool_limits(1):
-        rows = list(study())
-    write(rows, Path(directory), time.process_time())
+        rows = list(study(units))
+    write(rows, asked.out, units.processor_s)
     failures = [failure for row in rows for failure in row.failures]
     for failure in failures:
         print(failure)
@@ -210,4 +229,4 @@ def main(directory: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    sys.exit(main())

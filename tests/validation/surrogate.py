@@ -1,6 +1,6 @@
 """Surrogates against exact posteriors, small budgets, kills and awkward functions: results/surrogate.md.
 
-    python -m tests.validation.surrogate OUT_DIRECTORY [--kept FILE]
+    python -m tests.validation.surrogate OUT [--kept DIRECTORY] [--minutes M]
 
 With a file, parts that it holds are not repeated. The parts "others" need
 nautilus-sampler (`make bench` installs it). Exit code 1 where a gate fails.
@@ -8,8 +8,6 @@ nautilus-sampler (`make bench` installs it). Exit code 1 where a gate fails.
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import random
 import resource
@@ -38,6 +36,7 @@ from fmu.surrogates.error_limits import ErrorLimits
 from fmu.surrogates.learning import CHECKS
 from fmu.surrogates.selection import error_variances, stratify
 from tests.benchmarks.peers.target import of_unit_cube
+from tests.validation.kept import Units, study_parser
 from tests.validation.surrogate_cases import POOR, PoorCase, cases, grid_moments, storeys, through, two_storeys
 from tests.validation.surrogate_page import N_CASES, page, passed
 
@@ -416,26 +415,14 @@ PARTS: dict[str, Callable[[], Any]] = {
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--kept", type=Path)
-    parser.add_argument("--parts", nargs="*", default=list(PARTS))
-    given = parser.parse_args()
-    known = {}
-    if given.kept is not None and given.kept.is_file():
-        known = {part: found for part, found, _ in map(json.loads, given.kept.read_text().splitlines())}
-    for part in given.parts:
-        if part in known:
-            continue
-        began = time.process_time()
-        with threadpool_limits(1):
-            known[part] = PARTS[part]()
-        print(part, json.dumps(known[part])[:400], flush=True)
-        if given.kept is not None:
-            with given.kept.open("a") as file:
-                file.write(json.dumps([part, known[part], time.process_time() - began]) + "\n")
+    """Run what is missing, write the page, and return the exit code."""
+    asked = study_parser(__doc__).parse_args()
+    units = Units(asked.kept, asked.minutes)
+    with threadpool_limits(1):
+        parts = units.completed("parts", PARTS.items(), lambda part: part())
+    known = dict(zip(PARTS, parts, strict=False))
     missing = [part for part in PARTS if part not in known]
-    (given.out / "surrogate.md").write_text(page(known, missing))
+    (asked.out / "surrogate.md").write_text(page(known, missing), encoding="utf-8")
     return 0 if passed(known) and not missing else 1
 
 

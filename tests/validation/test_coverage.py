@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from tests.validation import coverage, coverage_page
 from tests.validation.coverage import INTERVAL, NAMES, QUANTITIES, RANKED, TAIL, Replicate, Study, lost_to_draws
-from tests.validation.kept import keep
+from tests.validation.kept import Units
 
 REPLICATES = 200
 
@@ -103,23 +103,21 @@ def test_what_an_interval_loses_to_its_draws():
     assert lost == pytest.approx(float(lost_to_draws(np.full(2, float(n)), n)), rel=0.05)
 
 
-def test_runs_of_the_file_are_not_repeated(tmp_path):
-    kept, runs = tmp_path / "runs.jsonl", study().runs[:3]
-    for run in runs:
-        keep(kept, run)
-    again = coverage.study(replicates=3, kept=kept)
+def test_runs_that_are_kept_are_not_repeated(tmp_path, monkeypatch):
+    runs = iter(study().runs[:3])
+    monkeypatch.setattr(coverage, "_replicate", lambda seed: next(runs))
+    coverage.study(Units(tmp_path), replicates=3)
+    again = coverage.study(Units(tmp_path), replicates=3)
     for name in ("ranks", "covered", "expected", "spread_of_truths"):
-        assert_array_equal(getattr(again, name), getattr(Study(runs), name))
+        assert_array_equal(getattr(again, name), getattr(Study(study().runs[:3]), name))
 
 
 @pytest.mark.validate
-def test_a_study_continues_from_its_file(tmp_path):
-    whole = coverage.study(replicates=2, workers=1, kept=tmp_path / "whole.jsonl")
-    kept = tmp_path / "part.jsonl"
-    coverage.study(replicates=1, workers=1, kept=kept)
-    again = coverage.study(replicates=2, workers=1, kept=kept)
+def test_a_study_continues_from_what_is_kept(tmp_path):
+    whole = coverage.study(Units(), replicates=2)
+    coverage.study(Units(tmp_path), replicates=1)
+    again = coverage.study(Units(tmp_path), replicates=2)
     assert_array_equal(again.ranks, whole.ranks)
-    assert len(kept.read_text(encoding="utf-8").splitlines()) == 2
 
 
 def test_the_page_shows_every_parameter(tmp_path):

@@ -48,5 +48,5 @@ def test_moves_that_disagree_are_named(tmp_path, monkeypatch):
     found = iter([GOOD, other])
     monkeypatch.setattr(emcee_moves, "MOVES", {"stretch": None, "mixture": None})
     monkeypatch.setattr(emcee_moves, "tried", lambda *given: next(found))
-    assert emcee_moves.main(tmp_path, quick=True) == 1
+    assert emcee_moves.main([str(tmp_path), "--quick"]) == 1
     assert "They disagree: beam, by shape: stretch and mixture" in (tmp_path / "emcee-moves.md").read_text()

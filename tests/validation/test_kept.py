@@ -48,6 +48,13 @@ def test_results_without_a_directory_are_as_those_with_one(tmp_path):
     assert kept == not_kept == [[0, [0]], [1, [1]]]
 
 
+def test_jobs_side_by_side_give_the_same(tmp_path):
+    jobs = [(n, n) for n in range(5)]
+    together = Units(tmp_path).completed("squares", jobs, lambda n: n**2, at_once=2)
+    assert together == Units().completed("squares", jobs, lambda n: n**2) == [0, 1, 4, 9, 16]
+    assert Units(tmp_path).completed("squares", jobs, None) == together
+
+
 def test_processor_time_is_that_of_all_units(tmp_path):
     one = Units(tmp_path)
     one.completed("runs", [(1, 1)], lambda n: sum(range(300_000)))

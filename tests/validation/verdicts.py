@@ -1,20 +1,18 @@
 """Is a run that is called converged right? All samplers on posteriors known by quadrature.
 
-    python -m tests.validation.verdicts OUT_DIRECTORY [--kept FILE]
+    python -m tests.validation.verdicts OUT [--kept DIRECTORY] [--minutes M]
 
 Exit code 1 where a run is called converged and is wrong. With a file, runs that it holds are not repeated.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,7 +29,7 @@ from fmu.analysis.maxima.results import Maxima
 from fmu.analysis.trace.reading import parameter_draws, walkers_of
 from fmu.samplers.registry import SAMPLERS, make_sampler
 from fmu.types import FloatArray
-from tests.validation.kept import completed, kept_lines
+from tests.validation.kept import Units, fields_of, study_parser
 from tests.validation.known import FURTHER, KNOWN, Known
 
 WRONG = 5.0
@@ -294,27 +292,19 @@ class Study:
         return found
 
 
-def study(kept: Path | None = None) -> Study:
-    """Return all outcomes; with a file, those that it holds and the others, which are added to it."""
-    known = [Outcome(**fields) for fields in kept_lines(kept)]
-    done = {(one.name, one.sampler, one.length, one.start, one.seed): one for one in known}
-    return Study(completed(((job.key, job) for job in jobs()), done, outcome, kept))
-
-
-def main(directory: Path, kept: Path | None) -> int:
+def main() -> int:
     """Run the study, write ``verdicts.md``, and return the exit code."""
     from tests.validation.verdicts_page import write
 
+    asked = study_parser(__doc__).parse_args()
+    units = Units(asked.kept, asked.minutes)
     with threadpool_limits(1):
-        found = study(kept)
-    write(found, directory)
+        found = Study(units.completed("runs", ((job.key, job) for job in jobs()), outcome, fields_of(Outcome)))
+    write(found, asked.out)
     for failure in found.failures:
         print(failure)
     return 1 if found.failures else 0
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(prog="python -m tests.validation.verdicts")
-    parser.add_argument("directory", type=Path)
-    parser.add_argument("--kept", type=Path, help="file of the runs made so far, one a line; it is continued")
-    sys.exit(main(**vars(parser.parse_args())))
+    sys.exit(main())

@@ -1,6 +1,6 @@
 """What more workers give: groups of chains in processes, and single evaluations of a Python function.
 
-    python -m tests.validation.workers OUT_DIRECTORY
+    python -m tests.validation.workers OUT [--kept DIRECTORY] [--minutes M]
 
 One and two workers take turns, three times each, on the same run; the draws are compared in every bit, those of
 eight workers too. Times are by the clock: measure on a machine that has nothing else to do.
@@ -13,7 +13,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,7 @@ import fmu
 from fmu.engines import default_workers, engine
 from fmu.engines.base import Engine
 from fmu.tables import markdown_table
+from tests.validation.kept import Units, study_parser
 from tests.validation.scale_model import Size, scale_problem
 
 PAIRS = 3
@@ -137,14 +137,17 @@ workers than half the walkers have nothing to do.
 """
 
 
-def main(out: Path) -> int:
+def main() -> int:
     """Measure and write the page; 1 if any draws differ."""
+    asked = study_parser(__doc__).parse_args()
+    runs = {"frame": frame_run, "function": function_run}
     with tempfile.TemporaryDirectory() as cache:
         os.environ["FMU_CACHE_DIR"] = cache
-        found = {"frame": compared(frame_run), "function": compared(function_run)}
-    (out / "workers.md").write_text(page(found), encoding="utf-8")
+        rows = Units(asked.kept, asked.minutes).completed("runs", runs.items(), compared)
+    found = dict(zip(runs, rows, strict=False))
+    (asked.out / "workers.md").write_text(page(found), encoding="utf-8")
     return int(any(row["same"] != row["of"] for row in found.values()))
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1])))
+    sys.exit(main())

@@ -26,7 +26,7 @@ from tests.benchmarks.table import machine
 
 TEXT = """# Whole runs: from nothing to {enough} effective draws
 
-Written by `make bench-whole`. {machine}
+Written by `make bench`. {machine}
 
 Each sampler by itself with its defaults, until it has {enough} effective draws. All evaluations count: the search
 for maxima, warm-up, and whatever else comes before the draws. The unit is one log-probability, as the model is
