@@ -50,6 +50,8 @@ class Labelled(NamedTuple):
         Whether a matrix with entries in one triangle only is treated as symmetric.
     notes : tuple of str
         One sentence for each triangle that was filled in.
+    in_input_order : bool
+        Whether rows without names are in the order in which the deck defines the nodes, as MYSTRAN has them.
     """
 
     matrix: Matrix
@@ -57,6 +59,7 @@ class Labelled(NamedTuple):
     motions: Mapping[DofName, Mapping[DofName, float]] = {}
     fill: bool = False
     notes: tuple[str, ...] = ()
+    in_input_order: bool = False
 
 
 @dataclass(frozen=True)
@@ -72,11 +75,14 @@ class MatrixFormat:
         text of a `RefusedError` is shown unchanged.
     has_names : bool
         Whether a file may hold several matrices, each with a name.
+    largest : int
+        Largest size of a file, bytes, if it exceeds `LARGEST_FILE`: the reader then keeps only what is not zero.
     """
 
     suffixes: tuple[str, ...]
     read: Callable[[Path, str | None], Labelled]
     has_names: bool = False
+    largest: int | None = None
 
 
 class RefusedError(Exception):

@@ -118,8 +118,9 @@ def read_labelled(
     why = why_no_file(path)
     if why:
         raise ValueError(f"must be a file ({why})")
-    if too_large(path, LARGEST_FILE):
-        raise ValueError(too_large(path, LARGEST_FILE))
+    excess = too_large(path, _FORMAT_OF[suffix].largest or LARGEST_FILE)
+    if excess:
+        raise ValueError(excess)
     if variable is not None and not _FORMAT_OF[suffix].has_names:
         raise ArgumentError("variable", f"a {suffix} file has one matrix, without a name", repr(variable))
     try:

@@ -122,12 +122,15 @@ def _name_rows(one: Labelled, where: str, mesh: Mesh, assumed: dict[str, str]) -
     for which, names in mesh.sets.items():
         if len(names) == n:
             assumed[f"Rows have no names: they are taken for the {n} of the {which}-set."] = which
-            return names
+            if not one.in_input_order:
+                return names
+            place = {node: i for i, node in enumerate(mesh.order)}
+            return tuple(sorted(names, key=lambda name: (place[name[0]], DIRECTIONS.index(name[1]))))
     known = ", ".join(f"{len(names)} of the {name}-set" for name, names in mesh.sets.items())
     rule = f"has {n} rows without names: give them in a file of node,direction a row (dofs)"
     if known:
         rule += f", as the mesh has other numbers of rows, {known}; rows that AUTOSPC held are missing in matrices"
-        rule += " (SPC1 entries for them name them, and so does PARAM,AUTOSPC,N)"
+        rule += " (SPC1 entries name them; KGG and MGG of MYSTRAN have all rows)"
     raise ArgumentError(where, rule)
 
 

@@ -1,10 +1,10 @@
 """Reader of nodes, elements, axes and matrix rows in Nastran bulk data, ``.bdf``, ``.dat`` or ``.nas``.
 
 Matrices are along the axes of each node's output coordinate system, CD. Rows of OP4 files have no names: the rows
-of the g-set are the nodes in ascending order with six components each, and scalar points with one component. The
-smaller sets that this module knows are the n-set, the g-set without the components that constraints make dependent
-(`fmu.formats.constraints.nastran`); the f-set, the n-set without the components that GRID, SPC and SPC1 hold; and
-the a-set, if ASET entries define it.
+of the g-set are the nodes in ascending order (MYSTRAN: in that of the deck) with six components each, and scalar
+points with one component. The smaller sets that this module knows are the n-set, the g-set without the components
+that constraints make dependent (`fmu.formats.constraints.nastran`); the f-set, the n-set without the components
+that GRID, SPC and SPC1 hold; and the a-set, if ASET entries define it.
 """
 
 from __future__ import annotations
@@ -54,6 +54,8 @@ class _Deck:
     held: dict[int, dict[int, set[int]]] = field(default_factory=dict)
     kept: dict[int, set[int]] = field(default_factory=dict)
     scalars: set[int] = field(default_factory=set)
+    order: list[int] = field(default_factory=list)
+    is_ascending: bool = False
     systems: dict[int, Definition] = field(default_factory=dict)
     elements: list[tuple[int, ...]] = field(default_factory=list)
     kinds: list[str] = field(default_factory=list)
@@ -73,7 +75,11 @@ def _read(path: Path) -> Mesh:
         elif name[:4] == "CORD" and name[4:5] in ("1", "2") and name[5:] in ("R", "C", "S"):
             _system(deck, name[4], name[5], fields)  # type: ignore[arg-type]
         elif name == "SPOINT":
-            deck.scalars |= set(expand_list(fields, "SPOINT"))
+            points = expand_list(fields, "SPOINT")
+            deck.order += [node for node in points if node not in deck.scalars]
+            deck.scalars |= set(points)
+        elif name == "PARAM" and fields[0] == "GRIDSEQ":
+            deck.is_ascending = _is_ascending(fields[1])
         elif name in _SET:
             _members(deck, name, fields)
         elif name in ("OMIT", "OMIT1"):
@@ -91,10 +97,20 @@ def _grid(deck: _Deck, fields: list[str]) -> None:
     place = np.array([number(word, f"{what}: a coordinate", 0.0) for word in fields[2:5]])
     if node in deck.grids:
         raise RefusedError(f"must have each node once (it has {what} twice)")
+    deck.order.append(node)
     deck.grids[node] = whole(fields[1], f"{what}: CP", -2), place
     deck.outputs[node] = whole(fields[5], f"{what}: CD", -2)
     if fields[6]:
         deck.permanent[node] = set(components(fields[6], f"{what}: PS"))
+
+
+def _is_ascending(sequence: str) -> bool:
+    """Return whether MYSTRAN has its rows by the ids of nodes, by PARAM,GRIDSEQ: "GRID", not "INPUT"."""
+    if sequence == "BANDIT":
+        raise RefusedError(
+            "must have PARAM,GRIDSEQ,INPUT or GRID (with BANDIT, MYSTRAN changes the order of rows)"
+        )
+    return sequence == "GRID"
 
 
 def _element(deck: _Deck, name: str, fields: list[str]) -> None:
@@ -184,7 +200,8 @@ def _mesh(deck: _Deck, defaults: tuple[str, str, str], omitted: int) -> Mesh:
         if known and not deck.constraints.sets(kind, sorted(known)):
             notes.append(f"No {kind} set acts, as the case control selects none.")
     mesh = mesh_of(places, deck.elements, deck.kinds, notes, axes, chosen)
-    return mesh._replace(equations=tuple(equations), held=frozenset(held))
+    rows = tuple(order if deck.is_ascending else deck.order)
+    return mesh._replace(order=rows, equations=tuple(equations), held=frozenset(held))
 
 
 def _find_held(deck: _Deck, permanent: set[int]) -> set[DofName]:

@@ -39,6 +39,8 @@ class Mesh(NamedTuple):
         Unit vectors (rows) along which the degrees of freedom of a node are, if they are not along global axes.
     sets : mapping of str to tuple of (node, direction)
         Possible rows of matrices without names, by the program's name of the set, such as ``"g"``.
+    order : tuple of int
+        Ids of the nodes in the order of the input, where matrices may have their rows in that order.
     equations : tuple of Equation
         Constraints between degrees of freedom, along the axes of each node.
     held : frozenset of (node, direction)
@@ -52,6 +54,7 @@ class Mesh(NamedTuple):
     notes: tuple[str, ...] = ()
     axes: Mapping[int, FloatArray] = {}
     sets: Mapping[str, tuple[DofName, ...]] = {}
+    order: tuple[int, ...] = ()
     equations: tuple[Equation, ...] = ()
     held: frozenset[DofName] = frozenset()
 

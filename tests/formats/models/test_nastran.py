@@ -128,3 +128,22 @@ def test_names_of_rows_in_a_file(tmp_path, model):
     assert fmu.read_model(tmp_path / "free.op4", dofs=tmp_path / "rows.csv").dofs == names(model)
     with pytest.raises(ValueError, match=r"^path: has 18 rows without names"):
         fmu.read_model(tmp_path / "free.op4")
+
+
+def test_mystran_has_its_rows_in_the_order_of_the_deck(tmp_path):
+    """Without PARAM,GRIDSEQ the rows are those of the nodes as they are defined; fmu sorts them."""
+    shutil.copy(FILES / "dense.op4", tmp_path / "job.OU1")
+    text = (FILES / "portal.bdf").read_text()
+    first = next(line for line in text.splitlines() if line.startswith("GRID") and " 101 " in line)
+    moved = text.replace(f"{first}\n", "") + f"{first}\n"
+    (tmp_path / "job.bdf").write_text(moved + "PARAM,GRIDSEQ,GRID\n")
+    ascending = fmu.read_model(tmp_path / "job.OU1", mesh=tmp_path / "job.bdf")
+    (tmp_path / "job.bdf").write_text(moved.replace("123456", ""))
+    read = fmu.read_model(tmp_path / "job.OU1", mesh=tmp_path / "job.bdf")
+    there = {101: 205, 205: 303, 303: 410, 410: 1004, 1004: 101}  # the name that the rows of a node now get
+    renamed = [(there[node], direction) for node, direction in ascending.dofs]
+    order = [renamed.index(name) for name in read.dofs]
+    np.testing.assert_array_equal(read.stiffness.toarray(), ascending.stiffness[order][:, order].toarray())
+    (tmp_path / "job.bdf").write_text(moved + "PARAM,GRIDSEQ,BANDIT\n")
+    with pytest.raises(ValueError, match=r"^mesh: job\.bdf: must have PARAM,GRIDSEQ,INPUT or GRID"):
+        fmu.read_model(tmp_path / "job.OU1", mesh=tmp_path / "job.bdf")

@@ -6,7 +6,8 @@ MSC Nastran, *DMAP programmer's guide*, OUTPUT4. The files have no names of rows
     ASSIGN OUTPUT4='model.op4',UNIT=31,FORM=BIG64
     OUTPUT4 KGG,MGG,,,//0/31///16
 
-MYSTRAN writes such files to ``job.OU1`` to ``job.OU7``, by ``OUTPUT4 KLL,MLL,,,//-1/21`` in the executive control.
+MYSTRAN writes such files to ``job.OU1`` to ``job.OU7``, by ``OUTPUT4 KGG,MGG,,,//-1/21`` in the executive control.
+Its rows are in the order in which the deck defines the nodes, unless PARAM,GRIDSEQ says otherwise.
 """
 
 from __future__ import annotations
@@ -33,8 +34,13 @@ from fmu.types import AnyArray
 
 REAL = (1, 2)
 """Types of real matrices in single and double precision; types 3 and 4 are complex."""
+LARGEST = 2**34
+"""Largest size of a file, bytes: a matrix of 46 000 rows with full columns."""
+LARGEST_RECORD = 2**26
+"""Largest size of a column, bytes."""
 SMALL_ROWS = 65535
 """Largest number of rows of a sparse matrix without BIGMAT, in which two integers precede each string."""
+_OF_MYSTRAN = tuple(f".ou{unit}" for unit in range(1, 8))
 
 
 class _Header(NamedTuple):
@@ -59,13 +65,24 @@ class _Entries:
         self.strings: list[tuple[int, int, AnyArray]] = []
 
     def add(self, column: int, row: int, values: AnyArray) -> None:
-        """Add consecutive values of a column from `row` on; column and row are counted from 1."""
+        """Add consecutive values of a column from `row` on; column and row are counted from 1.
+
+        MYSTRAN writes full columns. Of a column that is mostly zero, only the runs of nonzeros are kept.
+        """
         header = self.header
         if row < 1 or column < 1 or row - 1 + len(values) > abs(header.rows):
             raise ValueError(f"{header.name} has an entry outside its {abs(header.rows)} rows")
+        nonzero = np.flatnonzero(values)
+        if 2 * len(nonzero) > len(values):
+            self._keep(row - 1, column - 1, values)
+            return
+        for run in np.split(nonzero, np.flatnonzero(np.diff(nonzero) > 1) + 1) if len(nonzero) else ():
+            self._keep(row - 1 + int(run[0]), column - 1, values[run[0] : run[-1] + 1].copy())
+
+    def _keep(self, row: int, column: int, values: AnyArray) -> None:
         self.n += len(values)
         entries_within(self.n)
-        self.strings.append((row - 1, column - 1, values))
+        self.strings.append((row, column, values))
 
     def matrix(self) -> sp.csr_array:
         """Return the matrix as a csr_array; the entries are cleared."""
@@ -99,7 +116,7 @@ def _read(path: Path, variable: str | None) -> Labelled:
         return _read(path, next(iter(found)))
     if entries.header.type not in REAL:
         raise RefusedError(f"must hold a real matrix ({entries.header.name} is complex)")
-    return Labelled(entries.matrix())
+    return Labelled(entries.matrix(), in_input_order=path.suffix.lower() in _OF_MYSTRAN)
 
 
 def _of_binary(file: BinaryIO, order: str, variable: str | None) -> Iterator[tuple[str, _Entries | None]]:
@@ -112,6 +129,8 @@ def _of_binary(file: BinaryIO, order: str, variable: str | None) -> Iterator[tup
         size = _length(file.read(4))
         if file.tell() + size + 4 > end:
             raise ValueError("it is cut short")
+        if size > LARGEST_RECORD:
+            raise RefusedError(f"must have columns of at most {LARGEST_RECORD} bytes (got {size})")
         content = file.read(size if wanted else min(first, size))
         file.seek(size - len(content), 1)
         if _length(file.read(4)) != size:
@@ -216,6 +235,8 @@ def _of_text(lines: Iterator[str], variable: str | None) -> Iterator[tuple[str, 
                 header = None
             elif entries is not None and header.type in REAL:
                 values += [float(line[at : at + width].upper().replace("D", "E")) for at in _starts(line, width)]
+                if len(values) > abs(header.rows):
+                    raise ValueError(f"{header.name} has an entry outside its {abs(header.rows)} rows")
             continue
         flush_values()
         words = [int(word) for word in _whole_numbers(line)]
@@ -249,4 +270,4 @@ def _check(header: _Header) -> None:
         )
 
 
-FORMAT = MatrixFormat((".op4", *(f".ou{unit}" for unit in range(1, 8))), _read, has_names=True)
+FORMAT = MatrixFormat((".op4", *_OF_MYSTRAN), _read, has_names=True, largest=LARGEST)
