@@ -1,6 +1,6 @@
 """Simulation-based calibration of the numbers of a discrepancy: τ, σ and ρ.
 
-    python -m tests.validation.hyper_parameters OUT [--replicates N] [--seed N]
+    python -m tests.validation.hyper_parameters OUT [--kept DIRECTORY] [--minutes M] [--replicates N] [--seed N]
 
 A building of six equal storeys has one parameter, the stiffness. For each kind of discrepancy, the stiffness and
 the numbers of the discrepancy are drawn from their priors, and six frequencies from the model with errors: the
@@ -13,9 +13,7 @@ Exit code 1 where a test rejects uniformity.
 
 from __future__ import annotations
 
-import argparse
 import sys
-from pathlib import Path
 
 import numpy as np
 from scipy import stats
@@ -25,6 +23,7 @@ import fmu
 from fmu.tables import markdown_table
 from fmu.types import FloatArray
 from tests.shear_building import shear_building
+from tests.validation.kept import Units, each, study_parser
 
 REPLICATES, SEED = 300, 20_286
 STOREYS, NOISE = 6, 0.01
@@ -87,21 +86,25 @@ def probabilities_below(kind: str, truth: FloatArray, measured: FloatArray) -> F
 
 def main() -> int:
     """Write the page and return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", type=Path)
+    parser = study_parser(__doc__)
     parser.add_argument("--replicates", type=int, default=REPLICATES)
     parser.add_argument("--seed", type=int, default=SEED)
     asked = parser.parse_args()
-    rows, rejected, n_tests = [], [], sum(map(len, SYMBOLS.values()))
+    units, rows, rejected, n_tests = Units(asked.kept, asked.minutes), [], [], sum(map(len, SYMBOLS.values()))
+
+    def of_kind(kind: str) -> list[list[float]]:
+        seed = np.random.SeedSequence(asked.seed, spawn_key=(list(KINDS).index(kind),))
+        rng = np.random.default_rng(seed)
+        return [probabilities_below(kind, *simulate(rng, kind)).tolist() for _ in range(asked.replicates)]
+
     with threadpool_limits(1):
-        for stream, kind in enumerate(KINDS):
-            rng = np.random.default_rng(np.random.SeedSequence(asked.seed, spawn_key=(stream,)))
-            u = np.array([probabilities_below(kind, *simulate(rng, kind)) for _ in range(asked.replicates)])
-            for symbol, one in zip(SYMBOLS[kind], u.T, strict=True):
-                counts, p = np.histogram(one, 10, (0.0, 1.0))[0], float(stats.kstest(one, "uniform").pvalue)
-                rows.append([kind, symbol, " ".join(map(str, counts)), f"{one.mean():.3f}", f"{p:.3f}"])
-                if p < LEVEL / n_tests:
-                    rejected.append(f"{kind}, {symbol}")
+        found = units.completed("kinds", each(KINDS), of_kind, np.array)
+    for kind, u in zip(KINDS, found, strict=False):
+        for symbol, one in zip(SYMBOLS[kind], u.T, strict=True):
+            counts, p = np.histogram(one, 10, (0.0, 1.0))[0], float(stats.kstest(one, "uniform").pvalue)
+            rows.append([kind, symbol, " ".join(map(str, counts)), f"{one.mean():.3f}", f"{p:.3f}"])
+            if p < LEVEL / n_tests:
+                rejected.append(f"{kind}, {symbol}")
     verdict = "No test rejects uniformity." if not rejected else f"**Not uniform: {'; '.join(rejected)}.**"
     header = ["kind", "number", "sets in each tenth of 0 to 1", "mean", "p (Kolmogorov–Smirnov)"]
     text = PAGE.format(

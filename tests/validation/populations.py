@@ -1,6 +1,6 @@
 """Populations over several tests: do intervals hold the truth, and do default runs converge, in random designs?
 
-    python -m tests.validation.populations OUT_DIRECTORY [--replicates N] [--seed N] [--kept FILE] [--minutes M]
+    python -m tests.validation.populations OUT [--kept DIRECTORY] [--minutes M] [--replicates N] [--seed N]
 
 Each set is a shear building of 3 to 6 storeys with 5 to 40 tests, drawn at random. The stiffness of every storey
 has a log-normal population, and in two of three sets the populations are correlated. Medians, standard deviations
@@ -13,12 +13,10 @@ al. 2018). Written to populations.md. Exit code 1 where a gate fails.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -26,7 +24,7 @@ from threadpoolctl import threadpool_limits
 import fmu
 from fmu.posterior.joint.joint_problem import simulate_next_test
 from fmu.types import FloatArray
-from tests.validation.kept import keep, kept_lines
+from tests.validation.kept import Units, each, fields_of, study_parser
 from tests.validation.populations_page import INTERVAL, KINDS, RANKED, Study, page
 from tests.validation.several_tests import building, modes
 
@@ -219,21 +217,13 @@ def one_set(seed: int, number: int) -> SetOfTests:
 
 def main() -> int:
     """Run the sets that are missing, write the page, and return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", type=Path)
+    parser = study_parser(__doc__)
     parser.add_argument("--replicates", type=int, default=REPLICATES)
     parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--kept", type=Path, help="file in which sets are kept, to continue from")
-    parser.add_argument("--minutes", type=float, default=np.inf, help="after which no further set is begun")
     asked = parser.parse_args()
-    sets = [SetOfTests(**line) for line in kept_lines(asked.kept, list)][: asked.replicates]
-    began = time.monotonic()
+    units, numbers = Units(asked.kept, asked.minutes), each(range(asked.replicates))
     with threadpool_limits(1):
-        for number in range(len(sets), asked.replicates):
-            if time.monotonic() - began > 60.0 * asked.minutes:
-                break
-            sets.append(one_set(asked.seed, number))
-            keep(asked.kept, sets[-1])
+        sets = units.completed("sets", numbers, lambda n: one_set(asked.seed, n), fields_of(SetOfTests, list))
     study = Study(sets)
     settings = (
         f"until an ESS of {UNTIL_ESS}, {DRAWS} draws at first, {WARMUP} steps of warm-up, "

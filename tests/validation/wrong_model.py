@@ -1,6 +1,6 @@
 """Each measured mode of a built-in case predicted by the others, with and without a discrepancy of the model.
 
-    python -m tests.validation.wrong_model OUT_DIRECTORY [CASE ...]
+    python -m tests.validation.wrong_model OUT [--kept DIRECTORY] [--minutes M] [--cases CASE …]
 
 Exit code 1 where a run has not converged.
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 import time
 from importlib.resources import as_file, files
-from pathlib import Path
+from typing import Any
 
 from threadpoolctl import threadpool_limits
 
@@ -31,6 +31,7 @@ from fmu.paper.studies.wrong_model import (
     summary_table,
 )
 from fmu.posterior.problem import UpdatingProblem
+from tests.validation.kept import Units, each, study_parser
 
 CASES = (
     ("cantilever-young", "shape"),
@@ -66,29 +67,42 @@ def study(case: str, pairing: str) -> tuple[WrongModel, str]:
     return found, f"Processor time without and with scatter, in s: {' and '.join(cost)}.\n"
 
 
-def main(out: str, *cases: str) -> int:
+def parts(case: str, pairing: str) -> dict[str, Any]:
+    """Return what the page has of one case: its table of one row, its section, and whether all runs converged."""
+    one, cost = study(case, pairing)
+    section = [
+        f"## {one.title}\n",
+        modes_table(one),
+        runs_sentence(one),
+        cost,
+        moments_table(one.parameters, NAMES),
+    ]
+    converged = bool(one.runs["converged"].all())
+    return {"table": summary_table([one]), "section": "\n".join(section), "converged": converged}
+
+
+def main() -> int:
     """Write the page; return the exit code."""
-    wanted = [one for one in CASES if not cases or one[0] in cases]
-    found = []
+    parser = study_parser(__doc__)
+    parser.add_argument("--cases", nargs="*", default=[], metavar="CASE")
+    asked = parser.parse_args()
+    wanted = [one for one in CASES if not asked.cases or one[0] in asked.cases]
     with threadpool_limits(1):
-        for case, pairing in wanted:
-            found.append(study(case, pairing))
-            print(summary_table([found[-1][0]]).splitlines()[-1], flush=True)
-    parts = [PAGE.replace("{arguments}", " ".join(("results", *cases))), summary_table([one for one, _ in found])]
-    for one, cost in found:
-        parts += [f"## {one.title}\n", modes_table(one), runs_sentence(one), cost]
-        parts += [moments_table(one.parameters, NAMES)]
-    Path(out, "wrong-model.md").write_text("\n".join(parts), encoding="utf-8")
-    return 0 if all(one.runs["converged"].all() for one, _ in found) else 1
+        found = Units(asked.kept, asked.minutes).completed("cases", each(wanted), lambda one: parts(*one))
+    *head, _ = found[0]["table"].splitlines()
+    summary = "\n".join([*head, *(one["table"].splitlines()[-1] for one in found)]) + "\n"
+    text = "\n".join([PAGE, summary, *(one["section"] for one in found)])
+    (asked.out / "wrong-model.md").write_text(text, encoding="utf-8")
+    return 0 if all(one["converged"] for one in found) else 1
 
 
 PAGE = f"""# Built-in models that may be wrong
 
-Written by `python -m tests.validation.wrong_model {{arguments}}`.
+Written by `python -m tests.validation.wrong_model results`.
 
 The models are as they are, and with `[[discrepancy]]` of `kind = "embedded"`: parameters scatter from mode to mode
 by an inferred τ. `cantilever-frf` has FRFs in place of modes, and no discrepancy. {HOW_TO_READ}
 """
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    sys.exit(main())

@@ -1,6 +1,7 @@
 """Simulated structures whose model is wrong: do intervals hold the truth, with and without a discrepancy?
 
-    python -m tests.validation.wrong_structures OUT [--replicates N] [--seed N] [--kept FILE] [--minutes M]
+    python -m tests.validation.wrong_structures OUT [--kept DIRECTORY] [--minutes M] [--replicates N]
+        [--seed N]
 
 Each structure is a beam of two parts with a joint (`tests.validation.wrong_beam`), whose two moduli are drawn from
 their prior, 1 ± 0.05. Its 18 frequencies are measured with errors of 1 to 2 %. Two of three structures differ from
@@ -13,18 +14,16 @@ wrong-structures.md in the directory OUT. Exit code 1 where a gate fails.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 import fmu
 from fmu.analysis.models.scatter import scatters
-from tests.validation.kept import keep, kept_lines
+from tests.validation.kept import Units, each, fields_of, study_parser
 from tests.validation.wrong_beam import HELD, MODULI, problem, simulate
 from tests.validation.wrong_structures_page import INTERVAL, KINDS, Study, page
 
@@ -111,21 +110,15 @@ def one_structure(seed: int, number: int) -> Structure:
 
 def main() -> int:
     """Update the structures that are missing, write the page, and return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", type=Path)
+    parser = study_parser(__doc__)
     parser.add_argument("--replicates", type=int, default=REPLICATES)
     parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--kept", type=Path, help="file in which structures are kept, to continue from")
-    parser.add_argument("--minutes", type=float, default=np.inf, help="after which no further structure is begun")
     asked = parser.parse_args()
-    structures = [Structure(**line) for line in kept_lines(asked.kept, list)][: asked.replicates]
-    began = time.monotonic()
+    units, numbers = Units(asked.kept, asked.minutes), each(range(asked.replicates))
     with threadpool_limits(1):
-        for number in range(len(structures), asked.replicates):
-            if time.monotonic() - began > 60.0 * asked.minutes:
-                break
-            structures.append(one_structure(asked.seed, number))
-            keep(asked.kept, structures[-1])
+        structures = units.completed(
+            "structures", numbers, lambda n: one_structure(asked.seed, n), fields_of(Structure, list)
+        )
     study = Study(structures)
     (asked.out / "wrong-structures.md").write_text(page(study, REPLICATES), encoding="utf-8")
     return 1 if study.failures else 0
