@@ -54,7 +54,7 @@ def build_error_models(
     tables: Sequence[Declared],
     noise: Mapping[str, Parameter],
     known: Sequence[str],
-    read_frfs: Callable[..., FRFErrors],
+    read_frfs: Callable[..., tuple[list[FRFErrors], list[ArgumentError]]] | None,
 ) -> tuple[list[ErrorModel], list[ArgumentError]]:
     """Return the list of error models, and the list of errors in their references to noise tables.
 
@@ -66,9 +66,11 @@ def build_error_models(
     known : sequence of str
         Names of all noise tables in the order of the file; invalid tables have no entry in `noise`.
     read_frfs : callable
-        Returns the errors of the frequency response functions of a table, given the parameters by key.
+        Returns the errors of the frequency response functions of a table, and the list of errors in it, given
+        number and table, and the parameters by key. None if there is no such table.
     """
-    models, found, used = [], [], set()
+    models: list[ErrorModel] = []
+    found, used = [], set()
     rule = f"must be the name of a [[noise]] table: {names_shown(known) or 'there is none'}"
     for i, table in enumerate(tables):
         names = _noises(table)
@@ -79,8 +81,13 @@ def build_error_models(
             if name not in known
         ]
         inferred = {key: noise.get(name) for key, name in names.items()}
+        if isinstance(table, FRFTable) and read_frfs is not None:
+            of_frfs, wrong = read_frfs(i, table, **inferred)
+            models += of_frfs
+            found += wrong
+            continue
         try:
-            models.append(read_frfs(table, **inferred) if isinstance(table, FRFTable) else table.build(**inferred))
+            models.append(table.build(**inferred))
         except BrokenError as error:
             found += [mistake.under(f"error.{i}") for mistake in error.mistakes]
     rule = "must be used as sd or model_sd of an [[error]]"

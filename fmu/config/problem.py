@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
@@ -15,8 +14,8 @@ from pydantic import Field, Tag
 from fmu.arguments import ArgumentError
 from fmu.config.discrepancy import DiscrepancyTable
 from fmu.config.errors import ErrorTable, beside_tests, build_error_models, is_of_modes, vanishing, with_places
-from fmu.config.frf.damping import DampingTable, build_damping, mistakes_of_damping, structural
-from fmu.config.frf.errors import FRFTable
+from fmu.config.frf.damping import DampingTable, build_damping, structural
+from fmu.config.frf.in_file import FRFsInFile, mistakes_of_frfs
 from fmu.config.measurement import MeasurementTable
 from fmu.config.mistakes import BrokenError, ConfigurationError, Mistakes
 from fmu.config.models.command import CommandTable
@@ -161,7 +160,9 @@ class ProblemFile(TomlTable):
             If the problem cannot be built; it lists the errors found.
         """
         parameters, found = build_parameters("parameters", self.parameters)
-        found += self.model.mistakes(self.structural) + self._of_damping()
+        of_frfs, given = self._frfs, self._errors
+        found += self.model.mistakes(self.structural)
+        found += mistakes_of_frfs(of_frfs, given, self.damping, self.parameters, self.tests)
         noise, wrong = build_parameters("noise", self.noise, [table.name for table in self.parameters])
         damping: list[DampingModel] = []
         if not found:
@@ -169,9 +170,8 @@ class ProblemFile(TomlTable):
                 damping = build_damping(self.damping, parameters, folder)
             except BrokenError as error:
                 found += error.mistakes
-        tables = [] if isinstance(self.error, str) else self.error
-        read_frfs = partial(FRFTable.errors, folder=folder, damping=damping)
-        errors, unnamed = build_error_models(tables, noise, [table.name for table in self.noise], read_frfs)
+        read = None if of_frfs is None else of_frfs.reader(folder, damping)
+        errors, unnamed = build_error_models(given, noise, [table.name for table in self.noise], read)
         parameters = {table.name: parameters[table.name] for table in self.structural if table.name in parameters}
         needs_trust = not any(map(is_of_modes, errors))
         found += wrong + unnamed + ([] if self._is_unmeasured(planning) else self._of_measurements(needs_trust))
@@ -190,7 +190,7 @@ class ProblemFile(TomlTable):
                 return self._build_unmeasured(structure, parameters)
             data = self._data(folder, structure, beta, errors)
             errors = with_places(errors, structure.places)
-            wrong = beside_tests(tables, errors, data) or vanishing(noise, errors, data, len(parameters))
+            wrong = beside_tests(given, errors, data) or vanishing(noise, errors, data, len(parameters))
             if wrong:
                 raise BrokenError(*wrong)
             trust = self.measurement.beta if beta is None and self.measurement is not None else beta
@@ -211,8 +211,7 @@ class ProblemFile(TomlTable):
             raise ConfigurationError(source, error.mistakes) from None
         except ValueError as error:
             mistake = ArgumentError.of(error)
-            if self._frfs is not None and mistake.key.startswith("data."):
-                mistake = mistake.at(f"error.{self._frfs[0]}.data")
+            mistake = mistake if of_frfs is None else of_frfs.place(mistake, errors)
             if mistake.key == "use":
                 mistake = mistake.under("measurement")
             raise ConfigurationError(source, [mistake]) from error
@@ -271,22 +270,14 @@ class ProblemFile(TomlTable):
         return structural(self.parameters, self.damping)
 
     @property
-    def _frfs(self) -> tuple[int, FRFTable] | None:
-        """The first table of frequency response functions with its index in [[error]]; None if there is none."""
-        tables = [] if isinstance(self.error, str) else self.error
-        return next(((i, table) for i, table in enumerate(tables) if isinstance(table, FRFTable)), None)
+    def _errors(self) -> list[ErrorTable]:
+        """The tables ``[[error]]``; none if the error is given by a name."""
+        return [] if isinstance(self.error, str) else self.error
 
-    def _of_damping(self) -> list[ArgumentError]:
-        """Return the list of errors between the tables of damping and of frequency response functions."""
-        if self._frfs is None:
-            rule = 'is used by frequency response functions only, [[error]] with of = "frf"'
-            return [ArgumentError("damping", rule)] if self.damping else []
-        where = f"error.{self._frfs[0]}.of"
-        if self.tests is not None:
-            return [ArgumentError(where, "is allowed with one [measurement] only, not with [[tests]]", "'frf'")]
-        if not self.damping:
-            return [ArgumentError("damping", 'must be given with an [[error]] of = "frf"', "none")]
-        return mistakes_of_damping(self.parameters, self.damping)
+    @property
+    def _frfs(self) -> FRFsInFile | None:
+        """The table of frequency response functions with its files; None if there is none."""
+        return FRFsInFile.of(self._errors, self.tests)
 
     @property
     def decks(self) -> list[str]:
@@ -317,7 +308,9 @@ class ProblemFile(TomlTable):
         if beta is not None:
             raise ValueError(f"beta: must not be given for several tests (got {beta})")
         errors = with_places(errors, structure.places)
-        tests, found = build_tests(self.tests or [], folder, structure, not any(map(is_of_modes, errors)))
+        of_frfs = None if self._frfs is None else self._frfs.by_test(errors)
+        needs_trust = not any(map(is_of_modes, errors))
+        tests, found = build_tests(self.tests or [], folder, structure, needs_trust, of_frfs)
         if found:
             raise BrokenError(*found)
         varies, slopes = variations(self.parameters)
@@ -343,9 +336,9 @@ class ProblemFile(TomlTable):
     def _data(self, folder: Path, built: Built, beta: ArrayLike | None, errors: Sequence[ErrorModel]) -> ModalData:
         """Return the measured data; if `beta` is given, without the uncertainty in the file, which it replaces."""
         if self.measurement is None and self._frfs is not None:
-            i, table = self._frfs
+            i = self._frfs.number
             try:
-                data = table.pick(cast("FRFErrors", errors[i]), built)
+                data = self._frfs.table.pick(cast("FRFErrors", errors[i]), built)
             except BrokenError as error:
                 raise BrokenError(*(mistake.under(f"error.{i}") for mistake in error.mistakes)) from None
         else:

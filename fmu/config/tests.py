@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from fmu.arguments import ArgumentError
+from fmu.config.frf.errors import FRFTable
 from fmu.config.measurement import MeasurementTable, ModesGiven
 from fmu.config.mistakes import BrokenError, Mistakes
 from fmu.config.parameters import ParameterTable, PriorTable
@@ -19,6 +20,7 @@ from fmu.config.tables import Built, Declared, FileName, Name, ParameterName, To
 from fmu.formats.modes.csv import Campaign, read_campaign
 from fmu.formats.modes.measured_modes import MeasuredModes, ModesError, Place, Sensors
 from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.frf.errors import FRFErrors
 from fmu.posterior.joint.modal_test import Test, TestsError
 from fmu.posterior.joint.varies import Variation
 from fmu.posterior.joint.varies.laws import Law
@@ -67,18 +69,24 @@ def _known_or_inferred(given: CovariateValue) -> float | Prior | None:
 class TestTable(MeasurementTable):
     """One of several tests: its modes, as in ``[measurement]``, and what is known to differ in it.
 
-    With ``campaign``, the table stands for all tests in a file; its other keys apply to each of them.
+    With ``data``, the test has frequency response functions, and its modes are picked in them. With ``campaign``,
+    the table stands for all tests in a file; its other keys apply to each of them.
     """
 
     __test__ = False
 
-    sources: ClassVar[tuple[str, ...]] = (*MeasurementTable.sources, "campaign")
+    sources: ClassVar[tuple[str, ...]] = (*MeasurementTable.sources, "campaign", "data")
     name: ParameterName = ""
     """For tables and figures."""
     campaign: FileName | None = None
     """CSV table of several tests, relative to this file: one row per test, with its name, its group (may be
     omitted), a column per mode with its label as header, in Hz, empty or nan where the test missed the mode, and a
     column per covariate, such as the temperature. ``labels`` lists the columns with modes."""
+    data: FileName | None = None
+    """File of the frequency response functions of this test, relative to this file; the table [[error]] with
+    of = "frf" says how it is read."""
+    modes: list[Annotated[int, Field(ge=1)]] = []
+    """With data: the number of each resonance that is picked, where it is not that of the [[error]]."""
     group: Annotated[str, Field(max_length=100)] = ""
     """State, place or season that several tests share."""
     covariates: dict[Name, CovariateValue] = {}
@@ -98,6 +106,10 @@ class TestTable(MeasurementTable):
         if self.campaign is not None and not self.labels:
             rule = "must be given with campaign, the headers of its columns with frequencies in the order of modes"
             raise ArgumentError("labels", rule, "none")
+        if self.data is None and self.modes:
+            raise ArgumentError("modes", "must be given with data, in which the modes are picked", self.modes)
+        for key in sorted(self.model_fields_set & set(MeasurementTable.model_fields) if self.data else ()):
+            raise ArgumentError(key, "must not be given with data, in which the modes are picked")
         return self
 
     def _count_modes(self) -> int | None:
@@ -137,7 +149,9 @@ class TestTable(MeasurementTable):
             wrong.append(f"lines {found.lines[0]} to {found.lines[-1]}: {rule}")
         return wrong
 
-    def build_all(self, number: int, folder: Path, built: Built, needs_trust: bool) -> list[PlacedTest]:
+    def build_all(
+        self, number: int, folder: Path, built: Built, needs_trust: bool, of_frfs: OfFRFs | None
+    ) -> list[PlacedTest]:
         """Return a list of the tests that the table describes; BrokenError if they cannot be built.
 
         Parameters
@@ -146,10 +160,15 @@ class TestTable(MeasurementTable):
             The number of this table in the file, from 0.
         folder, built, needs_trust
             See `MeasurementTable.build`.
+        of_frfs : OfFRFs or None
         """
         where = f"tests.{number}"
         try:
-            data = self.build(folder, built, needs_trust)
+            data = (
+                self.build(folder, built, needs_trust)
+                if self.data is None
+                else self._pick(built, needs_trust, of_frfs)
+            )
             if self.beta is not None:
                 data = replace(data, sd_hz=np.sqrt(0.5 / np.asarray(self.beta)))
             if self.campaign is not None:
@@ -159,6 +178,17 @@ class TestTable(MeasurementTable):
             raise BrokenError(*(mistake.replace_key("measurement", where) for mistake in error.mistakes)) from None
         except ValueError as error:
             raise BrokenError(ArgumentError.of(error).under(where)) from None
+
+    def _pick(self, built: Built, are_data: bool, of_frfs: OfFRFs | None) -> ModalData:
+        """Return the resonances of the FRFs as modes; they are not used beside errors of modes of other tests."""
+        assert of_frfs is not None  # otherwise there is an error in the file
+        try:
+            modes = of_frfs.table.pick(of_frfs.errors[self.name], built, self.modes)
+        except BrokenError as error:
+            raise BrokenError(*(mistake.under("measurement") for mistake in error.mistakes)) from None
+        numbers = modes.numbers or tuple(range(1, modes.n_modes + 1))
+        use = modes.use if are_data else (False,) * modes.n_modes
+        return replace(modes, numbers=numbers, counterparts=numbers, labels=tuple(map(str, numbers)), use=use)
 
     def _build_campaign(self, where: str, campaign: Campaign, data: ModalData, built: Built) -> list[PlacedTest]:
         """Return a list of the tests of a campaign; `data` has all modes, with other frequencies."""
@@ -187,6 +217,13 @@ class TestTable(MeasurementTable):
         return Test(name, data, group, known, masses, springs, dict(self.known))
 
 
+class OfFRFs(NamedTuple):
+    """The table of frequency response functions, and their errors in each test by the name of the test."""
+
+    table: FRFTable
+    errors: Mapping[str, FRFErrors]
+
+
 class PlacedTest(NamedTuple):
     """A test, the key of the problem file that gives it and, of a campaign, the file and line."""
 
@@ -196,14 +233,14 @@ class PlacedTest(NamedTuple):
 
 
 def build_tests(
-    tables: Sequence[TestTable], folder: Path, built: Built, needs_trust: bool
+    tables: Sequence[TestTable], folder: Path, built: Built, needs_trust: bool, of_frfs: OfFRFs | None = None
 ) -> tuple[list[PlacedTest], list[ArgumentError]]:
     """Return the list of tests, and the list of errors in their tables."""
     tests: list[PlacedTest] = []
     found: list[ArgumentError] = []
     for number, table in enumerate(tables):
         try:
-            tests += table.build_all(number, folder, built, needs_trust)
+            tests += table.build_all(number, folder, built, needs_trust, of_frfs)
         except BrokenError as error:
             found += error.mistakes
     if len(tests) > MOST_TESTS:

@@ -67,8 +67,8 @@ class MeasuredInTest:
     computed: ComplexArray
 
     @classmethod
-    def at(cls, term: FRFTerm, own: FloatArray) -> MeasuredInTest:
-        """Return the functions of a term beside those of the model at its own parameters (1, n_own)."""
+    def of(cls, term: FRFTerm, own: FloatArray) -> MeasuredInTest:
+        """Return the measured functions of `term`, and the model's at the parameters (1, n_own) of `term`."""
         there = term.data.used | held_out(term.data)
         computed = np.full(there.shape, np.nan, dtype=complex)
         computed[:, there.any(axis=0)] = term.with_use(there).frfs(own)[0]
@@ -98,5 +98,5 @@ class MeasuredInTest:
 
 def measured_frfs(problem: UpdatingProblem) -> MeasuredFRFs | None:
     """Return the measured functions of a problem beside the model's at the start; None if there are none."""
-    found = tuple(MeasuredInTest.at(*one) for one in problem.responses_at(problem.start[None]))
+    found = tuple(MeasuredInTest.of(*one) for one in problem.responses_at(problem.start[None]))
     return MeasuredFRFs(found) if found else None

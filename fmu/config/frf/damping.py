@@ -10,7 +10,7 @@ from pydantic import Field, Tag
 
 from fmu.arguments import ArgumentError
 from fmu.config.mistakes import BrokenError, Mistakes
-from fmu.config.parameters import ParameterTable
+from fmu.config.parameters import SETTINGS, ParameterTable
 from fmu.config.tables import Declared, FileName, Name, NotNegative, OneOf, by_kind, reading, tuple_as_list
 from fmu.formats.matrices.read import read_matrix
 from fmu.formats.shown import names_shown, quote
@@ -91,8 +91,13 @@ def structural(parameters: Sequence[ParameterTable], damping: Sequence[Declared]
     return [table for table in parameters if table.name not in named]
 
 
-def mistakes_of_damping(parameters: Sequence[ParameterTable], damping: Sequence[Declared]) -> list[ArgumentError]:
-    """Return a list of the errors in the names of damping parameters and in their tables."""
+def mistakes_of_damping(
+    parameters: Sequence[ParameterTable], damping: Sequence[Declared], has_tests: bool
+) -> list[ArgumentError]:
+    """Return a list of the errors in the names of damping parameters and in their tables.
+
+    The parameters may vary between tests if the file `has_tests`.
+    """
     found, known = Mistakes(), [table.name for table in parameters]
     used = {name for _, name in names_in(damping)}
     rule = f"must be the name of one of the [[parameters]]: {names_shown(known)}"
@@ -105,7 +110,8 @@ def mistakes_of_damping(parameters: Sequence[ParameterTable], damping: Sequence[
             continue
         if of_structure and i < of_structure[-1]:
             found.add(f"parameters.{i}.name", "must come after the parameters of the structure", quote(table.name))
-        own = ("name", "start", "lower", "upper", "unit", "prior")
+        own = ["name", "start", "lower", "upper", "unit", "prior"]
+        own += ["varies", *SETTINGS, "slopes"] if has_tests else []
         for key in sorted(table.model_fields_set - set(own)):
             found.add(f"parameters.{i}.{key}", "must not be given for a parameter of the damping")
     if not of_structure:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import ConfigDict, Field, Tag
@@ -58,8 +58,9 @@ class FRFTable(Declared):
     is_complete: ClassVar[bool] = False
 
     of: Literal["frf"]
-    data: FileName
-    """File of the FRFs, relative to this file: .uff, .unv, .csv, .tsv, .txt, .npz, .mat, .h5 or .hdf5."""
+    data: FileName | None = None
+    """File of the FRFs, relative to this file: .uff, .unv, .csv, .tsv, .txt, .npz, .mat, .h5 or .hdf5. With
+    [[tests]], each of them has the key data, and this table is for all."""
     kind: FRFKind | None = None
     """Response divided by force; needed where the file does not say it."""
     factor: Positive = 1.0
@@ -98,11 +99,11 @@ class FRFTable(Declared):
     """Without [measurement]: the number of each resonance that is picked, from 1 among the elastic modes of the
     model that move a response (with pairing = "index": in the spectrum); 1, 2, … if not given."""
 
-    def read(self, folder: Path) -> FRFData:
-        """Return the FRFs of the file; BrokenError or ValueError if they cannot be read."""
+    def read(self, file: Path) -> FRFData:
+        """Return the FRFs of a file; BrokenError or ValueError if they cannot be read."""
         with reading("data"):
             data = read_frf(
-                folder / self.data,
+                file,
                 kind=self.kind,
                 drives=_points(self.drives),
                 responses=_points(self.responses),
@@ -128,29 +129,35 @@ class FRFTable(Declared):
             raise ArgumentError("use", f"must be {data.n_frfs}, one per FRF", len(self.use))
         return data.without_lines(np.repeat(~np.array(self.use)[:, None], data.n_lines, axis=1))
 
-    def errors(self, *, folder: Path, damping: Sequence[DampingModel], **inferred: object) -> FRFErrors:
-        """Return the errors of the FRFs; BrokenError if the file or the settings are invalid.
+    def errors(
+        self, file: Path, damping: Sequence[DampingModel], test: str | None, **inferred: object
+    ) -> FRFErrors:
+        """Return the errors of the FRFs of a file; BrokenError if the file or the settings are invalid.
 
         Parameters
         ----------
-        folder : Path
-            The folder to which file names are relative.
+        file : Path
         damping : sequence of DampingModel
+        test : str or None
+            The test in which they were measured, if there are several.
         **inferred
             The Parameter for each key whose value is the name of a noise.
         """
         try:
-            data = self.read(folder)
+            data = self.read(file)
             gains, delays = (_by_channel(key, getattr(self, key), data) for key in ("gain_sd", "delay_sd"))
             given: dict[str, Any] = {"scale": self.scale, "model_sd": self.model_sd} | inferred
-            return FRFErrors(data, list(damping), gain_sd=gains, delay_sd=delays, **given)
+            return FRFErrors(data, list(damping), gain_sd=gains, delay_sd=delays, test=test, **given)
         except ValueError as error:
             raise BrokenError(_in_the_file(error)) from None
 
-    def pick(self, errors: FRFErrors, built: Built) -> ModalData:
-        """Return the resonances of the FRFs as modes at sensors of the model; BrokenError if they do not fit."""
+    def pick(self, errors: FRFErrors, built: Built, numbers: Sequence[int] = ()) -> ModalData:
+        """Return the resonances of the FRFs as modes at sensors of the model; BrokenError if they do not fit.
+
+        `numbers` are those of the modes, if they are not the `modes` of the table.
+        """
         try:
-            modes = pick_modes(errors.data, tuple(self.modes))
+            modes = pick_modes(errors.data, tuple(numbers or self.modes))
         except ValueError as error:
             raise BrokenError(_in_the_file(error)) from None
         if modes.n_modes > built.most_modes:
@@ -168,6 +175,50 @@ class FRFTable(Declared):
         if unseen:
             raise BrokenError(*unseen)
         return replace(modes, sensors=sensors)
+
+
+class FRFFile(NamedTuple):
+    """A file of FRFs: the key of the problem file that names it, its name, and its test if there are several."""
+
+    where: str
+    name: str
+    test: str | None = None
+
+
+def read_frfs(
+    number: int,
+    table: FRFTable,
+    *,
+    files: Sequence[FRFFile],
+    folder: Path,
+    damping: Sequence[DampingModel],
+    **inferred: object,
+) -> tuple[list[FRFErrors], list[ArgumentError]]:
+    """Return the list of the errors of the FRFs of all files, and the list of errors in files and settings.
+
+    Parameters
+    ----------
+    number : int
+        The number of the table in ``[[error]]``, from 0.
+    table : FRFTable
+    files : sequence of FRFFile
+    folder : Path
+        The folder to which file names are relative.
+    damping : sequence of DampingModel
+    **inferred
+        The Parameter for each key whose value is the name of a noise.
+    """
+    models: list[FRFErrors] = []
+    found: dict[str, ArgumentError] = {}
+    for file in files:
+        try:
+            models.append(table.errors(folder / file.name, damping, file.test, **inferred))
+        except BrokenError as error:
+            for mistake in error.mistakes:
+                of_file = mistake.key.split(".")[0] == "data"
+                placed = mistake.replace_key("data", file.where) if of_file else mistake.under(f"error.{number}")
+                found[str(placed)] = placed
+    return models, list(found.values())
 
 
 def _points(given: Sequence[Sequence[int | str]]) -> tuple[tuple[int | str, str], ...] | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from fmu.fem.modes.changes import changed_model
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.modal_model import Model
 from fmu.posterior.data.modal_data import ModalData
+from fmu.posterior.data.picked_modes import PICKED_SD
 from fmu.posterior.data.repeated import mean_shapes
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.modal_test import Test, TestsError
@@ -29,17 +31,11 @@ def stack_tests(tests: Sequence[Test]) -> ModalData:
     ValueError
         If some tests have standard deviations or a covariance matrix of their frequencies, and other tests do not.
     """
-    every = [test.data for test in tests]
-    trusts = [data.sd_hz is not None or data.covariance_hz2 is not None for data in every]
-    if len(set(trusts)) > 1:
-        lacking = trusts.index(False)
-        raise TestsError(
-            [f"tests.{lacking}: must have sd or covariance, as tests.{trusts.index(True)} has (got none)"]
-        )
+    every = _alike([test.data for test in tests])
     sd = covariance = None
     if any(data.covariance_hz2 is not None for data in every):
         covariance = block_diag(*(_covariance(data) for data in every))
-    elif trusts[0]:
+    elif every[0].sd_hz is not None:
         sd = np.concatenate([np.asarray(data.sd_hz) for data in every])
     has_shapes = all(data.shapes is not None and data.sensors == every[0].sensors for data in every)
     shapes_sd = None
@@ -57,6 +53,25 @@ def stack_tests(tests: Sequence[Test]) -> ModalData:
         shapes_sd=shapes_sd,
         use=tuple(used for data in every for used in data.use),
     )
+
+
+def _alike(every: Sequence[ModalData]) -> list[ModalData]:
+    """Return the data of tests, all with standard deviations or a covariance, or none of them.
+
+    Modes that are not used, such as those picked in FRFs, may differ from the others: what they lack is added.
+    """
+    trusts = [data.sd_hz is not None or data.covariance_hz2 is not None for data in every]
+    counted = [t for t, data in enumerate(every) if any(data.use)] or list(range(len(every)))
+    having, lacking = ([t for t in counted if trusts[t] is has] for has in (True, False))
+    if having and lacking:
+        raise TestsError([f"tests.{lacking[0]}: must have sd or covariance, as tests.{having[0]} has (got none)"])
+    found = []
+    for data, trust in zip(every, trusts, strict=True):
+        if trust != bool(having):
+            sd = PICKED_SD * np.asarray(data.frequencies_hz) if having else None
+            data = replace(data, sd_hz=sd, covariance_hz2=None)
+        found.append(data)
+    return found
 
 
 def _covariance(data: ModalData) -> FloatArray:

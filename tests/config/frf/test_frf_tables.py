@@ -233,11 +233,6 @@ def test_parameters_of_the_damping_come_last(folder):
     assert "parameters.0.name: must come after the parameters of the structure" in mistakes_of(text, folder)
 
 
-def test_several_tests_are_refused(text, folder):
-    tests = "\n".join(f'[[tests]]\nname = "{name}"\nfrequencies = [3.0]\nsd = 0.1\n' for name in "ab")
-    assert "error.0.of: is allowed with one [measurement] only" in mistakes_of(f"{text}\n{tests}", folder)
-
-
 def test_frfs_without_values_are_a_mistake_of_the_file(text, folder, tmp_path):
     write_table(tmp_path / "frfs.csv", simulate(), lambda values: values * np.array([[1.0], [np.nan]]))
     assert "error.0.data: values.1: must have an FRF with values in each row" in mistakes_of(text, tmp_path)
