@@ -16,7 +16,7 @@ import numpy as np
 
 from fmu.formats.constraints.equations import Equation, shown, solve_for_dependents, weighted
 from fmu.formats.constraints.rigid import Point, rigid_motion
-from fmu.formats.matrices.limits import MOST_ENTRIES, DofName, RefusedError
+from fmu.formats.matrices.limits import MOST_DOFS, MOST_ENTRIES, DofName, RefusedError
 from fmu.formats.shown import quote
 from fmu.types import DIRECTIONS, FloatArray
 
@@ -31,13 +31,15 @@ _UNREAD = (
     "EMBEDDEDELEMENT",
 )
 """Keywords of constraints that are not read, without blanks."""
+MOST_CHARACTERS = 2**28
+"""Largest number of characters of sets and constraints."""
 _LEAST = 1e-5
 """Smallest component of a local axis along the direction that CalculiX makes dependent."""
 
 
 @dataclass(eq=False)
 class Keyword:
-    """A keyword with its options and the words of its lines.
+    """A keyword with its options and its lines.
 
     Attributes
     ----------
@@ -45,13 +47,18 @@ class Keyword:
     options : mapping of str to str
     line : int
         Number of its line, for messages.
-    rows : list of list of str
+    lines : list of str
     """
 
     name: str
     options: Mapping[str, str]
     line: int
-    rows: list[list[str]] = field(default_factory=list)
+    lines: list[str] = field(default_factory=list)
+
+    def rows(self) -> Iterator[list[str]]:
+        """Yield the words of each line, in upper case."""
+        for line in self.lines:
+            yield [word.strip().upper() for word in line.rstrip(",").split(",")]
 
     @property
     def source(self) -> str:
@@ -75,7 +82,8 @@ class Constraints:
     nodes_of: dict[str, list[int]] = field(default_factory=dict)
     elements_of: dict[str, list[int]] = field(default_factory=dict)
     keywords: list[Keyword] = field(default_factory=list)
-    n_words: int = 0
+    n_characters: int = 0
+    n_members: int = 0
 
     def begin(self, name: str, options: Mapping[str, str], line: int) -> None:
         """Begin a keyword; its name and options are in upper case and without blanks."""
@@ -86,11 +94,16 @@ class Constraints:
         """Add a line to the last keyword, if its name is `name`."""
         if not self.keywords or self.keywords[-1].name != name:
             return
-        words = [word.strip().upper() for word in line.rstrip(",").split(",")]
-        self.n_words += len(words)
-        if self.n_words > MOST_ENTRIES:
-            raise RefusedError(f"must have sets and constraints of at most {MOST_ENTRIES} words")
-        self.keywords[-1].rows.append(words)
+        self.n_characters += len(line)
+        if self.n_characters > MOST_CHARACTERS:
+            raise RefusedError(f"must have sets and constraints of at most {MOST_CHARACTERS} characters")
+        self.keywords[-1].lines.append(line)
+
+    def count(self, n_members: int, source: str) -> None:
+        """Raise RefusedError if sets have too many members in all."""
+        self.n_members += n_members
+        if self.n_members > MOST_ENTRIES:
+            raise RefusedError(f"must have sets of at most {MOST_ENTRIES} members in all ({source} has more)")
 
 
 def constraints_of(
@@ -140,6 +153,8 @@ def constraints_of(
                     held.add((node, DIRECTIONS[k]))
         elif one.name == "RIGIDBODY":
             equations += _rigid_body(found, one, places, elements, notes)
+            if len(equations) > 3 * MOST_DOFS:
+                raise RefusedError(f"must have rigid bodies with at most {MOST_DOFS} nodes in all")
         elif one.name in _UNREAD:
             notes[f"*{one.name} in line {one.line} is not read."] = None
     for node, rows in turned.items():
@@ -176,16 +191,18 @@ def _equations(
     places: Mapping[int, tuple[float, float, float]],
 ) -> Iterator[tuple[dict[DofName, float], DofName, str]]:
     """Yield the coefficients along global axes, the first degree of freedom and the source of each equation."""
-    rows, at, count = one.rows, 0, 0
-    while at < len(rows):
-        count += 1
+    rows = one.rows()
+    for count, start in enumerate(rows, 1):
         source = f"equation {count} of {one.source}"
-        n = _whole(rows[at][0], f"{source}: the number of terms")
+        if count > MOST_DOFS:
+            raise RefusedError(f"must have at most {MOST_DOFS} equations ({one.source} has more)")
+        n = _whole(start[0], f"{source}: the number of terms")
         words: list[str] = []
-        at += 1
-        while at < len(rows) and len(words) < 3 * n:
-            words += [word for word in rows[at] if word]
-            at += 1
+        while len(words) < 3 * n:
+            further = next(rows, None)
+            if further is None:
+                break
+            words += filter(None, further)
         if n < 1 or len(words) != 3 * n:
             raise ValueError(
                 f"{source} must have {n} terms of node, direction and factor (got {len(words)} words)"
@@ -249,7 +266,7 @@ def _rigid_body(
 
 def _find_held(found: Constraints, one: Keyword) -> Iterator[tuple[int, int]]:
     """Yield the node and the direction, from 0, that *BOUNDARY holds."""
-    for words in one.rows:
+    for words in one.rows():
         if len(words) < 2 or not words[1].isdecimal():
             continue  # Abaqus' names of supports, such as ENCASTRE, and temperatures
         first = int(words[1][:4])
@@ -264,7 +281,7 @@ def _transform(
     found: Constraints, one: Keyword, places: Mapping[int, tuple[float, float, float]]
 ) -> dict[int, FloatArray]:
     """Return the axes (rows) of the nodes of *TRANSFORM: rectangular, or cylindrical with TYPE=C."""
-    words = [word for row in one.rows for word in row if word]
+    words = [word for row in one.rows() for word in row if word]
     if len(words) != 6:
         raise ValueError(f"{one.source} must have six coordinates (got {len(words)})")
     a, b = np.array([_number(word, one.source) for word in words]).reshape(2, 3)
@@ -289,18 +306,20 @@ def _transform(
 
 
 def _add_set(found: Constraints, one: Keyword) -> None:
+    """Add the members of a set, each once; a set may name sets before it."""
     kind = found.nodes_of if one.name == "NSET" else found.elements_of
-    into = kind.setdefault(one.options.get(one.name, ""), [])
-    for words in one.rows:
+    into = dict.fromkeys(kind.get(one.options.get(one.name, ""), []))
+    for words in one.rows():
         if "GENERATE" in one.options:
             first, last, step = (*(_whole(word, one.source) for word in words[:3] if word), 1)[:3]
-            if step < 1 or (last - first) // step > MOST_ENTRIES:
-                raise RefusedError(f"{one.source} must have at most {MOST_ENTRIES} members")
-            into.extend(range(first, last + 1, step))
+            found.count(max(last - first, 0) // max(step, 1), one.source)
+            into |= dict.fromkeys(range(first, last + 1, max(step, 1)))
             continue
-        for word in words:
-            if word:
-                into.extend([int(word)] if word.isdecimal() and len(word) <= 10 else kind.get(word, []))
+        for word in filter(None, words):
+            members = [int(word)] if word.isdecimal() and len(word) <= 10 else kind.get(word, [])
+            found.count(len(members), one.source)
+            into |= dict.fromkeys(members)
+    kind[one.options.get(one.name, "")] = list(into)
 
 
 def _nodes(found: Constraints, word: str, source: str) -> list[int]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from fmu.formats.constraints.equations import Equation, shown, solve_for_dependents
 from fmu.formats.constraints.rigid import ALL, Point, mean_motion, rigid_body, rigid_link
-from fmu.formats.matrices.limits import MOST_ENTRIES, DofName, RefusedError
+from fmu.formats.matrices.limits import MOST_DOFS, DofName, RefusedError
 from fmu.formats.matrices.nastran.cards import components, expand_list, identity, number
 from fmu.formats.shown import names_shown, quote
 from fmu.types import DIRECTIONS
@@ -22,6 +22,8 @@ from fmu.types import DIRECTIONS
 ENTRIES = ("RBE2", "RBE3", "RBAR", "MPC", "MPCADD", "SPCADD")
 UNREAD = ("RBE1", "RROD", "RTRPLT", "RSSCON", "RSPLINE", "RJOINT", "MPCAX", "SUPORT", "SUPORT1")
 """Entries that constrain and are not read."""
+MOST_FIELDS = 2**22
+"""Largest number of fields of all constraints."""
 _SELECTION = re.compile(r"(MPC|SPC)=(\d{1,9})$")
 
 Followed = list[tuple[list[int], float, list[int]]]
@@ -70,8 +72,8 @@ class Constraints:
         """Keep an entry if it is one of constraints or of their selection."""
         if name in ENTRIES:
             self.n_fields += len(fields)
-            if self.n_fields > MOST_ENTRIES:
-                raise RefusedError(f"must have constraints of at most {MOST_ENTRIES} fields")
+            if self.n_fields > MOST_FIELDS:
+                raise RefusedError(f"must have constraints of at most {MOST_FIELDS} fields")
         if name in ("RBE2", "RBE3", "RBAR"):
             self.rigid.append((name, fields))
         elif name == "MPC":
@@ -142,6 +144,8 @@ def equations_of(
             found += _rbe3(fields, point, source, constraints)
         else:
             found += _rbar(fields, point, source)
+        if len(found) > MOST_DOFS:
+            raise RefusedError(f"must have rigid elements with at most {MOST_DOFS} dependent components")
     for one in constraints.sets("MPC", sorted(constraints.mpc)):
         for k, fields in enumerate(constraints.mpc.get(one, []), 1):
             found.append(_mpc(fields, point, scalars, f"MPC {one}, equation {k}"))
@@ -157,8 +161,10 @@ def _rbe2(fields: list[str], point: Callable[[int], Point], source: str) -> list
     if nodes and "." in nodes[-1]:  # ALPHA, of thermal expansion
         nodes = nodes[:-1]
     dependents = expand_list(nodes, f"{source}: GM")
-    if not dependents:
-        raise ValueError(f"{source} must have dependent nodes (it has none)")
+    if not 1 <= len(dependents) * len(which) <= MOST_DOFS:
+        raise ValueError(
+            f"{source} must have 1 to {MOST_DOFS} dependent components (got {len(dependents) * len(which)})"
+        )
     return rigid_link(reference, [point(node) for node in dependents], which, source)
 
 
