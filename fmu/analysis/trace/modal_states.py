@@ -15,6 +15,7 @@ from fmu.fem.frame.drawing import Sketch, sketch
 from fmu.fem.modes.modal import mac
 from fmu.fem.pairing.expansion import serep
 from fmu.fem.pairing.paired_structure import structure_of
+from fmu.fem.reduced.reduced_structure import reduced_structures
 from fmu.progress.phases import advance_phase, phase
 from fmu.types import Dof, FloatArray
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from fmu.fem.modes.separable import SeparableModel
-    from fmu.fem.pairing.paired_structure import PairedStructure
     from fmu.posterior.data.modal_data import ModalData
     from fmu.posterior.problem import UpdatingProblem
 
@@ -99,7 +99,8 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
     model = structure_of(problem.model)
     if model is not None:
         structural = problem.model_parameters(theta)
-        shapes = _align_signs(np.array([_shapes(model, point) for point in structural]))
+        full = next(iter(reduced_structures(problem.model)), model)
+        shapes = _align_signs(np.array([_advance(full.shapes(point)) for point in structural]))
         variables |= _shape_variables(problem, model.structure, shapes)
     elif problem.model.n_tests > 1 and problem.data.shapes is not None and problem.model.gives_shapes:
         variables |= _shapes_in_tests(problem, theta)
@@ -109,9 +110,8 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
     )
 
 
-def _shapes(model: PairedStructure, theta: FloatArray) -> FloatArray:
-    """Return the mode shapes at one theta, shape (n_dof, n_modes)."""
-    shapes = model.shapes(theta)
+def _advance(shapes: FloatArray) -> FloatArray:
+    """Return the shapes unchanged, after a step of the progress bar."""
     advance_phase()
     return shapes
 

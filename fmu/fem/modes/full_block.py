@@ -53,11 +53,12 @@ class FullBlock(Block):
         self.K_terms, self.M_terms = _restrict_terms(model.K_terms, dofs), _restrict_terms(model.M_terms, dofs)
         super().__init__(dofs, self.K_terms, self.M_terms)
         self.size = len(dofs)
-        self.n_modes = self.n_trained = _finite_modes(self.M_terms)
+        known = _rank_of_all(self.M_terms)
+        self.n_modes = self.n_trained = _count_nonempty(self.M_terms) if known is None else known
         self.massless = self.n_modes < self.size
         self.constant = self.constant_mass and all(term.constant for term in self.K_terms)
-        self._constant_rank: int | None = None
-        self._last: tuple[tuple[bytes, int], FloatArray, FloatArray] | None = None
+        self._constant_rank = known if len(self.M_terms) == 1 else None
+        self._last: tuple[bytes, FloatArray, FloatArray] | None = None
 
     def __getstate__(self) -> dict[str, object]:
         """Return the state for pickling, without data that are recomputed on demand."""
@@ -91,16 +92,23 @@ class FullBlock(Block):
         times = 1
         if self.constant:
             times, theta = len(theta), theta[:1]
-        asked = None
-        if len(theta) == 1 and (self.constant or self.size > DENSE_LIMIT):
-            asked = (b"" if self.constant else theta.tobytes(), count)
-        if asked is None or self._last is None or self._last[0] != asked:
-            found = self._solve_each(theta, count)
-            if asked is None:
-                return found
-            self._last = (asked, *found)
+        if not (len(theta) == 1 and (self.constant or self.size > DENSE_LIMIT)):
+            return self._solve_each(theta, count)
+        at = b"" if self.constant else theta.tobytes()
+        if self._last is None or self._last[0] != at or self._last[1].shape[1] != count:
+            self._last = (at, *self._solve_each(theta, count))
         _, lam, phi = self._last
         return np.repeat(lam, times, axis=0), np.repeat(phi, times, axis=0)
+
+    def at_least(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+        """Return `modes` at theta (1, n_parameters), of `count` modes or as many more as the last solve there gave.
+
+        Their last digits may thus depend on the solves before, but a solve is saved.
+        """
+        last = self._last
+        if last is not None and last[0] == theta.tobytes() and last[1].shape[1] >= count:
+            return last[1:]
+        return self.modes(theta, count)
 
     def _solve_each(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         lam = np.full((len(theta), count), np.nan)
@@ -213,14 +221,18 @@ class FullBlock(Block):
         return slopes
 
 
-def _finite_modes(M_terms: tuple[Term, ...]) -> int:
-    """Return the number of modes of finite frequency, which is the rank of M where no term vanishes."""
+def _rank_of_all(M_terms: tuple[Term, ...]) -> int | None:
+    """Return the rank of M where no term vanishes, the number of modes of finite frequency; None if M is negative."""
     total = weighted_sum(M_terms, np.array([1.0 / max(abs(term.matrix).max(), 1e-300) for term in M_terms]))
     try:
         return rank(total)
-    except SingularMassError:  # terms that are differences: their sum shows only which rows are empty
-        empty = np.all([np.diff(term.matrix.indptr) == 0 for term in M_terms], axis=0)
-        return int(np.sum(~empty))
+    except SingularMassError:
+        return None
+
+
+def _count_nonempty(M_terms: tuple[Term, ...]) -> int:
+    """Return the number of rows that are not empty: the most that terms that are differences show of their rank."""
+    return int(np.sum(np.any([np.diff(term.matrix.indptr) > 0 for term in M_terms], axis=0)))
 
 
 def _is_finite(matrix: Matrix) -> bool:

@@ -329,7 +329,7 @@ def reference_modes(
     """
     picked = counterparts or tuple(range(1, n_modes + 1))
     n_total = model.n_modes
-    count = min(4 * max(picked), n_total)
+    count = min(max(picked) + SPARE, n_total)
     while True:
         shapes, ranks = _visible_modes(model, theta, sensors, rows, count)
         if len(shapes) >= max(picked):

@@ -169,7 +169,7 @@ class Anchors:
         if self._modes is None or self._modes.size < count:
             space = Space.empty(self.block, self.shift)
             for at in self.theta:
-                _, shapes = self.block.modes(at[None], min(count + _GUARDS, self.block.n_modes))
+                _, shapes = self.block.at_least(at[None], min(count + _GUARDS, self.block.n_modes))
                 if np.isfinite(shapes).all():
                     space = space.grown(shapes[0], self.first)
             if not space.size:

@@ -2,9 +2,9 @@
 
 The method is the block version of Davidson's method (1975, *J. Comput. Phys.* 17, 87–94; Crouzeix, Philippe &
 Sadkane 1994, *SIAM J. Sci. Comput.* 15, 62–76). It starts from the Ritz vectors of the basis and of the anchors'
-modes. The corrections are w = Ā⁻¹ r with the factors from training. Only K − σ M is factorised, once: its inertia
-is the number of eigenvalues below σ (Sylvester), and shows that no mode is missing. If this number does not agree
-with the modes found, or the iterations do not converge, the ordinary eigensolver is used.
+modes. The corrections are w = Ā⁻¹ r with the factors from training. At the first points K − σ M is factorised: its
+inertia is the number of eigenvalues below σ (Sylvester), and shows that no mode is missing. If this number does not
+agree with the modes found, the ordinary eigensolver is used from then on, and where the iterations do not converge.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ LARGE = 20_000
 CONVERGED = 1e-9
 """Estimated relative error of a frequency at which the iterations end; the last corrections are still added."""
 _MOST_STEPS = 12
+# Number of points at which the eigenvalues are counted, at the cost of a factorisation each.
+_COUNTED = 2
 # Number of modes above the requested ones, and how many ranks below the highest requested mode σ may lie.
 _BEYOND = 3
 
@@ -43,13 +45,14 @@ class ConfirmedBlock(FullBlock):
         self.__dict__.update(block.__dict__)
         self._last = None
         self._space, self._anchors = space, anchors
+        self._counted, self._is_complete = 0, True
 
     def _solve_each(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         lam = np.full((len(theta), count), np.nan)
         phi = np.full((len(theta), self.size, count), np.nan)
         for i in range(len(theta)):
             point = theta[i : i + 1]
-            found = self._from_ritz(point, count)
+            found = self._from_ritz(point, count) if self._is_complete else None
             lam[i], phi[i] = (of[0] for of in super()._solve_each(point, count)) if found is None else found
         return lam, phi
 
@@ -68,10 +71,13 @@ class ConfirmedBlock(FullBlock):
             return None
         factor = anchors.factor(int(best))
         found = davidson(A, M, space.shift, start, factor, wanted, count, float(alpha))
-        if found is None or not inertia_agrees(K, M, found[0], max(count - 1 - _BEYOND, 0), count):
+        if found is None:
             return None
         lam, X = found
-        return lam[:count], X[:, :count]
+        if self._counted < _COUNTED:
+            self._counted += 1
+            self._is_complete = bool(inertia_agrees(K, M, lam, max(count - 1 - _BEYOND, 0), count))
+        return (lam[:count], X[:, :count]) if self._is_complete else None
 
 
 def confirmed_model(bound: FrequencyBound) -> BlockModel[FullBlock]:

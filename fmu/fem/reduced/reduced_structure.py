@@ -176,14 +176,21 @@ class ReducedStructure(Approximation):
         """Return the modes of the full model at theta (n, n_parameters); large blocks reuse training's factors.
 
         For blocks of `fmu.fem.reduced.confirming.LARGE` degrees of freedom or more, iterations start from the
-        modes of the reduced model. They end when the estimated relative errors of the frequencies are below 1e-9,
-        and the number of eigenvalues is then verified.
+        modes of the reduced model. They end when the estimated relative errors of the frequencies are below 1e-9.
+        The number of eigenvalues is verified at the first two points.
         """
         within = self.within(theta)
         if not within.any():
             return self._truth.modes(theta)
         found = self._confirmed.modes(np.where(within[:, None], theta, self._corner))
         return found if within.all() else with_rows(found, ~within, self._truth.modes(theta[~within]))
+
+    def shapes(self, theta: FloatArray) -> FloatArray:
+        """Return the full model's shapes of the paired modes, (n_dof, n_modes), at theta (n_parameters,).
+
+        See `PairedStructure.shapes`, and `confirmed_modes` for large blocks.
+        """
+        return (self._confirmed if self.within(theta[None]).all() else self._truth).shapes(theta)
 
     @cached_property
     def _confirmed(self) -> PairedStructure:
