@@ -3,8 +3,9 @@
 The method is the block version of Davidson's method (1975, *J. Comput. Phys.* 17, 87–94; Crouzeix, Philippe &
 Sadkane 1994, *SIAM J. Sci. Comput.* 15, 62–76). It starts from the Ritz vectors of the basis and of the anchors'
 modes. The corrections are w = Ā⁻¹ r with the factors from training. At the first points K − σ M is factorised: its
-inertia is the number of eigenvalues below σ (Sylvester), and shows that no mode is missing. If this number does not
-agree with the modes found, the ordinary eigensolver is used from then on, and where the iterations do not converge.
+inertia is the number of eigenvalues below σ (Sylvester), and shows that no mode is missing. If this number does
+not agree with the modes found, the ordinary eigensolver is used from then on, and where the iterations do not
+converge.
 """
 
 from __future__ import annotations

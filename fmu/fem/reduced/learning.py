@@ -21,6 +21,7 @@ from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing
 from fmu.fem.reduced.anchors import Anchors
 from fmu.fem.reduced.basis import compress_rows
 from fmu.fem.reduced.residuals import at_once, bound_errors, inertia_agrees
+from fmu.fem.reduced.shared import SharedResiduals
 from fmu.fem.reduced.space import Space
 from fmu.types import BoolArray, FloatArray, IntArray
 
@@ -60,6 +61,8 @@ class Learner:
     ----------
     space : Space
     anchors : Anchors
+    shared : SharedResiduals or None
+        The residuals of the space; None if each is solved for.
     theta : ndarray, shape (n, n_parameters)
         Points visited so far.
     share : ndarray, shape (n,)
@@ -71,6 +74,8 @@ class Learner:
         self.dofs, self.n_modes = block.dofs, block.n_modes
         self.anchors = Anchors(block, lower, upper)
         self.space = self.anchors.modes(count)
+        self.shared = SharedResiduals.of(block) if len(self.anchors.theta) == 1 else None
+        self._share(self.space.V)
         self.theta, self.share = np.empty((0, len(lower))), np.empty(0)
         self._solved: tuple[Space, FloatArray, FloatArray] | None = None
 
@@ -100,7 +105,7 @@ class Learner:
         step = at_once(self.block, len(allowed))
         for first in range(0, len(theta), step):
             rows = slice(first, first + step)
-            found = bound_errors(self.space, self.anchors, theta[rows], len(allowed))
+            found = bound_errors(self.space, self.anchors, theta[rows], len(allowed), self.shared)
             self._look(theta[rows], share)
             solved = np.isfinite(found.eigenvalues)
             error = np.where(solved & self.is_whole, 0.0, found.error)
@@ -108,7 +113,7 @@ class Learner:
             wrong = solved & ~(error <= GROWN * allowed)
             if wrong.any() and not self.is_full:
                 target = np.broadcast_to(GROWN * allowed, wrong.shape)
-                self._correct(found.corrections[:, wrong], target[wrong])
+                self._correct(found.corrections(wrong), target[wrong])
         return good
 
     def largest_miss(self, cut: Space, theta: FloatArray, needed: int, allowed: float) -> float:
@@ -144,7 +149,17 @@ class Learner:
 
     def add(self, X: FloatArray) -> None:
         """Add vectors X (n_dof, m) to the space, such as modes of the full model."""
+        known = self.space.size
         self.space = self.space.grown(X, self.anchors.first)
+        self._share(self.space.V[:, known:])
+
+    def share_with(self, basis: FloatArray) -> SharedResiduals | None:
+        """Return the shared residuals of a basis (n_dof, q) of a part of the space; None if there are none."""
+        return None if self.shared is None else self.shared.restrict(self.space.V.T @ (self.anchors.first @ basis))
+
+    def _share(self, X: FloatArray) -> None:
+        if self.shared is not None:
+            self.shared = self.shared.grown(X, self.anchors.factor(0))
 
     def _correct(self, C: FloatArray, target: FloatArray) -> None:
         """Add directions of the corrections C (n_dof, m) to the space, as many as their errors need.

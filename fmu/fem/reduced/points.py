@@ -13,6 +13,7 @@ from fmu.fem.modes.terms import sum_at
 from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing
 from fmu.fem.reduced.anchors import Anchors, SingularAnchorError
 from fmu.fem.reduced.basis import Parts
+from fmu.fem.reduced.shared import SharedResiduals
 from fmu.types import FloatArray
 
 _MOST_VECTORS = 1000
@@ -54,6 +55,8 @@ class Trained:
         The anchors of each block by the block's index, if training made them.
     elsewhere : float or None
         The tolerance of the whole box if a smaller tolerance holds in a part of it; otherwise None.
+    shared : mapping of int to SharedResiduals
+        The residuals of large blocks, by the block's index.
     """
 
     model: Parts
@@ -63,6 +66,7 @@ class Trained:
     confirmed: bool = True
     anchors: Mapping[int, Anchors] = field(default_factory=dict)
     elsewhere: float | None = None
+    shared: Mapping[int, SharedResiduals] = field(default_factory=dict)
 
 
 def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> FloatArray:

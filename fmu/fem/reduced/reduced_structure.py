@@ -61,7 +61,8 @@ class ReducedStructure(Approximation):
         # the bounds have shape (1, n_parameters), like one theta, which saves broadcasting in NumPy
         self.lower, self.upper = trained.lower[None], trained.upper[None]
         self._corner = self.lower
-        self._bound = FrequencyBound(truth.blocks, trained.model, trained.lower, trained.upper, trained.anchors)
+        box = trained.lower, trained.upper
+        self._bound = FrequencyBound(truth.blocks, trained.model, *box, trained.anchors, trained.shared)
         self._answer_by(self.cheap)
 
     def _answer_by(self, cheap: PairedStructure) -> None:

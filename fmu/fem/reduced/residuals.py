@@ -23,8 +23,8 @@ training counts the modes at some points by Sylvester's law of inertia.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import InitVar, dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import InitVar, dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -34,8 +34,9 @@ from fmu.fem.modes.modal import RIGID, BlockModel, ModalSolution
 from fmu.fem.modes.solver import Matrix, factorise
 from fmu.fem.reduced.anchors import Anchors, Far
 from fmu.fem.reduced.basis import Parts
+from fmu.fem.reduced.shared import SharedResiduals
 from fmu.fem.reduced.space import Space
-from fmu.types import FloatArray
+from fmu.types import BoolArray, FloatArray, IntArray
 
 BUDGET = 2**28
 """Memory in bytes for dense arrays of vectors of all degrees of freedom in training."""
@@ -58,26 +59,47 @@ class Bounded(NamedTuple):
         M-normalised shapes, as coefficients of the trial vectors.
     error : ndarray, shape (n, m)
         Bound of the relative error of the frequency; infinite where there is none.
-    corrections : ndarray, shape (n_dof, n, m)
-        The vectors w / √σ; half their energy in Ā is about the error.
+    corrections : callable
+        Returns the vectors w / √σ, shape (n_dof, q), of the q modes in a mask (n, m); half the energy in Ā of such
+        a vector is about the error of its mode.
     """
 
     eigenvalues: FloatArray
     y: FloatArray
     error: FloatArray
-    corrections: FloatArray
+    corrections: Callable[[BoolArray], FloatArray]
 
 
-def bound_errors(space: Space, anchors: Anchors, theta: FloatArray, count: int) -> Bounded:
-    """Return the lowest `count` modes at theta (n, p) with bounds of their errors; NaN where the solver fails."""
+def bound_errors(
+    space: Space, anchors: Anchors, theta: FloatArray, count: int, shared: SharedResiduals | None = None
+) -> Bounded:
+    """Return the lowest `count` modes at theta (n, p) with bounds of their errors; NaN where the solver fails.
+
+    With the residuals of the space that are `shared`, nothing is solved for.
+    """
     known = anchors.modes(count)
     wanted = min(known.size, space.size, count + AHEAD)
     lam, y = space.modes(theta, wanted)
     rest = _lowest_of_the_rest(lam, known.modes(theta, wanted)[0], count) + space.shift
     lam, y = lam[:, :count], y[:, :, :count]
-    n_dof, n = space.block.size, len(theta)
     best, alpha = anchors.nearest(theta, space)
     sigma = lam + space.shift
+    if shared is not None:
+        z = shared.coefficients(theta, lam, y)
+        error = frequency_error(lam, space.shift, *shared.forms(theta, z), alpha, rest)
+        z = (z / np.sqrt(np.abs(sigma))[:, None]).swapaxes(1, 2)
+        return Bounded(lam, y, error, lambda of: shared.corrections(z[of].T))
+    W, G, mass = _solved_residuals(space, anchors, theta, best, lam, y)
+    error = frequency_error(lam, space.shift, G, mass, alpha, rest)
+    W /= np.sqrt(np.abs(sigma))
+    return Bounded(lam, y, error, lambda of: W[:, of])
+
+
+def _solved_residuals(
+    space: Space, anchors: Anchors, theta: FloatArray, best: IntArray, lam: FloatArray, y: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return w = Ā⁻¹ r (n_dof, n, m), the forms rᵢᵀ wⱼ (n, m, m) and wᵀ M w (n, m), by the anchors `best` (n,)."""
+    n_dof, (n, count) = space.block.size, lam.shape
     R = np.empty((n_dof, n, count), order="F")
     for i, (K, M) in enumerate(space.block._matrices(theta)):
         U = space.V @ y[i]
@@ -89,9 +111,7 @@ def bound_errors(space: Space, anchors: Anchors, theta: FloatArray, count: int) 
     for i, M in enumerate(space.block._masses(theta)):
         G[i] = R[:, i].T @ W[:, i]
         mass[i] = np.sum(W[:, i] * (M @ W[:, i]), axis=0)
-    error = frequency_error(lam, space.shift, G, mass, alpha, rest)
-    W /= np.sqrt(np.abs(sigma))
-    return Bounded(lam, y, error, W)
+    return W, G, mass
 
 
 def _lowest_of_the_rest(lam: FloatArray, known: FloatArray, count: int) -> FloatArray:
@@ -171,6 +191,8 @@ class FrequencyBound:
         Bounds of the box.
     anchors : mapping of int to Anchors
         Existing anchors, by the index of their block; missing ones are made when they are needed.
+    shared : mapping of int to SharedResiduals, optional
+        Residuals of reduced blocks, by the index of their block; without them, each residual is solved for.
     """
 
     full: BlockModel[FullBlock]
@@ -178,6 +200,7 @@ class FrequencyBound:
     lower: FloatArray
     upper: FloatArray
     anchors: InitVar[Mapping[int, Anchors]]
+    shared: Mapping[int, SharedResiduals] = field(default_factory=dict)
 
     def __post_init__(self, anchors: Mapping[int, Anchors]) -> None:
         self._anchors = dict(anchors)
@@ -200,7 +223,7 @@ class FrequencyBound:
         for b, count in counts.items():
             space, anchors = self.trial(b)
             far = anchors.far(theta, space)
-            if far and not np.all(bound_errors(space, anchors, far.theta[None], count).error <= tolerance):
+            if far and not np.all(self._of_block(b, far.theta[None], count) <= tolerance):
                 return far
         return None
 
@@ -219,7 +242,8 @@ class FrequencyBound:
         space, anchors = self.trial(b)
         step = at_once(full, count)
         parts = [theta[first : first + step] for first in range(0, len(theta), step)]
-        return np.concatenate([bound_errors(space, anchors, part, count).error for part in parts])
+        shared = self.shared.get(b)
+        return np.concatenate([bound_errors(space, anchors, part, count, shared).error for part in parts])
 
 
 def inertia_agrees(K: Matrix, M: Matrix, lam: FloatArray, first: int, last: int | None = None) -> bool | None:

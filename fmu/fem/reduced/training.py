@@ -34,6 +34,7 @@ from fmu.fem.reduced.points import (
     points_near_zero,
 )
 from fmu.fem.reduced.residuals import FrequencyBound
+from fmu.fem.reduced.shared import SharedResiduals
 from fmu.fem.reduced.space import Space
 from fmu.progress.phases import count_solves, phase
 from fmu.types import BoolArray, FloatArray
@@ -94,6 +95,7 @@ class Training:
         self.learners: dict[int, Learner] = {}
         self.fixed: RankPairing | None = None
         self.reduced: dict[int, ReducedBlock] = {}
+        self.shared: dict[int, SharedResiduals] = {}
         self.n_trained: dict[int, int] = {}
         self.confirmed = True
         self.share = 1.0
@@ -214,6 +216,8 @@ class Training:
         for b, reduced in self.reduced.items():
             state[f"basis{b}"] = reduced.basis
             state[f"n_trained{b}"] = np.array(float(reduced.n_trained))
+        for b, shared in self.shared.items():
+            state[f"energy{b}"], state[f"mass{b}"] = shared.energy, shared.mass
         return state
 
     @classmethod
@@ -231,6 +235,8 @@ class Training:
             if f"basis{b}" in state:
                 n_trained = int(state[f"n_trained{b}"])
                 training.reduced[b] = ReducedBlock(full[b], state[f"basis{b}"], n_trained)
+            if f"energy{b}" in state:
+                training.shared[b] = SharedResiduals(full[b], state[f"energy{b}"], state[f"mass{b}"])
         return training._current()
 
     def _current(self) -> Trained:
@@ -238,11 +244,12 @@ class Training:
         model = BlockModel(tuple(blocks), self.full.n_parameters)
         anchors = {b: learner.anchors for b, learner in self.learners.items()}
         elsewhere = self.tolerance if self.is_narrow else None
-        return Trained(model, self.fixed or self.rule, self.lower, self.upper, self.confirmed, anchors, elsewhere)
+        box = self.lower, self.upper
+        return Trained(model, self.fixed or self.rule, *box, self.confirmed, anchors, elsewhere, self.shared)
 
     def _bound(self) -> FrequencyBound:
         trained = self._current()
-        return FrequencyBound(self.full, trained.model, self.lower, self.upper, trained.anchors)
+        return FrequencyBound(self.full, trained.model, self.lower, self.upper, trained.anchors, self.shared)
 
     def _visit(self, enough: int) -> bool:
         """Visit fresh points until errors at `enough` consecutive points are small; return True on success."""
@@ -294,6 +301,8 @@ class Training:
             b: ReducedBlock(self.full[b], self._choose_cut(b, needed), needed)
             for b, needed in self.n_trained.items()
         }
+        shared = {b: self.learners[b].share_with(reduced.basis) for b, reduced in self.reduced.items()}
+        self.shared = {b: residuals for b, residuals in shared.items() if residuals is not None}
 
     def is_cut(self) -> bool:
         """Return True if a basis has reached its largest useful size, so that more points cannot improve it."""

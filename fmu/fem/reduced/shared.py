@@ -1,0 +1,122 @@
+"""Residuals of a reduced model at all points of its box, from one set of right-hand sides.
+
+The residual of a Ritz pair, r = Σ_k c_k(θ) K_k V y − μ Σ_l d_l(θ) M_l V y, is a sum of the vectors K_k V and M_l
+V, which do not depend on θ. With W = Ā⁻¹ [K_k V, M_l V], solved for once, the energies rᵀ Ā⁻¹ r and the
+corrections Ā⁻¹ r of every mode at every θ follow without a further solve (offline and online stage; Rozza, Huynh &
+Patera 2008, *Arch. Comput. Methods Eng.* 15, 229–275, section 8). An energy is a difference of numbers of the size
+of λ and has thus an error of 1e-15 λ, whereas the errors of frequencies that matter are above 1e-9.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from fmu.fem.modes.full_block import FullBlock
+from fmu.fem.modes.solver import Factor
+from fmu.fem.modes.terms import coefficients
+from fmu.types import FloatArray
+
+LARGE = 20_000
+"""Degrees of freedom of a block from which on right-hand sides are shared."""
+_MOST_TERMS = 16
+MEMORY = 2**33
+"""Largest memory of the vectors W in bytes; a larger space solves for each residual by itself."""
+_TOGETHER = 32  # vectors of a space whose right-hand sides are solved together
+
+
+@dataclass(frozen=True, eq=False)
+class SharedResiduals:
+    """The products of all right-hand sides of one block. Index v T + t is of vector v and term t, K before M.
+
+    Attributes
+    ----------
+    block : FullBlock
+    energy : ndarray, shape (r T, r T)
+        The forms Rᵀ Ā⁻¹ R of the right-hand sides R, for r vectors and T terms.
+    mass : ndarray, shape (n_mass_terms, r T, r T)
+        The forms Wᵀ M_l W.
+    W : tuple of ndarray, each of shape (n_dof, q T)
+        The solutions W = Ā⁻¹ R, in strips; empty if the space is final.
+    """
+
+    block: FullBlock
+    energy: FloatArray
+    mass: FloatArray
+    W: tuple[FloatArray, ...] = ()
+
+    @classmethod
+    def of(cls, block: FullBlock) -> Self | None:
+        """Return the residuals of a space without vectors; None if the block is small or has many terms."""
+        n_terms = len(block.K_terms) + len(block.M_terms)
+        if block.size < LARGE or n_terms > _MOST_TERMS:
+            return None
+        return cls(block, np.empty((0, 0)), np.empty((len(block.M_terms), 0, 0)))
+
+    def grown(self, X: FloatArray, factor: Factor) -> Self | None:
+        """Return the residuals of the space with the vectors X (n_dof, q) added; None if they are too many.
+
+        `factor` are the factors of Ā.
+        """
+        terms = (*self.block.K_terms, *self.block.M_terms)
+        grown = self
+        for first in range(0, X.shape[1], _TOGETHER):
+            new = X[:, first : first + _TOGETHER]
+            size = len(grown.energy) + new.shape[1] * len(terms)
+            if 8 * size * self.block.size > MEMORY:
+                return None
+            R = np.stack([term.matrix @ new for term in terms], axis=2).reshape(self.block.size, -1)
+            W = factor.solve(R)
+            energy = np.concatenate([part.T @ R for part in (*grown.W, W)])
+            masses = []
+            for term, mass in zip(self.block.M_terms, grown.mass, strict=True):
+                heavy = term.matrix @ W
+                masses.append(_bordered(mass, np.concatenate([part.T @ heavy for part in (*grown.W, W)])))
+            grown = replace(grown, energy=_bordered(grown.energy, energy), mass=np.stack(masses), W=(*grown.W, W))
+        return grown
+
+    def restrict(self, S: FloatArray) -> Self:
+        """Return the residuals of the space V S, for S (r, q), without the vectors W."""
+        T = len(self.energy) // len(S)
+
+        def restricted(forms: FloatArray) -> FloatArray:
+            parts = forms.reshape(len(S), T, len(S), T)
+            return np.asarray(np.einsum("ac,atbu,bd->ctdu", S, parts, S, optimize=True)).reshape(
+                T * S.shape[1], -1
+            )
+
+        return replace(self, energy=restricted(self.energy), mass=np.stack(list(map(restricted, self.mass))), W=())
+
+    def coefficients(self, theta: FloatArray, lam: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the residuals, (n, r T, m), as coefficients of R, of modes λ (n, m) and y (n, r, m) at theta (n,
+        p)."""
+        stiff = np.repeat(coefficients(self.block.K_terms, theta)[:, None], lam.shape[1], axis=1)
+        heavy = -lam[:, :, None] * coefficients(self.block.M_terms, theta)[:, None]
+        weights = np.concatenate([stiff, heavy], axis=2)  # (n, m, T)
+        z = y.swapaxes(1, 2)[..., None] * weights[:, :, None]
+        return np.asarray(z.reshape(*lam.shape, -1).swapaxes(1, 2))
+
+    def forms(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return rᵢᵀ Ā⁻¹ rⱼ (n, m, m) and wᵀ M(θ) w (n, m) of the residuals `coefficients` gave at theta (n,
+        p)."""
+        energy = z.swapaxes(1, 2) @ (self.energy @ z)
+        heavy = coefficients(self.block.M_terms, theta)
+        mass = sum(heavy[:, [k]] * np.sum(z * (form @ z), axis=1) for k, form in enumerate(self.mass))
+        return energy, np.asarray(mass)
+
+    def corrections(self, z: FloatArray) -> FloatArray:
+        """Return the vectors Ā⁻¹ r, shape (n_dof, m), of residuals z (r T, m)."""
+        found, first = np.zeros((self.block.size, z.shape[1])), 0
+        for part in self.W:
+            found += part @ z[first : first + part.shape[1]]
+            first += part.shape[1]
+        return found
+
+
+def _bordered(form: FloatArray, columns: FloatArray) -> FloatArray:
+    """Return the symmetric form (r, r) with the last columns (r + q, q) added."""
+    r = len(form)
+    corner = columns[r:]
+    return np.block([[form, columns[:r]], [columns[:r].T, 0.5 * (corner + corner.T)]])
