@@ -13,10 +13,9 @@ from fmu.analysis.trace.densities import is_updating
 from fmu.analysis.trace.reading import parameter_draws
 from fmu.fem.certificates import Certificate, ReductionCertificate, SurrogateCertificate
 from fmu.fem.modes.modal import ModalSolution, frequency_hz
-from fmu.fem.reduced.confirming import LARGE
 from fmu.fem.reduced.reduced_structure import ReducedStructure, largest_tolerance_elsewhere, reduced_structures
+from fmu.fem.reduced.shared import LARGE
 from fmu.numbers import share, whole
-from fmu.posterior.reduction.region import PLAUSIBLE
 from fmu.posterior.reduction.tolerance import Tolerance
 from fmu.progress.phases import by_parts
 from fmu.types import FloatArray
@@ -141,7 +140,7 @@ def certify(
     if problem.likelihood.of_modes:
         of_exact, of_reduced = _terms_of_both(problem, theta, exact_hz, reduced_hz)
         total = of_exact.sum(axis=1)
-        plausible = total >= total.max() - PLAUSIBLE
+        plausible = total >= total.max() - tolerance.depth
         log_prob_error = float(np.max(np.abs(np.sum(of_reduced - of_exact, axis=1)[plausible])))
     changed = np.any(exact[..., 1:] != found[..., 1:], axis=(1, 2))
     # if the pairing differs, the bounds are of other modes

@@ -103,10 +103,11 @@ class ProblemFile(TomlTable):
     """Errors of the model itself, which must not be taken to be right: [[discrepancy]] with kind = "embedded"."""
     reduction: Reduction = True
     """Whether a certified reduced model replaces the full one within the bounds, which is much faster. A number up
-    to 0.01 is the tolerance on its relative frequency errors; true stands for 1e-6. Where the bounds are so wide
-    that this would not pay, it is kept where the posterior has its mass, and 1e-3 elsewhere; or the model is
-    reduced by its modes at draws of prior and posterior, where errors of the log-probability stay below 0.1. A
-    warning tells which error is kept."""
+    to 0.01 is the tolerance on its relative frequency errors; true stands for 1e-6, and with 20 000 degrees of
+    freedom or more for an error of the log-probability of 0.01 where the posterior has its mass. Where the bounds
+    are so wide that this would not pay, it is kept where the posterior has its mass, and 1e-3 elsewhere; or the
+    model is reduced by its modes at draws of prior and posterior, where errors of the log-probability stay below
+    0.1. A warning tells which error is kept."""
     model: Annotated[
         FrameTable | MatricesTable | ExportsTable | CommandTable | OpenSeesTable | PythonTable,
         Field(discriminator="type"),

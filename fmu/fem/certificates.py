@@ -70,8 +70,8 @@ class ReductionCertificate(Certificate):
     Attributes
     ----------
     log_prob_error : float
-        Largest error of the log-probability at the solved draws whose likelihood is within a factor e⁵⁰ of the
-        highest. At lower likelihoods, where a chain may have started, the error is not bounded.
+        Largest error of the log-probability at the solved draws whose likelihood is within the tolerance's depth
+        of the highest. At lower likelihoods, where a chain may have started, the error is not bounded.
     pairing_changes : int
         Number of draws at which the true model pairs a measured mode with a different computed mode.
     full_solves : int

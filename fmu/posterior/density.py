@@ -20,7 +20,7 @@ from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.varies.base import Role
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.joint import JointPrior
-from fmu.posterior.reduction.tolerance import Tolerance
+from fmu.posterior.reduction.tolerance import MEASURED, Tolerance
 from fmu.types import BoolArray, ComplexArray, FloatArray, Plain
 
 
@@ -247,7 +247,7 @@ class Posterior:
 
     def configuration(self) -> dict[str, Plain]:
         """Return a dict of the settings and data that define the posterior, in plain Python types."""
-        other = {} if self.tolerance in (None, Tolerance()) else {"reduction": self.tolerance.frequency}
+        other = {} if self.tolerance in (None, Tolerance(), MEASURED) else {"reduction": self.tolerance.frequency}
         of_tests = {} if len(self.tests) == 1 else self.layout.configuration()
         if self.layout.held:
             of_tests = {"not_updated": dict(self.layout.held), **of_tests}

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from fmu.arguments import OwnRule, check_arguments
 from fmu.engines.base import Engine
 from fmu.fem.pairing.modal_model import Model
+from fmu.fem.pairing.paired_structure import largest_block
 from fmu.fem.pairing.rules import SOFTNESS
 from fmu.posterior.build import check_held, check_names, likelihood_of, paired_model
 from fmu.posterior.data.modal_data import ModalData
@@ -180,8 +181,9 @@ class UpdatingProblem(Posterior):
         *args, **options
             The arguments of `UpdatingProblem`.
         reduction : bool or float
-            Largest relative error of the reduced model's frequencies, above 0 and at most 0.01; True means 1e-6.
-            The largest error of the log-probability follows from this value
+            Largest relative error of the reduced model's frequencies, above 0 and at most 0.01; True means 1e-6,
+            or as much as the errors of the measurement allow for 20 000 degrees of freedom or more. The largest
+            error of the log-probability follows from this value
             (`fmu.posterior.reduction.tolerance.Tolerance.of`). False keeps the full model.
         engine : Engine, optional
             The engine whose workers train the reduced model (see `fmu.engine`); the result is identical to the
@@ -197,8 +199,9 @@ class UpdatingProblem(Posterior):
         ReductionWarning
             If training ended before the tolerance was reached.
         """
-        tolerance = Tolerance.of(reduction)
+        Tolerance.of(reduction)  # its errors come before the work
         problem = cls(*args, **options)
+        tolerance = Tolerance.of(reduction, max(map(largest_block, problem.model.parts), default=0))
         if tolerance is None:
             return problem
         problem.tolerance = tolerance

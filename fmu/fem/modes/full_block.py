@@ -101,8 +101,7 @@ class FullBlock(Block):
         return np.repeat(lam, times, axis=0), np.repeat(phi, times, axis=0)
 
     def at_least(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return `modes` at theta (1, n_parameters), of `count` modes or as many more as the last solve there
-        gave.
+        """Return `modes` at theta (1, n_parameters): `count` modes, or more if the last solve there gave more.
 
         Their last digits may thus depend on the solves before, but a solve is saved.
         """
@@ -223,8 +222,7 @@ class FullBlock(Block):
 
 
 def _rank_of_all(M_terms: tuple[Term, ...]) -> int | None:
-    """Return the rank of M where no term vanishes, the number of modes of finite frequency; None if M is
-    negative."""
+    """Return the rank of M, the number of modes of finite frequency, where no term vanishes; None if negative."""
     total = weighted_sum(M_terms, np.array([1.0 / max(abs(term.matrix).max(), 1e-300) for term in M_terms]))
     try:
         return rank(total)
@@ -233,8 +231,7 @@ def _rank_of_all(M_terms: tuple[Term, ...]) -> int | None:
 
 
 def _count_nonempty(M_terms: tuple[Term, ...]) -> int:
-    """Return the number of rows that are not empty: the most that terms that are differences show of their
-    rank."""
+    """Return the number of rows that are not empty: all that is known of the rank if terms are differences."""
     return int(np.sum(np.any([np.diff(term.matrix.indptr) > 0 for term in M_terms], axis=0)))
 
 

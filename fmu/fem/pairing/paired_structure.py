@@ -307,6 +307,12 @@ def structure_of(model: ModalModel) -> PairedStructure | None:
     return truth if isinstance(truth, PairedStructure) else None
 
 
+def largest_block(model: ModalModel) -> int:
+    """Return the degrees of freedom of the largest block of a model's matrices; 0 for a model without matrices."""
+    structure = structure_of(model)
+    return 0 if structure is None else max(block.size for block in structure.blocks)
+
+
 def frequencies_of(modes: ModalSolution) -> tuple[FloatArray, FloatArray]:
     """Return frequencies in Hz (n, n_modes) and their gradients (n, n_modes, n_parameters) of solved modes."""
     assert modes.gradient is not None  # for the type checker: the caller has requested the gradients

@@ -17,12 +17,11 @@ from fmu.fem.modes.modal import BlockModel
 from fmu.fem.modes.solver import Factor, Matrix
 from fmu.fem.reduced.anchors import Anchors
 from fmu.fem.reduced.residuals import FrequencyBound, inertia_agrees
+from fmu.fem.reduced.shared import LARGE
 from fmu.fem.reduced.space import Space, new_directions
 from fmu.types import FloatArray
 
-LARGE = 20_000
-"""Degrees of freedom of a block from which on its modes are computed by this method."""
-CONVERGED = 1e-9
+CONVERGED = 1e-8
 """Estimated relative error of a frequency at which the iterations end; the last corrections are still added."""
 _MOST_STEPS = 12
 # Number of points at which the eigenvalues are counted, at the cost of a factorisation each.

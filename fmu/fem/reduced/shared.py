@@ -20,7 +20,8 @@ from fmu.fem.modes.terms import coefficients
 from fmu.types import FloatArray
 
 LARGE = 20_000
-"""Degrees of freedom of a block from which on right-hand sides are shared."""
+"""Degrees of freedom of a block from which on a solve is dear: right-hand sides are shared, modes that confirm the
+basis start from its modes, and the errors of the measurement set the tolerance."""
 _MOST_TERMS = 16
 MEMORY = 2**33
 """Largest memory of the vectors W in bytes; a larger space solves for each residual by itself."""
@@ -90,8 +91,7 @@ class SharedResiduals:
         return replace(self, energy=restricted(self.energy), mass=np.stack(list(map(restricted, self.mass))), W=())
 
     def coefficients(self, theta: FloatArray, lam: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the residuals, (n, r T, m), as coefficients of R, of modes λ (n, m) and y (n, r, m) at theta (n,
-        p)."""
+        """Return the residuals as coefficients of R, (n, r T, m), for λ (n, m) and y (n, r, m) at theta (n, p)."""
         stiff = np.repeat(coefficients(self.block.K_terms, theta)[:, None], lam.shape[1], axis=1)
         heavy = -lam[:, :, None] * coefficients(self.block.M_terms, theta)[:, None]
         weights = np.concatenate([stiff, heavy], axis=2)  # (n, m, T)
@@ -99,8 +99,7 @@ class SharedResiduals:
         return np.asarray(z.reshape(*lam.shape, -1).swapaxes(1, 2))
 
     def forms(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return rᵢᵀ Ā⁻¹ rⱼ (n, m, m) and wᵀ M(θ) w (n, m) of the residuals `coefficients` gave at theta (n,
-        p)."""
+        """Return rᵢᵀ Ā⁻¹ rⱼ (n, m, m) and wᵀ M(θ) w (n, m) at theta (n, p) from the `coefficients` z of r."""
         energy = z.swapaxes(1, 2) @ (self.energy @ z)
         heavy = coefficients(self.block.M_terms, theta)
         mass = sum(heavy[:, [k]] * np.sum(z * (form @ z), axis=1) for k, form in enumerate(self.mass))

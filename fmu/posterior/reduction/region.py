@@ -10,10 +10,9 @@ from fmu.posterior.ascent import GaussNewton
 from fmu.posterior.density import Posterior
 from fmu.posterior.maxima import local_maxima
 from fmu.posterior.parameters import Parameter, box
+from fmu.posterior.reduction.tolerance import PLAUSIBLE
 from fmu.types import FloatArray
 
-# Points whose log-probability is lower than the maximum by more than this are neglected.
-PLAUSIBLE = 50.0
 _TRIED = 7  # bisection steps along each direction
 # Largest share of the posterior outside a box; range of the log-probability below the highest maximum in which
 # maxima are considered; number of draws at each maximum.

@@ -6,9 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fmu.fem.reduced.shared import LARGE
+
 FREQUENCY_TOLERANCE = 1e-6
 LOG_PROB_TOLERANCE = 1e-3
 LOOSEST_FREQUENCY, LOOSEST_LOG_PROB = 1e-2, 0.1
+PLAUSIBLE = 50.0
+"""Points whose log-probability is lower than the maximum by more than this are neglected."""
 
 
 @dataclass(frozen=True)
@@ -20,15 +24,19 @@ class Tolerance:
     frequency : float
         Largest relative error of a frequency, over the whole box.
     log_prob : float
-        Largest error of the log-probability, wherever the log-probability is within `PLAUSIBLE` of its maximum.
+        Largest error of the log-probability, wherever the log-probability is within `depth` of its maximum.
+    depth : float
     """
 
     frequency: float = FREQUENCY_TOLERANCE
     log_prob: float = LOG_PROB_TOLERANCE
+    depth: float = PLAUSIBLE
 
     @classmethod
-    def of(cls, reduction: bool | float) -> Tolerance | None:
+    def of(cls, reduction: bool | float, n_dof: int = 0) -> Tolerance | None:
         """Return the tolerance for the argument `reduction` of a problem, None for no reduced model.
+
+        `n_dof` is the number of degrees of freedom of the largest block.
 
         Raises
         ------
@@ -42,9 +50,13 @@ class Tolerance:
         tolerance of the frequencies: 1e-3 for a tolerance of 1e-6. An error ε(θ) of log P with |ε| ≤ t shifts the
         posterior mean of a quantity g by Cov(g, ε) ≤ t sd(g) to first order, at most t posterior standard
         deviations. For this reason t is at most 0.1, which is the Monte Carlo error of 100 effective draws.
+
+        For a block of `LARGE` degrees of freedom or more, true stands for an error of the log-probability of 0.01
+        wherever it is within 10 of its maximum, which a posterior of some ten parameters hardly leaves; the
+        frequencies follow the errors of the measurement there, and have 1e-3 in the rest of the box.
         """
         if isinstance(reduction, bool | np.bool_):
-            return cls() if reduction else None
+            return None if not reduction else MEASURED if n_dof >= LARGE else cls()
         if not (isinstance(reduction, int | float | np.number) and 0.0 < reduction <= LOOSEST_FREQUENCY):
             raise ValueError(
                 "reduction: must be true, false or the largest relative error of a frequency, above 0 and at most "
@@ -52,3 +64,7 @@ class Tolerance:
             )
         frequency = float(reduction)
         return cls(frequency, min(LOG_PROB_TOLERANCE * (frequency / FREQUENCY_TOLERANCE), LOOSEST_LOG_PROB))
+
+
+MEASURED = Tolerance(1e-3, 1e-2, 10.0)
+"""The tolerance of a large structure, which the errors of its measurement set."""

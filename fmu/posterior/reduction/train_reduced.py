@@ -23,7 +23,7 @@ from fmu.fem.reduced.training import BUDGET
 from fmu.numbers import apart, significant, typed
 from fmu.posterior.density import Posterior
 from fmu.posterior.errors.likelihood import ModalLikelihood
-from fmu.posterior.reduction.region import PLAUSIBLE, is_narrower, plausible_points, posterior_box, training_box
+from fmu.posterior.reduction.region import is_narrower, plausible_points, posterior_box, training_box
 from fmu.posterior.reduction.tolerance import (
     LOOSEST_FREQUENCY,
     LOOSEST_LOG_PROB,
@@ -56,15 +56,16 @@ def reduced_model(
     """Return a reduced model, trained or read from the cache, and the tolerance that it must meet.
 
     At every point tested in the box, the frequencies meet their tolerance. The log-probability meets its tolerance
-    wherever it is within `PLAUSIBLE` of its maximum. Points at a jump, where modes swap and the two models may
-    pair different modes, are not counted. Training ends early if more points do not help, because only rounding of
-    the full model remains, or if a larger basis would not save time (`fmu.fem.reduced.points.affordable`). After a
-    run, the certificate states whether the tolerances were met (`fmu.analysis.certificate`).
+    wherever it is within the tolerance's `depth` of its maximum. Points at a jump, where modes swap and the two
+    models may pair different modes, are not counted. Training ends early if more points do not help, because only
+    rounding of the full model remains, or if a larger basis would not save time
+    (`fmu.fem.reduced.points.affordable`). After a run, the certificate states whether the tolerances were met
+    (`fmu.analysis.certificate`).
 
     If the box is so wide that a basis for the tolerance would not save time, three alternatives are tried in turn:
 
     - A basis with which the frequencies are accurate to 1e-3 in the box, and to their tolerance wherever the
-      log-probability is within `PLAUSIBLE` of its maximum, if this basis saves time.
+      log-probability is within that depth of its maximum, if this basis saves time.
     - A basis of modes at draws from the prior and the posterior, if the errors of the log-probability are below
       `LOOSEST_LOG_PROB`.
     - The full model, which is returned with None for the tolerance.
@@ -87,7 +88,7 @@ def reduced_model(
     structure = structure_of(problem.model)
     if structure is None:
         return problem.model, None
-    tolerances = (tolerance.frequency, tolerance.log_prob, PLAUSIBLE)
+    tolerances = (tolerance.frequency, tolerance.log_prob, tolerance.depth)
     key = {"problem": problem.configuration(), "tolerances": tolerances, "solver": structure.solver}
     state = load_basis(key)
     if state is not None:
@@ -106,8 +107,8 @@ def reduced_model(
     def some_points(model: ReducedStructure) -> FloatArray:
         """Return plausible points; for a large structure inside the trained box, where no full model is needed."""
         if structure.solver == LAPACK:
-            return plausible_points(problem.with_model(model), 64, rng)
-        points = plausible_points(problem.with_model(model.extend(*bounds)), 64, rng)
+            return plausible_points(problem.with_model(model), 64, rng, tolerance.depth)
+        points = plausible_points(problem.with_model(model.extend(*bounds)), 64, rng, tolerance.depth)
         return np.concatenate([np.clip(points[:, :n], *trained), points[:, n:]], axis=1)
 
     def wider_box(model: ReducedStructure) -> tuple[FloatArray, FloatArray] | None:

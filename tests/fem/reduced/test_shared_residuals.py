@@ -1,4 +1,4 @@
-"""Residuals from shared right-hand sides: the bounds and corrections are those of residuals solved for one by one."""
+"""Residuals from shared right-hand sides: bounds and corrections as if each residual were solved for."""
 
 import numpy as np
 import pytest

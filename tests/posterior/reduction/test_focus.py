@@ -135,7 +135,7 @@ def test_a_theta_outside_the_bounds_gets_the_full_models_frequencies_and_is_coun
 
 def promise(monkeypatch, frequency, log_prob):
     """Let every problem ask for these tolerances."""
-    monkeypatch.setattr(Tolerance, "of", classmethod(lambda cls, reduction: cls(frequency, log_prob)))
+    monkeypatch.setattr(Tolerance, "of", classmethod(lambda cls, *_: cls(frequency, log_prob)))
 
 
 @pytest.fixture
@@ -349,7 +349,7 @@ def test_a_looser_tolerance_is_another_configuration_another_file_and_a_smaller_
         sizes.append(sum(b.size for b in problem.model.cheap.blocks if isinstance(b, ReducedBlock)))
         errors.append(np.max(np.abs(problem.frequencies(theta) / exact - 1.0)) / reduction)
         full = problem.likelihood.error.log_prob_terms(exact).sum(axis=1)
-        near = full > full.max() - focus.PLAUSIBLE
+        near = full > full.max() - problem.tolerance.depth
         assert_allclose(
             problem.log_likelihood(theta)[near], full[near], rtol=0, atol=2 * problem.tolerance.log_prob
         )
