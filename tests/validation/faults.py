@@ -619,6 +619,13 @@ IN_THE_STRUCTURE = (
         ("tests/fem/reduced/test_frequency_bound.py",),
     ),
     Fault(
+        "shared residuals: the mass terms have the wrong sign",
+        "fmu/fem/reduced/shared.py",
+        "heavy = -lam[:, :, None] *",
+        "heavy = lam[:, :, None] *",
+        ("tests/fem/reduced/test_shared_residuals.py",),
+    ),
+    Fault(
         "modes that begin with those of the reduced model go uncounted",
         "fmu/fem/reduced/confirming.py",
         "bool(inertia_agrees(K, M, lam, max(count - 1 - _BEYOND, 0), count))",

@@ -55,7 +55,7 @@ class Trained:
         The anchors of each block by the block's index, if training made them.
     elsewhere : float or None
         The tolerance of the whole box if a smaller tolerance holds in a part of it; otherwise None.
-    shared : mapping of int to SharedResiduals
+    shared : mapping of int to SharedResiduals or None
         The residuals of large blocks, by the block's index.
     """
 
@@ -66,7 +66,7 @@ class Trained:
     confirmed: bool = True
     anchors: Mapping[int, Anchors] = field(default_factory=dict)
     elsewhere: float | None = None
-    shared: Mapping[int, SharedResiduals] = field(default_factory=dict)
+    shared: Mapping[int, SharedResiduals | None] = field(default_factory=dict)
 
 
 def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> FloatArray:

@@ -191,7 +191,7 @@ class FrequencyBound:
         Bounds of the box.
     anchors : mapping of int to Anchors
         Existing anchors, by the index of their block; missing ones are made when they are needed.
-    shared : mapping of int to SharedResiduals, optional
+    shared : mapping of int to SharedResiduals or None, optional
         Residuals of reduced blocks, by the index of their block; without them, each residual is solved for.
     """
 
@@ -200,7 +200,7 @@ class FrequencyBound:
     lower: FloatArray
     upper: FloatArray
     anchors: InitVar[Mapping[int, Anchors]]
-    shared: Mapping[int, SharedResiduals] = field(default_factory=dict)
+    shared: Mapping[int, SharedResiduals | None] = field(default_factory=dict)
 
     def __post_init__(self, anchors: Mapping[int, Anchors]) -> None:
         self._anchors = dict(anchors)

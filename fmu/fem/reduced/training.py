@@ -55,9 +55,8 @@ LOOSE = 1e-3
 _TOGETHER, _ENOUGH, _MOST_POINTS = 16, 48, 2048
 # Number of points of the Sobol sequence, besides corners and faces, in a set of fresh points.
 _SOBOL = 32
-# Number of fresh points with full solves, and largest number of rounds of training.
-_CHECKED, _ROUNDS = 4, 4
-_MOST_ROUNDS = 20  # rounds of training in a region
+# Number of fresh points with full solves; largest numbers of rounds of training, in the box and in a region.
+_CHECKED, _ROUNDS, _MOST_ROUNDS = 4, 4, 20
 # The truncation may use the fraction _CUT of the remaining tolerance at the points that determine its size, and
 # all of it at fresh points, up to _FRESH of each kind.
 _CUT, _FRESH = 0.85, 48
@@ -95,7 +94,7 @@ class Training:
         self.learners: dict[int, Learner] = {}
         self.fixed: RankPairing | None = None
         self.reduced: dict[int, ReducedBlock] = {}
-        self.shared: dict[int, SharedResiduals] = {}
+        self.shared: dict[int, SharedResiduals | None] = {}
         self.n_trained: dict[int, int] = {}
         self.confirmed = True
         self.share = 1.0
@@ -139,8 +138,7 @@ class Training:
         else:
             self.confirmed = False
         self.confirmed &= self.is_accurate
-        points = box_points(self.lower, self.upper, _SOBOL, _CHECKS + _ROUNDS)
-        points = np.concatenate([points, near_zero])
+        points = np.concatenate([box_points(self.lower, self.upper, _SOBOL, _CHECKS + _ROUNDS), near_zero])
         self.far = self._bound().find_far(points, self.n_trained, self.tolerance)
         return self._current()
 
@@ -216,8 +214,8 @@ class Training:
         for b, reduced in self.reduced.items():
             state[f"basis{b}"] = reduced.basis
             state[f"n_trained{b}"] = np.array(float(reduced.n_trained))
-        for b, shared in self.shared.items():
-            state[f"energy{b}"], state[f"mass{b}"] = shared.energy, shared.mass
+            if (shared := self.shared.get(b)) is not None:
+                state[f"energy{b}"], state[f"mass{b}"] = shared.energy, shared.mass
         return state
 
     @classmethod
@@ -240,12 +238,11 @@ class Training:
         return training._current()
 
     def _current(self) -> Trained:
-        blocks = (self.reduced.get(b, full) for b, full in enumerate(self.full.blocks))
-        model = BlockModel(tuple(blocks), self.full.n_parameters)
+        blocks = tuple(self.reduced.get(b, full) for b, full in enumerate(self.full.blocks))
+        model = BlockModel(blocks, self.full.n_parameters)
         anchors = {b: learner.anchors for b, learner in self.learners.items()}
-        elsewhere = self.tolerance if self.is_narrow else None
-        box = self.lower, self.upper
-        return Trained(model, self.fixed or self.rule, *box, self.confirmed, anchors, elsewhere, self.shared)
+        found = self.confirmed, anchors, self.tolerance if self.is_narrow else None, self.shared
+        return Trained(model, self.fixed or self.rule, self.lower, self.upper, *found)
 
     def _bound(self) -> FrequencyBound:
         trained = self._current()
@@ -297,12 +294,9 @@ class Training:
 
     def _cut(self) -> None:
         """Truncate the spaces to small bases with errors within the tolerance at all visited points."""
-        self.reduced = {
-            b: ReducedBlock(self.full[b], self._choose_cut(b, needed), needed)
-            for b, needed in self.n_trained.items()
-        }
-        shared = {b: self.learners[b].share_with(reduced.basis) for b, reduced in self.reduced.items()}
-        self.shared = {b: residuals for b, residuals in shared.items() if residuals is not None}
+        for b, needed in self.n_trained.items():
+            self.reduced[b] = ReducedBlock(self.full[b], self._choose_cut(b, needed), needed)
+            self.shared[b] = self.learners[b].share_with(self.reduced[b].basis)
 
     def is_cut(self) -> bool:
         """Return True if a basis has reached its largest useful size, so that more points cannot improve it."""

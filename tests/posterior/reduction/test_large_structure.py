@@ -2,12 +2,15 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from fmu.fem.modes import full_block
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
+from fmu.fem.reduced import confirming, shared
 from fmu.posterior.problem import UpdatingProblem
-from fmu.posterior.reduction import train_reduced
+from fmu.posterior.reduction import tolerance, train_reduced
 from fmu.posterior.reduction.region import plausible_points
+from fmu.posterior.reduction.tolerance import MEASURED, Tolerance
 from tests.validation.bound import _of_problem, examined
 from tests.validation.scale_model import Size, scale_problem
 
@@ -88,3 +91,43 @@ def test_rounding_is_found_again_after_the_start_has_changed(made):
     problem, _ = made
     other = UpdatingProblem(problem.model, problem.data, problem.parameters)
     assert other.log_prob(other.start) == problem.log_prob(problem.start)
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    """Return the frame as a structure that counts as large, and the same with the basis from the cache."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (shared, confirming, tolerance):
+            patch.setattr(module, "LARGE", DENSE_LIMIT)
+        patch.setenv("FMU_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
+        yield scale_problem(SIZE, 2, reduction=True), scale_problem(SIZE, 2, reduction=True)
+
+
+def test_the_errors_of_the_measurement_set_the_tolerance_of_a_large_structure(made, measured):
+    problem = measured[0]
+    assert problem.tolerance == MEASURED == Tolerance(1e-3, 0.01, 10.0)
+    assert sum(problem.model.sizes) < sum(made[0].model.sizes)  # of 1e-5 in the whole box
+    points = plausible_points(problem, 24, np.random.default_rng(5), MEASURED.depth)
+    full = problem.with_model(problem.model.truth)
+    assert np.max(np.abs(problem.log_prob(points) - full.log_prob(points))) <= MEASURED.log_prob
+    rng = np.random.default_rng(6)
+    theta = rng.uniform(problem.model.lower[0], problem.model.upper[0], size=(8, 2))
+    assert np.max(np.abs(problem.frequencies(theta) / full.frequencies(theta) - 1.0)) <= MEASURED.frequency
+
+
+def test_a_number_is_taken_at_its_word():
+    assert Tolerance.of(1e-6, 10**6) == Tolerance() == Tolerance.of(True, tolerance.LARGE - 1)
+    assert Tolerance.of(True, tolerance.LARGE) == MEASURED
+    assert Tolerance.of(False, 10**6) is None
+
+
+def test_bounds_from_shared_right_hand_sides_are_those_solved_for_and_those_from_the_cache(measured):
+    trained, read = (problem.model for problem in measured)
+    theta = measured[0].sample_prior(np.random.default_rng(7), 6)
+    bound = trained.frequency_bound(theta)
+    assert read._bound.shared
+    assert_allclose(read.frequency_bound(theta), bound, rtol=1e-3, atol=1e-12)
+    read._bound.shared = {}
+    assert_allclose(read.frequency_bound(theta), bound, rtol=1e-3, atol=1e-12)
+    errors = np.abs(trained.frequencies(theta) / trained.truth.frequencies(theta) - 1.0)
+    assert np.all(errors <= bound + 1e-10)
