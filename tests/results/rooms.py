@@ -57,6 +57,12 @@ def digests(root: Path, modules: Iterable[str]) -> dict[str, str]:
     return {room: _digest_of_room(root / "fmu" / room) for room in rooms} | ({TESTS: _digest(own)} if own else {})
 
 
+def forget() -> None:
+    """Forget what was read: files may have been edited since."""
+    for reader in (_file_of, _imported, _public, _digest_of_room):
+        reader.cache_clear()
+
+
 def changed(then: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
     """Return the rooms whose digests differ."""
     return sorted(room for room in {*then, *now} if then.get(room) != now.get(room))

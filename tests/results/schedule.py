@@ -1,7 +1,7 @@
 """Run studies on the cores of this machine, each in a process of its own, and publish their pages with stamps.
 
-What a study keeps is in ``.results/NAME``, which git ignores: its units of work, its output, and its pages until
-they are whole. It goes on from there as long as the code that it depends on is the same.
+What a study keeps is in ``.results/NAME``, which git ignores: its units of work, what it prints, its reduced
+models, and its pages until they are whole. It continues from there as long as its code is the same.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TextIO
 
 from tests.benchmarks.table import machine
-from tests.results.rooms import digests
+from tests.results.rooms import digests, forget
 from tests.results.stamps import Stamp
 from tests.results.status import RESULTS, ROOT
 from tests.results.studies import CORES, Study
@@ -30,7 +30,8 @@ OVERRUN = 2.0
 """A study is stopped after this many times its budget: a unit of work hangs."""
 GATES_FAIL = 1
 """Exit code of a study whose page says that something is wrong."""
-_ROOMS, _LOG, _PAGES, _UNITS = "rooms.json", "log.txt", "pages", "units"
+SETTINGS = {"OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+_ROOMS, _LOG, _PAGES, _UNITS, _CACHE = "rooms.json", "log.txt", "pages", "units", "cache"
 
 
 @dataclass
@@ -95,6 +96,7 @@ class Schedule:
         return wrong
 
     def _begin(self, study: Study) -> Running:
+        forget()
         folder, rooms = self.kept / study.name, digests(self.root, study.modules)
         of = folder / _ROOMS
         if not of.exists() or json.loads(of.read_text(encoding="utf-8")) != rooms:
@@ -111,7 +113,7 @@ class Schedule:
         process = subprocess.Popen(
             command,
             cwd=self.root,
-            env=os.environ | {"OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"},
+            env=os.environ | SETTINGS | {"FMU_CACHE_DIR": str(folder / _CACHE)},
             stdout=log,
             stderr=subprocess.STDOUT,
             start_new_session=True,
@@ -121,6 +123,7 @@ class Schedule:
     def _end(self, one: Running) -> list[str]:
         """Publish the pages of a study that has ended."""
         one.log.close()
+        forget()
         study, code, log = one.study, one.process.returncode, one.folder / _LOG
         absent = [page for page in study.pages if not (one.folder / _PAGES / page).is_file()]
         if absent or code not in (0, GATES_FAIL):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.results.rooms import changed, code_of, digests
+from tests.results.rooms import changed, code_of, digests, forget
 
 STUDY = '"""A study."""\n\nimport fmu\nfrom fmu.fem import (\n    beam,\n)\n\nprint(fmu.sample(beam))\n'
 FILES = {
@@ -51,6 +51,13 @@ def test_a_digest_changes_with_the_code_of_its_room_alone(project, file, text, r
 def test_a_new_import_brings_its_room(project):
     after = project(2, **{"fmu/types.py": "import fmu.report.page\n\nArray = list\n"})
     assert changed(project(1), after) == ["report", "types"]
+
+
+def test_an_edit_is_seen_after_forgetting_what_was_read(project, tmp_path):
+    before = project(1)
+    (tmp_path / "1" / "fmu" / "types.py").write_text("Array = tuple\n", encoding="utf-8")
+    forget()
+    assert changed(before, digests(tmp_path / "1", ["tests.study"])) == ["types"]
 
 
 def test_texts_in_the_code_are_code():

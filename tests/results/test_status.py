@@ -30,6 +30,14 @@ def test_budgets_fit():
     assert CORES == 2
 
 
+def test_all_studies_take_the_same_arguments():
+    for study in STUDIES:
+        if study.arguments[:2] == ("{out}", "--kept"):
+            base = ROOT.joinpath(*study.module.split("."))
+            file = next(one for one in (base.with_suffix(".py"), base / "__main__.py") if one.is_file())
+            assert "study_parser(__doc__)" in file.read_text(encoding="utf-8"), study.name
+
+
 def test_names_and_groups_choose_studies():
     assert chosen(()) == list(STUDIES)
     assert [study.name for study in chosen(("mutants", "kills"))] == ["mutants", "kills"]

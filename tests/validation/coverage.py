@@ -28,7 +28,8 @@ from tests.validation import ten_storeys
 from tests.validation.bands import UniformRanks
 from tests.validation.kept import Units, fields_of, study_parser
 
-REPLICATES, SEED = 2000, 20262
+REPLICATES, SEED = 1400, 20262
+"""So many find a parameter whose intervals hold the truth in 86 % instead of 90 % with a probability of 87 %."""
 CHAINS, WARMUP, DRAWS = 16, 100, 40
 LEAST_ESS = 200
 """Of every quantity; runs that have less are drawn on."""

@@ -213,12 +213,14 @@ def study(units: Units) -> tuple[list[Row], dict[float, list[Estimate]]]:
         each([("shear-2dof", "index"), *BEAMS]),
         lambda one: [asdict(found) for found in evidences(*one)],
         lambda kept: [_row(fields) for fields in kept],
+        least=1 + len(BEAMS),
     )
     shares = units.completed(
         "errors",
         each(SHARES),
         lambda share: [asdict(wide(case, share)) for case, _ in BEAMS[:2]],
         lambda kept: [Estimate(**fields) for fields in kept],
+        least=len(SHARES),
     )
     return [one for found in rows for one in found], dict(zip(SHARES, shares, strict=False))
 

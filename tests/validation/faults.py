@@ -6,30 +6,8 @@ index, a gate that lets everything through.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-
-@dataclass(frozen=True)
-class Fault:
-    """One change of one file.
-
-    Attributes
-    ----------
-    name : str
-    file : str
-        Within the project.
-    old, new : str
-        Text that occurs exactly once, and what takes its place.
-    tests : tuple of str
-        The files of tests that ought to notice.
-    """
-
-    name: str
-    file: str
-    old: str
-    new: str
-    tests: tuple[str, ...]
-
+from tests.validation.fault import Fault
+from tests.validation.faults_by_module import BY_MODULE
 
 METROPOLIS = ("tests/samplers/test_metropolis.py",)
 HAMILTONIAN = ("tests/samplers/test_reflection.py", "tests/samplers/test_hamiltonian.py")
@@ -1031,4 +1009,5 @@ FAULTS = (
     *IN_THE_CHECKPOINTS,
     *IN_SURROGATES,
     *IN_THE_FRFS,
+    *BY_MODULE,
 )

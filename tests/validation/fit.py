@@ -268,7 +268,9 @@ def study(units: Units) -> Study:
         ((k, i) for k, setting in enumerate(settings) for i in range(setting.n)), key=lambda task: task[1]
     )
     outcomes: dict[Setting, list[Outcome]] = {setting: [] for setting in settings}
-    for k, verdict, kinds, converged, seconds in units.completed("problems", each(tasks), run):
+    for k, verdict, kinds, converged, seconds in units.completed(
+        "problems", each(tasks), run, least=len(settings)
+    ):
         outcomes[settings[k]].append(Outcome(verdict, frozenset(kinds), converged, seconds))
     return Study(
         [Rate(setting, outcomes[setting]) for setting in RIGHT_ONES],

@@ -106,7 +106,9 @@ def update(units: Units, folder: Path, draws: int = DRAWS) -> Update:
         fmu.save_trace(_sampled(of, its_maxima, draws), file)
         return str(file)
 
-    trace, without = map(fmu.load_trace, units.completed("runs", each(("all modes", "some held out")), run))
+    trace, without = map(
+        fmu.load_trace, units.completed("runs", each(("all modes", "some held out")), run, least=2)
+    )
     return Update(problem, maxima, trace, fmu.summary(trace), without, units.processor_s)
 
 

@@ -93,6 +93,7 @@ class Units:
         make: Callable[[Job], Run],
         read: Callable[[Any], Run] = as_kept,
         at_once: int = 1,
+        least: int = 1,
     ) -> list[Run]:
         """Return the results of the jobs that are done, in their order; those not known are done first.
 
@@ -108,19 +109,21 @@ class Units:
             Makes the result of its JSON. New results go through JSON too, so that killed studies give equal pages.
         at_once : int
             Threads that do jobs side by side; it is for jobs that wait for processes of their own.
+        least : int
+            How many jobs, the first ones, are done even when the budget is spent: the page needs them.
         """
         jobs, known = list(jobs), self._earlier.setdefault(kind, {})
         keyed = [(json.dumps(key), key, job) for key, job in jobs]
-        missing = [one for one in keyed if one[0] not in known]
+        missing = [(i < least, *one) for i, one in enumerate(keyed) if one[0] not in known]
         self._report(kind, len(jobs) - len(missing), len(jobs))
 
-        def do(one: tuple[str, Any, Job]) -> Run | None:
-            return make(one[2]) if self.wall_s <= self._budget_s else None
+        def do(one: tuple[bool, str, Any, Job]) -> Run | None:
+            return make(one[3]) if one[0] or self.wall_s <= self._budget_s else None
 
         with ThreadPoolExecutor(at_once) as pool:
             results = pool.map(do, missing) if at_once > 1 else map(do, missing)
             began = _processor_s(), time.monotonic()
-            for n, ((name, key, _), result) in enumerate(zip(missing, results, strict=True), 1):
+            for n, ((_, name, key, _), result) in enumerate(zip(missing, results, strict=True), 1):
                 if result is None:
                     break
                 ended = _processor_s(), time.monotonic()

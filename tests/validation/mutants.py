@@ -8,6 +8,7 @@ fastest first. Exit code 1 where a fault survives, 2 where the tests of the proj
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import shutil
@@ -21,13 +22,17 @@ from pathlib import Path
 from queue import Queue
 
 from fmu.tables import markdown_table
-from tests.validation.faults import FAULTS, Fault
+from tests.validation.fault import Fault
+from tests.validation.faults import FAULTS
 from tests.validation.kept import Units, each, fields_of, study_parser
 
 PROJECT = Path(__file__).parents[2]
 PATIENCE_S = 180.0
 """How long one file of tests may take; a fault that makes it hang is not caught by that: it survives."""
 FAILED = re.compile(r"^(?:FAILED|ERROR) (.*?)(?: - .*)?$", re.MULTILINE)
+NUMERICAL, MANY = ("fem", "posterior", "samplers", "surrogates", "analysis"), 15
+"""Rooms with formulas, and the operations of arithmetic from which on a module counts as one with formulas."""
+ARITHMETIC = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.MatMult)
 TESTS_FAILED = 1
 """pytest's exit code where tests ran, and failed."""
 
@@ -141,8 +146,26 @@ def main() -> int:
     return 1 if any(verdict.caught_by is None for verdict in verdicts.values()) else 0
 
 
+def operations(source: str) -> int:
+    """Return the number of operations of arithmetic in a module."""
+    nodes = ast.walk(ast.parse(source))
+    return sum(isinstance(node, ast.BinOp) and isinstance(node.op, ARITHMETIC) for node in nodes)
+
+
+def without_a_fault() -> tuple[list[str], int]:
+    """Return the modules with formulas that have no fault, and how many modules have formulas."""
+    counts = {
+        str(path.relative_to(PROJECT)): operations(path.read_text())
+        for room in NUMERICAL
+        for path in sorted((PROJECT / "fmu" / room).rglob("*.py"))
+    }
+    formulas = [name for name, count in counts.items() if count >= MANY]
+    return sorted(set(formulas) - {fault.file for fault in FAULTS}), len(formulas)
+
+
 def page(verdicts: dict[Fault, Verdict], processor_s: float) -> str:
     """Return the report."""
+    missing, formulas = without_a_fault()
     rows = [
         [fault.name, f"`{fault.file}`", f"`{verdict.caught_by}`" if verdict.caught_by else "**survives**"]
         for fault, verdict in verdicts.items()
@@ -153,6 +176,11 @@ def page(verdicts: dict[Fault, Verdict], processor_s: float) -> str:
         faults=len(rows),
         minutes=processor_s / 60.0,
         rows=markdown_table(["fault", "in", "caught by"], rows, (0, 1, 2)),
+        formulas=formulas,
+        many=MANY,
+        rooms=", ".join(NUMERICAL),
+        missing=len(missing),
+        names=", ".join(f"`{name}`" for name in missing),
     )
 
 
@@ -174,6 +202,9 @@ PAGE = """# Deliberate faults
 Written by `make mutants` in {minutes:.0f} minutes of processor time: {caught} of {faults} faults caught. Each is
 put into a copy of the project (`tests/validation/faults.py`), in which the tests of that part run until one fails;
 without a fault all of them pass.
+
+Of the {formulas} modules of {rooms} with {many} and more operations of arithmetic, {missing} have no fault:
+{names}.
 
 {rows}"""
 

@@ -94,7 +94,7 @@ def _at(data: fmu.ModalData, sensors: tuple[Dof, ...], rows: list[int]) -> fmu.M
 def decisions(replicates: int, units: Units) -> str:
     """Return the section on decisions about damage."""
     jobs = [(loss, seed) for seed in range(replicates) for loss in LOSSES]
-    found = units.completed("decisions", each(jobs), decide, fields_of(Decided))
+    found = units.completed("decisions", each(jobs), decide, fields_of(Decided), least=4 * len(LOSSES))
     rows = []
     for loss in LOSSES:
         mine = [one for one in found if one.loss == loss]

@@ -232,7 +232,9 @@ def main() -> int:
             lambda process: [asdict(row) for row in of_process(PROCESSES.index(process), process)],
         )
         processes = [Row(tuple(row["what"]), np.array(row["z"])) for of in found for row in of]
-        runs = units.completed("runs", each(keys), lambda key: replicate(*key), fields_of(Replicate, list))
+        runs = units.completed(
+            "runs", each(keys), lambda key: replicate(*key), fields_of(Replicate, list), least=20
+        )
         rows = of_runs(runs)
         wrong = [row for row in rows + processes if not row.is_right]
         write(asked.out, runs, rows, processes, wrong, units.processor_s)

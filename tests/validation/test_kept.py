@@ -36,8 +36,9 @@ def test_units_go_on_from_what_is_kept(tmp_path, capsys):
 def test_no_unit_is_begun_when_the_budget_is_spent(tmp_path):
     units = Units(tmp_path, minutes=1.0)
     units.wall_s = 61.0
-    assert units.completed("runs", ((n, n) for n in range(3)), make) == []
+    assert units.completed("runs", ((n, n) for n in range(3)), make, least=0) == []
     assert units.counts == "0 of 3 runs"
+    assert units.completed("squares", ((n, n) for n in range(3)), lambda n: n**2, least=2) == [0, 1]
     units.wall_s = 59.0
     assert len(units.completed("runs", ((n, n) for n in range(3)), lambda n: n)) == 3
 

@@ -299,7 +299,9 @@ def main() -> int:
     asked = study_parser(__doc__).parse_args()
     units = Units(asked.kept, asked.minutes)
     with threadpool_limits(1):
-        found = Study(units.completed("runs", ((job.key, job) for job in jobs()), outcome, fields_of(Outcome)))
+        in_order = sorted(jobs(), key=lambda job: job.seed)  # all kinds of runs come early
+        keyed = ((job.key, job) for job in in_order)
+        found = Study(units.completed("runs", keyed, outcome, fields_of(Outcome)))
     write(found, asked.out)
     for failure in found.failures:
         print(failure)

@@ -6,7 +6,8 @@ from numpy.testing import assert_allclose
 from scipy.stats import norm
 
 import fmu
-from tests.gradients import differences
+from fmu.fem.modes.static import MassMoments
+from tests.gradients import assert_gradient, differences
 
 EI, RHO_A, L, N = 2.0e4, 5.0, 2.0, 8
 
@@ -87,6 +88,24 @@ def test_a_tip_load_and_the_mass_of_a_beam():
     assert_allclose(found[0], found[1] * [theta[0, 1] / theta[1, 1], 1, 1, 1], rtol=1e-12)
     assert L / 2 < found[0, 1] < L / 2 + L / N
     assert_allclose(found[0, 2:], 0.0, atol=1e-12)
+
+
+def test_slopes_of_a_centre_of_gravity_that_two_densities_move_are_exact():
+    section = fmu.Section(A=1e-3, Iy=1e-6, Iz=1e-6, J=2e-6)
+    nodes = np.column_stack([np.linspace(0.0, L, N + 1), np.zeros(N + 1), np.zeros(N + 1)])
+    line = np.stack([np.arange(N), np.arange(1, N + 1)], axis=1)
+    material = fmu.Material(E=EI / 1e-6, nu=0.3, rho=RHO_A / 1e-3)
+    groups = {"inner": line[: N // 2], "outer": line[N // 2 :]}
+    frame = fmu.Frame(
+        nodes,
+        [fmu.ElementGroup(name, part, section, material, (0, 1, 0)) for name, part in groups.items()],
+        {0: ("x", "y", "z", "rx", "ry", "rz")},
+    )
+    model = frame.separable({name: fmu.Factor([("rho", name)]) for name in groups})
+    moments, theta = MassMoments(model, np.ones(2), with_centre=True), np.array([[0.9, 1.2], [1.7, 0.6]])
+    values, slopes = moments(theta, gradient=True)
+    assert abs(np.diff(values[:, 1])) > 0.1  # m
+    assert_gradient(slopes, lambda x: moments(x)[0], theta, 1e-4, rtol=1e-6, atol=1e-7)
 
 
 def test_k_and_m_are_separated_without_another_test():
