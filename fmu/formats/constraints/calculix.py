@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fmu.formats.constraints.equations import Equation, shown, solve_for_dependents, weighted
+from fmu.formats.constraints.equations import Equation, explicit_equation, solve_for_dependents, weighted
 from fmu.formats.constraints.rigid import Point, rigid_motion
 from fmu.formats.matrices.limits import MOST_DOFS, MOST_ENTRIES, DofName, RefusedError
 from fmu.formats.shown import quote
@@ -142,7 +142,7 @@ def constraints_of(
                 if node in axes and k < 3:
                     turned.setdefault(node, []).append((row, k, source))
                     continue
-                equations.append(_explicit(row, first, source))
+                equations.append(explicit_equation(row.items(), source))
                 dependent.add(first)
         elif one.name == "BOUNDARY":
             for node, k in _find_held(found, one):
@@ -173,15 +173,6 @@ def _along_local_axes(node: int, rows: Sequence[tuple[dict[DofName, float], int,
             raise RefusedError(f"must have constraints that determine their dependents ({source}: node {node})")
         chosen.append(free[0])
     return solve_for_dependents([row for row, _, _ in unique.values()], chosen, rows[0][2])
-
-
-def _explicit(row: Mapping[DofName, float], first: DofName, source: str) -> Equation:
-    if not row.get(first):
-        raise RefusedError(
-            f"must have equations that determine their first degree of freedom ({source}: the factor of "
-            f"{shown(first)} is zero)"
-        )
-    return Equation(first, {name: -a / row[first] for name, a in row.items() if name != first and a}, source)
 
 
 def _equations(

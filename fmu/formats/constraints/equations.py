@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +33,24 @@ class Equation(NamedTuple):
     dependent: DofName
     weights: Mapping[DofName, float]
     source: str
+
+
+def explicit_equation(terms: Iterable[tuple[DofName, float]], source: str) -> Equation:
+    """Return the equation of the first degree of freedom in Σ factor u = 0; a name may occur several times.
+
+    Raises
+    ------
+    RefusedError
+        If there are no terms, or the factor of the first degree of freedom is zero.
+    """
+    row: dict[DofName, float] = {}
+    for name, factor in terms:
+        row[name] = row.get(name, 0.0) + factor
+    first = next(iter(row), None)
+    if first is None or not row[first]:
+        where = " has no terms" if first is None else f": the factor of {shown(first)} is zero"
+        raise RefusedError(f"must have equations that determine their first degree of freedom ({source}{where})")
+    return Equation(first, {name: -a / row[first] for name, a in row.items() if name != first and a}, source)
 
 
 def solve_for_dependents(

@@ -7,12 +7,12 @@ selects their set; in a file of bulk data alone all do.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from fmu.formats.constraints.equations import Equation, shown, solve_for_dependents
+from fmu.formats.constraints.equations import Equation, explicit_equation, solve_for_dependents
 from fmu.formats.constraints.rigid import ALL, Point, mean_motion, rigid_body, rigid_link
 from fmu.formats.matrices.limits import MOST_DOFS, DofName, RefusedError
 from fmu.formats.matrices.nastran.cards import components, expand_list, identity, number
@@ -245,8 +245,7 @@ def _given(text: str, what: str) -> str:
 
 
 def _mpc(fields: list[str], point: Callable[[int], Point], scalars: Collection[int], source: str) -> Equation:
-    row: dict[DofName, float] = {}
-    first: DofName | None = None
+    terms: list[tuple[DofName, float]] = []
     for line in range(0, len(fields), 8):
         words = fields[line : line + 8]
         for node, which, factor in (words[1:4], words[4:7]):
@@ -258,11 +257,5 @@ def _mpc(fields: list[str], point: Callable[[int], Point], scalars: Collection[i
             direction = components(which, f"{source}: a component")
             if len(direction) != 1:
                 raise ValueError(f"{source} must have one component at each node (got {quote(which)})")
-            name = own, DIRECTIONS[direction[0] - 1]
-            row[name] = row.get(name, 0.0) + number(factor, f"{source}: a factor", 0.0)
-            first = first or name
-    if first is None or not row[first]:
-        where = f"{source}: the factor of {shown(first)} is zero" if first else f"{source} has no terms"
-        raise RefusedError(f"must have equations that determine their first degree of freedom ({where})")
-    weights: Mapping[DofName, float] = {name: -a / row[first] for name, a in row.items() if name != first and a}
-    return Equation(first, weights, source)
+            terms.append(((own, DIRECTIONS[direction[0] - 1]), number(factor, f"{source}: a factor", 0.0)))
+    return explicit_equation(terms, source)

@@ -11,8 +11,10 @@ from typing import Protocol
 
 import numpy as np
 
+from fmu.formats.constraints.ansys import equations_of
 from fmu.formats.matrices import ansys
 from fmu.formats.matrices.isolated import read_isolated
+from fmu.formats.matrices.limits import text_lines
 from fmu.formats.models.exported import Mesh, MeshFormat, mesh_of
 from fmu.types import AnyArray, FloatArray
 
@@ -105,7 +107,10 @@ def _mesh(found: dict[str, AnyArray]) -> Mesh:
 
 
 def _cdb(path: Path) -> Mesh:
-    return _mesh(read_isolated(f"{__name__}:cdb_arrays", path, "mapdl_archive", ansys.EXTRA))
+    with open(path, "rb") as file:
+        equations, notes = equations_of(text_lines(file))
+    mesh = _mesh(read_isolated(f"{__name__}:cdb_arrays", path, "mapdl_archive", ansys.EXTRA))
+    return mesh._replace(equations=tuple(equations), notes=(*mesh.notes, *notes))
 
 
 def _rst(path: Path) -> Mesh:

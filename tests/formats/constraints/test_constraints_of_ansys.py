@@ -1,0 +1,43 @@
+"""Constraint equations in an archive of Ansys, as CDWRITE has them."""
+
+import pytest
+
+from fmu.formats.constraints.ansys import equations_of
+from fmu.formats.matrices.limits import RefusedError
+
+ARCHIVE = """\
+/PREP7
+CE,R5.0,DEFI,       3,       1,  0.00000000
+CE,R5.0,NODE,      12,UX  ,  2.00000000    ,      40,UX  , -1.00000000
+CE,R5.0,NODE,      40,ROTZ,  0.50000000
+CE,R5.0,DEFI,       2,       1,  0.00000000
+CE,R5.0,NODE,      13,ROTY,  1.00000000    ,      40,ROTY, -1.00000000
+CP,R5.0,DEFI,       2,       1,UX
+FINISH
+"""
+
+
+def test_equations_of_two_terms_a_line():
+    equations, notes = equations_of(ARCHIVE.splitlines())
+    assert [one.dependent for one in equations] == [(12, "x"), (13, "ry")]
+    assert equations[0].weights == {(40, "x"): 0.5, (40, "rz"): -0.25}
+    assert equations[1].weights == {(40, "ry"): 1.0}
+    assert notes == ["1 couplings (CP) are not read."]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("      40,ROTZ,  0.50000000", "", r"CE 1 must have 1 more terms"),
+        ("DEFI,       3", "DEFI,       2", r"has more"),
+        ("DEFI,       3", "DEFI,   three", r"number of terms must be a whole number"),
+        ("DEFI,       3", "DEFI, 9999999999", r"at most \d+ equations and terms"),
+        ("ROTZ", "TEMP", r"a direction must be one of UX.*got 'TEMP'"),
+        ("-1.00000000", "minus one", r"CE 1: a factor must be a real number"),
+        ("2.00000000", "0.00000000", r"CE 1: the factor of node 12 x is zero"),
+        ("12,UX", "-12,UX", r"CE 1: a node must be a whole number"),
+    ],
+)
+def test_broken_equations_are_refused(old, new, message):
+    with pytest.raises((RefusedError, ValueError), match=message):
+        equations_of(ARCHIVE.replace(old, new, 1).splitlines())
