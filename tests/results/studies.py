@@ -65,12 +65,15 @@ def _study(name: str, minutes: float, *folders: str, exclusive: bool = False, al
 
 
 _EXPERIMENTS = tuple(f"{what}-{pairing}" for what in ("young", "section") for pairing in ("shape", "index"))
-_OF_PAPER = ("README", "errata", "recomputed", "vector-beta", *(f"{one}/tables" for one in _EXPERIMENTS))
+_OF_PAPER = (
+    "README", "errata", "recomputed", "vector-beta", "model-error", *(f"{one}/tables" for one in _EXPERIMENTS),
+)  # fmt: skip
 _PEERS = "tests.benchmarks.peers"
 
 STUDIES = (
     Study("paper", 15, "fmu", tuple(f"{page}.md" for page in _OF_PAPER),
-          (*_EXPERIMENTS, "recomputed.csv", "vector-beta.csv", "vector-beta.png", "manifest.json"), PAPER,
+          (*_EXPERIMENTS, "recomputed.csv", "vector-beta.csv", "vector-beta.png", "model-error.csv",
+           "model-error.png", "manifest.json"), PAPER,
           exclusive=True, also=("fmu.cli",), arguments=("paper", "--out", "{out}")),
     Study("benchmarks", 35, "tests.benchmarks", ("benchmarks.md",), ("benchmarks",), BENCHMARKS,
           exclusive=True, also=(_PEERS, "tests.benchmarks.test_log_prob", "tests.benchmarks.test_tower")),
@@ -109,6 +112,7 @@ STUDIES = (
           also=("fmu.cli",)),
     _study("contradictions", 6),
     _study("evidence", 5),
+    _study("forgotten-mass", 2),
 )  # fmt: skip
 """In the order in which `make results` begins them: those that need the machine alone, and then the longest."""
 
