@@ -125,7 +125,8 @@ def ascend(
         s = _box_step(u[going], g[going], damped, lower, upper)
         new_V, new_g, new_H = quadratic(u[going] + s)
         predicted = np.maximum(_predicted_decrease(s, g[going], H[going]), np.finfo(float).tiny)
-        ratio = (V[going] - new_V) / predicted
+        with np.errstate(over="ignore"):  # an infinite ratio accepts or refuses the step as a large one does
+            ratio = (V[going] - new_V) / predicted
         better, damping[going] = adjust_damping(damping[going], ratio)
         moved = going[better]
         u[moved] += s[better]
@@ -173,7 +174,7 @@ def _box_step(u: FloatArray, g: FloatArray, A: FloatArray, lower: FloatArray, up
     held = find_pressed(u, g, lower, upper)
     s = _newton(g, A, held, np.zeros_like(u))
     # the fraction of the step at which the first coordinate reaches its bound
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         room = np.where(s > 0, (upper - u) / s, np.where(s < 0, (lower - u) / s, np.inf))
     cut = s * np.clip(room.min(axis=1), 0.0, 1.0)[:, None]
     candidates = [np.clip(u + s, lower, upper) - u, cut]

@@ -56,6 +56,17 @@ def test_a_start_without_a_value_stays_and_is_not_stationary():
     assert_allclose(ends.position[1], 0.5, atol=1e-4)
 
 
+def test_a_step_that_promises_nothing_is_taken_if_it_helps():
+    """The ratio of the decrease to the predicted one overflows."""
+
+    def V(u):
+        n = len(u)
+        return np.where(u[:, 0] == 0.0, 1e3, 0.0), np.full((n, 1), 1e-9), np.full((n, 1, 1), 1e300)
+
+    end = ascend(V, np.zeros((1, 1)), -np.ones(1), np.ones(1), tolerance=0.0, max_steps=1)
+    assert end.value[0] == 0.0
+
+
 def test_steps_are_limited():
     ends = ascend(quadratic(np.eye(2), np.full(2, 0.5)), np.zeros((1, 2)), np.zeros(2), np.ones(2), max_steps=1)
     assert not ends.stationary.any()

@@ -94,7 +94,8 @@ def by_bordered_system(
 
     Notes
     -----
-    The derivatives are NaN if the system is singular, as for a repeated eigenvalue without `beside`.
+    The derivatives are NaN if the system is singular, as for a repeated eigenvalue without `beside`, and may be
+    infinite if it is so but for underflow.
     """
     # K − λM alone is singular, with φ as its null vector; the border M φ, which is not orthogonal to φ, makes the
     # system regular. The border is scaled to the size of K, so that all entries have one scale.
@@ -115,7 +116,8 @@ def by_bordered_system(
             solution = np.linalg.solve(np.block([[K - lam * M, -border], [border.T, corner]]), load)
     except (RuntimeError, np.linalg.LinAlgError):
         solution = np.full(load.shape, np.nan)
-    return solution[: len(phi)], scale * solution[len(phi)]
+    with np.errstate(over="ignore"):
+        return solution[: len(phi)], scale * solution[len(phi)]
 
 
 def by_bordered_matrices(

@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from fmu.fem.frame.components import DIRECTIONS, ElementGroup, Material, PointMass, Section
 from fmu.fem.frame.frame import Frame
+from fmu.fem.modes.derivatives import by_bordered_system
 from fmu.fem.modes.separable import RigidArm
 from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.reduced.reduced_structure import train
@@ -151,3 +152,16 @@ def test_in_one_block_a_number_is_a_rank(monkeypatch):
     expected = structure.frequencies(points(4))
     monkeypatch.setattr("fmu.fem.modes.modal.BlockModel.spectrum", None)
     assert_allclose(structure.observed(points(4)).frequencies, expected, rtol=1e-9)
+
+
+def test_derivatives_overflow_in_silence_where_pieces_all_but_float():
+    """A search that starts at a stiffness of 1e-305 N/m goes on from elsewhere."""
+    terms = [np.zeros((5, 5)) for _ in range(5)]
+    for i, one in enumerate(terms):
+        ends = np.ix_(*[[i - 1, i]] * 2) if i else np.ix_([0], [0])
+        one[ends] = [[1.0, -1.0], [-1.0, 1.0]] if i else 1.0
+    K = np.tensordot([1e8, 1e-305, 1e8, 1e-305, 1e8], terms, 1)
+    phi = np.array([0.0, 0.0, 0.0, 1.0, 1.0]) / np.sqrt(2e5)
+    dK_phi = np.stack([one @ phi for one in terms], axis=1)
+    slopes = by_bordered_system(K, 1e5 * np.eye(5), 0.0, phi, dK_phi, np.zeros((5, 5)))[1]
+    assert not np.isfinite(slopes).all()
