@@ -33,6 +33,8 @@ from fmu.paper.studies.wrong_model import (
 from fmu.posterior.problem import UpdatingProblem
 from tests.validation.kept import Units, each, study_parser
 
+MOST_ROWS = 40
+"""Of a table of one case."""
 CASES = (
     ("cantilever-young", "shape"),
     ("cantilever-young", "index"),
@@ -72,10 +74,10 @@ def parts(case: str, pairing: str) -> dict[str, Any]:
     one, cost = study(case, pairing)
     section = [
         f"## {one.title}\n",
-        modes_table(one),
+        modes_table(one) if len(one.modes) <= MOST_ROWS else f"{len(one.modes)} modes, without a table.\n",
         runs_sentence(one),
         cost,
-        moments_table(one.parameters, NAMES),
+        moments_table(one.parameters, NAMES) if len(one.parameters) <= MOST_ROWS else "",
     ]
     converged = bool(one.runs["converged"].all())
     return {"table": summary_table([one]), "section": "\n".join(section), "converged": converged}

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
-from fmu.types import FloatArray
+from fmu.posterior.discrepancy.draws import distinct_rows
+from fmu.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from fmu.fem.pairing.prediction import ModalPrediction
@@ -54,9 +55,14 @@ class Draws:
     hz: FloatArray
 
     @cached_property
+    def _distinct(self) -> tuple[FloatArray, IntArray]:
+        """The distinct draws as parameters of the model, and the index among them of each draw."""
+        return distinct_rows(self.problem.layout.of_model(self.theta))
+
+    @cached_property
     def _observed(self) -> ModalPrediction:
-        """The predicted modes, which all modes that are left out need if the model has a discrepancy."""
-        return self.problem.likelihood.observed(self.problem.layout.of_model(self.theta))
+        """The modes at the distinct draws, for all modes that are left out if the model has a discrepancy."""
+        return self.problem.likelihood.observed(self._distinct[0])
 
     def predict(self, k: int, log_weight: FloatArray) -> HeldOut:
         """Return the predictive distribution of a measurement of mode `k`, given the used modes.
@@ -74,7 +80,8 @@ class Draws:
         term = likelihood.frequency_term
         means, deviations = (x[:, k] for x in term.given_others(self.hz, noise))
         if likelihood.has_discrepancy:
-            shift, variance = likelihood.error_given_others(self._observed, problem.layout.of_model(self.theta), k)
+            distinct, index = self._distinct
+            shift, variance = (x[index] for x in likelihood.error_given_others(self._observed, distinct, k))
             means, deviations = means + shift, np.sqrt(deviations**2 + variance)
         solved = np.isfinite(self.hz).all(axis=1)
         means, deviations, log_weight = means[solved], deviations[solved], log_weight[solved]

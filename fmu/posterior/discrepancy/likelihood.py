@@ -12,6 +12,7 @@ from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.pairing.sensitivities import Sensitivities, Steps
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.discrepancy.curvature import by_parameters
+from fmu.posterior.discrepancy.draws import at_distinct_rows
 from fmu.posterior.discrepancy.embedded import Discrepancy, EmbeddedScatter, require_distinct_names
 from fmu.posterior.discrepancy.frequencies import ScatteredFrequencies
 from fmu.posterior.discrepancy.latent import LatentErrors
@@ -178,11 +179,6 @@ class DiscrepantLikelihood(ModalLikelihood):
                 found = np.concatenate([found, latent.squares()[:, None]], axis=1)
         return found
 
-    def variance(self, theta: FloatArray) -> FloatArray:
-        """Return the variances of the model's own errors at theta (n, ndim), shape (n, n_modes), Hz²."""
-        own, common = self._in_hz(self.observed(theta), theta)
-        return np.asarray(np.sum(own**2, axis=2) + np.sum(common**2, axis=2))
-
     @property
     def couples_modes(self) -> bool:
         """Whether the term of a used mode depends on other data: the same mode in other tests, or all modes."""
@@ -240,21 +236,22 @@ class DiscrepantLikelihood(ModalLikelihood):
         return mean, gain, covariance, w, of_w
 
     def with_discrepancy(
-        self,
-        rng: np.random.Generator,
-        frequencies: FloatArray,
-        theta: FloatArray | None,
-        given_data: bool = False,
+        self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
         """Return computed frequencies with the model's own errors added; see `Likelihood`."""
         if theta is None:
             raise ValueError("theta: must be given where the model has a discrepancy (got None)")
-        seen = self.observed(theta)
-        own, common = self._in_hz(seen, theta)
+
+        def errors(theta: FloatArray) -> tuple[FloatArray, ...]:
+            seen = self.observed(theta)
+            given = self.errors_given_data(seen, theta, self._used) if given_data else ()
+            return *self._in_hz(seen, theta), *given
+
+        own, common, *given = at_distinct_rows(errors, theta)
         z = rng.standard_normal((len(theta), len(self.group), own.shape[2]))[:, self.group]
         w = rng.standard_normal((len(theta), common.shape[2]))
         if given_data:
-            mean, gain, covariance, mean_w, of_w = self.errors_given_data(seen, theta, self._used)
+            mean, gain, covariance, mean_w, of_w = given
             w = mean_w + np.einsum("ncd,nd->nc", np.linalg.cholesky(of_w), w)
             z = mean + np.einsum("nmpq,nmq->nmp", np.linalg.cholesky(covariance), z)
             z -= np.einsum("nmpc,nc->nmp", gain, w)

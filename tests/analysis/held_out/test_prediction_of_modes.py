@@ -23,7 +23,8 @@ def posed():
 
 def test_all_modes_are_predicted_by_one_solve_of_each_draw(monkeypatch):
     problem = posed()
-    theta = problem.sample_prior(np.random.default_rng(1), 20)
+    distinct = problem.sample_prior(np.random.default_rng(1), 20)
+    theta = np.concatenate([distinct, distinct[::-1]])
     draws, solved = Draws(problem, theta, problem.frequencies(theta)), []
     observed = DiscrepantLikelihood.observed
     monkeypatch.setattr(
@@ -31,10 +32,11 @@ def test_all_modes_are_predicted_by_one_solve_of_each_draw(monkeypatch):
         "observed",
         lambda self, at, *more: solved.append(len(at)) or observed(self, at, *more),
     )
-    weights = np.full(20, -np.log(20.0))
+    weights = np.full(40, -np.log(40.0))
     found = [draws.predict(k, weights) for k in range(3)]
     assert solved == [20]
-    variance = problem.likelihood.variance(theta) + 0.05**2
+    slopes = problem.model.frequencies_and_gradient(theta)[1]
+    variance = np.sum((0.05 * theta[:, None] * slopes) ** 2, axis=2) + 0.05**2
     for k, one in enumerate(found):
         assert_allclose(one.mean, draws.hz[:, k].mean())
         assert_allclose(one.sd**2, variance[:, k].mean() + draws.hz[:, k].var())

@@ -11,6 +11,7 @@ from scipy.linalg import block_diag
 import fmu
 from fmu.fem.pairing.modal_model import ModalModel
 from fmu.posterior.discrepancy.embedded import Discrepancy
+from fmu.posterior.discrepancy.likelihood import DiscrepantLikelihood
 from fmu.posterior.errors.slopes import residuals_of_term
 from tests.gradients import assert_gradient
 from tests.shear_building import shear_building
@@ -215,12 +216,19 @@ def test_the_information_is_that_of_the_means_and_fishers_of_the_deviations(erro
         assert_allclose(found[i, 4:, 4:][exact, exact], np.array(of_noise)[exact, exact], rtol=1e-4)
 
 
-def test_simulated_data_have_the_scatter():
+def test_simulated_data_have_the_scatter(monkeypatch):
+    """The draws of a run repeat each other; each is solved once."""
     problem = problem_of("common", "inferred")
     theta, rng, n = points(problem, 1), np.random.default_rng(1), 2_000
     seen = problem.likelihood.observed(theta)
-    V = (problem.likelihood.variance(theta) + problem.likelihood.frequency_term.spread.variance(theta[:, 4:]))[0]
+    scatter = np.sum((seen.frequency_slopes * theta[:, None, :4] * theta[0, -1]) ** 2, axis=2)
+    V = (scatter + problem.likelihood.frequency_term.spread.variance(theta[:, 4:]))[0]
+    solved, observed = [], DiscrepantLikelihood.observed
+    monkeypatch.setattr(
+        DiscrepantLikelihood, "observed", lambda self, at: solved.append(len(at)) or observed(self, at)
+    )
     drawn = problem.simulate_data(rng, np.repeat(seen.frequencies, n, axis=0), np.repeat(theta, n, axis=0))
+    assert solved == [1]
     assert_allclose(drawn.var(axis=0), V, rtol=6 * np.sqrt(2 / n))
 
 

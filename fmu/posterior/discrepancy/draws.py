@@ -1,0 +1,32 @@
+"""Quantities at the draws of a run, of which many are equal: a rejected step repeats the draw before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from fmu.progress.phases import by_parts
+from fmu.types import FloatArray, IntArray
+
+
+def distinct_rows(theta: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return the distinct rows of theta, (n, ndim), and the index among them of each row, (n,)."""
+    distinct, index = np.unique(theta, axis=0, return_inverse=True)
+    return distinct, index.reshape(-1)
+
+
+def at_distinct_rows(
+    function: Callable[[FloatArray], Sequence[FloatArray]], theta: FloatArray
+) -> tuple[FloatArray, ...]:
+    """Return the arrays that a function gives at theta, (n, ndim), called with each distinct row once.
+
+    Parameters
+    ----------
+    function : callable
+        Maps some rows (m, ndim) to arrays (m, …).
+    theta : ndarray, shape (n, ndim)
+    """
+    distinct, index = distinct_rows(theta)
+    parts = by_parts("predictions", function, distinct)
+    return tuple(np.concatenate(part)[index] for part in zip(*parts, strict=True))
