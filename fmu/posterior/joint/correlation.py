@@ -86,43 +86,32 @@ class Correlation:
             found[np.ix_(range(len(theta)), tests, here, here)] = (inverse - np.eye(len(here)))[:, None]
         return found
 
-    def whiten(self, theta: FloatArray, z: FloatArray) -> FloatArray:
-        """Return independent standard normal scores u in place of the scores z of each test, (n, n_tests, p).
-
-        The scores of a test are z = S u, where S is the Cholesky factor of the correlation matrix of the
-        populations in which the test has scores.
-        """
-        found = z.copy()
-        for here, tests, S in self._roots(self.factor(theta)):
-            of = np.swapaxes(z[:, tests][:, :, here], 1, 2)
-            found[np.ix_(range(len(z)), tests, here)] = np.swapaxes(np.linalg.solve(S, of), 1, 2)
+    def log_det(self, theta: FloatArray) -> FloatArray:
+        """Return the log-determinant of the correlation matrix of each test's scores, (n, n_tests)."""
+        found = np.zeros((len(theta), len(self.scored)))
+        for _, tests, _, _, log_det in self._blocks(self.factor(theta)):
+            found[:, tests] = log_det[:, None]
         return found
 
-    def correlate(self, theta: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the scores z, (n, n_tests, p), with the independent scores u; the inverse of `whiten`."""
-        found = u.copy()
-        for here, tests, S in self._roots(self.factor(theta)):
-            found[np.ix_(range(len(u)), tests, here)] = np.einsum("nij,ntj->nti", S, u[:, tests][:, :, here])
-        return found
+    def gradient_of_moments(self, theta: FloatArray, moments: FloatArray) -> FloatArray:
+        """Return the derivatives by the partial correlations of the expected log-density of all scores.
 
-    def chain_scores(self, theta: FloatArray, u: FloatArray, by_score: FloatArray) -> FloatArray:
-        """Return the derivatives by the partial correlations, (n, p (p − 1) / 2), at constant u.
+        Parameters
+        ----------
+        theta : ndarray, shape (n, n_parameters)
+        moments : ndarray, shape (n, n_tests, p, p)
+            The second moments of the scores of each test, given the data.
 
-        `u` are the independent scores, and `by_score` the derivatives by the scores z, shape (n, n_tests, p) each.
+        Returns
+        -------
+        ndarray, shape (n, p (p - 1) / 2)
         """
-        found = np.zeros((len(theta), len(self.columns)))
         L, slopes = self._factors(theta)
-        by_R = slopes @ np.swapaxes(L, 1, 2)[:, None]
-        by_R = by_R + np.swapaxes(by_R, 2, 3)
-        for here, tests, S in self._roots(L):
-            inverse = np.linalg.inv(S)
-            # dS = S Φ(S⁻¹ dR S⁻ᵀ), where Φ takes the lower triangle and half the diagonal
-            part = by_R[:, :, here[:, None], here]
-            inner = inverse[:, None] @ part @ np.swapaxes(inverse, 1, 2)[:, None]
-            lower = np.tril(inner) - 0.5 * inner * np.eye(len(here))
-            by_S = np.einsum("nti,ntj->nij", by_score[:, tests][:, :, here], u[:, tests][:, :, here])
-            found += np.einsum("nij,nkij->nk", by_S, S[:, None] @ lower)
-        return found
+        by_R = np.zeros_like(L)
+        for here, tests, block, inverse, _ in self._blocks(L):
+            total = moments[:, tests].sum(axis=1)[:, here[:, None], here]
+            by_R[block] += 0.5 * (inverse @ total @ inverse - len(tests) * inverse)
+        return np.einsum("nij,nkij->nk", 2.0 * by_R @ L, slopes)
 
     def of_scores(self, second_moments: FloatArray) -> FloatArray:
         """Return the partial correlations, (p (p − 1) / 2,), of scores with the second moments (p, p)."""
@@ -154,15 +143,6 @@ class Correlation:
         for here, tests in self._patterns:
             block = np.ix_(range(len(R)), here, here)
             yield here, tests, block, np.linalg.inv(R[block]), np.linalg.slogdet(R[block])[1]
-
-    def _roots(self, L: FloatArray) -> Iterator[tuple[IntArray, IntArray, FloatArray]]:
-        """Yield the Cholesky factor of the correlation matrix for each of the `_patterns`.
-
-        Each item consists of the indices of the populations, the indices of the tests, and the factor.
-        """
-        R = L @ np.swapaxes(L, 1, 2)
-        for here, tests in self._patterns:
-            yield here, tests, np.linalg.cholesky(R[:, here[:, None], here])
 
     def _factors(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the Cholesky factor of the correlation matrix, and its derivatives by the partial correlations.

@@ -1,4 +1,4 @@
-"""Conditional densities of a hierarchical posterior: scores given the main parameters, and the reverse.
+"""Densities of a hierarchical posterior: the scores given the main parameters, and these without the scores.
 
 The main parameters are all parameters of theta but the scores.
 """

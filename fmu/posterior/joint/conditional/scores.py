@@ -46,10 +46,6 @@ class Scattering(NamedTuple):
         slopes = [Slope(s.columns, s.values / one.values) for one in factors for s in one.slopes]
         return np.prod([one.values for one in factors], axis=0) if factors else np.ones((1, 1)), slopes
 
-    def scores(self, theta: FloatArray, values: FloatArray) -> FloatArray:
-        """Return the scores of values, both (n, n_tests), at the main parameters of theta (n, n_parameters)."""
-        return self.drawn.scores_at(values / self.factor(theta)[0], theta)
-
     def nearest_scores(self, theta: FloatArray, values: FloatArray) -> FloatArray:
         """Return the scores, (n, n_tests), of values (n_tests,), or of the nearest values within the bounds."""
         low, high = self.drawn.lower, self.drawn.upper
@@ -101,6 +97,40 @@ class Scores(NamedTuple):
         return found
 
 
+class Linear(NamedTuple):
+    """The densities of the scores of each test where the values are linear in the scores about a centre.
+
+    Attributes
+    ----------
+    at : ndarray, shape (n, n_parameters)
+        Theta with the scores of the centre.
+    z : ndarray, shape (n, n_tests, p)
+        The scores of the centre.
+    slopes : ndarray, shape (n, n_tests, p)
+        Derivatives of the values by the scores.
+    step : ndarray, shape (n, n_tests, p)
+        The most probable scores minus `z`.
+    largest : ndarray, shape (n, n_tests)
+        The logarithm of likelihood times exp(−½ zᵀ P z) at the most probable scores, where P is `of_prior`.
+    pull : ndarray, shape (n, n_tests, n_structural)
+        The gradients of the log-likelihoods by the values at the centre.
+    weight : ndarray, shape (n, n_tests, 1) or (1, 1, 1)
+        The factors of `Expansion.weigh`.
+    precision, of_prior : ndarray, shape (n, n_tests, p, p)
+        The precision matrices of the scores with the data, and without.
+    """
+
+    at: FloatArray
+    z: FloatArray
+    slopes: FloatArray
+    step: FloatArray
+    largest: FloatArray
+    pull: FloatArray
+    weight: FloatArray
+    precision: FloatArray
+    of_prior: FloatArray
+
+
 class Normal(NamedTuple):
     """Normal distributions of the straightened scores of each test.
 
@@ -131,6 +161,19 @@ class Normal(NamedTuple):
     def scatter(self, noise: FloatArray) -> FloatArray:
         """Return deviations from the mean, made of standard normal `noise`, (n, n_tests, p) each."""
         return np.asarray(np.linalg.solve(np.swapaxes(self.factor, 2, 3), noise[..., None])[..., 0])
+
+    def standardise(self, z: FloatArray) -> FloatArray:
+        """Return independent standard normal numbers, (n, n_tests, p), in place of scores z."""
+        return np.einsum("ntji,ntj->nti", self.factor, self.straighten(z) - self.mean)
+
+    def restore(self, u: FloatArray) -> FloatArray:
+        """Return the scores with the standard normal numbers u; the inverse of `standardise`."""
+        return self.bend(self.mean + self.scatter(u))
+
+    @property
+    def log_det_factor(self) -> FloatArray:
+        """The logarithm of the determinant of the factor, (n, n_tests)."""
+        return np.asarray(np.log(np.einsum("ntii->nti", self.factor)).sum(axis=2))
 
     def log_density(self, z: FloatArray, nu: float = np.inf) -> FloatArray:
         """Return the log-densities of straightened scores z, (n, n_tests, p), up to a constant, (n, n_tests).
@@ -169,11 +212,8 @@ class ScoresGivenMain:
             found += self.layout.correlation.log_density(theta, z)[0]
         return found
 
-    def approximate(self, theta: FloatArray) -> Normal:
-        """Return the normal approximation of the scores' density at the main parameters of theta (n, ndim).
-
-        The likelihood of each test is that of the expansion, and the values are linear in the scores there.
-        """
+    def linearise(self, theta: FloatArray) -> Linear:
+        """Return the densities of the scores, with linear values, at the main parameters of theta (n, ndim)."""
         known, numbers, scored = self.expansion, self.scores.parameters, self.scores.scored
         of = theta[:, : len(self.layout.parameters)]
         pairs = zip(self.scores.every, known.values.T[numbers], strict=True)
@@ -183,28 +223,32 @@ class ScoresGivenMain:
         slopes = np.where(scored, np.stack([one.slope(at) for one in self.scores.every], axis=2), 0.0)
         away = self.layout.values(at) - known.values
         weight = known.weigh(theta[:, len(self.layout.parameters) :])
-        gradient = weight * (known.slope - np.einsum("tij,ntj->nti", known.information, away))
+        turned = np.einsum("tij,ntj->nti", known.information, away)
+        value = weight[..., 0] * np.einsum("nti,nti->nt", away, known.slope - 0.5 * turned)
+        gradient = weight * (known.slope - turned)
         precision = known.information[:, numbers[:, None], numbers] * slopes[..., :, None] * slopes[..., None, :]
         precision = weight[..., None] * precision
         of_prior = np.broadcast_to(np.eye(z.shape[2]), precision.shape)
         if self.layout.correlation is not None:
             of_prior = of_prior + self.layout.correlation.precision(of)
-        total = slopes * gradient[:, :, numbers] - np.einsum("ntij,ntj->nti", of_prior, z)
+        pull = np.einsum("ntij,ntj->nti", of_prior, z)
+        total = slopes * gradient[:, :, numbers] - pull
+        value = value - 0.5 * np.einsum("nti,nti->nt", z, pull)
         precision = precision + of_prior
-        mean = z + np.linalg.solve(precision, total[..., None])[..., 0]
-        curve = None
-        if self.bend is not None:
-            curve = Curve(self.bend, z, np.where(scored, slopes / self.bend.slopes, 1.0))
-        return Normal(mean, np.linalg.cholesky(precision), scored, curve)
+        step = np.linalg.solve(precision, total[..., None])[..., 0]
+        value = value + 0.5 * np.einsum("nti,nti->nt", total, step)
+        return Linear(at, z, slopes, step, value, gradient, weight, precision, of_prior)
 
-    def least_information(self, theta: FloatArray) -> float:
-        """Return how much the tests say about their own values beside the population, between 0 and 1.
+    def approximate(self, theta: FloatArray) -> Normal:
+        """Return the normal approximation of the scores' density at the main parameters of theta (n, ndim).
 
-        For each population the share of a score's variance that the data of the test remove is averaged over the
-        tests, at theta (1, ndim); the smallest mean is returned.
+        The likelihood of each test is that of the expansion, and the values are linear in the scores there.
         """
-        factor = self.approximate(theta).factor[0]
-        left = np.einsum("tii->ti", np.linalg.inv(factor @ np.swapaxes(factor, 1, 2)))
-        scored = self.scores.scored
-        removed = np.where(scored, 1.0 - left, 0.0)
-        return float(np.min(removed.sum(axis=0) / scored.sum(axis=0)))
+        return self.normal_of(self.linearise(theta))
+
+    def normal_of(self, linear: Linear) -> Normal:
+        """Return the normal approximation of the scores' density with linear values."""
+        curve, scored = None, self.scores.scored
+        if self.bend is not None:
+            curve = Curve(self.bend, linear.z, np.where(scored, linear.slopes / self.bend.slopes, 1.0))
+        return Normal(linear.z + linear.step, np.linalg.cholesky(linear.precision), scored, curve)

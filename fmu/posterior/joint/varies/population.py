@@ -174,26 +174,10 @@ class Population(Varies):
         (p, by_p), (q, by_q) = (self._log_pdf(value, *of, lower, upper) for of in (one, other))
         return p - q, by_p, by_q
 
-    def log_pdf(
-        self, value: FloatArray, centre: FloatArray, sd: FloatArray, lower: float, upper: float
-    ) -> tuple[FloatArray, Slopes]:
-        """Return the log-densities of values, and their derivatives by value, centre and standard deviation.
-
-        Parameters
-        ----------
-        value, centre, sd : ndarray, broadcastable
-        lower, upper : float
-            Bounds of the values.
-        """
-        p, (by_value, by_centre, by_sd) = self._log_pdf(value, centre, sd, lower, upper)
-        if not self.of_logarithm:
-            return p, (by_value, by_centre, by_sd)
-        return p - np.log(value), (by_value - 1.0 / value, by_centre, by_sd)
-
     def _log_pdf(
         self, value: FloatArray, centre: FloatArray, sd: FloatArray, lower: float, upper: float
     ) -> tuple[FloatArray, Slopes]:
-        """Return the log-density of the value or, for a log-normal population, of its logarithm; see `log_pdf`."""
+        """Return the log-density of the value (of its logarithm for a log-normal population), with derivatives."""
         if not self.of_logarithm:
             return truncated_normal_log_pdf(value, centre, sd, lower, upper)
         with np.errstate(divide="ignore"):

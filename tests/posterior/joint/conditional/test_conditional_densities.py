@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.special import logsumexp
 from scipy.stats import multivariate_t
 
 import fmu
@@ -18,7 +19,7 @@ N, P = 7, 3
 NAMES = tuple(f"k{j + 1}" for j in range(P))
 
 
-def campaign(distribution="normal", correlation=None, slopes=(), shared=(), noise=0.01):
+def campaign(distribution="normal", correlation=None, slopes=(), shared=(), noise=0.01, bounds=(0.75, 1.5)):
     """Return the problem of seven tests of three storeys whose stiffnesses scatter by 5 % and bounds are near."""
     rng = np.random.default_rng(2)
     model = shear_building(list(NAMES), 2e8, 1e5)
@@ -31,7 +32,7 @@ def campaign(distribution="normal", correlation=None, slopes=(), shared=(), nois
     return fmu.JointProblem(
         model,
         tests,
-        [fmu.Parameter(name, start=1.0, lower=0.75, upper=1.5) for name in NAMES],
+        [fmu.Parameter(name, 1.0, *bounds) for name in NAMES],
         varies={name: fmu.Population(distribution) for name in NAMES if name not in shared},
         slopes={name: {"temperature": fmu.Normal(0.01)} for name in slopes},
         correlation=correlation,
@@ -52,11 +53,16 @@ CAMPAIGNS = {
 @pytest.fixture(scope="module", params=CAMPAIGNS)
 def campaign_points(request):
     """Return a problem, its conditional densities, the problem without centring, and three points there."""
-    problem = campaign(**CAMPAIGNS[request.param])
+    return points_of(campaign(**CAMPAIGNS[request.param]))
+
+
+def points_of(problem):
+    """Return a problem, its conditional densities, the problem without centring, and three points there."""
     plain = problem.with_layout(problem.layout.remove_centring())
     rng, found = np.random.default_rng(3), conditionals(problem)
     own = np.repeat(ScaledDensity(problem).to_theta(typical_point(problem))[None], 3, axis=0)
-    own[:, found.main.columns] *= 1.0 + 0.02 * rng.standard_normal((3, len(found.main.columns)))
+    columns = found.marginal.columns
+    own[:, columns] *= 1.0 + 0.02 * rng.standard_normal((3, len(columns)))
     if problem.layout.correlation is not None:
         own[:, list(problem.layout.correlation.columns)] += np.array([[0.1], [0.2], [-0.1]])
     return problem, found, plain, own
@@ -69,65 +75,41 @@ def test_scores_without_centring_give_the_same_values(campaign_points):
     assert_allclose(problem.layout.restore_scores(theta), own, rtol=1e-8, atol=1e-9)
 
 
-def test_main_given_values_is_the_joint_density_at_these_values(campaign_points):
-    """By the change of variables p(main, values) = p(main, scores) / |∂values/∂scores|."""
-    problem, found, plain, own = campaign_points
-    main, scores = found.main, found.scores.scores
-    before = problem.layout.standardise_scores(own)
-    values, w = main.values(before), main.coordinates(before, main.values(before))
-    assert_allclose(main.theta_at(w, before, values), before, rtol=1e-12)
-
-    moved = w + 0.2 * np.random.default_rng(4).standard_normal(w.shape) / len(w[0])
-    after = main.with_values(main.theta_at(moved, before, values), values)
-    assert_allclose(main.values(after)[:, scores.scored], values[:, scores.scored], rtol=1e-9)
-
-    def of_joint(theta, w):
-        jacobian = [np.log(one.slope(theta))[:, one.drawn.scored].sum(axis=1) for one in scores.every]
-        total = plain.log_prior(theta) - np.sum(jacobian, axis=0)
-        for one, (centre, width) in zip(scores.every, main._pairs, strict=True):  # |∂(centre, width)/∂w|
-            total += 2.0 * w[:, width]
-            if one.drawn.population.of_logarithm:
-                total += np.log(theta[:, main.columns[centre]])
-        return total
-
-    change = (main.log_prob_and_grad(x, before, values)[0] for x in (moved, w))
-    assert_allclose(np.subtract(*change), of_joint(after, moved) - of_joint(before, w), rtol=1e-6, atol=1e-6)
-
-
-def test_gradients_of_main_parameters(campaign_points):
+def test_coordinates_of_main_parameters_and_their_inverse(campaign_points):
     problem, found, _, own = campaign_points
-    theta = problem.layout.standardise_scores(own)[:1]
-    values = found.main.values(theta)
-    w = found.main.coordinates(theta, values)
-    of_main = lambda w: found.main.log_prob_and_grad(w, *(np.repeat(x, len(w), axis=0) for x in (theta, values)))  # noqa: E731
-    assert_gradient(of_main(w)[1], lambda w: of_main(w)[0], w, 1e-5, rtol=1e-4, atol=1e-3)
-    w = found.shift.coordinates(theta)
-    of_shift = lambda w: found.shift.log_prob_and_grad(w, np.repeat(theta, len(w), axis=0))  # noqa: E731
-    assert_gradient(of_shift(w)[1], lambda w: of_shift(w)[0], w, 1e-5, rtol=1e-4, atol=1e-3)
-
-
-@pytest.mark.parametrize("distribution", ["normal", "log-normal"])
-def test_correlations_given_scores_move_the_scores_by_the_root_of_their_matrix(distribution):
-    """A test without k3 has scores of the other two, and the root of the matrix of these."""
-    problem = campaign(distribution, correlation=2.0)
-    copula, shift, scores = (
-        problem.layout.correlation,
-        conditionals(problem).shift,
-        conditionals(problem).scores.scores,
-    )
-    own = ScaledDensity(problem).to_theta(typical_point(problem))[None]
     theta = problem.layout.standardise_scores(own)
-    assert set(copula.columns) <= set(shift.columns.tolist())
-    w = shift.coordinates(theta) + 0.05 * np.random.default_rng(6).standard_normal((1, len(shift.columns)))
-    after = shift.theta_at(w, theta)
-    assert_allclose(shift.coordinates(after), w, rtol=1e-12)
-    z, moved = (scores.take(at)[0] for at in (theta, after))
-    L, M = (copula.factor(at)[0] for at in (theta, after))
-    for t, scored in enumerate(scores.scored):
-        before, then = (np.linalg.cholesky((root @ root.T)[np.ix_(scored, scored)]) for root in (L, M))
-        expected = then @ np.linalg.solve(before, z[t, scored])
-        assert_allclose(moved[t, scored], expected, rtol=1e-10, atol=1e-12)
-        assert np.linalg.norm(moved[t, scored] - z[t, scored]) > 1e-4
+    assert_allclose(found.marginal.theta_at(found.marginal.coordinates(theta), theta), theta, rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", CAMPAIGNS)
+def test_gradients_of_main_parameters_without_scores(kind):
+    """The gradient is exact where the bounds are distant."""
+    problem, found, _, own = points_of(campaign(**CAMPAIGNS[kind], bounds=(0.05, 20.0)))
+    theta = problem.layout.standardise_scores(own)[:1]
+    w = found.marginal.coordinates(theta)
+    of = lambda w: found.marginal.log_prob_and_grad(w, np.repeat(theta, len(w), axis=0))  # noqa: E731
+    assert_gradient(of(w)[1], lambda w: of(w)[0], w, 1e-5, rtol=1e-4, atol=1e-3)
+
+
+def test_evidence_is_the_integral_over_the_scores(campaign_points):
+    """Beside importance sampling of the exact integral: by how much it changes with the main parameters."""
+    problem, found, plain, own = campaign_points
+    theta, of, n = problem.layout.standardise_scores(own), found.scores, 2000
+    theta[:, [one.drawn.width for one in of.scores.every]] *= np.array([[1.0], [1.5], [0.7]])
+    linear = of.linearise(theta)
+    normal, rng = of.normal_of(linear), np.random.default_rng(9)
+    evidence, exact = found.marginal.log_evidence(linear), np.empty((len(theta), N))
+    u = rng.standard_normal((n, *normal.mean.shape[1:]))
+    for k in range(len(theta)):
+        one = of.approximate(np.repeat(theta[k : k + 1], n, axis=0))
+        at = of.scores.put(np.repeat(theta[k : k + 1], n, axis=0), one.restore(u))
+        assert_allclose(one.standardise(of.scores.take(at)), np.where(of.scores.scored, u, 0.0), atol=1e-7)
+        terms = sum_by_test(plain.terms_of_tests(at), plain.likelihood.test_of_terms, N)
+        log_weight = terms + of.log_prior(at) + 0.5 * np.sum(u**2 * of.scores.scored, axis=2) - one.log_det_factor
+        exact[k] = logsumexp(log_weight, axis=0) - np.log(n)
+    error = np.abs((evidence[1:] - evidence[0]) - (exact[1:] - exact[0]))
+    assert np.median(error) < 0.1
+    assert np.max(error) < 0.5
 
 
 def test_scores_given_main_are_close_to_their_normal_approximation(campaign_points):

@@ -1,0 +1,171 @@
+"""The main parameters with all scores integrated out, by an approximation that needs no solve of the model.
+
+The likelihood L_t of test t is expanded to second order in the values, which are linear in the scores z_t. The
+integral over the scores is then that of a normal density (Laplace's method; Tierney & Kadane 1986, *J. Am. Stat.
+Assoc.* 81, 82–86): with main parameters m, the precision Λ_t of the scores with the data and P without,
+
+    log Q(m) = log p(m) + Σ_t [log L_t(ẑ_t) − ½ ẑ_tᵀ P ẑ_t − ½ log det Λ_t + ½ log det P],
+
+where ẑ_t are the most probable scores. Q has no funnel: it is smooth where a standard deviation of a population is
+small. A step of the main parameters in Q holds u_t = Λ_t^½ (z_t − ẑ_t), the scores in units of what main
+parameters and data leave open. The change of the error of the approximation, not its size, decides whether the
+step is accepted (Osmundsen, Kleppe & Liesenfeld 2021, *J. Comput. Graph. Stat.* 30, 906–919).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fmu.posterior.joint.conditional.scores import Linear, ScoresGivenMain
+from fmu.posterior.priors.joint import JointPrior
+from fmu.posterior.problem import UpdatingProblem
+from fmu.posterior.scaled import ScaledDensity
+from fmu.types import FloatArray, IntArray
+
+_STEP, _CURVATURE = 1e-4, 2.0
+_LEAST, _MOST = 1e-3, 1e3
+"""Limits of the unit of a population's standard deviation, relative to its typical value."""
+
+
+class MarginalOfMain:
+    """The approximate density of the main parameters, without scores, given standard deviations of errors.
+
+    It is one of coordinates w: arsinh(s/c) for the standard deviation s of a population, where c is the typical
+    standard deviation of a value given the data of its test alone, artanh(ρ) for a partial correlation, and scaled
+    for all other parameters.
+
+    Parameters
+    ----------
+    problem : UpdatingProblem
+        A problem with populations and standard normal scores.
+    scores : ScoresGivenMain
+    theta : ndarray, shape (1, ndim)
+        A typical point.
+
+    Attributes
+    ----------
+    columns : ndarray of int, shape (d,)
+        Indices of the main parameters in theta.
+    lower, upper : ndarray, shape (d,)
+        Bounds of w.
+    """
+
+    def __init__(self, problem: UpdatingProblem, scores: ScoresGivenMain, theta: FloatArray) -> None:
+        self.layout, self.given, of = problem.layout, scores, scores.scores
+        self.columns: IntArray = np.setdiff1d(np.arange(problem.n_structural), of.columns[of.scored])
+        self.prior = JointPrior([problem.parameters[k] for k in self.columns])
+        scaled = ScaledDensity(problem)
+        self._offset, self._scale = scaled.offset[self.columns], scaled.scale[self.columns]
+        place = {int(column): k for k, column in enumerate(self.columns)}
+        copula = self.layout.correlation
+        self._widths = np.array([place[one.drawn.width] for one in of.every])
+        self._partial = np.array([place[k] for k in (copula.columns if copula else ())], dtype=np.int64)
+        self._units = self._units_of_widths(theta)
+        self._low, self._high = scaled.theta_lower[self.columns], scaled.theta_upper[self.columns]
+        self.lower, self.upper = (self._to_w(ends[None])[0] for ends in (self._low, self._high))
+
+    def _units_of_widths(self, theta: FloatArray) -> FloatArray:
+        linear, scored = self.given.linearise(theta), self.given.scores.scored
+        left = np.einsum("tii->ti", np.linalg.solve(linear.precision[0], linear.of_prior[0]))
+        removed = np.where(scored, 1.0 - left, 0.0).sum(axis=0) / scored.sum(axis=0)
+        removed = np.clip(removed, _LEAST**2, 1.0 - _LEAST**2)
+        widths = theta[0, self.columns[self._widths]]
+        return np.asarray(widths * np.clip(np.sqrt((1.0 - removed) / removed), _LEAST, _MOST))
+
+    def _to_w(self, main: FloatArray) -> FloatArray:
+        w = (main - self._offset) / self._scale
+        w[:, self._widths] = np.arcsinh(main[:, self._widths] / self._units)
+        w[:, self._partial] = np.arctanh(main[:, self._partial])
+        return w
+
+    def coordinates(self, theta: FloatArray) -> FloatArray:
+        """Return w, (n, d), at theta (n, ndim)."""
+        return self._to_w(theta[:, self.columns])
+
+    def theta_at(self, w: FloatArray, theta: FloatArray) -> FloatArray:
+        """Return a copy of theta with the main parameters at w and the scores of `theta`."""
+        main = self._offset + self._scale * w
+        main[:, self._widths] = self._units * np.sinh(w[:, self._widths])
+        main[:, self._partial] = np.tanh(w[:, self._partial])
+        found = theta.copy()
+        found[:, self.columns] = np.clip(main, self._low, self._high)
+        return found
+
+    def log_prob_and_grad(self, w: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray, Linear]:
+        """Return the log-density (n,) of w, (n, d), its gradient, and the densities of the scores there.
+
+        The gradient is exact where bounds and the curvature of the values have no influence.
+
+        Parameters
+        ----------
+        w : ndarray, shape (n, d)
+        theta : ndarray, shape (n, ndim)
+            Supplies the inferred standard deviations of errors.
+        """
+        at = self.theta_at(w, theta)
+        linear = self.given.linearise(at)
+        main = at[:, self.columns]
+        value = np.einsum("nt->n", self.log_evidence(linear)) + self.prior.log_pdf(main)
+        gradient = self._gradient(linear, at)[:, self.columns] + self.prior.log_pdf_gradient(main)
+        by_w = np.broadcast_to(self._scale, w.shape).copy()
+        of_width, rho = w[:, self._widths], main[:, self._partial]
+        by_w[:, self._widths] = self._units * np.cosh(of_width)
+        by_w[:, self._partial] = 1.0 - rho**2
+        gradient = gradient * by_w
+        gradient[:, self._widths] += np.tanh(of_width)
+        gradient[:, self._partial] -= 2.0 * rho
+        value = value + np.log(by_w[:, self._widths]).sum(axis=1) + np.log1p(-(rho**2)).sum(axis=1)
+        return value, gradient, linear
+
+    def rough_covariance(self, theta: FloatArray) -> FloatArray:
+        """Return a covariance matrix of w, (d, d): the inverse of the curvature at theta, (1, ndim).
+
+        The curvature is computed by differences of the gradient. It may vanish by a standard deviation near zero,
+        so `_CURVATURE` is added for standard deviations and correlations, whose w are of the order of one. The
+        curvature of a normal distribution with the standard deviation of the uniform distribution between the
+        bounds is added for all parameters, so that the inverse is finite.
+        """
+        w, d = self.coordinates(theta), len(self.columns)
+        h = _STEP * np.minimum(1.0, np.minimum(w - self.lower, self.upper - w)[0])
+        h = np.where(h > 0.0, h, _STEP)
+        moves = np.concatenate([np.diag(h), -np.diag(h)])
+        slopes = self.log_prob_and_grad(w + moves, np.repeat(theta, 2 * d, axis=0))[1]
+        hessian = (slopes[d:] - slopes[:d]) / (2.0 * h[:, None])
+        values, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
+        size = np.abs(values)
+        added = 12.0 / (self.upper - self.lower) ** 2
+        added[np.concatenate([self._widths, self._partial])] += _CURVATURE
+        return np.linalg.inv((vectors * np.maximum(size, 1e-9 * size.max())) @ vectors.T + np.diag(added))
+
+    def log_evidence(self, linear: Linear) -> FloatArray:
+        """Return the logarithm of the integral over the scores of each test, (n, n_tests)."""
+        found = linear.largest - 0.5 * np.linalg.slogdet(linear.precision)[1]
+        copula = self.layout.correlation
+        return found if copula is None else found - 0.5 * copula.log_det(linear.at)
+
+    def _gradient(self, linear: Linear, theta: FloatArray) -> FloatArray:
+        """Return the derivatives of the sum of `log_evidence`, (n, ndim); those by scores have no meaning."""
+        of, known, n = self.given.scores, self.given.expansion, len(self.layout.parameters)
+        moved = linear.slopes * linear.step
+        pull = linear.pull - linear.weight * np.einsum(
+            "tij,ntj->nti", known.information[:, :, of.parameters], moved
+        )
+        inverse = np.linalg.inv(linear.precision)
+        noise = np.zeros((*pull.shape[:2], theta.shape[1] - n))
+        full = np.concatenate([linear.at, theta[:, n:]], axis=1)
+        gradient = self.layout.gradient(full, np.concatenate([pull, noise], axis=2), np.arange(pull.shape[1]))
+        left = np.einsum("ntij,ntji->nti", inverse, linear.of_prior)
+        by_log_slope = np.where(of.scored, pull[:, :, of.parameters] * moved - (1.0 - left), 0.0)
+        for k, one in enumerate(of.every):
+            gradient[:, one.drawn.width] += by_log_slope[:, :, k].sum(axis=1) / theta[:, one.drawn.width]
+            if not one.drawn.population.of_logarithm:
+                for slope in one.factor(linear.at)[1]:
+                    terms = by_log_slope[:, :, k] * slope.values
+                    for column in np.unique(slope.columns):
+                        gradient[:, column] += terms[:, slope.columns == column].sum(axis=1)
+        copula = self.layout.correlation
+        if copula is not None:
+            z = linear.z + linear.step
+            moments = inverse + z[..., :, None] * z[..., None, :]
+            gradient[:, list(copula.columns)] = copula.gradient_of_moments(linear.at, moments)
+        return gradient
