@@ -10,6 +10,7 @@ from fmu.analysis.information import (
     COMBINED,
     DATA,
     PRIOR,
+    _entropy_sd,
     compared_with_draws,
     information,
     left_along,
@@ -49,6 +50,11 @@ PRIORS = {
     "log-normal": (LogNormal(1.0, 0.6), 0.0, np.inf),
     "uniform": (Uniform(), 0.5, 1.5),
 }
+
+
+def test_the_ratio_of_entropies_of_one_shape_is_that_of_the_standard_deviations():
+    x = np.random.default_rng(1).standard_normal((2, 20_000))
+    assert _entropy_sd(0.5 * x[0], x[1]) == pytest.approx(0.5, rel=0.03)
 
 
 def chain(prior="normal", known_mass=0.0, sd=0.01, error=None):

@@ -9,7 +9,7 @@ from scipy.stats import norm
 import fmu
 from fmu.analysis.held_out import modes
 from fmu.analysis.held_out.modes import left_out_warnings, with_left_out
-from fmu.analysis.held_out.refit import approximation, cheaper, left_out
+from fmu.analysis.held_out.refit import approximation, cheaper, compare_posteriors, left_out
 from fmu.analysis.trace.conversion import to_trace
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.problem import UpdatingProblem
@@ -24,6 +24,17 @@ SLOPES, PRIOR_SD = np.array([[2.0, 1.0], [0.5, -1.0], [1.0, 3.0]]), np.array([1.
 MEASURED, BETA = np.array([101.0, 99.5, 102.0]), np.array([0.5, 1.0, 2.0])
 COVARIANCE = np.array([[1.0, 0.4, 0.1], [0.4, 0.5, -0.2], [0.1, -0.2, 0.25]])
 BY_REFITS = ["refit"] * 3
+
+
+def test_the_error_of_an_elpd_is_how_it_scatters():
+    rng, found = np.random.default_rng(1), []
+    for _ in range(200):
+        theta = 1.2 * rng.standard_normal((300, 1))
+        log_p = norm.logpdf(theta.T) + np.stack([np.zeros(300), norm.logpdf(0.5, theta[:, 0], 2.0)])
+        found.append(compare_posteriors(theta, log_p, theta, norm.logpdf(theta[:, 0], scale=1.2)))
+    elpd, error = (np.array([getattr(one, name) for one in found]) for name in ("elpd", "error"))
+    assert elpd.mean() == pytest.approx(norm.logpdf(0.5, 0.0, np.sqrt(5.0)), abs=4.0 * elpd.std() / np.sqrt(200))
+    assert elpd.std() == pytest.approx(error.mean(), rel=0.2)  # four standard errors of a standard deviation
 
 
 def given(k, others, covariance):

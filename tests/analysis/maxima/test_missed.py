@@ -4,7 +4,9 @@ import re
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
+from fmu.analysis.maxima import missed
 from fmu.analysis.maxima.missed import compare_shares, draws_of_maxima, missed_maxima, nearest_maxima
 from fmu.analysis.maxima.results import Maxima, PosteriorMaximum
 
@@ -50,6 +52,18 @@ def trace_of(make_trace):
         return make_trace(position, walkers=walkers, lp=np.full((len(places), 200), best))
 
     return make
+
+
+def test_the_mass_of_gaussian_draws_is_that_of_their_density():
+    cov = np.array([[4.0, 0.6], [0.6, 0.25]])
+    density = multivariate_normal([1.0, -3.0], cov)
+    draws = density.rvs(20_000, random_state=1)
+    assert missed._log_mass(draws, density.logpdf(draws) + np.log(0.3)) == pytest.approx(np.log(0.3), abs=0.03)
+
+
+def test_the_error_of_the_evidence_is_that_of_the_masses():
+    maxima = known(maximum((0, 0), -1.0, 0.2, effective=50.0), maximum((20, 0), -4.0, 0.8, effective=400.0))
+    assert maxima.log_evidence_error == pytest.approx(np.sqrt(0.2**2 / 50.0 + 0.8**2 / 400.0))
 
 
 def test_a_draw_belongs_to_the_maximum_whose_ellipsoid_it_is_in(two):

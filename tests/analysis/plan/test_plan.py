@@ -82,7 +82,9 @@ def test_the_known_mass_separates_stiffness_from_mass():
 
 def test_repeats_help_until_the_drift_remains(tower):
     alone = fmu.plan(tower, 2, draws=4).repeats["median_sd"]
-    drifting = fmu.plan(tower, 2, draws=4, drift=0.05, shape_sd=1.0).repeats["median_sd"]
+    plan = fmu.plan(tower, 2, draws=4, drift=0.05, shape_sd=1.0)
+    drifting = plan.repeats["median_sd"]
+    np.testing.assert_allclose(plan.frequency_sd, np.hypot(plan.design.frequency_sd, 0.05), rtol=1e-14)
     assert np.all(np.diff(alone) < 0.0)
     assert drifting.loc[20] > 0.9 * drifting.loc[1]
 
