@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.validation import hostile_decks as decks
 from tests.validation import hostile_matrices as matrices
 from tests.validation import hostile_measured as measured
 from tests.validation.hostile_bases import Base, bases, put
@@ -31,6 +32,9 @@ def crafted(folder: Path) -> list[Hostile]:
     ]
     oma = known["operational"]
     found += [_beside("operational", name, oma, "oma.npz", text) for name, text in measured.operational().items()]
+    for file, texts in (("deck.bdf", decks.bulk_data()), ("deck.inp", decks.input_decks())):
+        for name, text in texts.items():
+            found.append(_beside(f"constraints, {file}", name, decks.base(file, text), file, text.encode()))
     python = known["python"]
     return found + [_beside("function", name, python, "storeys.py", code) for name, code in FUNCTIONS.items()]
 

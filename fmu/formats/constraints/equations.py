@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -41,7 +42,7 @@ def explicit_equation(terms: Iterable[tuple[DofName, float]], source: str) -> Eq
     Raises
     ------
     RefusedError
-        If there are no terms, or the factor of the first degree of freedom is zero.
+        If there are no terms, the factor of the first degree of freedom is zero, or a weight is not finite.
     """
     row: dict[DofName, float] = {}
     for name, factor in terms:
@@ -50,7 +51,10 @@ def explicit_equation(terms: Iterable[tuple[DofName, float]], source: str) -> Eq
     if first is None or not row[first]:
         where = " has no terms" if first is None else f": the factor of {shown(first)} is zero"
         raise RefusedError(f"must have equations that determine their first degree of freedom ({source}{where})")
-    return Equation(first, {name: -a / row[first] for name, a in row.items() if name != first and a}, source)
+    weights = {name: -a / row[first] for name, a in row.items() if name != first and a}
+    if not all(map(isfinite, weights.values())):
+        raise RefusedError(f"must have equations with finite weights ({source}: those of {shown(first)} are not)")
+    return Equation(first, weights, source)
 
 
 def solve_for_dependents(

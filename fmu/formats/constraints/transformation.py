@@ -61,7 +61,7 @@ def transformation(
     ------
     RefusedError
         If a degree of freedom is dependent twice, or dependent and held, dependents follow each other in a circle,
-        or T has too many entries. The message names them and the constraints.
+        or T has too many entries or an infinite one. The message names them and the constraints.
     """
     source = _check_dependents(equations, held)
     names = list(dict.fromkeys([*dofs, *source, *(name for one in equations for name in one.weights)]))
@@ -86,6 +86,10 @@ def transformation(
         T = sp.csr_array(T + power @ T)
         if max(power.nnz, T.nnz) > MOST_ENTRIES:
             raise RefusedError(f"must have constraints of at most {MOST_ENTRIES} weights in all")
+    if not np.all(np.isfinite(T.data)):
+        wrong = int(np.flatnonzero(~np.isfinite(T.data))[0])
+        name = names[int(np.searchsorted(T.indptr, wrong, side="right")) - 1]
+        raise RefusedError(f"must have constraints with finite weights (those of {shown(name)} are not)")
     return Transformation(T, names, [names[i] for i in free.tolist()])
 
 

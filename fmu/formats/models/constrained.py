@@ -86,7 +86,10 @@ def constrain(
     )
     top = sp.csr_array(top[:, order])
     T = T._replace(T=sp.csr_array(T.T[:, order]), independent=[T.independent[i] for i in order])
-    return Constrained([sp.csr_array(top.T @ matrix @ top) for matrix in matrices], T.independent, T, notes)
+    reduced = [sp.csr_array(top.T @ matrix @ top) for matrix in matrices]
+    if not all(np.all(np.isfinite(matrix.data)) for matrix in reduced):
+        raise RefusedError("must have constraints with which the matrices are finite: a lever arm is too long")
+    return Constrained(reduced, T.independent, T, notes)
 
 
 def _of_supports(count: int) -> str:

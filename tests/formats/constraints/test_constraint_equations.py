@@ -10,6 +10,7 @@ import fmu
 from fmu.fem.modes.eigensolver import eigen
 from fmu.formats.constraints.equations import Equation
 from fmu.formats.constraints.transformation import transformation
+from fmu.formats.matrices.limits import RefusedError
 from fmu.types import DIRECTIONS
 
 RIGID_BAR = """\
@@ -207,3 +208,9 @@ def test_a_constraint_that_would_fill_the_matrices_is_refused(tmp_path):
     ones = {(9999, d): 1.0 for d in DIRECTIONS}
     with pytest.raises(ValueError, match=r"RBE3 7 couples each of 1\d{4} to all others"):
         read(tmp_path, text, ones, ones)
+
+
+def test_a_chain_whose_weights_overflow_is_refused_with_a_name():
+    links = [Equation((k, "x"), {(k - 1, "x"): 1e9}, f"MPC {k}") for k in range(1, 60)]
+    with pytest.raises(RefusedError, match=r"finite weights \(those of node 35 x are not\)"):
+        transformation(links, [(0, "x")])
