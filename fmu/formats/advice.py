@@ -4,7 +4,7 @@ from __future__ import annotations
 
 NASTRAN = (
     "PARAM,EXTOUT,DMIGPCH in the bulk data writes K and M of the a-set (all free nodes in ASET1 entries, where it "
-    "writes none) to job.pch; MYSTRAN does with OUTPUT4 KLL,MLL,,,//-1/21 in the executive control, to job.OU1"
+    "writes none) to job.pch; MYSTRAN does with OUTPUT4 KGG,MGG,,,//-1/21 in the executive control, to job.OU1"
 )
 ABAQUS = (
     "*MATRIX GENERATE, STIFFNESS, MASS and *MATRIX OUTPUT, STIFFNESS, MASS, FORMAT=MATRIX INPUT in a step of "

@@ -14,7 +14,7 @@ BULK = "BEGIN BULK\nGRID,1,,0.,0.,0.\nENDDATA\n"
     ("name", "advice"),
     [
         ("a.op2", "out of Nastran: PARAM,EXTOUT,DMIGPCH in the bulk data writes K and M of the a-set"),
-        ("a.bdf", r"out of Nastran: .* OUTPUT4 KLL,MLL,,,//-1/21 in the executive control, to job\.OU1"),
+        ("a.bdf", r"out of Nastran: .* OUTPUT4 KGG,MGG,,,//-1/21 in the executive control, to job\.OU1"),
         ("a.dat", r"out of Nastran: .*; CalculiX: .*; Ansys: a modal analysis leaves job\.full"),
         ("a.fem", "out of OptiStruct: PARAM,EXTOUT,DMIGPCH in the bulk data, with the nodes in ASET1"),
         (
