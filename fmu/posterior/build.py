@@ -233,14 +233,19 @@ def _likelihood_of_frfs(
         _check_single(of_frfs)
     others = [one for one in given if one not in of_frfs]
     of_modes = any(not isinstance(one, QuantityErrors) for one in others)
-    if discrepancy and not of_modes:
-        rule = (
-            "needs errors of frequencies or shapes; of FRFs alone the error of the model is FRFErrors(model_sd=…)"
-        )
-        raise ArgumentError("discrepancy", rule, "FRFErrors")
+    discrepancies = (discrepancy,) if isinstance(discrepancy, Discrepancy) else tuple(discrepancy)
+    if discrepancies and len(layout.tests) > 1:
+        rule = "is for frequency response functions of a single test, or for tests of modes alone"
+        raise ArgumentError("discrepancy", rule, f"{len(layout.tests)} tests")
+    if discrepancies and of_modes:
+        rule = "needs errors of modes, or of frequency response functions, but not both"
+        raise ArgumentError("discrepancy", rule, "both")
+    if len(discrepancies) > 1:
+        rule = 'of frequency response functions must be one, of kind "modes"'
+        raise ArgumentError("discrepancy", rule, len(discrepancies))
     if not (of_modes or any(data.use)):  # the data of another problem of FRFs alone
         data = replace(data, use=())
-    modal: Any = likelihood_of(others or "frequency", beta, model, paired, data, parameters, discrepancy, layout)
+    modal: Any = likelihood_of(others or "frequency", beta, model, paired, data, parameters, (), layout)
     if not of_modes:
         modal = modal.using(np.zeros(0, dtype=np.int64))
     every = []
@@ -249,7 +254,7 @@ def _likelihood_of_frfs(
         if len(layout.tests) > 1:
             here = StructureInTest.of(one.test, model, layout)
         try:
-            term = one.bind_frfs(here.structure, here.parameters)
+            term = one.bind_frfs(here.structure, here.parameters, *discrepancies)
         except ValueError as error:
             if one.test is None:
                 raise

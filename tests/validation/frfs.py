@@ -29,6 +29,7 @@ from tests import measured_frfs as storeys
 from tests.validation.cantilever_frf import NODES
 from tests.validation.frf_damage import damage
 from tests.validation.frf_structures import frame_problem, many_lines, ratio_to_eigh
+from tests.validation.frf_wrong import wrong_models
 from tests.validation.kept import Units, each, fields_of, study_parser
 from tests.validation.sections import write_sections
 
@@ -410,7 +411,15 @@ def main() -> int:
         "Written by `make validate` (`python -m tests.validation.frfs results`), in "
         f"{units.processor_s / 60.0:.0f} minutes of one core.\n"
     )
-    page = [head, *parts, calibration_page(sbc), hits_page(hits), starts_page(starts), damage(units)]
+    page = [
+        head,
+        *parts,
+        calibration_page(sbc),
+        hits_page(hits),
+        starts_page(starts),
+        damage(units),
+        wrong_models(units),
+    ]
     (asked.out / "frfs.md").write_text("\n".join(page), encoding="utf-8")
     return 0
 

@@ -19,8 +19,9 @@ REMEDY = (
     "a model that is wrong, and widens the posterior and every prediction; --discrepancy all compares all kinds"
 )
 REMEDY_OF_FRFS = (
-    "If a gain or a delay of a channel is the cause, gain_sd and delay_sd find it; model_sd allows for a model "
-    "that is wrong"
+    'If a gain or a delay of a channel is the cause, gain_sd and delay_sd find it. A discrepancy of kind "modes" '
+    '(Python: discrepancy=fmu.Discrepancy("modes", sd=0.02, correlation=0.0)) allows for a model whose modes are '
+    "wrong, and widens the posterior and every prediction; model_sd for errors at single lines"
 )
 
 
@@ -45,8 +46,9 @@ def scatter_sentences(trace: xr.DataTree) -> tuple[str, ...]:
 
 def remedy(trace: xr.DataTree) -> str:
     """Return sentences on what would allow for the misfit and on its effect; empty if nothing is known to."""
-    if problem_of(trace).get("likelihood", {}).get("responses"):
-        return REMEDY_OF_FRFS
+    responses = problem_of(trace).get("likelihood", {}).get("responses")
+    if responses:
+        return "" if "discrepancy" in responses[0] else REMEDY_OF_FRFS
     if not _may_have_discrepancy(trace):
         return ""
     estimate = estimated_scatter(trace)

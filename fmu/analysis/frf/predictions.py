@@ -92,7 +92,9 @@ def _group_of_test(term: FRFTerm, theta: FloatArray, rng: np.random.Generator) -
     every = term.with_use(data.used | held)
     judged, drawn = (theta[np.unique(np.linspace(0, len(theta) - 1, n).astype(int))] for n in (_JUDGED, _DRAWN))
     squares = np.concatenate(by_parts("predictions", lambda part: term.squares(part, rng), judged, _AT_ONCE))
-    computed = np.concatenate(by_parts("predictions", every.frfs, drawn, _AT_ONCE))
+    computed = np.concatenate(
+        by_parts("predictions", lambda part: term.drawn_frfs(every, part, rng), drawn, _AT_ONCE)
+    )
     best, gain_sd = (
         np.concatenate(part) for part in zip(*by_parts("predictions", term.gains, drawn, _AT_ONCE), strict=True)
     )

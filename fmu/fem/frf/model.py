@@ -81,6 +81,10 @@ class FRFModel:
         The drives and responses.
     responses, drives : ndarray of int, shape (n_frfs,)
         The points of each FRF, as rows of `rows`.
+    of_block : ProportionalDamping or GeneralDamping
+        The damping on the basis of `block`.
+    points : ndarray, shape (n_points, block.size)
+        The drives and responses on the basis.
     error : float
         Largest error at points that were not used for the basis: the root of the sum of the squared errors of all
         lines, each in its unit. NaN if the basis has all degrees of freedom.
@@ -133,7 +137,7 @@ class FRFModel:
         trained = self._train_once(lower, upper, values)
         self.block, self.error = trained.block, trained.error
         self.is_confirmed, self.n_solves = trained.is_confirmed, trained.n_solves
-        self._of_block, self._points = self._damping_of(self.block), self._at_points(self.block)
+        self.of_block, self.points = self._damping_of(self.block), self._at_points(self.block)
 
     def _train_once(self, lower: FloatArray, upper: FloatArray, values: FloatArray) -> TrainedFRFs:
         """Return the outcome of training, from the cache if it was done before."""
@@ -165,12 +169,12 @@ class FRFModel:
 
     def at(self, theta: FloatArray, values: FloatArray) -> ModalResponses | GeneralResponses:
         """Return the responses at parameters of the structure (n, p) and of the damping (n, q)."""
-        return self._respond(self.block, self._of_block, self._points, theta, values)
+        return self._respond(self.block, self.of_block, self.points, theta, values)
 
     def on(self, block: ReducedBlock) -> FRFModel:
         """Return the same model on another reduced block."""
         other = copy(self)
-        other.block, other._of_block, other._points = block, self._damping_of(block), self._at_points(block)
+        other.block, other.of_block, other.points = block, self._damping_of(block), self._at_points(block)
         return other
 
     def with_damping(self, damping: Damping) -> FRFModel:
@@ -225,12 +229,12 @@ class _OfBlock:
 
     def __init__(self, model: FRFModel, block: ReducedBlock, values: FloatArray) -> None:
         self._model, self._block, self._values = model, block, values
-        self._damping, self._points = model._damping_of(block), model._at_points(block)
+        self._damping, self.points = model._damping_of(block), model._at_points(block)
 
     def at(self, theta: FloatArray) -> ModalResponses | GeneralResponses:
         """Return the responses at theta (n, n_parameters)."""
         values = np.tile(self._values, (len(theta), 1))
-        return self._model._respond(self._block, self._damping, self._points, theta, values)
+        return self._model._respond(self._block, self._damping, self.points, theta, values)
 
     def least_unit(self, point: int, unit: FloatArray) -> FloatArray:
         """Return the smallest of the units (n_frfs, n_lines) of the FRFs of a point, (n_lines,)."""

@@ -35,7 +35,8 @@ class Discrepancy:
     With `kind` = "embedded" the parameters scatter from mode to mode (`fmu.posterior.discrepancy.embedded`), and
     errors grow with the sensitivity to the parameters. With `kind` = "modes" the predicted frequencies and shapes
     have errors of their own, which do not depend on the parameters (`fmu.posterior.discrepancy.modes`). All
-    predictive intervals include these errors. They are the same in all tests of a structure.
+    predictive intervals include these errors. They are the same in all tests of a structure. Frequency response
+    functions of one test take the kind "modes" with `sd` and `correlation` (`fmu.posterior.frf.scattered`).
 
     Attributes
     ----------
@@ -57,7 +58,8 @@ class Discrepancy:
         For "modes". Correlation of the errors of two frequencies, from 0 to below 1. It is inferred if not given,
         with a uniform prior.
     shape_sd : float, optional
-        For "modes". Standard deviation of the errors of a component of a shape whose largest component is 1;
+        For "modes". Standard deviation of the errors of a component of a shape whose largest component is 1, or of
+        a residue of a frequency response function relative to the root mean square of those of all functions;
         inferred if not given.
     length : float, optional
         For "modes". Distance in m over which the correlation of the errors at two sensors of the same direction

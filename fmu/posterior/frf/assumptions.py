@@ -36,6 +36,8 @@ def assumptions_on_frfs(one: Mapping[str, Any]) -> list[str]:
         f"Errors of {what}: {shape}, independent from line to line and between real and imaginary part, with the "
         f"standard deviations of the data{_of_model(one['model_sd'])}.",
     ]
+    if "discrepancy" in one:
+        said.append(_of_modes(one["discrepancy"]))
     for key, name, unit in (("gain_sd", "gain", ""), ("delay_sd", "delay", " s")):
         if one[key]:
             each = names_in_words([f"{channel} (sd {given(sd)}{unit})" for channel, sd in one[key].items()])
@@ -48,6 +50,17 @@ def _of_model(sd: float | str) -> str:
     if isinstance(sd, str):
         return f", and an error of the model relative to |H| that is inferred, {sd}"
     return f", and an error of the model of {significant(100.0 * sd)} % of |H|" if sd else ""
+
+
+def _of_modes(one: Mapping[str, Any]) -> str:
+    """Return a sentence on the errors of the modes of the model."""
+    sd, shapes = significant(100.0 * one["sd"]), one["shape_sd"]
+    size = f"is inferred, {shapes}" if isinstance(shapes, str) else f"is {significant(100.0 * shapes)} %"
+    return (
+        f"Errors of the model: the frequencies of {one['modes']} modes err by {sd} %, with a correlation of "
+        f"{given(one['correlation'])}, and their residues in each FRF independently by a share of the root mean "
+        f"square of all FRFs that {size}."
+    )
 
 
 def _damping(one: Mapping[str, Any]) -> str:

@@ -16,10 +16,12 @@ from fmu.fem.modes.separable import SeparableModel
 from fmu.numbers import significant, typed
 from fmu.posterior.data.frf_data import FRFData
 from fmu.posterior.data.held_out_lines import held_out
+from fmu.posterior.discrepancy.embedded import Discrepancy
 from fmu.posterior.errors.quantities import QuantityErrors
 from fmu.posterior.frf.channels import Channels
 from fmu.posterior.frf.damping import DampingModel, bind_damping, damping_as_dict, inferred_in
-from fmu.posterior.frf.term import FRFTerm
+from fmu.posterior.frf.scattered import ModeScatter, ScatteredTerm
+from fmu.posterior.frf.term import GAUSSIAN, FRFTerm
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.reduction.region import training_box
 from fmu.posterior.reduction.train_reduced import ReductionWarning
@@ -96,7 +98,9 @@ class FRFErrors(QuantityErrors):
     def _nodes(self, points: Sequence[Dof]) -> list[Dof]:
         return [(self.places.get(str(place), place), direction) for place, direction in points]
 
-    def bind_frfs(self, model: SeparableModel, parameters: Sequence[Parameter]) -> FRFTerm:
+    def bind_frfs(
+        self, model: SeparableModel, parameters: Sequence[Parameter], discrepancy: Discrepancy | None = None
+    ) -> FRFTerm:
         """Return the errors bound to a structure; a reduced model of its FRFs is trained.
 
         Parameters
@@ -104,13 +108,18 @@ class FRFErrors(QuantityErrors):
         model : SeparableModel
         parameters : sequence of Parameter
             Parameters of the model.
+        discrepancy : Discrepancy, optional
+            Errors of the modes (`fmu.posterior.frf.scattered`).
 
         Raises
         ------
         ValueError
-            If a drive or a response sees no free degree of freedom, or as for the damping.
+            If a drive or a response sees no free degree of freedom, as for the damping, or the errors are not
+            those that a discrepancy needs.
         """
         data = self.data
+        if discrepancy is not None:
+            self._check_discrepancy(discrepancy)
         responses, drives = self._nodes(data.responses), self._nodes(data.drives)
         for key, named, points in (("responses", data.responses, responses), ("drives", data.drives, drives)):
             for k, point in enumerate(points):
@@ -147,6 +156,15 @@ class FRFErrors(QuantityErrors):
                 ReductionWarning,
                 stacklevel=2,
             )
+        if discrepancy is not None:
+            if damping.couples_modes:
+                rule = (
+                    "needs modal ratios, Rayleigh damping or one loss factor beside frequency response functions"
+                )
+                raise ArgumentError("discrepancy", rule, "damping that couples the modes")
+            scatter = ModeScatter.of(discrepancy, of, start, float(omega[lines][-1]) / (2.0 * np.pi))
+            right = Channels.of(data, {}, {}, 0, integrates=True)
+            return ScatteredTerm(data, of, right, inferred, self.as_dict(), scatter)
         gains, delays = (
             _by_channel(k, v, data) for k, v in (("gain_sd", self.gain_sd), ("delay_sd", self.delay_sd))
         )
@@ -158,6 +176,30 @@ class FRFErrors(QuantityErrors):
         own = None if isinstance(self.model_sd, Parameter) else float(self.model_sd)
         is_log = self.scale == "log"
         return FRFTerm(data, of, channels, tuple(inferred), is_log, own, self.as_dict(), of_test)
+
+    def _check_discrepancy(self, discrepancy: Discrepancy) -> None:
+        """Raise ArgumentError unless the errors are Gaussian and linear in H, with known channels."""
+        rule = 'of frequency response functions must be of kind "modes": errors of frequencies and residues'
+        if discrepancy.kind != "modes" or discrepancy.length is not None:
+            raise ArgumentError("discrepancy", rule, discrepancy.kind if discrepancy.length is None else "length")
+        if discrepancy.sd is None or discrepancy.correlation is None:
+            rule = (
+                "of frequency response functions needs sd and correlation; a band has too few modes to infer them"
+            )
+            raise ArgumentError("discrepancy", rule, "none")
+        given = {
+            "scale": self.scale == "log",
+            "model_sd": self.model_sd != 0.0,
+            "gain_sd": bool(_by_channel("gain_sd", self.gain_sd, self.data)),
+            "delay_sd": bool(_by_channel("delay_sd", self.delay_sd, self.data)),
+            "standard deviations from few hits or averages": self.data.freedom < GAUSSIAN,
+        }
+        wrong = next((key for key, is_given in given.items() if is_given), None)
+        if wrong is not None:
+            rule = (
+                "of frequency response functions needs Gaussian errors of H with known standard deviations alone"
+            )
+            raise ArgumentError("discrepancy", rule, wrong)
 
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of the data, the damping and the settings, in plain Python types."""

@@ -174,7 +174,8 @@ class FRFLikelihood(Likelihood):
         noise = min(term.relative_noise for term in self.responses)
         wider = [relative for relative in _WIDER if relative > _WORTHWHILE * noise]
         modes = self.modal.using(None)
-        stages: list[Likelihood] = [self._with(modes, ())]
+        begin = [one._replace(term=one.term.without_lines()) for one in self.every if one.term.has_discrepancy]
+        stages: list[Likelihood] = [self._with(modes, begin)]
         for relative in wider:
             stages.append(self._with(modes, [one._replace(term=one.term.widen(relative)) for one in self.every]))
         return stages

@@ -23,7 +23,7 @@ _LINES = 512
 """Number of lines in a block; fixed, so that no bit of a result depends on the size of a batch."""
 _MOST_NUMBERS = 2**17
 """Largest number of elements of the arrays of a block of lines, so that they stay in the processor's cache."""
-_GAUSSIAN = 500.0
+GAUSSIAN = 500.0
 """Degrees of freedom from which Student's distribution is taken for the Gaussian one."""
 _LOG_2PI = float(np.log(2.0 * np.pi))
 
@@ -42,8 +42,6 @@ class FRFTerm:
         Those of the damping, of the channels, and the relative error of the model, as far as they are inferred.
     n_data : int
         Number of measured real numbers that are used.
-    of_test : str
-        What the names of FRFs and channels begin with: the test and a colon, or nothing for a single test.
 
     Parameters
     ----------
@@ -51,9 +49,11 @@ class FRFTerm:
         Whether the errors are those of log H.
     model_sd : float or None
         The relative error σ of the model; None if it is inferred.
-    settings : dict
-        The result of `as_dict`.
+    settings, of_test : dict and str
+        The result of `as_dict`; the test and a colon, with which the names of FRFs begin, or nothing for one test.
     """
+
+    has_discrepancy = False  # errors of the modes
 
     def __init__(
         self,
@@ -84,7 +84,7 @@ class FRFTerm:
         with np.errstate(divide="ignore"):
             self._log_variance = np.log(self._variance)
         self._log_measured = np.log(self._measured)
-        self.freedom = data.freedom if data.freedom < _GAUSSIAN else np.inf
+        self.freedom = data.freedom if data.freedom < GAUSSIAN else np.inf
         if np.isfinite(self.freedom):  # of Student's density
             self._constant += int(np.sum(self._used)) * float(np.log1p(-2.0 / self.freedom))
         self.n_data = 2 * int(np.sum(self._used))
@@ -123,6 +123,10 @@ class FRFTerm:
             ]
         return np.concatenate(parts) if parts else np.empty((0, *self._used.shape), dtype=complex)
 
+    def drawn_frfs(self, every: FRFTerm, theta: FloatArray, rng: np.random.Generator) -> ComplexArray:
+        """Return the FRFs of the term `every` of other values; errors of the model are drawn, given these data."""
+        return every.frfs(theta)
+
     def split(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the parameters of the structure, (n, p), and of the damping, (n, q), at theta (n, ndim)."""
         return theta[:, : self.model.full.n_parameters], theta[:, self._first : self._first + self.model.n_values]
@@ -130,7 +134,7 @@ class FRFTerm:
     def terms(self, theta: FloatArray) -> FloatArray:
         """Return the log-density of the data, shape (n,), at theta (n, ndim)."""
         count_solves(len(theta))
-        return self._evaluate(theta, gradient=False)[0]
+        return self._evaluate(theta, False)[0]
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the log-density (n,) and its gradient (n, ndim) at theta (n, ndim)."""
@@ -180,15 +184,14 @@ class FRFTerm:
 
         Gain errors that are integrated out are `gain` (n, n_channels), or drawn from their prior.
         """
-        error = self.error_sd(frfs, theta) * (
-            rng.standard_normal(frfs.shape) + 1j * rng.standard_normal(frfs.shape)
-        )
+        noise = rng.standard_normal(frfs.shape) + 1j * rng.standard_normal(frfs.shape)
+        error = self.error_sd(frfs, theta) * noise
         if np.isfinite(self.freedom):
             error *= np.sqrt(self.freedom / rng.chisquare(self.freedom, frfs.shape))
         if gain is None:
             gain = self.channels.gain_sd * rng.standard_normal((len(frfs), len(self.channels.names)))
-        through = self.through_channels(frfs, gain)
-        return through * np.exp(error) if self._is_log else through + error
+        seen = self.through_channels(frfs, gain)
+        return seen * np.exp(error) if self._is_log else seen + error
 
     def through_channels(self, frfs: ComplexArray, gain: FloatArray) -> ComplexArray:
         """Return computed FRFs (n, n_frfs, n_lines) with the gain errors (n, n_channels) of their channels."""
@@ -260,10 +263,7 @@ class FRFTerm:
         if np.isinf(freedom):
             k, terms = 1.0 / V, -0.5 * a / V - log_V
         else:
-            k, terms = (
-                freedom / (freedom * V + a),
-                -0.5 * freedom * np.log1p(a / (freedom * V)) - log_V,
-            )
+            k, terms = freedom / (freedom * V + a), -0.5 * freedom * np.log1p(a / (freedom * V)) - log_V
         terms = terms * used
         if not slopes:
             return Misfit(terms, None, None)

@@ -233,6 +233,15 @@ def test_parameters_of_the_damping_come_last(folder):
     assert "parameters.0.name: must come after the parameters of the structure" in mistakes_of(text, folder)
 
 
+def test_a_discrepancy_of_the_modes(text, folder):
+    table = '\n[[discrepancy]]\nkind = "modes"\nsd = 0.02\ncorrelation = 0.0\n'
+    found = problem_of(text + table, folder)
+    assert found.names[6:] == (*(f"frequency of mode {k}" for k in (1, 2, 3)), "model error shapes")
+    assert "discrepancy: of frequency response functions needs sd and" in mistakes_of(
+        text + table.replace("sd = 0.02\n", ""), folder
+    )
+
+
 def test_frfs_without_values_are_a_mistake_of_the_file(text, folder, tmp_path):
     write_table(tmp_path / "frfs.csv", simulate(), lambda values: values * np.array([[1.0], [np.nan]]))
     assert "error.0.data: values.1: must have an FRF with values in each row" in mistakes_of(text, tmp_path)

@@ -242,17 +242,6 @@ def test_lines_without_values_take_no_part():
     assert np.isfinite(problem.log_prob(np.r_[TRUTH, RATIOS]))
 
 
-def test_a_discrepancy_needs_errors_of_modes():
-    with pytest.raises(ValueError, match="discrepancy: needs errors of frequencies or shapes"):
-        fmu.UpdatingProblem(
-            building(),
-            modes(),
-            parameters(),
-            error=fmu.FRFErrors(**replaced()),
-            discrepancy=fmu.Discrepancy(),
-        )
-
-
 def test_a_function_and_two_sets_of_frfs_are_refused():
     own = fmu.FRFErrors(**replaced())
     black_box = fmu.BlackBoxModel(lambda theta: np.array([1.0, 2.0, 3.0]), 3)

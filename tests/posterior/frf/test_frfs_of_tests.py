@@ -129,6 +129,9 @@ def test_what_contradicts_is_refused():
         joint("a", "a")
     with pytest.raises(TestsError, match="error: frequency response functions must be given for every test"):
         joint("a")
+    known = fmu.Discrepancy("modes", sd=0.02, correlation=0.0)
+    with pytest.raises(ValueError, match=r"discrepancy: is for frequency response functions of a single test"):
+        joint("a", "b", discrepancy=known)
     with pytest.raises(ValueError, match="test: must not be given where there is one test only"):
         fmu.UpdatingProblem(building(), modes(), parameters(), error=fmu.FRFErrors(simulate(), damping, test="a"))
 
