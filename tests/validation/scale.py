@@ -22,10 +22,8 @@ from typing import Any
 
 from fmu.fem.modes.solver import PARDISO, SUPERLU
 from tests.validation.kept import Units, study_parser
-from tests.validation.scale_files import CELLS
 from tests.validation.scale_page import figures, page
 from tests.validation.scale_row import Row
-from tests.validation.scale_run import WholeRun
 
 FAST = Path(".venv/fast/bin/python")
 SIZES = ((3, 3, 2), (28, 3, 2), (70, 6, 4))
@@ -36,7 +34,7 @@ TOLERANCES = (1e-6, 1e-5, 1e-4, 1e-3)
 MEDIUM, LARGE = SIZES[1], SIZES[2]
 FEW, MANY = 5, 50
 
-Tables = dict[str, Sequence[Row | WholeRun]]
+Tables = dict[str, Sequence[Row]]
 
 
 def rows(quick: bool = False) -> Tables:
@@ -49,7 +47,6 @@ def rows(quick: bool = False) -> Tables:
             "chains": [Row(*small, 2, 1e-6, n, cached=True) for n in (1, 16)],
             "demand": [Row(*small, 5, t, 16) for t in (1e-6, 1e-3)],
             "superlu": [],
-            "runs": [WholeRun("frame", small, 2, 1e-6), WholeRun("plate", (6, 3, 2), 6, 1e-6)],
         }
     return {
         "dof": [*(Row(*size, FEW, 1e-6) for size in SIZES), Row(*HUGE, FEW, 1e-6, solver=PARDISO)],
@@ -57,10 +54,6 @@ def rows(quick: bool = False) -> Tables:
         "chains": [Row(*MEDIUM, FEW, 1e-6, n, cached=True) for n in CHAINS],
         "demand": [Row(*LARGE, MANY, t) for t in TOLERANCES],
         "superlu": [Row(*HUGE, FEW, 1e-6, 1)],
-        "runs": [
-            WholeRun("frame", HUGE, FEW, 1e-6, PARDISO),
-            WholeRun("plate", CELLS, 6, 1e-6, PARDISO),
-        ],
     }
 
 
@@ -70,15 +63,14 @@ BEFORE_ROWS = Path("results/scale/rows")
 """Where that is kept; it is of another commit."""
 
 
-def measure(row: Row | WholeRun, file: Path, cache: str, python: str, source: Path | None = None) -> None:
+def measure(row: Row, file: Path, cache: str, python: str, source: Path | None = None) -> None:
     """Measure one row in a process of its own, by the sources of a checkout if given."""
     environment = os.environ | {"FMU_CACHE_DIR": cache, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    module = "scale_row" if isinstance(row, Row) else "scale_run"
     given = asdict(row)
     if source is not None:
         environment["PYTHONPATH"] = str(source)
         del given["solver"]
-    command = [python, "-m", f"tests.validation.{module}", json.dumps(given), str(file)]
+    command = [python, "-m", "tests.validation.scale_row", json.dumps(given), str(file)]
     subprocess.run(command, env=environment, cwd=source, check=True)
 
 
@@ -111,8 +103,8 @@ def main() -> int:
         measured_before(BEFORE_ROWS, asked.before)
     with tempfile.TemporaryDirectory() as cache:
 
-        def run(row: Row | WholeRun) -> Any:
-            file, cached = folder / f"{row.name}.json", isinstance(row, Row) and row.cached
+        def run(row: Row) -> Any:
+            file, cached = folder / f"{row.name}.json", row.cached
             python = {SUPERLU: sys.executable, PARDISO: asked.fast}[row.solver]
             if cached and not os.listdir(cache):
                 measure(row, file, cache, python)

@@ -42,7 +42,6 @@ def page(found: Found) -> str:
     trained = [*found["dof"], *found["superlu"], *found["demand"]]
     sections = (
         (_training, trained),
-        (_whole_runs, found["runs"]),
         (_demand, found["demand"]),
         (_by_dof, found["dof"]),
         (_by_parameters, found["parameters"]),
@@ -91,42 +90,6 @@ def _training(rows: Rows) -> str:
         "## Training\n\nA few full eigenproblems, and residuals everywhere else: right-hand sides for the factors "
         f"of one matrix{by}.\n\n" + markdown_table(header, lines, words=(2, 3))
     )
-
-
-def _whole_runs(rows: Rows) -> str:
-    names = {"frame": "the frame", "plate": "the plate"}
-    header = ("quantity", *(f"{names[row['kind']]}, {whole(row['n_dof'])} DOF" for row in rows))
-
-    def of(name: str) -> list[float]:
-        return [row["certificate"][name] for row in rows]
-
-    lines = [
-        ("parameters", *(whole(row["parameters"]) for row in rows)),
-        ("solver", *(row["solver"] for row in rows)),
-        ("whole run by the clock, s", *(fixed(row["wall_s"], 0) for row in rows)),
-        ("processor seconds", *(fixed(row["cpu_s"], 0) for row in rows)),
-        *(
-            (f"of it by the clock: {phase}, s", *(fixed(row["phases"].get(phase, 0.0), 0) for row in rows))
-            for phase in dict.fromkeys(phase for row in rows for phase in row["phases"])
-        ),
-        ("sampler, solves with warm-up", *(f"{row['sampler']}, {whole(row['solves'])}" for row in rows)),
-        ("largest R-hat, smallest bulk ESS", *(f"{row['rhat']:.3f}, {row['ess']:.0f}" for row in rows)),
-        ("certificate: draws with a bound", *(whole(int(n)) for n in of("bound_draws"))),
-        ("largest bound of a frequency's error", *(significant(value, 2) for value in of("bound"))),
-        ("draws solved by the full model", *(whole(int(n)) for n in of("draws"))),
-        ("largest error of a frequency there", *(significant(value, 2) for value in of("frequency_error"))),
-        ("draws with an error above its bound", *(whole(int(n)) for n in of("bound_exceeded"))),
-        ("peak memory, GiB", *(fixed(row["peak_gib"], 2) for row in rows)),
-        ("exit code", *(str(row["code"]) for row in rows)),
-    ]
-    said = [f"- {names[row['kind']]}: {line}" for row in rows for line in row["said"] if line.strip()]
-    return (
-        "## Whole runs\n\n`fmu run FILE --chains 4`, nothing cached, until every effective sample size is 400: "
-        "reading, training, search for maxima, sampling, certificate and report. The frame comes as `.npz` files. "
-        "The plate is of steel, 2.5 m × 0.9 m × 0.1 m, clamped at one end, of trilinear hexahedra by scikit-fem, "
-        "as Matrix Market files; its six zones have moduli of their own, and eight frequencies are measured. Time "
-        "between two phases belongs to none.\n\n" + markdown_table(header, lines) + "\n\n" + "\n".join(said)
-    ).rstrip()
 
 
 def _power(row: Mapping[str, Any]) -> str:

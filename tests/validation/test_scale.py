@@ -3,17 +3,12 @@
 import numpy as np
 import pytest
 
-import fmu
-from fmu.fem.modes.eigensolver import eigen
-from fmu.fem.modes.modal import frequency_hz
 from fmu.fem.modes.solver import PARDISO, SUPERLU
 from fmu.posterior.reduction.tolerance import Tolerance
 from tests.validation.scale import BEFORE, rows
-from tests.validation.scale_files import RHO, SIDES, STEEL, plate, write_plate
 from tests.validation.scale_model import E, Size, frame, scale_problem
 from tests.validation.scale_page import figures, page
 from tests.validation.scale_row import Row
-from tests.validation.scale_run import WholeRun, phases
 
 
 @pytest.mark.parametrize("n_parameters", [2, 5, 6])
@@ -45,17 +40,12 @@ def test_rows_have_names_of_their_own_and_meet_what_is_demanded():
     assert all(row.size.n_dof > 10_000 and row.parameters == 50 and row.chains == 64 for row in demand)
     assert [row.reduction for row in demand] == [1e-6, 1e-5, 1e-4, 1e-3]
     assert all(Tolerance.of(row.reduction) is not None for row in demand)
-    assert {row.solver for row in asked if isinstance(row, Row) and row.size.n_dof > 100_000} == {SUPERLU, PARDISO}
+    assert {row.solver for row in asked if row.size.n_dof > 100_000} == {SUPERLU, PARDISO}
     assert all(row in {*wanted["dof"], *demand} for row in BEFORE)
 
 
 def made_up(row):
     """Return a row as if it had been measured: a hundred vectors, and less time the looser the tolerance."""
-    if isinstance(row, WholeRun):
-        certificate = {"bound_draws": 64.0, "bound": 2e-6, "draws": 16.0, "frequency_error": 2e-7}
-        found = {"n_dof": 55_500, "wall_s": 500.0, "cpu_s": 450.0, "phases": {"training": 180.0, "report": 20.0}}
-        found |= {"sampler": "mixture", "solves": 3316, "rhat": 1.007, "ess": 725.0, "peak_gib": 1.7, "code": 0}
-        return vars(row) | found | {"certificate": certificate | {"bound_exceeded": 0.0}, "said": ["a note"]}
     share = 1.0 + np.log10(row.reduction) / 10.0
     names = ("offline_wall_s", "offline_gib", "full_s", "peak_gib", "factorising_s", "solving_s")
     found = dict.fromkeys(names, 2.0) | {
@@ -90,9 +80,6 @@ def test_the_page_says_what_was_measured():
     assert "training by full solves, commit f867c49, measured on 2026-11-21" in text
     assert "| 10 080 | 5 | `1e-6` | SuperLU | 100 | 10.0 | 12 | 20% | 2 840 | 20% | 7 | 55 | 272 | 5.5 |" in text
     assert "| 100 800 | 5 | `1e-6` | PARDISO |" in text
-    assert "| quantity | the frame, 55 500 DOF | the plate, 55 500 DOF |" in text
-    assert "| largest bound of a frequency's error | 2e-6 | 2e-6 |" in text
-    assert "- the plate: a note" in text
     drawn = figures(found)
     assert set(drawn) == {"tolerance.png", "growth.png"}
     assert all(name in text for name in drawn)
@@ -101,32 +88,3 @@ def test_the_page_says_what_was_measured():
     assert "## Degrees of freedom" in page(some)
     assert "## 10 080" not in page(some)
     assert set(figures(some)) == {"growth.png"}
-
-
-def test_phases_last_from_their_first_line_to_their_last():
-    lines = ["Searching", *(f'{{"time": "2026-11-23T06:00:{s:06.3f}Z", "phase": "{p}"}}' for s, p in PHASES)]
-    assert phases("\n".join(lines)) == {"training": 7.5, "draws": 2.0}
-
-
-PHASES = ((0.5, "training"), (4.0, "training"), (8.0, "training"), (9.0, "draws"), (11.0, "draws"))
-
-
-def test_the_plate_converges_as_trilinear_elements_do():
-    """Its lowest frequency lies a little above that of a beam of its section; the error is of the size h²."""
-    found = []
-    for n in (1, 2, 4):
-        stiffness, mass = plate((25 * n, 3, n))
-        found.append(frequency_hz(eigen(STEEL * sum(stiffness), mass, 1)[0])[0])
-    assert 3.0 < (found[0] - found[1]) / (found[1] - found[2]) < 5.0
-    length, _, thickness = SIDES
-    beam = 1.8751**2 / (2.0 * np.pi) * thickness / np.sqrt(12.0) / length**2 * np.sqrt(STEEL / RHO)
-    assert 1.0 < found[2] / beam < 1.1
-
-
-@pytest.mark.validate
-def test_the_plate_is_a_problem_that_can_be_loaded(tmp_path, monkeypatch):
-    monkeypatch.setenv("FMU_CACHE_DIR", "")
-    problem = fmu.load(write_plate(tmp_path, (12, 3, 1)))
-    assert problem.names == ("E1", "E2", "E3", "E4", "E5", "E6")
-    assert problem.model.structure.n_dof == 3 * 12 * 4 * 2
-    assert np.all(np.abs(problem.frequencies(problem.start) / problem.data.frequencies_hz - 1.0) < 0.1)

@@ -1,4 +1,4 @@
-"""The structures of the study of scale as files of ``fmu run``: frames, and a plate of hexahedra by scikit-fem."""
+"""Large structures as files of ``fmu run``: frames, plates of hexahedra by scikit-fem, wing boxes of shells."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from scipy.io import mmwrite
 from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.modes.modal import frequency_hz
 from fmu.types import FloatArray
+from tests.validation import wing_box
 from tests.validation.scale_model import BOUND, NOISE, SD, Size, frame_model, measured_by
 from tests.validation.scale_model import E as CONCRETE
 
@@ -22,31 +23,43 @@ SIDES, CELLS = (2.5, 0.9, 0.1), (100, 36, 4)
 ZONES = (3, 2)
 """Along its length and across: each has a modulus of its own."""
 STEEL, NU, RHO = 2.1e11, 0.3, 7850.0
-N_MODES = 8
+N_MODES, WING_MODES = 8, 6
 
 
-def write_frame(folder: Path, size: Size, n_parameters: int, reduction: float) -> Path:
+def write_frame(folder: Path, size: Size, n_parameters: int) -> Path:
     """Write the problem of a frame, its matrices as .npz files; return the problem file."""
     model = frame_model(size, n_parameters)
     matrices = [term.matrix for term in model.K_terms]
     (mass,) = (term.matrix for term in model.M_terms)
     for name, matrix in _named(matrices, mass):
         sp.save_npz(folder / f"{name}.npz", sp.csr_matrix(matrix))
-    return _problem(folder, "frame", ".npz", n_parameters, CONCRETE, measured_by(model, n_parameters), reduction)
+    return _problem(folder, "frame", ".npz", n_parameters, CONCRETE, measured_by(model, n_parameters))
 
 
 def write_plate(folder: Path, cells: tuple[int, int, int] = CELLS) -> Path:
     """Write the problem of a plate, its matrices in the Matrix Market format; return the problem file."""
     stiffness, mass = plate(cells)
-    rng = np.random.default_rng(1)
-    truth = STEEL * (1.0 + SD * np.clip(rng.standard_normal(len(stiffness)), -2.0, 2.0))
-    K = sum(modulus * matrix for modulus, matrix in zip(truth, stiffness, strict=True))
-    measured = frequency_hz(eigen(sp.csr_array(K), mass, N_MODES)[0]) * (
-        1.0 + NOISE * rng.standard_normal(N_MODES)
-    )
+    measured = _measured(stiffness, mass, STEEL, N_MODES)
     for name, matrix in _named(stiffness, mass):
         mmwrite(folder / f"{name}.mtx", sp.coo_array(matrix), precision=17, symmetry="symmetric")
-    return _problem(folder, "plate", ".mtx", len(stiffness), STEEL, measured, 1e-6)
+    return _problem(folder, "plate", ".mtx", len(stiffness), STEEL, measured)
+
+
+def write_wing(folder: Path, cells: tuple[int, int, int]) -> Path:
+    """Write the problem of a wing box of shells, its matrices as .npz files; return the problem file."""
+    stiffness, mass, _ = wing_box.matrices(*wing_box.wing_box(cells))
+    measured = _measured(list(stiffness.values()), mass, wing_box.E, WING_MODES)
+    for name, matrix in _named(list(stiffness.values()), mass):
+        sp.save_npz(folder / f"{name}.npz", sp.csr_matrix(matrix), compressed=False)
+    return _problem(folder, "wing", ".npz", len(stiffness), wing_box.E, measured)
+
+
+def _measured(stiffness: Sequence[Any], mass: Any, modulus: float, n_modes: int) -> FloatArray:
+    """Return frequencies of a true structure with noise, Hz, shape (n_modes,)."""
+    rng = np.random.default_rng(1)
+    truth = modulus * (1.0 + SD * np.clip(rng.standard_normal(len(stiffness)), -2.0, 2.0))
+    K = sum(weight * matrix for weight, matrix in zip(truth, stiffness, strict=True))
+    return frequency_hz(eigen(sp.csr_array(K), mass, n_modes)[0]) * (1.0 + NOISE * rng.standard_normal(n_modes))
 
 
 def plate(cells: tuple[int, int, int] = CELLS) -> tuple[list[Any], Any]:
@@ -93,10 +106,10 @@ def _named(stiffness: Sequence[Any], mass: Any) -> list[tuple[str, Any]]:
 
 
 def _problem(
-    folder: Path, name: str, suffix: str, n_parameters: int, modulus: float, measured: FloatArray, reduction: float
+    folder: Path, name: str, suffix: str, n_parameters: int, modulus: float, measured: FloatArray
 ) -> Path:
     """Write the problem file: a modulus a stiffness matrix, with the priors of `scale_problem`."""
-    parts = [f'name = "{name}"\ndescription = "the study of scale"\nreduction = {reduction:g}']
+    parts = [f'name = "{name}"\ndescription = "the study of large structures"']
     parts.append('[model]\ntype = "matrices"')
     for k in range(1, n_parameters + 1):
         parts.append(f'[[model.stiffness]]\nfile = "K{k}{suffix}"\npowers = {{ E{k} = 1 }}')

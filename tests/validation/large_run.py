@@ -1,6 +1,6 @@
-"""One whole run of the study of scale, ``fmu run`` as a user starts it, measured in a process of its own.
+"""One whole run of the study of large structures, ``fmu run`` as a user starts it, in a process of its own.
 
-python -m tests.validation.scale_run RUN_AS_JSON OUT_FILE
+python -m tests.validation.large_run RUN_AS_JSON OUT_FILE
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import time
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import fmu
-from fmu.fem.modes.solver import SUPERLU
-from tests.validation.scale_files import write_frame, write_plate
+from fmu.fem.modes.solver import PARDISO
+from tests.validation.large_files import write_frame, write_plate, write_wing
 from tests.validation.scale_model import Size
 from tests.validation.scale_row import peak_gib
 
@@ -29,13 +29,12 @@ CHAINS = 4
 
 @dataclass(frozen=True)
 class WholeRun:
-    """What is run: a frame by its size, or the plate by its cells, ``"frame"`` or ``"plate"``."""
+    """What is run: a frame by its size, a plate or a wing box by its cells."""
 
-    kind: str
+    kind: Literal["frame", "plate", "wing"]
     size: tuple[int, int, int]
     parameters: int
-    reduction: float
-    solver: str = SUPERLU
+    solver: str = PARDISO
 
     @property
     def name(self) -> str:
@@ -44,9 +43,9 @@ class WholeRun:
 
     def write(self, folder: Path) -> Path:
         """Write the problem and its matrices."""
-        if self.kind == "plate":
-            return write_plate(folder, self.size)
-        return write_frame(folder, Size(*self.size), self.parameters, self.reduction)
+        if self.kind == "frame":
+            return write_frame(folder, Size(*self.size), self.parameters)
+        return (write_plate if self.kind == "plate" else write_wing)(folder, self.size)
 
 
 def measured(run: WholeRun) -> dict[str, Any]:
