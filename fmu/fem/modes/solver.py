@@ -16,6 +16,7 @@ import os
 import weakref
 from functools import cache, lru_cache
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -24,6 +25,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from fmu.numbers import significant, whole
 from fmu.types import FloatArray, IntArray
 
 type Matrix = FloatArray | sp.sparray
@@ -33,7 +35,7 @@ LAPACK, SUPERLU, PARDISO = "LAPACK", "SuperLU", "PARDISO"
 # From PARDISO's manual: types of matrices, phases of a solution, the smallest pivot as a negative power of ten,
 # and the number of its domain.
 _DEFINITE, _INDEFINITE = 2, -2
-_FACTORISE, _SOLVE, _RELEASE = 12, 33, -1
+_ANALYSE, _ELIMINATE, _SOLVE, _RELEASE = 11, 22, 33, -1
 _TINY, _OF_PARDISO = 20, 4
 # Up to this half-width a band was faster than SuperLU to factorise and to solve, for 1000 to 5000 rows.
 _NARROW = 256
@@ -232,7 +234,37 @@ class _Pardiso:
         # METIS, and unmodified pivots: PARDISO's own settings would change pivots below 1e-8 of the largest entry
         for i, value in {1: 1, 2: 2, 10: _TINY}.items():
             self._solver.iparm[i - 1] = value
-        _call(self._solver, self._upper, _FACTORISE)
+        _call(self._solver, self._upper, _ANALYSE)
+        of_analysis, lasting, of_factors = (1024 * int(self._solver.get_iparm(i)) for i in (15, 16, 17))
+        _require_memory(max(of_analysis, lasting + of_factors), self._upper.shape[0])
+        _call(self._solver, self._upper, _ELIMINATE)
+
+
+def _require_memory(needed: int, n_dof: int) -> None:
+    """Raise MemoryError if factors of `n_dof` rows need more bytes than are free."""
+    free = free_memory()
+    if free is not None and needed > free:
+        raise MemoryError(
+            f"the factors of {whole(n_dof)} degrees of freedom need {significant(needed / 2**30, 3)} GiB, "
+            f"and {significant(free / 2**30, 3)} GiB of memory are free; coarsen or condense the model"
+        )
+
+
+def free_memory() -> int | None:
+    """Return the bytes of memory that this process may still take; None where the system does not tell."""
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        free = next(1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))
+    except (OSError, StopIteration, ValueError):
+        return None
+    group = Path("/sys/fs/cgroup")  # a container may be allowed less
+    try:
+        limit, used = (
+            int((group / name).read_text(encoding="ascii")) for name in ("memory.max", "memory.current")
+        )
+    except (OSError, ValueError):
+        return free
+    return min(free, max(limit - used, 0))
 
 
 def _call(solver: Any, upper: sp.csr_array, phase: int, loads: FloatArray | None = None) -> FloatArray:

@@ -98,3 +98,15 @@ def test_pardiso_releases_what_it_holds():
     del factor
     assert held() is None
     assert "pypardiso" in sys.modules
+
+
+@fast
+def test_factors_that_do_not_fit_are_refused_before_they_are_made(monkeypatch):
+    monkeypatch.setattr(solver, "free_memory", lambda: 2**10)
+    with pytest.raises(MemoryError, match=r"the factors of 600 degrees of freedom need \S+ GiB, and 9.54e-7"):
+        factorise(sp.csr_array(arrow()), PARDISO)
+
+
+def test_free_memory_is_a_number_or_unknown():
+    free = solver.free_memory()
+    assert free is None or free > 2**20
