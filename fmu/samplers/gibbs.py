@@ -43,7 +43,9 @@ from fmu.samplers.trajectory import ExactGradient, HamiltonianKernel, Metric
 from fmu.types import AnyArray, FloatArray, LogDensity, Positive
 
 _FIRST_STEP = 0.5
-_LENGTH, _MOST_STEPS = 1.6, 16
+_LENGTHS, _MOST_STEPS = (1.2, 2.4), 16
+"""Smallest and largest length of a trajectory, in standard deviations: a quarter period is 1.6 where these are
+right, and longer trajectories serve where the fitted normal distribution is too narrow."""
 _JITTER, _MOST_BOUNCES = 0.2, 200
 _ACCEPT = 0.8
 _NOISE_STEPS, _NOISE_SIZE = 4, 2.0
@@ -191,7 +193,7 @@ class GibbsKernel:
         target = _Target(marginal, theta)
         begun, _ = target.start(marginal.coordinates(theta))
         first = target.linear
-        n_steps = int(np.clip(np.round(_LENGTH / float(self.step_size)), 1, _MOST_STEPS))
+        n_steps = int(np.clip(np.round(rng.uniform(*_LENGTHS) / float(self.step_size)), 1, _MOST_STEPS))
         kernel = HamiltonianKernel(target, self.metric, self.step_size, n_steps, _JITTER, _MOST_BOUNCES)
         momentum = self.metric.sample_momentum(rng, len(theta))
         size = np.where(rng.random(len(theta)) < _SHORT, _SMALLEST ** rng.random(len(theta)), 1.0)

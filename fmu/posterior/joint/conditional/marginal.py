@@ -66,7 +66,7 @@ class MarginalOfMain:
 
     def _units_of_widths(self, theta: FloatArray) -> FloatArray:
         linear, scored = self.given.linearise(theta), self.given.scores.scored
-        left = np.einsum("tii->ti", np.linalg.solve(linear.precision[0], linear.of_prior[0]))
+        left = np.einsum("tij,tji->ti", linear.inverse[0], linear.of_prior[0])
         removed = np.where(scored, 1.0 - left, 0.0).sum(axis=0) / scored.sum(axis=0)
         removed = np.clip(removed, _LEAST**2, 1.0 - _LEAST**2)
         widths = theta[0, self.columns[self._widths]]
@@ -139,7 +139,7 @@ class MarginalOfMain:
 
     def log_evidence(self, linear: Linear) -> FloatArray:
         """Return the logarithm of the integral over the scores of each test, (n, n_tests)."""
-        found = linear.largest - 0.5 * np.linalg.slogdet(linear.precision)[1]
+        found = linear.largest - np.log(np.einsum("ntii->nti", linear.factor)).sum(axis=2)
         copula = self.layout.correlation
         return found if copula is None else found - 0.5 * copula.log_det(linear.at)
 
@@ -150,11 +150,10 @@ class MarginalOfMain:
         pull = linear.pull - linear.weight * np.einsum(
             "tij,ntj->nti", known.information[:, :, of.parameters], moved
         )
-        inverse = np.linalg.inv(linear.precision)
         noise = np.zeros((*pull.shape[:2], theta.shape[1] - n))
         full = np.concatenate([linear.at, theta[:, n:]], axis=1)
         gradient = self.layout.gradient(full, np.concatenate([pull, noise], axis=2), np.arange(pull.shape[1]))
-        left = np.einsum("ntij,ntji->nti", inverse, linear.of_prior)
+        left = np.einsum("ntij,ntji->nti", linear.inverse, linear.of_prior)
         by_log_slope = np.where(of.scored, pull[:, :, of.parameters] * moved - (1.0 - left), 0.0)
         for k, one in enumerate(of.every):
             gradient[:, one.drawn.width] += by_log_slope[:, :, k].sum(axis=1) / theta[:, one.drawn.width]
@@ -166,6 +165,6 @@ class MarginalOfMain:
         copula = self.layout.correlation
         if copula is not None:
             z = linear.z + linear.step
-            moments = inverse + z[..., :, None] * z[..., None, :]
+            moments = linear.inverse + z[..., :, None] * z[..., None, :]
             gradient[:, list(copula.columns)] = copula.gradient_of_moments(linear.at, moments)
         return gradient

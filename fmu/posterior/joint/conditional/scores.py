@@ -116,8 +116,11 @@ class Linear(NamedTuple):
         The gradients of the log-likelihoods by the values at the centre.
     weight : ndarray, shape (n, n_tests, 1) or (1, 1, 1)
         The factors of `Expansion.weigh`.
-    precision, of_prior : ndarray, shape (n, n_tests, p, p)
-        The precision matrices of the scores with the data, and without.
+    factor, inverse : ndarray, shape (n, n_tests, p, p)
+        The Cholesky factors of the precision matrices of the scores with the data, and the inverses of the
+        matrices.
+    of_prior : ndarray, shape (n, n_tests, p, p)
+        The precision matrices of the scores without the data.
     """
 
     at: FloatArray
@@ -127,7 +130,8 @@ class Linear(NamedTuple):
     largest: FloatArray
     pull: FloatArray
     weight: FloatArray
-    precision: FloatArray
+    factor: FloatArray
+    inverse: FloatArray
     of_prior: FloatArray
 
 
@@ -235,9 +239,10 @@ class ScoresGivenMain:
         total = slopes * gradient[:, :, numbers] - pull
         value = value - 0.5 * np.einsum("nti,nti->nt", z, pull)
         precision = precision + of_prior
-        step = np.linalg.solve(precision, total[..., None])[..., 0]
+        factor, inverse = np.linalg.cholesky(precision), np.linalg.inv(precision)
+        step = np.einsum("ntij,ntj->nti", inverse, total)
         value = value + 0.5 * np.einsum("nti,nti->nt", total, step)
-        return Linear(at, z, slopes, step, value, gradient, weight, precision, of_prior)
+        return Linear(at, z, slopes, step, value, gradient, weight, factor, inverse, of_prior)
 
     def approximate(self, theta: FloatArray) -> Normal:
         """Return the normal approximation of the scores' density at the main parameters of theta (n, ndim).
@@ -251,4 +256,4 @@ class ScoresGivenMain:
         curve, scored = None, self.scores.scored
         if self.bend is not None:
             curve = Curve(self.bend, linear.z, np.where(scored, linear.slopes / self.bend.slopes, 1.0))
-        return Normal(linear.z + linear.step, np.linalg.cholesky(linear.precision), scored, curve)
+        return Normal(linear.z + linear.step, linear.factor, scored, curve)
