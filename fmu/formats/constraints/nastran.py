@@ -51,8 +51,10 @@ class Constraints:
     n_fields : int
         Number of fields of all entries.
     notes : list of str
+    has_dmap : bool
+        Whether the executive control has DMAP, which alone has OUTPUT4 in Nastran.
     is_of_mystran : bool
-        Whether the executive control has MYSTRAN's OUTPUT4, which Nastran has in DMAP only. MYSTRAN takes the
+        Whether the executive control has OUTPUT4 without DMAP, as MYSTRAN's has. MYSTRAN takes the
         weights of rotations in an RBE3 as they are; see `fmu.formats.constraints.rigid`. MYSTRAN 18.0 has other
         equations than Nastran if an RBE3 follows other components than 123, has other components than 123456 at
         its reference point, or has points with axes of their own; a note says so.
@@ -66,6 +68,7 @@ class Constraints:
     unread: dict[str, int] = field(default_factory=dict)
     n_fields: int = 0
     notes: list[str] = field(default_factory=list)
+    has_dmap: bool = False
     is_of_mystran: bool = False
 
     def add(self, name: str, fields: list[str]) -> None:
@@ -85,8 +88,10 @@ class Constraints:
             self.unread[name] = self.unread.get(name, 0) + 1
         elif name.startswith("BEGIN"):
             self.is_deck = True
+        elif name.startswith(("COMPILE", "ALTER")) and not self.is_deck:
+            self.has_dmap = True
         elif name.startswith("OUTPUT4 ") and not self.is_deck:
-            self.is_of_mystran = True
+            self.is_of_mystran = not self.has_dmap
         elif name[:3] in ("MPC", "SPC") and not self.is_deck:
             found = _SELECTION.match("".join([name, *fields]).replace(" ", ""))
             if found:

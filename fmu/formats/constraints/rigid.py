@@ -5,9 +5,10 @@ turns it by θ. A point that follows others by a weighted mean moves as the rigi
 
     minimise Σ_i w_i (u_i − H_iᵀ x)²    ⇒    Σ_i w_i H_i H_iᵀ x = Σ_i w_i H_i u_i,
 
-where H_iᵀ x is the motion along the degree of freedom i. MYSTRAN, *User's reference manual*, appendix E. Nastran
-multiplies the weights of rotations by L², L the mean distance of the points from the reference point (MSC Nastran,
-*Linear static analysis user's guide*, RBE3), so that they have the units of the weights of displacements.
+where H_iᵀ x is the motion along the degree of freedom i. MYSTRAN, *User's reference manual*, appendix E. Since
+version 70.7 the result does not depend on the units in Nastran (MSC Nastran, *Quick reference guide*, RBE3): the
+weights of rotations are multiplied by L², L the mean distance of the points from the reference point. No Nastran
+was at hand to compare this with. Without rotations among the followed components, L plays no part.
 """
 
 from __future__ import annotations

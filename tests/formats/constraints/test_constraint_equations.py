@@ -58,6 +58,18 @@ def test_a_rigid_bar_on_two_springs(tmp_path):
     assert_allclose(seen @ phi, [z - 2.0 * ry, -z - ry], rtol=1e-12)
 
 
+def test_dependents_without_rows_move_as_the_deck_says(tmp_path):
+    """The program has eliminated them: matrices and supports stay as they are."""
+    stiff = {(9, d): 5.0 for d in DIRECTIONS}
+    model = read(tmp_path, RIGID_BAR + "SPC1,1,2,9\n", stiff, stiff)
+    assert model.dofs == tuple((9, d) for d in DIRECTIONS)
+    assert_allclose(model.stiffness.toarray(), 5.0 * np.eye(6))
+    assert model.motions[2, "z"] == {(9, "z"): 1.0, (9, "ry"): -2.0}
+    missing = read(tmp_path, RIGID_BAR, {(9, "z"): 1.0}, {(9, "z"): 1.0})
+    assert (2, "z") not in missing.motions
+    assert "No sensors can be at nodes that follow others without rows: 1, 2." in missing.notes
+
+
 def test_supports_hold_where_the_matrices_are_of_all_degrees_of_freedom(tmp_path):
     stiff = {(node, d): 5.0 for node in (1, 2, 9) for d in DIRECTIONS}
     model = read(tmp_path, RIGID_BAR + "SPC1,1,1246,9\nGRID,3,,0.,0.,1.,,1\n", stiff, stiff)
@@ -96,6 +108,10 @@ def test_rotations_are_weighted_by_the_mean_distance_squared(tmp_path):
     assert_allclose([found[1, "z"], found[2, "z"], found[1, "ry"], found[2, "ry"]], [1 / 8, -1 / 8, 1 / 4, 1 / 4])
     by_mystran = equations(tmp_path, f"OUTPUT4 KLL,MLL,,,//-1/21\nCEND\nBEGIN BULK\n{text}")[9, "ry"]
     assert_allclose([by_mystran[1, "z"], by_mystran[1, "ry"]], [0.2, 0.1])
+    dmap = (
+        "SOL 103\nCOMPILE SEMODES $\nALTER 'CALL.*SUPER3.*'$\nOUTPUT4 KAA,MAA,,,//0/31///16 $\nCEND\nBEGIN BULK\n"
+    )
+    assert equations(tmp_path, dmap + text)[9, "ry"] == found
 
 
 def test_um_makes_others_dependent(tmp_path):

@@ -43,6 +43,18 @@ def test_elements_of_archives(examples):
         assert nodes is None or len(mesh.nodes) == nodes
 
 
+def test_constraint_equations_of_an_archive(examples, tmp_path):
+    text = (examples / "HexBeam.cdb").read_text()
+    lines = "CE,R5.0,DEFI,       2,       1,  0.00000000\n"
+    lines += "CE,R5.0,NODE,       1,UX  ,  1.00000000    ,       2,UX  , -1.00000000\n"
+    (tmp_path / "a.cdb").write_text(
+        text.replace("\nFINISH", f"\n{lines}FINISH", 1) if "\nFINISH" in text else text + lines
+    )
+    mesh = fmu.read_mesh(tmp_path / "a.cdb")
+    assert [(one.dependent, one.weights) for one in mesh.equations] == [((1, "x"), {(2, "x"): 1.0})]
+    assert len(mesh.nodes) == 321
+
+
 @pytest.mark.parametrize("share", [0.0, 0.2, 0.6, 0.9])
 def test_cut_files_are_refused_where_the_library_crashes(examples, tmp_path, share):
     content = (examples / "file.full").read_bytes()
