@@ -14,7 +14,8 @@ class DiscrepancyTable(TomlTable):
     """Error of the model itself, as a wrong model has no parameters that fit all modes."""
 
     kind: Literal["embedded", "modes"]
-    """Each mode sees parameters of its own, or frequencies and shapes have errors whatever the parameters."""
+    """Each mode sees parameters of its own, or frequencies and shapes have errors whatever the parameters. Of
+    frequency response functions "modes", with sd and correlation."""
     tau: Positive | None = None
     """The scatter: relative, or of a parameter that may be 0 in units of its start. Inferred if not given."""
     prior_sd: Positive = 0.1

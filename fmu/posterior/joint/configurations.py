@@ -159,6 +159,9 @@ def _together(tests: Sequence[Test]) -> tuple[ModalData, list[Any]]:
                     raise TestsError(
                         [f"tests: mode {labels[mode]!r} must have one number (got {known[mode]} and {value})"]
                     )
+    lacking = [label for k, label in enumerate(labels) if counterparts and k not in counterparts]
+    if lacking:
+        raise TestsError([f"tests: mode {lacking[0]!r} must have a counterpart, as other modes have (got none)"])
     seen = ~np.isnan(shapes).all(axis=(0, 1))
     has_shapes = bool(len(sensors)) and bool(seen.all())
     has_sd = has_shapes and not np.isnan(shapes_sd).all(axis=0).any()
