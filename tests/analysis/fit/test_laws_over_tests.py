@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import fmu
+from fmu.analysis.fit.causes import _of_order
 from fmu.analysis.fit.check import LAW, LEVEL
 from fmu.analysis.fit.model_fit import CONTRADICTED, NOT_CONTRADICTED
 from fmu.analysis.fit.populations import checks_of_scores
@@ -149,3 +150,9 @@ def test_bent_laws_are_found_and_right_ones_pass():
     assert all(any(check.failed and "temperature" in check.dependence for check in one) for one in found)
     right = [laws(campaign((77, seed), 200, bent=False)) for seed in range(200)]
     assert sum(any(check.failed for check in one) for one in right) <= 4
+
+
+def test_a_step_is_named_at_the_test_before_it():
+    values = np.where(np.arange(12) < 8, -1.0, 2.0) + 0.3 * np.random.default_rng(1).standard_normal(12)
+    trend = _of_order((values - values.mean())[:, None], [f"t{i}" for i in range(12)])[0]
+    assert trend.words(0, 0.8).endswith("most after test t7")

@@ -86,6 +86,7 @@ def test_repeats_help_until_the_drift_remains(tower):
     drifting = plan.repeats["median_sd"]
     np.testing.assert_allclose(plan.frequency_sd, np.hypot(plan.design.frequency_sd, 0.05), rtol=1e-14)
     assert np.all(np.diff(alone) < 0.0)
+    assert alone.loc[20] < 0.25 * alone.loc[1]  # nearly 1/√20: the prior says little
     assert drifting.loc[20] > 0.9 * drifting.loc[1]
 
 
