@@ -14,6 +14,7 @@ Exit code 1 where a test rejects uniformity.
 from __future__ import annotations
 
 import sys
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -91,15 +92,20 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=SEED)
     asked = parser.parse_args()
     units, rows, rejected, n_tests = Units(asked.kept, asked.minutes), [], [], sum(map(len, SYMBOLS.values()))
+    simulated = {}
+    for stream, kind in enumerate(KINDS):
+        rng = np.random.default_rng(np.random.SeedSequence(asked.seed, spawn_key=(stream,)))
+        simulated[kind] = [simulate(rng, kind) for _ in range(asked.replicates)]
+    keys = [(kind, i) for i in range(asked.replicates) for kind in KINDS]
 
-    def of_kind(kind: str) -> list[list[float]]:
-        seed = np.random.SeedSequence(asked.seed, spawn_key=(list(KINDS).index(kind),))
-        rng = np.random.default_rng(seed)
-        return [probabilities_below(kind, *simulate(rng, kind)).tolist() for _ in range(asked.replicates)]
+    def of_set(key: tuple[str, int]) -> dict[str, Any]:
+        kind, i = key
+        return {"kind": kind, "below": probabilities_below(kind, *simulated[kind][i])}
 
     with threadpool_limits(1):
-        found = units.completed("kinds", each(KINDS), of_kind, np.array)
-    for kind, u in zip(KINDS, found, strict=False):
+        found = units.completed("sets", each(keys), of_set, least=len(KINDS))
+    for kind in KINDS:
+        u = np.array([one["below"] for one in found if one["kind"] == kind])
         for symbol, one in zip(SYMBOLS[kind], u.T, strict=True):
             counts, p = np.histogram(one, 10, (0.0, 1.0))[0], float(stats.kstest(one, "uniform").pvalue)
             rows.append([kind, symbol, " ".join(map(str, counts)), f"{one.mean():.3f}", f"{p:.3f}"])
@@ -109,7 +115,7 @@ def main() -> int:
     header = ["kind", "number", "sets in each tenth of 0 to 1", "mean", "p (Kolmogorov–Smirnov)"]
     text = PAGE.format(
         verdict=verdict,
-        n=asked.replicates,
+        n=sum(one["kind"] == kind for one in found),
         level=LEVEL,
         tests=n_tests,
         table=markdown_table(header, rows, (0, 1, 2)),
