@@ -273,8 +273,9 @@ class Posterior:
     @property
     def solves_per_gradient(self) -> int:
         """Cost of `log_prob_and_grad` at one theta in solves of the model: 1 if derivatives are exact."""
-        of_model = self.model
-        return of_model.solves_per_shape_gradient if self.likelihood.needs_shapes else of_model.solves_per_gradient
+        of_model, often = self.model, self.likelihood.predictions_per_gradient
+        shapes = self.likelihood.needs_shapes
+        return often * (of_model.solves_per_shape_gradient if shapes else of_model.solves_per_gradient)
 
     @property
     def tests(self) -> tuple[Test, ...]:

@@ -87,6 +87,8 @@ class DiscrepantLikelihood(ModalLikelihood):
         only = self.terms_of[0] if len(self.terms_of) == 1 and self.n_tests == 1 else None
         if isinstance(only, FrequencyTerm) and not self.errors.modes:
             self._alone = ScatteredFrequencies(only, self.errors.scatters)
+        if self.needs_shapes or model.is_uncertain:  # `by_parameters` differences the slopes
+            self.predictions_per_gradient = 1 + 2 * len(layout.structural)
 
     @property
     def by_frequencies(self) -> bool:

@@ -250,8 +250,8 @@ class Likelihood:
         Measured frequency response functions, and the same in their tests (`fmu.posterior.frf.likelihood`).
     used : ndarray of int, shape (n_used,), or None
         Indices (from 0) of the measured modes whose terms make up the likelihood; None for all modes.
-    has_discrepancy : bool
-        Whether the model has errors of its own.
+    has_discrepancy, predictions_per_gradient : bool, int
+        Whether the model has errors of its own, and how often a gradient takes the modes and their derivatives.
     """
 
     of_modes: bool = False
@@ -269,6 +269,7 @@ class Likelihood:
     every: tuple[Any, ...] = ()
     used: IntArray | None = None
     has_discrepancy: bool = False
+    predictions_per_gradient: int = 1
 
     def using(self, used: IntArray | None) -> Self:
         """Return the likelihood of the modes with the indices `used` of the same data; None for all modes."""

@@ -120,8 +120,8 @@ class FRFLikelihood(Likelihood):
         """Take over what the likelihood of the modes says of the modes."""
         modal, self.responses = self.modal, tuple(one.term for one in self.every)
         self.model = modal.model
-        self.needs_shapes, self.simulates, self.has_discrepancy = (
-            modal.needs_shapes, modal.simulates, modal.has_discrepancy,
+        self.needs_shapes, self.simulates, self.has_discrepancy, self.predictions_per_gradient = (
+            modal.needs_shapes, modal.simulates, modal.has_discrepancy, modal.predictions_per_gradient,
         )  # fmt: skip
         self.terms_of, self.chi_square, self.quantities = modal.terms_of, modal.chi_square, modal.quantities
         self.correlated, self.used = modal.correlated, modal.used

@@ -13,6 +13,7 @@ from fmu.fem.pairing.modal_model import ModalModel
 from fmu.posterior.discrepancy.embedded import Discrepancy
 from fmu.posterior.discrepancy.likelihood import DiscrepantLikelihood
 from fmu.posterior.errors.slopes import residuals_of_term
+from fmu.progress.phases import solves
 from tests.gradients import assert_gradient
 from tests.shear_building import shear_building
 
@@ -230,6 +231,15 @@ def test_simulated_data_have_the_scatter(monkeypatch):
     drawn = problem.simulate_data(rng, np.repeat(seen.frequencies, n, axis=0), np.repeat(theta, n, axis=0))
     assert solved == [1]
     assert_allclose(drawn.var(axis=0), V, rtol=6 * np.sqrt(2 / n))
+
+
+@pytest.mark.parametrize(("errors", "cost"), [("inferred", 1), ("shapes too", 9)])
+def test_the_cost_of_a_gradient_is_counted(errors, cost):
+    """Of shapes, the slopes are differenced in each of four parameters."""
+    problem = problem_of("common", errors)
+    begun = solves()
+    problem.log_prob_and_grad(points(problem, 5))
+    assert solves() - begun == 5 * cost == 5 * problem.solves_per_gradient
 
 
 def test_ascents_end_at_a_scatter_of_zero(monkeypatch):
