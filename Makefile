@@ -129,9 +129,10 @@ paper mutants: $(READY)  ## The same for one group of studies: the paper repeate
 bench: $(READY_BENCH)  ## The same for the speed budget and the peers of the samplers
 	.venv/bin/python -m tests.results run bench
 
-validate: $(READY_BENCH) $(READY_FAST)  ## The same for the studies of samplers, intervals and verdicts; and the long versions of tests
+validate: $(READY_BENCH) $(READY_FAST) $(READY_PROGRAMS)  ## The same for the studies of samplers, intervals and verdicts; and the long versions of tests
 	.venv/bin/python -m tests.results run validate
 	OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest --quiet -m validate
+	OPENBLAS_NUM_THREADS=1 .venv/programs/bin/python -m pytest --quiet -m validate tests/programs
 
 clean-environment:  ## Remove .venv, to be made anew by the next command
 	rm -rf .venv
