@@ -46,6 +46,8 @@ _FIRST_STEP = 0.5
 _LENGTHS, _MOST_STEPS = (1.2, 2.4), 16
 """Smallest and largest length of a trajectory, in standard deviations: a quarter period is 1.6 where these are
 right, and longer trajectories serve where the fitted normal distribution is too narrow."""
+_MANY = 150
+"""Number of tests beyond which trajectories are shorter."""
 _JITTER, _MOST_BOUNCES = 0.2, 200
 _ACCEPT = 0.8
 _NOISE_STEPS, _NOISE_SIZE = 4, 2.0
@@ -158,6 +160,11 @@ class GibbsKernel:
     metric: Metric
     step_size: FloatArray
 
+    @property
+    def _shrink(self) -> float:
+        """Factor on the length of trajectories: the changes of the errors of n tests add up as √n."""
+        return min(1.0, float(np.sqrt(_MANY / len(self.problem.tests))))
+
     def init(self, positions: FloatArray) -> tuple[State, Info]:
         """Evaluate the starting positions; return the state, and an `Info` with the cost."""
         theta = self.scaled.to_theta(positions)
@@ -193,7 +200,9 @@ class GibbsKernel:
         target = _Target(marginal, theta)
         begun, _ = target.start(marginal.coordinates(theta))
         first = target.linear
-        n_steps = int(np.clip(np.round(rng.uniform(*_LENGTHS) / float(self.step_size)), 1, _MOST_STEPS))
+        n_steps = int(
+            np.clip(np.round(self._shrink * rng.uniform(*_LENGTHS) / float(self.step_size)), 1, _MOST_STEPS)
+        )
         kernel = HamiltonianKernel(target, self.metric, self.step_size, n_steps, _JITTER, _MOST_BOUNCES)
         momentum = self.metric.sample_momentum(rng, len(theta))
         size = np.where(rng.random(len(theta)) < _SHORT, _SMALLEST ** rng.random(len(theta)), 1.0)
