@@ -74,21 +74,23 @@ class SharedResiduals:
             masses = []
             for term, mass in zip(self.block.M_terms, grown.mass, strict=True):
                 heavy = term.matrix @ W
-                masses.append(_bordered(mass, np.concatenate([part.T @ heavy for part in (*grown.W, W)])))
-            grown = replace(grown, energy=_bordered(grown.energy, energy), mass=np.stack(masses), W=(*grown.W, W))
+                masses.append(_add_border(mass, np.concatenate([part.T @ heavy for part in (*grown.W, W)])))
+            grown = replace(
+                grown, energy=_add_border(grown.energy, energy), mass=np.stack(masses), W=(*grown.W, W)
+            )
         return grown
 
     def restrict(self, S: FloatArray) -> Self:
         """Return the residuals of the space V S, for S (r, q), without the vectors W."""
         T = len(self.energy) // len(S)
 
-        def restricted(forms: FloatArray) -> FloatArray:
+        def project(forms: FloatArray) -> FloatArray:
             parts = forms.reshape(len(S), T, len(S), T)
             return np.asarray(np.einsum("ac,atbu,bd->ctdu", S, parts, S, optimize=True)).reshape(
                 T * S.shape[1], -1
             )
 
-        return replace(self, energy=restricted(self.energy), mass=np.stack(list(map(restricted, self.mass))), W=())
+        return replace(self, energy=project(self.energy), mass=np.stack(list(map(project, self.mass))), W=())
 
     def coefficients(self, theta: FloatArray, lam: FloatArray, y: FloatArray) -> FloatArray:
         """Return the residuals as coefficients of R, (n, r T, m), for λ (n, m) and y (n, r, m) at theta (n, p)."""
@@ -114,7 +116,7 @@ class SharedResiduals:
         return found
 
 
-def _bordered(form: FloatArray, columns: FloatArray) -> FloatArray:
+def _add_border(form: FloatArray, columns: FloatArray) -> FloatArray:
     """Return the symmetric form (r, r) with the last columns (r + q, q) added."""
     r = len(form)
     corner = columns[r:]

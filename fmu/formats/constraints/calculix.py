@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fmu.formats.constraints.equations import Equation, explicit_equation, solve_for_dependents, weighted
+from fmu.formats.constraints.equations import Equation, equations_of, explicit_equation, solve_for_dependents
 from fmu.formats.constraints.rigid import Point, rigid_motion
 from fmu.formats.matrices.limits import MOST_DOFS, MOST_ENTRIES, DofName, RefusedError
 from fmu.formats.shown import quote
@@ -251,7 +251,7 @@ def _rigid_body(
     for node in dict.fromkeys(nodes):
         if node not in (reference, rotation):
             S = rigid_motion(Point(node, np.array(places[node]), np.eye(3)), centre)[:3]
-            equations += weighted([(node, d) for d in DIRECTIONS[:3]], names, S, one.source)
+            equations += equations_of([(node, d) for d in DIRECTIONS[:3]], names, S, one.source)
     return equations
 
 

@@ -49,11 +49,13 @@ def explicit_equation(terms: Iterable[tuple[DofName, float]], source: str) -> Eq
         row[name] = row.get(name, 0.0) + factor
     first = next(iter(row), None)
     if first is None or not row[first]:
-        where = " has no terms" if first is None else f": the factor of {shown(first)} is zero"
+        where = " has no terms" if first is None else f": the factor of {show_name(first)} is zero"
         raise RefusedError(f"must have equations that determine their first degree of freedom ({source}{where})")
     weights = {name: -a / row[first] for name, a in row.items() if name != first and a}
     if not all(map(isfinite, weights.values())):
-        raise RefusedError(f"must have equations with finite weights ({source}: those of {shown(first)} are not)")
+        raise RefusedError(
+            f"must have equations with finite weights ({source}: those of {show_name(first)} are not)"
+        )
     return Equation(first, weights, source)
 
 
@@ -93,10 +95,10 @@ def solve_for_dependents(
     if not np.all(unit > 0.0) or np.linalg.cond(R[:, wanted] / unit) > 1.0 / RANK:
         return _refuse(dependents, source)
     weights = -np.linalg.solve(R[:, wanted], R[:, rest])
-    return weighted(dependents, [names[k] for k in rest], weights, source)
+    return equations_of(dependents, [names[k] for k in rest], weights, source)
 
 
-def weighted(
+def equations_of(
     dependents: Sequence[DofName], names: Sequence[DofName], weights: FloatArray, source: str
 ) -> list[Equation]:
     """Return one equation per dependent, from weights (n_dependents, n_names); rounding errors are dropped."""
@@ -107,11 +109,11 @@ def weighted(
     return found
 
 
-def shown(name: DofName) -> str:
+def show_name(name: DofName) -> str:
     """Return the words that name a degree of freedom: ``node 8 x``."""
     return f"node {name[0]} {name[1]}"
 
 
 def _refuse(dependents: Sequence[DofName], source: str) -> list[Equation]:
-    which = names_shown([shown(name) for name in dependents])
+    which = names_shown([show_name(name) for name in dependents])
     raise RefusedError(f"must have constraints that determine their dependents ({source} does not: {which})")

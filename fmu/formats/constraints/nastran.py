@@ -159,7 +159,7 @@ def equations_of(
 
 def _rbe2(fields: list[str], point: Callable[[int], Point], source: str) -> list[Equation]:
     reference = point(identity(fields[1], f"{source}: GN"))
-    which = components(_given(fields[2], f"{source}: CM"), f"{source}: CM")
+    which = components(_require_text(fields[2], f"{source}: CM"), f"{source}: CM")
     nodes = fields[3:]
     while nodes and not nodes[-1]:
         nodes = nodes[:-1]
@@ -177,7 +177,7 @@ def _rbe3(
     fields: list[str], point: Callable[[int], Point], source: str, constraints: Constraints
 ) -> list[Equation]:
     reference = point(identity(fields[2], f"{source}: REFGRID"))
-    which = components(_given(fields[3], f"{source}: REFC"), f"{source}: REFC")
+    which = components(_require_text(fields[3], f"{source}: REFC"), f"{source}: REFC")
     groups, dependents = _groups([word for word in fields[4:] if word], source)
     followed = [(point(node), tuple(group), weight) for group, weight, nodes in groups for node in nodes]
     points = [reference, *(one for one, _, _ in followed)]
@@ -243,7 +243,7 @@ def _some(text: str, what: str) -> list[int]:
     return components(text, what) if text and text != "0" else []
 
 
-def _given(text: str, what: str) -> str:
+def _require_text(text: str, what: str) -> str:
     if text in ("", "0"):
         raise ValueError(f"{what} must be components 1 to 6 (it is empty)")
     return text

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fmu.formats.constraints.equations import RANK, Equation, shown, weighted
+from fmu.formats.constraints.equations import RANK, Equation, equations_of, show_name
 from fmu.formats.matrices.limits import DofName, RefusedError
 from fmu.formats.shown import names_shown
 from fmu.types import DIRECTIONS, FloatArray
@@ -67,7 +67,7 @@ def rigid_link(
     found: list[Equation] = []
     for point in points:
         S = rigid_motion(point, reference)[rows]
-        found += weighted(point.names(components), reference.names(ALL), S, source)
+        found += equations_of(point.names(components), reference.names(ALL), S, source)
     return found
 
 
@@ -89,14 +89,14 @@ def rigid_body(
     scale = _length([point for point, _ in [*independent, *dependent]], origin)
     B = B * scale
     if len(B) != 6 or np.linalg.cond(B) > 1.0 / RANK:
-        which = names_shown([shown(name) for name in names])
+        which = names_shown([show_name(name) for name in names])
         raise RefusedError(
             f"must have six independent components that determine how a rigid body moves ({source} has {which})"
         )
     found: list[Equation] = []
     for point, components in dependent:
         S = _rows(point, components, origin) * scale
-        found += weighted(point.names(components), names, np.linalg.solve(B.T, S.T).T, source)
+        found += equations_of(point.names(components), names, np.linalg.solve(B.T, S.T).T, source)
     return found
 
 
@@ -144,10 +144,10 @@ def mean_motion(
     unknown = np.eye(6) - Vt[:rank].T @ Vt[:rank]
     rows = [k - 1 for k in components]
     if np.max(np.abs(unknown[rows])) > np.sqrt(RANK):
-        which = names_shown([shown(name) for name in reference.names(components)])
+        which = names_shown([show_name(name) for name in reference.names(components)])
         raise RefusedError(f"must follow components that determine {which} ({source} does not)")
     X = scale[:, None] * (Vt[:rank].T / size[:rank]) @ (U[:, :rank] * root).T
-    return weighted(reference.names(components), names, X[rows], source)
+    return equations_of(reference.names(components), names, X[rows], source)
 
 
 def _rows(point: Point, components: Sequence[int], reference: Point) -> FloatArray:

@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from fmu.formats.constraints.equations import Equation, shown
+from fmu.formats.constraints.equations import Equation, show_name
 from fmu.formats.matrices.limits import MOST_ENTRIES, DofName, RefusedError
 from fmu.formats.shown import names_shown
 
@@ -89,7 +89,7 @@ def transformation(
     if not np.all(np.isfinite(T.data)):
         wrong = int(np.flatnonzero(~np.isfinite(T.data))[0])
         name = names[int(np.searchsorted(T.indptr, wrong, side="right")) - 1]
-        raise RefusedError(f"must have constraints with finite weights (those of {shown(name)} are not)")
+        raise RefusedError(f"must have constraints with finite weights (those of {show_name(name)} are not)")
     return Transformation(T, names, [names[i] for i in free.tolist()])
 
 
@@ -100,11 +100,11 @@ def _check_dependents(equations: Sequence[Equation], held: Collection[DofName]) 
     for one in equations:
         name = one.dependent
         if name in source:
-            by = f"{shown(name)} in {source[name]} and {one.source}"
+            by = f"{show_name(name)} in {source[name]} and {one.source}"
             raise RefusedError(f"must have each dependent degree of freedom once ({by})")
         if name in still:
             raise RefusedError(
-                f"must have no dependent degree of freedom that is held ({shown(name)}, of {one.source}, is)"
+                f"must have no dependent degree of freedom that is held ({show_name(name)}, of {one.source}, is)"
             )
         source[name] = one.source
     return source
@@ -121,6 +121,6 @@ def _check_circles(C: sp.csr_array, names: Sequence[DofName], source: dict[DofNa
         here = np.flatnonzero(alone)[:1]
     else:
         return
-    which = names_shown([shown(names[i]) for i in here[:TOLD].tolist()])
+    which = names_shown([show_name(names[i]) for i in here[:TOLD].tolist()])
     by = names_shown(list(dict.fromkeys(source[names[i]] for i in here.tolist()))[:TOLD])
     raise RefusedError(f"must have no constraints that follow each other in a circle ({which}, of {by})")
