@@ -55,12 +55,12 @@ def accelerances(
     return found
 
 
-def measure(seed: int = SEED, noise: float = NOISE) -> fmu.FRFData:
+def measure(seed: int = SEED, noise: float = NOISE, lines: FloatArray = LINES) -> fmu.FRFData:
     """Return simulated accelerances."""
-    rng, exact = np.random.default_rng(seed), accelerances()
+    rng, exact = np.random.default_rng(seed), accelerances(lines=lines)
     sd = noise * np.abs(exact)
     values = exact + sd * (rng.standard_normal(exact.shape) + 1j * rng.standard_normal(exact.shape))
-    return fmu.FRFData(LINES, values, (DRIVE,) * len(RESPONSES), RESPONSES, "accelerance", sd)
+    return fmu.FRFData(lines, values, (DRIVE,) * len(RESPONSES), RESPONSES, "accelerance", sd)
 
 
 def table(data: fmu.FRFData) -> str:
