@@ -56,7 +56,8 @@ def fit_to_bounds(parameter: Parameter) -> Fit | None:
     left, centre, right = prior.quantile(p, *prior.support).tolist()
     low, median, high = prior.quantile(p, lower, upper).tolist()
     sd = 0.5 * (right - left)
-    outside = max(lower - centre, centre - upper, 0.0) / sd
+    distance = max(lower - centre, centre - upper, 0.0)
+    outside = distance / sd if sd > 0.0 else 0.0 if distance == 0.0 else np.inf
     mass = float(np.exp(prior.log_mass(lower, upper)))
     middle, width = 0.5 * (lower + upper), upper - lower
     is_flat = bool(np.isfinite(width) and abs(median - middle) < _FLAT * width)

@@ -177,7 +177,7 @@ def _modes(found: Check) -> PageSection:
     parts: list[Part] = [Text(_largest_error(found)), PageTable(caption, tuple(table.columns), rows, words)]
     if modes.notes:
         parts.append(Items(modes.notes))
-    if found.shapes is not None:
+    if found.shapes is not None and "displacement" in found.shapes:
         parts.append(Pictures(_shapes(found, found.shapes)))
     return PageSection("modes", "Modes at the start", tuple(parts))
 

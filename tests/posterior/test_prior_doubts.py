@@ -114,3 +114,10 @@ def test_a_prior_from_its_description(prior):
 
 def test_a_description_of_another_prior_is_not_known():
     assert prior_of({"distribution": "scipy.stats.gumbel_r", "quantiles": [0.0, 1.0, 2.0]}) is None
+
+
+def test_a_prior_narrower_than_rounding_has_a_place():
+    inside, beyond = (modulus(Normal(mean=mean, sd=1e-30)) for mean in (2.0e11, 3.0e11))
+    assert fit_to_bounds(inside).outside == 0.0
+    assert fit_to_bounds(beyond).outside == np.inf
+    assert prior_doubts([inside, beyond])

@@ -1,6 +1,7 @@
 """The page of a problem that was looked at: it says what the check found, and holds all that it shows."""
 
 import re
+import shutil
 
 import pytest
 
@@ -69,3 +70,15 @@ def test_the_page_replaces_itself_and_nothing_else(found, tmp_path):
     (tmp_path / "other" / "index.html").write_text("precious")
     with pytest.raises(ValueError, match="does not replace"):
         write_check(found, tmp_path / "other")
+
+
+def test_tests_of_a_structure_that_is_drawn_but_has_no_common_shapes(tmp_path):
+    case = fmu.cases.path("shear-12dof-damage")
+    text = case.read_text(encoding="utf-8")
+    shutil.copytree(case.with_suffix(""), tmp_path / case.stem)
+    changed = "reduction = false\n" + text.replace('"0 nw" = [-2.5, 2.5, 0.0]', '"0 nw" = [-2.5, 2.5, 1e-30]')
+    (tmp_path / "two.toml").write_text(changed, encoding="utf-8")
+    found = fmu.check(fmu.load(tmp_path / "two.toml"), draws=4)
+    assert found.drawing
+    assert "displacement" not in found.shapes
+    assert check_page(found).sections
