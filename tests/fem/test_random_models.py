@@ -98,5 +98,6 @@ def test_faults_and_more_than_one_refusal_fail(tmp_path, monkeypatch, faults, re
         "examined",
         lambda seed: Found(seed, SMALL, refused="rounding: no" if seed < refused else None, faults=faults),
     )
-    assert random_models.main(tmp_path) == code
+    monkeypatch.setattr("sys.argv", ["random_models", str(tmp_path)])
+    assert random_models.main() == code
     assert f"Refused: {refused} of 40." in (tmp_path / "random-models.md").read_text(encoding="utf-8")
