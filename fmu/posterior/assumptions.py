@@ -45,6 +45,7 @@ def assumptions(
     inferred: Inferred | None = None,
     error: float | None = None,
     elsewhere: float | None = None,
+    log_prob: float | None = None,
 ) -> Assumptions | None:
     """Return the assumptions of the posterior of a problem.
 
@@ -60,6 +61,8 @@ def assumptions(
         Largest relative error of a frequency found by the certificate of a run.
     elsewhere : float, optional
         Relative error allowed to a frequency outside the mass of the posterior, if it is larger than `reduction`.
+    log_prob : float, optional
+        Error that the log-probability may have because of the reduced model.
 
     Returns
     -------
@@ -94,6 +97,11 @@ def assumptions(
         said.append(
             "Within the bounds a reduced model replaces the full one. The relative error allowed to a frequency "
             f"is {significant(reduction)}{away}{seen}."
+            + (
+                ""
+                if log_prob is None
+                else f" The error allowed to the log-probability is {significant(log_prob)}."
+            )
         )
     errors = _by_mode(likelihood, problem["parameters"], data, inferred) if are_data else ()
     return Assumptions(tuple(said), errors, bool(likelihood.get("noise")))

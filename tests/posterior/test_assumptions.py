@@ -147,6 +147,8 @@ def test_the_reduced_model():
     assert last.endswith("allowed to a frequency is 1e-6; 3.2e-6 was found at draws solved again in full.")
     *_, last = assumptions(problem, 1e-6, error=3.2e-7, elsewhere=1e-3).sentences
     assert " is 1e-6 where the posterior has its mass, and 0.001 elsewhere; 3.2e-7 was found" in last
+    *_, last = assumptions(problem, 1e-3, log_prob=0.01).sentences
+    assert last.endswith("to a frequency is 0.001. The error allowed to the log-probability is 0.01.")
 
 
 def test_a_plain_density_has_none():

@@ -322,7 +322,10 @@ def check(
         tests=() if tests is None else tuple(repeatability(tests.frequencies_hz, labels).doubts()),
         shapes=modal_states(problem, {START: problem.start}) if drawing else None,
         assumptions=assumptions(
-            problem.configuration(), _tolerance(problem), elsewhere=largest_tolerance_elsewhere(problem.model)
+            problem.configuration(),
+            _tolerance(problem),
+            elsewhere=largest_tolerance_elsewhere(problem.model),
+            log_prob=None if problem.tolerance is None else problem.tolerance.log_prob,
         ),
         priors=(*prior_doubts(problem.parameters), *_without_purpose(problem)),
         discrepancy=tuple(discrepancy_doubts(problem)) if informed else (),

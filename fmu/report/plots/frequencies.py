@@ -96,9 +96,10 @@ def plot_frequency_errors(
             x, error, linestyle="none", marker="o", markersize=dot, color=entry.colour, label=entry.label,
             markerfacecolor=entry.colour if entry.filled else "white", markeredgewidth=1.5, zorder=3,
         )  # fmt: skip
-    options = style.rotate_labels(labels, figure.get_figwidth())
+    frequencies = [f"{given(hz)} Hz" for hz in measured]
+    options = style.rotate_labels([*labels, *frequencies], 2.0 * figure.get_figwidth())
     between = ", " if options else "\n"
-    names = [f"{label}{between}{given(hz)} Hz" for label, hz in zip(labels, measured, strict=True)]
+    names = [f"{label}{between}{hz}" for label, hz in zip(labels, frequencies, strict=True)]
     axes.set_xticks(centre, style.thin_labels(names), **options)
     axes.set_xlim(-0.5, len(measured) - 0.5)
     style.finish(axes, "mode, measured frequency", "(computed − measured)/measured, %")

@@ -113,11 +113,13 @@ def assumptions(run: ReportedRun) -> tuple[Part, ...]:
     reduced = ReductionCertificate.from_trace(attrs)
     noise = run.problem.get("likelihood", {}).get("noise", ())
     inferred = {name: (float(mean[name]), float(run.summary["sd"][name])) for name in noise}
-    known: tuple[float | None, ...] = (None, None, None)
-    if reduced is not None:
-        known = reduced.frequency_tolerance, reduced.frequency_error, reduced.frequency_elsewhere
-    allowed, error, away = known
-    found = assumed(run.problem, allowed, inferred, error, away)
+    if reduced is None:
+        found = assumed(run.problem, None, inferred)
+    else:
+        of_frequency = reduced.frequency_error, reduced.frequency_elsewhere
+        found = assumed(
+            run.problem, reduced.frequency_tolerance, inferred, *of_frequency, reduced.log_prob_tolerance
+        )
     return () if found is None else assumption_parts(found, "σ at the posterior mean where it is inferred.")
 
 
