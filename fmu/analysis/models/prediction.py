@@ -78,7 +78,7 @@ def predict_modes(
     if parameter_names(trace) != problem.names:
         raise ArgumentError("trace", "must be of the problem (its parameters have other names)")
     theta = parameter_draws(trace).reshape(-1, problem.ndim)
-    theta = theta[np.unique(np.linspace(0, len(theta) - 1, draws).astype(int))]
+    theta = theta[np.unique(np.linspace(0, len(theta) - 1, min(draws, len(theta))).astype(int))]
     values = problem.values(theta)[:, _index_of(problem, test)] * _factors(problem, factors or {})
     f, J = _solve(problem, values, modes, change or Change())
     solved = np.isfinite(f).all(axis=1)
