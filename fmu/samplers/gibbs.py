@@ -218,8 +218,8 @@ class GibbsKernel:
         candidate = given.scores.put(moved, after.restore(before.standardise(given.scores.take(theta))))
         new_terms = self._terms(candidate)
         error = [
-            given.log_prior(at) - normal.log_det_factor - marginal.log_evidence(one)
-            for at, normal, one in zip((theta, candidate), (before, after), linear, strict=True)
+            given.log_prior(at) - one.log_det_factor - marginal.log_evidence(one)
+            for at, one in zip((theta, candidate), linear, strict=True)
         ]
         with np.errstate(invalid="ignore"):
             ratio = gain + (new_terms - terms).sum(axis=1) + (error[1] - error[0]).sum(axis=1)

@@ -99,21 +99,17 @@ def modal_states(problem: UpdatingProblem, states: Mapping[str, ArrayLike]) -> x
     model = structure_of(problem.model)
     if model is not None:
         structural = problem.model_parameters(theta)
-        full = next(iter(reduced_structures(problem.model)), model)
-        shapes = _align_signs(np.array([_advance(full.shapes(point)) for point in structural]))
-        variables |= _shape_variables(problem, model.structure, shapes)
+        full, shapes = next(iter(reduced_structures(problem.model)), model), []
+        for point in structural:
+            shapes.append(full.shapes(point))
+            advance_phase()
+        variables |= _shape_variables(problem, model.structure, _align_signs(np.array(shapes)))
     elif problem.model.n_tests > 1 and problem.data.shapes is not None and problem.model.gives_shapes:
         variables |= _shapes_in_tests(problem, theta)
     return xr.Dataset(
         variables,
         coords={"state": list(states), "parameter": list(problem.names), "mode": labels, "reference_mode": labels},
     )
-
-
-def _advance(shapes: FloatArray) -> FloatArray:
-    """Return the shapes unchanged, after a step of the progress bar."""
-    advance_phase()
-    return shapes
 
 
 def _shapes_in_tests(problem: UpdatingProblem, theta: FloatArray) -> dict[str, Any]:

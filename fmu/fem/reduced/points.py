@@ -9,10 +9,12 @@ import numpy as np
 
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
 from fmu.fem.modes.full_block import FullBlock
+from fmu.fem.modes.modal import BlockModel
 from fmu.fem.modes.terms import sum_at
 from fmu.fem.pairing.rules import IndexPairing, RankPairing, ShapePairing
 from fmu.fem.reduced.anchors import Anchors, SingularAnchorError
 from fmu.fem.reduced.basis import Parts
+from fmu.fem.reduced.residuals import FrequencyBound
 from fmu.fem.reduced.shared import SharedResiduals
 from fmu.types import FloatArray
 
@@ -67,6 +69,10 @@ class Trained:
     anchors: Mapping[int, Anchors] = field(default_factory=dict)
     elsewhere: float | None = None
     shared: Mapping[int, SharedResiduals | None] = field(default_factory=dict)
+
+    def bound(self, full: BlockModel[FullBlock]) -> FrequencyBound:
+        """Return the error bounds of the frequencies, against the full model that was reduced."""
+        return FrequencyBound(full, self.model, self.lower, self.upper, self.anchors, self.shared)
 
 
 def box_points(lower: FloatArray, upper: FloatArray, n: int, seed: int) -> FloatArray:

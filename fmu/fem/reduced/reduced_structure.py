@@ -20,7 +20,6 @@ from fmu.fem.pairing.prediction import Candidates, ModalPrediction, join_batches
 from fmu.fem.pairing.sensitivities import JoinedSensitivities, Sensitivities, Steps
 from fmu.fem.reduced.confirming import confirmed_model
 from fmu.fem.reduced.points import Trained
-from fmu.fem.reduced.residuals import FrequencyBound
 from fmu.fem.reduced.training import LOOSE, Training
 from fmu.progress.phases import count_solves
 from fmu.types import BoolArray, Dof, FloatArray, IntArray
@@ -61,8 +60,7 @@ class ReducedStructure(Approximation):
         # the bounds have shape (1, n_parameters), like one theta, which saves broadcasting in NumPy
         self.lower, self.upper = trained.lower[None], trained.upper[None]
         self._corner = self.lower
-        box = trained.lower, trained.upper
-        self._bound = FrequencyBound(truth.blocks, trained.model, *box, trained.anchors, trained.shared)
+        self._bound = trained.bound(truth.blocks)
         self._answer_by(self.cheap)
 
     def _answer_by(self, cheap: PairedStructure) -> None:

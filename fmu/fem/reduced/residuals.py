@@ -89,13 +89,13 @@ def bound_errors(
         error = frequency_error(lam, space.shift, *shared.forms(theta, z), alpha, rest)
         z = (z / np.sqrt(np.abs(sigma))[:, None]).swapaxes(1, 2)
         return Bounded(lam, y, error, lambda of: shared.corrections(z[of].T))
-    W, G, mass = _solved_residuals(space, anchors, theta, best, lam, y)
+    W, G, mass = _solve_residuals(space, anchors, theta, best, lam, y)
     error = frequency_error(lam, space.shift, G, mass, alpha, rest)
     W /= np.sqrt(np.abs(sigma))
     return Bounded(lam, y, error, lambda of: W[:, of])
 
 
-def _solved_residuals(
+def _solve_residuals(
     space: Space, anchors: Anchors, theta: FloatArray, best: IntArray, lam: FloatArray, y: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return w = Ā⁻¹ r (n_dof, n, m), the forms rᵢᵀ wⱼ (n, m, m) and wᵀ M w (n, m), by the anchors `best` (n,)."""

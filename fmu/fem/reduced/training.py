@@ -33,7 +33,6 @@ from fmu.fem.reduced.points import (
     most_trial_vectors,
     points_near_zero,
 )
-from fmu.fem.reduced.residuals import FrequencyBound
 from fmu.fem.reduced.shared import SharedResiduals
 from fmu.fem.reduced.space import Space
 from fmu.progress.phases import count_solves, phase
@@ -139,7 +138,7 @@ class Training:
             self.confirmed = False
         self.confirmed &= self.is_accurate
         points = np.concatenate([box_points(self.lower, self.upper, _SOBOL, _CHECKS + _ROUNDS), near_zero])
-        self.far = self._bound().find_far(points, self.n_trained, self.tolerance)
+        self.far = self._current().bound(self.full).find_far(points, self.n_trained, self.tolerance)
         return self._current()
 
     def refine(self, theta: FloatArray, times: float = 3.0) -> Trained:
@@ -243,10 +242,6 @@ class Training:
         anchors = {b: learner.anchors for b, learner in self.learners.items()}
         found = self.confirmed, anchors, self.tolerance if self.is_narrow else None, self.shared
         return Trained(model, self.fixed or self.rule, self.lower, self.upper, *found)
-
-    def _bound(self) -> FrequencyBound:
-        trained = self._current()
-        return FrequencyBound(self.full, trained.model, self.lower, self.upper, trained.anchors, self.shared)
 
     def _visit(self, enough: int) -> bool:
         """Visit fresh points until errors at `enough` consecutive points are small; return True on success."""
@@ -367,7 +362,7 @@ class Training:
         points = self._shuffled_points(_CHECKS + round_, round_)[: 2 * _CHECKED]
         counts = self.rule.counts(self.full)
         # if full solves are expensive, they start from the modes of the basis, in the one process with the factors
-        full = confirmed_model(self._bound())
+        full = confirmed_model(self._current().bound(self.full))
         engine = self.engine if self.engine is not None and full is self.full else InProcess()
         tasks = [(b, theta[None], count) for b, count in counts.items() for theta in points[:_CHECKED]]
         with phase("training", len(tasks)) as under_way:

@@ -201,7 +201,7 @@ def _equations(
         coefficients: dict[DofName, float] = {}
         first: DofName | None = None
         for which, direction, factor in zip(words[::3], words[1::3], words[2::3], strict=True):
-            (node,) = _one_node(found, which, source, places)
+            node = _one_node(found, which, source, places)
             k = _direction(direction, source)
             value = _number(factor, source)
             first = first or (node, DIRECTIONS[k])
@@ -213,15 +213,12 @@ def _equations(
         yield coefficients, first, source
 
 
-def _one_node(
-    found: Constraints, word: str, source: str, places: Mapping[int, tuple[float, float, float]]
-) -> tuple[int]:
+def _one_node(found: Constraints, word: str, source: str, places: Mapping[int, tuple[float, float, float]]) -> int:
     nodes = _nodes(found, word, source)
     if len(nodes) != 1:
         raise RefusedError(f"{source} must name one node per term (the set {quote(word)} has {len(nodes)})")
-    if nodes[0] not in places:
-        raise RefusedError(f"must have the nodes of all constraints (there is no node {nodes[0]}, of {source})")
-    return (nodes[0],)
+    _require_node(nodes[0], places, source)
+    return nodes[0]
 
 
 def _rigid_body(
@@ -241,10 +238,10 @@ def _rigid_body(
     else:
         which = found.elements_of.get(one.options.get("ELSET", ""), [])
         nodes = [node for element in which for node in elements.get(element, ())]
-    unknown = [node for node in (reference, rotation, *nodes) if node not in places]
-    if unknown or not nodes:
-        what = f"there is no node {unknown[0]}" if unknown else "its body has none"
-        raise RefusedError(f"must have the nodes of all constraints ({what}, of {one.source})")
+    for node in (reference, rotation, *nodes):
+        _require_node(node, places, one.source)
+    if not nodes:
+        raise RefusedError(f"must have the nodes of all constraints (its body has none, of {one.source})")
     names = [*((reference, d) for d in DIRECTIONS[:3]), *((rotation, d) for d in DIRECTIONS[:3])]
     centre = Point(reference, np.array(places[reference]), np.eye(3))
     equations: list[Equation] = []
@@ -281,10 +278,7 @@ def _transform(
         if one.options.get("TYPE", "R") != "C":
             first, third = a, np.cross(a, b)
         else:
-            if node not in places:
-                raise RefusedError(
-                    f"must have the nodes of all constraints (there is no node {node}, of {one.source})"
-                )
+            _require_node(node, places, one.source)
             third = b - a
             radius = np.array(places[node]) - a
             first = radius - third * float(radius @ third) / max(float(third @ third), 1e-300)
@@ -319,6 +313,11 @@ def _nodes(found: Constraints, word: str, source: str) -> list[int]:
     if word not in found.nodes_of:
         raise RefusedError(f"{source} must name a node or a node set (got {quote(word)})")
     return found.nodes_of[word]
+
+
+def _require_node(node: int, places: Mapping[int, tuple[float, float, float]], source: str) -> None:
+    if node not in places:
+        raise RefusedError(f"must have the nodes of all constraints (there is no node {node}, of {source})")
 
 
 def _whole(word: str, what: str) -> int:

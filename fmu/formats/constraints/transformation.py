@@ -63,7 +63,8 @@ def transformation(
         If a degree of freedom is dependent twice, or dependent and held, dependents follow each other in a circle,
         or T has too many entries or an infinite one. The message names them and the constraints.
     """
-    source = _check_dependents(equations, held)
+    still = set(held)
+    source = _check_dependents(equations, still)
     names = list(dict.fromkeys([*dofs, *source, *(name for one in equations for name in one.weights)]))
     index = {name: i for i, name in enumerate(names)}
     n = len(names)
@@ -73,7 +74,6 @@ def transformation(
     entry = np.array([w for one in equations for w in one.weights.values()], dtype=float)
     C = sp.csr_array((entry, (row, column)), shape=(n, n))
     _check_circles(C, names, source)
-    still = set(held)
     free = np.array(
         [i for i, name in enumerate(names) if name not in source and name not in still], dtype=np.int64
     )
@@ -93,16 +93,15 @@ def transformation(
     return Transformation(T, names, [names[i] for i in free.tolist()])
 
 
-def _check_dependents(equations: Sequence[Equation], held: Collection[DofName]) -> dict[DofName, str]:
+def _check_dependents(equations: Sequence[Equation], held: set[DofName]) -> dict[DofName, str]:
     """Return the constraint of each dependent; RefusedError if there are two of them, or the dependent is held."""
     source: dict[DofName, str] = {}
-    still = set(held)
     for one in equations:
         name = one.dependent
         if name in source:
             by = f"{show_name(name)} in {source[name]} and {one.source}"
             raise RefusedError(f"must have each dependent degree of freedom once ({by})")
-        if name in still:
+        if name in held:
             raise RefusedError(
                 f"must have no dependent degree of freedom that is held ({show_name(name)}, of {one.source}, is)"
             )

@@ -134,6 +134,11 @@ class Linear(NamedTuple):
     inverse: FloatArray
     of_prior: FloatArray
 
+    @property
+    def log_det_factor(self) -> FloatArray:
+        """The logarithm of the determinant of the factor, (n, n_tests)."""
+        return np.asarray(np.log(np.einsum("ntii->nti", self.factor)).sum(axis=2))
+
 
 class Normal(NamedTuple):
     """Normal distributions of the straightened scores of each test.
@@ -173,11 +178,6 @@ class Normal(NamedTuple):
     def restore(self, u: FloatArray) -> FloatArray:
         """Return the scores with the standard normal numbers u; the inverse of `standardise`."""
         return self.bend(self.mean + self.scatter(u))
-
-    @property
-    def log_det_factor(self) -> FloatArray:
-        """The logarithm of the determinant of the factor, (n, n_tests)."""
-        return np.asarray(np.log(np.einsum("ntii->nti", self.factor)).sum(axis=2))
 
     def log_density(self, z: FloatArray, nu: float = np.inf) -> FloatArray:
         """Return the log-densities of straightened scores z, (n, n_tests, p), up to a constant, (n, n_tests).
