@@ -152,7 +152,9 @@ def _find_like(problem: UpdatingProblem, test: Test, like: str | None) -> int:
             )
     if like is not None and like not in names:
         found.append(f"like: must be one of {names_shown(names)} (got {like!r})")
-    by_group = bool(problem.layout.by_state) or any(role.kind == "effect" for role in problem.roles)
+    by_group = bool(problem.layout.by_state) or any(
+        role.kind in ("effect", "sd") and role.where for role in problem.roles
+    )
     if by_group and test.group not in groups:
         found.append(
             f"group: must be one of {names_shown(groups)}, as a parameter varies by group (got {test.group!r})"

@@ -100,11 +100,13 @@ class PopulationTable(TomlTable):
     """Prior of its standard deviation, or of the logarithm's; half-normal if not given."""
     between: PriorTable | None = None
     """Prior of the relative standard deviation between groups of tests, in addition to that within them."""
+    sd_by_group: bool = False
+    """Whether each group of tests has a standard deviation of its own."""
 
     def build(self) -> Population:
         """Return the population that the table describes."""
         sd, between = (None if prior is None else prior.build() for prior in (self.sd, self.between))
-        return Population(self.distribution, sd, between)
+        return Population(self.distribution, sd, between, self.sd_by_group)
 
 
 class PolynomialTable(TomlTable):

@@ -113,6 +113,16 @@ def test_scatter_between_groups(tmp_path):
     ]
 
 
+def test_an_sd_in_each_group(tmp_path):
+    scatters = 'varies = "population"\npopulation = { sd_by_group = true }\n'
+    tests = [PLAIN.replace("plain", f"t{t}").replace("old", "ab"[t // 2]) for t in range(4)]
+    problem = fmu.load(written(tmp_path, K1 + scatters, K2, *tests))
+    assert problem.names[:3] == ("k1 mean", "k1 sd [a]", "k1 sd [b]")
+    assert mistakes(written(tmp_path, K1 + scatters, K2, *tests[:3])) == [
+        "parameters.0.varies: has an sd in each group, and needs two tests or more in it (got 1 in 'b')"
+    ]
+
+
 def test_damage_at_an_unknown_date(tmp_path):
     onset = 'varies = "undated-damage"\nonset = { by = "day", grows = true, event = "corrosion" }\n'
     tests = [PLAIN.replace("plain", f"t{t}") + f"covariates = {{ day = {t}.5 }}\n" for t in range(4)]

@@ -107,6 +107,15 @@ def score_names(trace: xr.DataTree) -> list[str]:
     return [name for name, (kind, *_) in roles_of(trace).items() if kind == "score"]
 
 
+def sds_of_population(trace: xr.DataTree, name: str) -> dict[str, str]:
+    """Return the names of the standard deviations of the population of parameter `name`, by group of tests.
+
+    The group is empty where all tests have the same; the dict is empty without a population.
+    """
+    every = [(where, k) for k, (kind, of, where) in roles_of(trace).items() if kind == "sd" and of == name]
+    return {where: k for where, k in every if where} or dict(every[:1])
+
+
 def without_scores(trace: xr.DataTree) -> xr.DataTree:
     """Return the trace with the parameters of `told_names` only; the rest is in its group ``tests``."""
     chosen = list(told_names(trace))

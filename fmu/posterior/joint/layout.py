@@ -12,7 +12,7 @@ import numpy as np
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.joint.correlation import Correlation
 from fmu.posterior.joint.modal_test import Test
-from fmu.posterior.joint.varies.base import Future, InTests, Role, Varies
+from fmu.posterior.joint.varies.base import Future, InTests, Role, Slope, Varies
 from fmu.posterior.joint.varies.population import Drawn
 from fmu.posterior.joint.varies.taken import SHARED, Held, Taken
 from fmu.posterior.parameters import Parameter, box
@@ -164,7 +164,7 @@ class Layout:
     @property
     def scales(self) -> list[int]:
         """Sorted indices in theta of the populations' centres, widths and correlations."""
-        found = [k for one in self.drawn for k in (one.centre, one.width)]
+        found = {k for one in self.drawn for k in (one.centre, *one.widths.tolist())}
         return sorted([*found, *(self.correlation.columns if self.correlation else ())])
 
     def remove_centring(self) -> Layout:
@@ -304,7 +304,7 @@ class Layout:
             by_score, by_centre, by_width = one.log_prior(theta)[1]
             gradient[:, by_score.columns[one.scored]] += by_score.values[:, one.scored]
             for slope in (by_centre, by_width):
-                gradient[:, slope.columns[0]] += np.einsum("nt->n", slope.values)
+                add_by_column(gradient, slope)
         if self.correlation is not None:
             found = [one.population_scores(theta) for one in self.drawn]
             z = np.stack([z for z, _ in found], axis=2)
@@ -313,8 +313,10 @@ class Layout:
             for j, (one, (_, slopes)) in enumerate(zip(self.drawn, found, strict=True)):
                 of_score, *of_both = (by_z[:, :, j] * np.where(one.scored, s, 0.0) for s in slopes)
                 gradient[:, one.columns[one.scored]] += of_score[:, one.scored]
-                for column, of_all in zip((one.centre, one.width), of_both, strict=True):
-                    gradient[:, column] += np.einsum("nt->n", of_all)
+                for columns, of_all in zip(
+                    (np.full_like(one.widths, one.centre), one.widths), of_both, strict=True
+                ):
+                    add_by_column(gradient, Slope(columns, of_all))
         return gradient
 
     def log_prior_curvature(self, theta: FloatArray, independent: FloatArray, scale: FloatArray) -> FloatArray:
@@ -361,6 +363,12 @@ class Layout:
     @cached_property
     def _centred(self) -> list[Drawn]:
         return [one for one in self.drawn if np.any(one.centring > 0.0)]
+
+
+def add_by_column(gradient: FloatArray, slope: Slope) -> None:
+    """Add derivatives of terms of the tests to a gradient (n, ndim), in which tests may have the same columns."""
+    for column in np.unique(slope.columns):
+        gradient[:, column] += np.einsum("nt->n", slope.values[:, slope.columns == column])
 
 
 def sum_by_test(terms: FloatArray, test: IntArray, n_tests: int) -> FloatArray:

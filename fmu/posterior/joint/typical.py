@@ -78,10 +78,10 @@ def centre_scores(problem: UpdatingProblem) -> Layout:
     for one in problem.layout.drawn:
         # a standard normal score keeps the variance C/(σ² + C) after the measurement
         w = np.where(one.scored, 1.0 - np.clip(variance[one.columns], 0.0, 1.0), 0.0)
-        smallest = np.exp(-4.0 / np.sqrt(2.0 * max(np.sum(w**2), np.finfo(float).tiny)))  # relative to σ²
-        if smallest < _MAY_VANISH:
-            smallest = 0.0
-        reference = (float(theta[one.centre]), float(theta[one.width]))
+        total = np.array([np.sum(w[one.widths == k] ** 2) for k in one.widths])
+        smallest = np.exp(-4.0 / np.sqrt(2.0 * np.maximum(total, np.finfo(float).tiny)))  # relative to σ²
+        smallest = np.where(smallest < _MAY_VANISH, 0.0, smallest)
+        reference = (float(theta[one.centre]), theta[one.widths])
         weights[one.centre] = smallest * w / (smallest * w + 1.0 - w), reference
 
     values_of = tuple(one.refer_to(weights) for one in problem.layout.values_of)
@@ -125,19 +125,23 @@ def _correlate(layout: Layout, theta: FloatArray, variance: FloatArray) -> None:
 
 
 def _most_probable(problem: UpdatingProblem, one: Drawn, theta: FloatArray, variance: FloatArray) -> float:
-    """Set a population's centre and width in `theta` from its values; return the larger change, in widths."""
-    columns, before = one.columns[one.scored], theta[None].copy()
+    """Set a population's centre and widths in `theta` from its values; return the largest change, in widths."""
+    columns, widths, before = one.columns[one.scored], one.widths[one.scored], theta[None].copy()
     value, by_score = one(theta[None])[0][0, one.scored], one(theta[None])[1][0].values[0, one.scored]
     x, spread = (np.log(value), by_score / value) if one.population.of_logarithm else (value, by_score)
-    old = theta[[one.centre, one.width]]
-    middle = np.mean(x)
-    width = np.sqrt(np.var(x) + np.mean(variance[columns] * spread**2))
-    width = max(width, _LEAST_SD * problem.start[one.width])
+    last, weights = theta[one.centre], (theta[widths[0]] / theta[widths]) ** 2
+    middle = np.sum(weights * x) / np.sum(weights)
     low, high = problem.lower[one.centre], problem.upper[one.centre]
     margin = 1e-3 * (high - low) if np.isfinite(high - low) else 0.0
     centre = np.exp(middle) if one.population.of_logarithm else middle
     theta[one.centre] = np.clip(centre, low + margin, high - margin)
-    theta[one.width] = np.clip(width, problem.lower[one.width], problem.upper[one.width])
+    last, new = (np.log(c) if one.population.of_logarithm else c for c in (last, theta[one.centre]))
+    changes = []
+    for k in np.unique(widths):
+        here = widths == k
+        width = np.sqrt(np.mean((x - middle)[here] ** 2) + np.mean((variance[columns] * spread**2)[here]))
+        width = max(width, _LEAST_SD * problem.start[k])
+        changes.append(float(max(abs(new - last), abs(width - theta[k])) / width))
+        theta[k] = np.clip(width, problem.lower[k], problem.upper[k])
     theta[columns] = one.scores_at(one(before)[0], theta[None])[0, one.scored]
-    last, new = (np.log(c) if one.population.of_logarithm else c for c in (old[0], theta[one.centre]))
-    return float(max(abs(new - last), abs(width - old[1])) / width)
+    return max(changes)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fmu.analysis.trace.damage import ANY, BY_TEST, damage, damage_by_test, probably
-from fmu.analysis.trace.reading import LOSSES, problem_of, roles_of
+from fmu.analysis.trace.reading import LOSSES, problem_of, roles_of, sds_of_population
 from fmu.numbers import share
 from fmu.report.plots import style
 from fmu.types import FloatArray
@@ -52,11 +52,13 @@ def plot_values(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesA
         centre = f"{name} {'median' if of_logarithm else 'mean'}"
         unit = style.unit_of(trace, centre)
         middle = posterior[centre].to_numpy().mean()
-        width = posterior[f"{name} {'log sd' if of_logarithm else 'sd'}"].to_numpy().mean()
+        width = _sd_in_tests(trace, name)
         low, high = (middle * np.exp(s * width) if of_logarithm else middle + s * width for s in (-1, 1))
-        axis.axhspan(
-            low / unit.factor, high / unit.factor, color=style.PALE, zorder=0, label="population: mean ± sd"
-        )
+        ends = np.append(x, len(tests) + 1) - 0.5
+        axis.stairs(
+            high / unit.factor, ends, baseline=low / unit.factor, fill=True, color=style.PALE, zorder=0,
+            label="population: mean ± sd",
+        )  # fmt: skip
         axis.axhline(middle / unit.factor, color=style.GREY, linewidth=1, zorder=1)
         draws = values[name].to_numpy().reshape(-1, len(tests)) / unit.factor
         ends, mean = np.quantile(draws, (0.05, 0.95), axis=0), draws.mean(axis=0)
@@ -76,6 +78,13 @@ def plot_values(trace: xr.DataTree, figure: Figure | None = None) -> style.AxesA
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper right", ncols=2, fontsize=style.FONT - 1, frameon=False)
     return axes
+
+
+def _sd_in_tests(trace: xr.DataTree, name: str) -> FloatArray:
+    """Return the posterior mean of the standard deviation of the population of `name` in each test, (n_tests,)."""
+    means = {group: float(trace["posterior"][k].mean()) for group, k in sds_of_population(trace, name).items()}
+    groups = [str(test["group"]) for test in problem_of(trace)["tests"]]
+    return np.array([means.get(group, next(iter(means.values()))) for group in groups])
 
 
 def plot_losses(trace: xr.DataTree, beyond: float = 0.05, figure: Figure | None = None) -> style.AxesArray:

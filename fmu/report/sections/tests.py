@@ -20,7 +20,7 @@ from fmu.analysis.trace.damage import (
     state_in_words,
 )
 from fmu.analysis.trace.modal_states import sketch_of
-from fmu.analysis.trace.reading import LOSSES, has, roles_of
+from fmu.analysis.trace.reading import LOSSES, has, roles_of, sds_of_population
 from fmu.fem.frame.drawing import UNCHANGED, WIDTH, draw_svg, without_sensors
 from fmu.numbers import MISSING, customary_unit, decimals, fixed, interval, share, with_sd
 from fmu.report.document import (
@@ -69,23 +69,25 @@ def population(run: ReportedRun) -> PageSection | Omitted:
     names, rows = [], []
     for name in map(str, run.trace["tests"].data_vars):
         of_logarithm = f"{name} median" in posterior
-        centre, width = (f"{name} {x}" for x in (("median", "log sd") if of_logarithm else ("mean", "sd")))
+        centre = f"{name} {'median' if of_logarithm else 'mean'}"
         if centre not in posterior:
             continue
         names.append(name)
         unit = customary_unit(posterior[centre].attrs.get("units", ""))
         middle = posterior[centre].to_numpy() / unit.factor
-        spread = posterior[width].to_numpy() / (1.0 if of_logarithm else unit.factor)
-        relative = spread if of_logarithm else spread / np.abs(middle)
-        rows.append(
-            (
-                name,
-                with_sd(float(middle.mean()), float(middle.std())),
-                unit.name,
-                with_sd(float(spread.mean()), float(spread.std())) + (" of the logarithm" if of_logarithm else ""),
-                share(float(relative.mean())),
+        for group, width in sds_of_population(run.trace, name).items():
+            spread = posterior[width].to_numpy() / (1.0 if of_logarithm else unit.factor)
+            relative = spread if of_logarithm else spread / np.abs(middle)
+            of_scatter = with_sd(float(spread.mean()), float(spread.std()))
+            rows.append(
+                (
+                    f"{name} in {group}" if group else name,
+                    with_sd(float(middle.mean()), float(middle.std())),
+                    unit.name,
+                    of_scatter + (" of the logarithm" if of_logarithm else ""),
+                    share(float(relative.mean())),
+                )
             )
-        )
     if not names:
         return Omitted(title, "no parameter scatters over the tests")
     n = run.trace["tests"].sizes["test"]

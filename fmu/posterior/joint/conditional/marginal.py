@@ -58,7 +58,10 @@ class MarginalOfMain:
         self._offset, self._scale = scaled.offset[self.columns], scaled.scale[self.columns]
         place = {int(column): k for k, column in enumerate(self.columns)}
         copula = self.layout.correlation
-        self._widths = np.array([place[one.drawn.width] for one in of.every])
+        self._of_widths = np.stack([one.drawn.widths for one in of.every], axis=1)
+        every = [(k, column) for k, one in enumerate(of.every) for column in np.unique(one.drawn.widths).tolist()]
+        self._widths = np.array([place[column] for _, column in every])
+        self._populations = [k for k, _ in every]
         self._partial = np.array([place[k] for k in (copula.columns if copula else ())], dtype=np.int64)
         self._units = self._units_of_widths(theta)
         self._low, self._high = scaled.theta_lower[self.columns], scaled.theta_upper[self.columns]
@@ -67,9 +70,12 @@ class MarginalOfMain:
     def _units_of_widths(self, theta: FloatArray) -> FloatArray:
         linear, scored = self.given.linearise(theta), self.given.scores.scored
         left = np.einsum("tij,tji->ti", linear.inverse[0], linear.of_prior[0])
-        removed = np.where(scored, 1.0 - left, 0.0).sum(axis=0) / scored.sum(axis=0)
+        columns = self.columns[self._widths]
+        here = scored & (self._of_widths == columns[:, None, None])
+        each = np.arange(len(columns)), self._populations
+        removed = np.where(here, 1.0 - left, 0.0).sum(axis=1)[each] / here.sum(axis=1)[each]
         removed = np.clip(removed, _LEAST**2, 1.0 - _LEAST**2)
-        widths = theta[0, self.columns[self._widths]]
+        widths = theta[0, columns]
         return np.asarray(widths * np.clip(np.sqrt((1.0 - removed) / removed), _LEAST, _MOST))
 
     def _to_w(self, main: FloatArray) -> FloatArray:
@@ -156,10 +162,12 @@ class MarginalOfMain:
         left = np.einsum("ntij,ntji->nti", linear.inverse, linear.of_prior)
         by_log_slope = np.where(of.scored, pull[:, :, of.parameters] * moved - (1.0 - left), 0.0)
         for k, one in enumerate(of.every):
-            gradient[:, one.drawn.width] += by_log_slope[:, :, k].sum(axis=1) / theta[:, one.drawn.width]
+            of_slope, widths = by_log_slope[:, :, k], one.drawn.widths
+            for column in np.unique(widths):
+                gradient[:, column] += of_slope[:, widths == column].sum(axis=1) / theta[:, column]
             if not one.drawn.population.of_logarithm:
                 for slope in one.factor(linear.at)[1]:
-                    terms = by_log_slope[:, :, k] * slope.values
+                    terms = of_slope * slope.values
                     for column in np.unique(slope.columns):
                         gradient[:, column] += terms[:, slope.columns == column].sum(axis=1)
         copula = self.layout.correlation

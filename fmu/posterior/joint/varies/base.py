@@ -17,6 +17,9 @@ from fmu.posterior.joint.varies.covariates import Covariate
 from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray, IntArray, Plain
 
+Reference = tuple[float, FloatArray]
+"""A reference of the scores of a population: its centre, and its width in each test, (n_tests,); see `Drawn`."""
+
 
 class Role(NamedTuple):
     """The meaning of a parameter of theta.
@@ -100,7 +103,7 @@ class InTests:
         value = self(theta)[0]
         return np.asarray(1.0 - value / value[:, [reference]])
 
-    def refer_to(self, references: Mapping[int, tuple[FloatArray, tuple[float, float]]]) -> InTests:
+    def refer_to(self, references: Mapping[int, tuple[FloatArray, Reference]]) -> InTests:
         """Return the parameter with another centring and reference of its scores; itself if it has no scores.
 
         `references` maps the index of the centre in theta to the centring and the reference; see `Drawn`.
@@ -154,7 +157,7 @@ class Multiplied(InTests):
         """Return the parameter with the indices of its scores increased by `n`."""
         return replace(self, of=self.of.after(n))
 
-    def refer_to(self, references: Mapping[int, tuple[FloatArray, tuple[float, float]]]) -> Self:
+    def refer_to(self, references: Mapping[int, tuple[FloatArray, Reference]]) -> Self:
         """Return the parameter with another centring and reference of its scores."""
         return replace(self, of=self.of.refer_to(references))
 

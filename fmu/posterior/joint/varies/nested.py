@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -113,3 +114,14 @@ def find_mistakes_of_groups(name: str, tests: Sequence[Test]) -> list[str]:
         rule = f"scatters between groups, and needs {_FEWEST_GROUPS} groups or more"
         found.append(f"varies.{name}: {rule} (got {len(groups)})")
     return found
+
+
+def find_mistakes_of_sds(name: str, tests: Sequence[Test]) -> list[str]:
+    """Return a list of messages that say what the tests lack for an sd of `name` in each group."""
+    rule = f"must be given, as the sd of {name} differs between groups (got none)"
+    found = [f"tests.{t}.group: {rule}" for t, test in enumerate(tests) if not test.group]
+    sizes = Counter(test.group for test in tests if name not in test.known and test.group)
+    if len(sizes) == 1:
+        found.append(f"varies.{name}: has an sd in each group, and needs two groups or more (got 1)")
+    rule = "has an sd in each group, and needs two tests or more in it"
+    return found + [f"varies.{name}: {rule} (got 1 in {group!r})" for group, n in sizes.items() if n == 1]

@@ -21,8 +21,8 @@ import numpy as np
 
 from fmu.arguments import check_arguments
 from fmu.posterior.joint.modal_test import Test
-from fmu.posterior.joint.varies.base import Future, InTests, Slope, Theta, Varies
-from fmu.posterior.joint.varies.nested import Nested, find_mistakes_of_groups
+from fmu.posterior.joint.varies.base import Future, InTests, Reference, Slope, Theta, Varies
+from fmu.posterior.joint.varies.nested import Nested, find_mistakes_of_groups, find_mistakes_of_sds
 from fmu.posterior.joint.varies.truncated_normal import (
     Slopes,
     truncated_normal_log_pdf,
@@ -60,6 +60,9 @@ class Population(Varies):
     between : Prior, optional
         Prior of a second standard deviation, between groups of tests such as seasons, relative to the value. `sd`
         is then that within a group (`fmu.posterior.joint.varies.nested`). By default groups do not differ.
+    sd_by_group : bool
+        Whether each group of tests has a standard deviation of its own, with the prior `sd`, about the common mean
+        or median. By default all tests have the same.
 
     Raises
     ------
@@ -70,6 +73,7 @@ class Population(Varies):
     distribution: Literal["normal", "log-normal"] = "normal"
     sd: Prior | None = None
     between: Prior | None = None
+    sd_by_group: bool = False
     by_test: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -89,9 +93,11 @@ class Population(Varies):
     def find_mistakes(self, name: str, tests: Sequence[Test]) -> list[str]:
         """Return a list of messages that say what the tests lack for the parameter `name` to vary in this way."""
         found = super().find_mistakes(name, tests)
-        if self.between is None:
-            return found
-        return found + find_mistakes_of_groups(name, tests)
+        if self.between is not None:
+            found += find_mistakes_of_groups(name, tests)
+        if self.sd_by_group:
+            found += find_mistakes_of_sds(name, tests)
+        return list(dict.fromkeys(found))
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> InTests:
         """Add centre, width and a score for each test in `here` to theta; return the values in the tests."""
@@ -102,13 +108,19 @@ class Population(Varies):
 
     def _within_groups(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> Drawn:
         mean, sd = self.parameters(p)
-        centre, width = theta.add(mean, "mean", of), theta.add(sd, "sd", of)
+        centre = theta.add(mean, "mean", of)
+        groups = [test.group if self.sd_by_group else "" for test in theta.tests]
+        numbers = {
+            group: theta.add(replace(sd, name=f"{sd.name} [{group}]") if group else sd, "sd", of, group)
+            for group in dict.fromkeys(groups[t] for t in here)
+        }
+        widths = np.array([numbers.get(group, min(numbers.values())) for group in groups])
         n, columns = len(theta.tests), np.zeros(len(theta.tests), dtype=np.int64)
         for t in here:
             name = theta.tests[t].name
             columns[t] = theta.add_score(Parameter(f"{p.name} score [{name}]", 0.0, prior=Normal(1.0)), of, name)
-        scored, start = np.isin(range(n), here), (mean.start, sd.start)
-        return Drawn(self, centre, width, columns, scored, p.lower, p.upper, np.zeros(n), start)
+        scored, start = np.isin(range(n), here), (mean.start, np.full(n, sd.start))
+        return Drawn(self, centre, widths, columns, scored, p.lower, p.upper, np.zeros(n), start)
 
     def parameters(self, of: Parameter) -> tuple[Parameter, Parameter]:
         """Return the two inferred parameters of the distribution: centre and width.
@@ -201,6 +213,7 @@ class Population(Varies):
             "distribution": self.distribution,
             "sd": None if self.sd is None else self.sd.as_dict(),
             **({} if self.between is None else {"between": self.between.as_dict()}),
+            **({"sd_by_group": True} if self.sd_by_group else {}),
         }
 
 
@@ -227,8 +240,10 @@ class Drawn(InTests):
     Attributes
     ----------
     population : Population
-    centre, width : int
-        Indices in theta of the population's mean or median, and of its standard deviation.
+    centre : int
+        Index in theta of the population's mean or median.
+    widths : ndarray of int, shape (n_tests,)
+        For each test, the index in theta of the population's standard deviation.
     columns : ndarray of int, shape (n_tests,)
         For each test, the index in theta of the score.
     scored : ndarray of bool, shape (n_tests,)
@@ -237,21 +252,21 @@ class Drawn(InTests):
         Bounds of the values.
     centring : ndarray, shape (n_tests,)
         The weight w of the module docstring: 0 for standard normal scores, 1 for the values in other units.
-    reference : tuple of float
-        The reference centre μ₀ and the reference width σ₀.
+    reference : tuple of float and ndarray, shape (n_tests,)
+        The reference centre μ₀ and the reference width σ₀ of each test.
     last : LastTheta
         Cache of the values at the last theta, which both the likelihood and the prior need.
     """
 
     population: Population
     centre: int
-    width: int
+    widths: IntArray
     columns: IntArray
     scored: BoolArray
     lower: float
     upper: float
     centring: FloatArray
-    reference: tuple[float, float]
+    reference: Reference
     last: LastTheta = field(default_factory=LastTheta, init=False, repr=False)
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
@@ -321,8 +336,7 @@ class Drawn(InTests):
 
     def _parts(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, FloatArray]:
         """Return the scores, the population, the distribution F, and ∂(centre of F)/∂(population centre)."""
-        n_tests = len(self.columns)
-        centre, width = (theta[:, [k] * n_tests] for k in (self.centre, self.width))
+        centre, width = theta[:, [self.centre] * len(self.columns)], theta[:, self.widths]
         w = self.centring
         if self.population.of_logarithm:
             of_centre = np.exp(w * np.log(self.reference[0]) + (1.0 - w) * np.log(centre))
@@ -349,25 +363,28 @@ class Drawn(InTests):
         return value, population, blend, (by_z, by_centre * by, by_width * by_sd)
 
     def _slopes(self, by_z: FloatArray, by_centre: FloatArray, by_width: FloatArray) -> list[Slope]:
-        columns = (self.columns, np.full_like(self.columns, self.centre), np.full_like(self.columns, self.width))
+        columns = (self.columns, np.full_like(self.columns, self.centre), self.widths)
         return [Slope(*pair) for pair in zip(columns, (by_z, by_centre, by_width), strict=True)]
 
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return lower and upper limits of the values, (n_tests,) each, for limits of theta (n_parameters,)."""
-        z, width, ends = np.array([-_FAR, _FAR]), upper[self.width], [lower[self.centre], upper[self.centre]]
-        found = self.population.values(z, np.array(ends), width, self.lower, self.upper)[0]
-        return tuple(np.full(len(self.columns), value) for value in found)  # type: ignore[return-value]
+        pairs = ((-_FAR, lower[self.centre]), (_FAR, upper[self.centre]))
+        low, high = (
+            self.population.values(np.array(z), centre, upper[self.widths], self.lower, self.upper)[0]
+            for z, centre in pairs
+        )
+        return low, high
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
         """Return the values (n,) in a further test, drawn from the population."""
-        ends = theta[:, self.centre], theta[:, self.width]
+        ends = theta[:, self.centre], theta[:, self.widths[like]]
         return self.population.values(future.scores[self.centre], *ends, self.lower, self.upper)[0]
 
     def after(self, n: int) -> Self:
         """Return the parameter with the indices of its scores increased by `n`."""
         return replace(self, columns=self.columns + n)
 
-    def refer_to(self, references: Mapping[int, tuple[FloatArray, tuple[float, float]]]) -> Self:
+    def refer_to(self, references: Mapping[int, tuple[FloatArray, Reference]]) -> Self:
         """Return the parameter with another centring and reference of its scores."""
         centring, reference = references[self.centre]
         return replace(self, centring=centring, reference=reference)

@@ -1,5 +1,7 @@
 """The conditional densities of a hierarchical posterior against its joint density, and their gradients."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -19,7 +21,15 @@ N, P = 7, 3
 NAMES = tuple(f"k{j + 1}" for j in range(P))
 
 
-def campaign(distribution="normal", correlation=None, slopes=(), shared=(), noise=0.01, bounds=(0.75, 1.5)):
+def campaign(
+    distribution="normal",
+    correlation=None,
+    slopes=(),
+    shared=(),
+    noise=0.01,
+    bounds=(0.75, 1.5),
+    sd_by_group=False,
+):
     """Return the problem of seven tests of three storeys whose stiffnesses scatter by 5 % and bounds are near."""
     rng = np.random.default_rng(2)
     model = shear_building(list(NAMES), 2e8, 1e5)
@@ -27,13 +37,15 @@ def campaign(distribution="normal", correlation=None, slopes=(), shared=(), nois
     k = np.exp(0.05 * rng.standard_normal((N, P)) - 0.002 * temperature[:, None])
     f = np.stack([frequencies_hz(model, one)[0] for one in k]) * (1.0 + 0.01 * rng.standard_normal((N, P)))
     covariates = [{"temperature": t} for t in temperature]
-    tests = [fmu.Test(f"t{t}", fmu.ModalData(f[t]), covariates=covariates[t]) for t in range(N)]
-    tests[2] = fmu.Test("t2", fmu.ModalData(f[2]), covariates=covariates[2], known={"k3": 1.0})
+    tests = [fmu.Test(f"t{t}", fmu.ModalData(f[t]), "aababba"[t], covariates=covariates[t]) for t in range(N)]
+    tests[2] = replace(tests[2], known={"k3": 1.0})
     return fmu.JointProblem(
         model,
         tests,
         [fmu.Parameter(name, 1.0, *bounds) for name in NAMES],
-        varies={name: fmu.Population(distribution) for name in NAMES if name not in shared},
+        varies={
+            name: fmu.Population(distribution, sd_by_group=sd_by_group) for name in NAMES if name not in shared
+        },
         slopes={name: {"temperature": fmu.Normal(0.01)} for name in slopes},
         correlation=correlation,
         error=fmu.FrequencyErrors("relative", sd=noise),
@@ -47,6 +59,7 @@ CAMPAIGNS = {
     "with trends": {"slopes": ("k1", "k2")},
     "log-normal, correlated, with trends": {"distribution": "log-normal", "correlation": 1.0, "slopes": ("k3",)},
     "shared": {"shared": ("k2",)},
+    "sd by group": {"sd_by_group": True, "correlation": 1.0},
 }
 
 
@@ -95,7 +108,8 @@ def test_evidence_is_the_integral_over_the_scores(campaign_points):
     """Beside importance sampling of the exact integral: by how much it changes with the main parameters."""
     problem, found, plain, own = campaign_points
     theta, of, n = problem.layout.standardise_scores(own), found.scores, 2000
-    theta[:, [one.drawn.width for one in of.scores.every]] *= np.array([[1.0], [1.5], [0.7]])
+    widths = np.unique([one.drawn.widths for one in of.scores.every])
+    theta[:, widths] *= np.array([[1.0], [1.5], [0.7]])
     linear = of.linearise(theta)
     normal, rng = of.normal_of(linear), np.random.default_rng(9)
     evidence, exact = found.marginal.log_evidence(linear), np.empty((len(theta), N))

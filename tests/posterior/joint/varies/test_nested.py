@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.stats
 from numpy.testing import assert_allclose
 
 import fmu
@@ -47,6 +48,60 @@ def test_values_gradient_and_box(distribution, noise):
     scores = rng.standard_normal((5, 1))
     further = [problem.layout.of_next_test(theta, rng, scores, t, {})[:, 0] for t in (0, 3)]
     assert_allclose(further[1] / further[0], factor[:, 3] / factor[:, 0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("noise", [0.001, 0.1], ids=["centred", "not centred"])
+@pytest.mark.parametrize("distribution", ["normal", "log-normal"])
+def test_an_sd_in_each_group(distribution, noise):
+    """The values beside SciPy's truncated normal distributions; a further test has the sd of its group."""
+    varies = fmu.Population(distribution, WITHIN, sd_by_group=True)
+    problem = posed("aababb", noise=noise, varies=varies, reduction=False)
+    of_logarithm = distribution == "log-normal"
+    centre, width = ("median", "log sd") if of_logarithm else ("mean", "sd")
+    assert problem.names[:3] == (f"k {centre}", f"k {width} [a]", f"k {width} [b]")
+    assert problem.roles[2] == ("sd", 0, "b")
+    theta = 0.7 * problem.start + 0.3 * problem.sample_prior(np.random.default_rng(1), 5)
+    gradient = problem.log_prob_and_grad(theta)[1]
+    assert_gradient(gradient, problem.log_prob, theta, 1e-6 * problem.scale, rtol=1e-4, of_largest=1e-5)
+    plain = problem.with_layout(problem.layout.remove_centring())
+    mean = np.log(theta[:, [0]]) if of_logarithm else theta[:, [0]]
+    sd, (low, high) = theta[:, [1, 1, 2, 1, 2, 2]], np.log([0.6, 1.6]) if of_logarithm else (0.6, 1.6)
+    values = plain.values(theta)[:, :, 0]
+    unit = scipy.stats.truncnorm.cdf(
+        np.log(values) if of_logarithm else values, (low - mean) / sd, (high - mean) / sd, mean, sd
+    )
+    assert_allclose(unit, scipy.stats.norm.cdf(theta[:, 3:]), rtol=1e-9)
+    further = [plain.layout.of_next_test(theta, None, theta[:, [k]], k - 3, {})[:, 0] for k in (3, 5)]
+    assert_allclose(further, values[:, [0, 2]].T, rtol=1e-12)
+    low, high = problem.layout.box()
+    values = problem.values(problem.sample_prior(np.random.default_rng(0), 1000))
+    assert np.mean((values >= low) & (values <= high)) > 0.995
+
+
+def test_the_sd_of_each_group_is_found():
+    """Twelve tests of each group; 99 % intervals hold the truth, and do not overlap."""
+    rng, tests = np.random.default_rng(4), []
+    for t in range(24):
+        k = 1.0 + (0.01, 0.05)[t % 2] * rng.standard_normal()
+        tests.append(fmu.Test(f"t{t}", fmu.ModalData([np.sqrt(k) / (2 * np.pi)], sd_hz=1e-4), "ab"[t % 2]))
+    varies = {"k": fmu.Population(sd=WITHIN, sd_by_group=True)}
+    problem = fmu.JointProblem(SPRING, tests, [fmu.Parameter("k", 1.0, 0.6, 1.6)], varies=varies, pairing="index")
+    trace = fmu.sample(problem, draws=150, warmup=60, chains=2, seed=1)
+    ends = [np.quantile(trace["posterior"][f"k sd [{g}]"].to_numpy(), (0.005, 0.995)) for g in "ab"]
+    assert ends[0][0] < 0.01 < ends[0][1] < ends[1][0] < 0.05 < ends[1][1]
+
+
+@pytest.mark.parametrize(
+    ("groups", "message"),
+    [
+        ("aaaa", r"varies.k: has an sd in each group, and needs two groups or more \(got 1\)"),
+        ("aaab", r"varies.k: has an sd in each group, and needs two tests or more in it \(got 1 in 'b'\)"),
+        (["a", "a", "b", ""], r"tests.3.group: must be given, as the sd of k differs between groups \(got none\)"),
+    ],
+)
+def test_groups_without_an_sd(groups, message):
+    with pytest.raises(ValueError, match=message):
+        posed(groups, varies=fmu.Population(sd_by_group=True))
 
 
 @pytest.mark.validate
