@@ -1,6 +1,6 @@
 # Set-up and everyday commands. The environment is .venv; nothing outside the project is touched.
 .DEFAULT_GOAL := help
-.PHONY: help environments test test-kernels test-fast test-programs lint notebooks notebooks-save docs \
+.PHONY: help environments byte-code test test-kernels test-fast test-programs lint notebooks notebooks-save docs \
   results results-status results-list paper bench mutants validate clean-environment
 
 PYTHON_CANDIDATES := $(PYTHON) python3.12 python3.13 python3.14 python3 python
@@ -82,6 +82,11 @@ test-programs: $(READY_PROGRAMS)  ## Run the tests that need other programs or t
 	OPENBLAS_NUM_THREADS=1 .venv/programs/bin/python -m pytest --numprocesses=auto --quiet $(OF_PROGRAMS)
 
 environments: $(READY_FAST) $(READY_PROGRAMS) $(READY_DOCS)  ## Make the environments of all tests
+
+# Each worker of pytest would compile the package and all tests by itself.
+byte-code: export PYTHONDONTWRITEBYTECODE =
+byte-code: $(READY)  ## Compile the package and the tests, so that no worker of pytest has to
+	-.venv/bin/python -m pytest --collect-only -qqq -rN tests  # beside installers; where it fails, the tests fail
 
 lint: $(READY)  ## Check style and types
 	.venv/bin/ruff check .

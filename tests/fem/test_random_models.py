@@ -98,6 +98,7 @@ def test_faults_and_more_than_one_refusal_fail(tmp_path, monkeypatch, faults, re
         "examined",
         lambda seed: Found(seed, SMALL, refused="rounding: no" if seed < refused else None, faults=faults),
     )
+    monkeypatch.setattr(random_models, "random_model", lambda seed, most_dofs: SMALL)  # a model of up to 5000 DOF
     monkeypatch.setattr("sys.argv", ["random_models", str(tmp_path)])
     assert random_models.main() == code
     assert f"Refused: {refused} of 40." in (tmp_path / "random-models.md").read_text(encoding="utf-8")
