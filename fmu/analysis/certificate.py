@@ -13,8 +13,8 @@ from fmu.analysis.trace.densities import is_updating
 from fmu.analysis.trace.reading import parameter_draws
 from fmu.fem.certificates import Certificate, ReductionCertificate, SurrogateCertificate
 from fmu.fem.modes.modal import ModalSolution, frequency_hz
+from fmu.fem.modes.solver import LARGE
 from fmu.fem.reduced.reduced_structure import ReducedStructure, largest_tolerance_elsewhere, reduced_structures
-from fmu.fem.reduced.shared import LARGE
 from fmu.numbers import share, whole
 from fmu.posterior.reduction.tolerance import Tolerance
 from fmu.progress.phases import by_parts

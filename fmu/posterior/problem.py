@@ -28,6 +28,7 @@ from fmu.posterior.parameters import Parameter
 from fmu.posterior.reduction.tolerance import Tolerance
 from fmu.posterior.reduction.train_reduced import reduced_model
 from fmu.posterior.rounding import require_digits
+from fmu.progress.phases import phase
 from fmu.types import FloatArray, Positive
 
 _LEAST_NOISE = 1e-150
@@ -135,7 +136,8 @@ class UpdatingProblem(Posterior):
         self.layout = Layout.of_one(parameters, data) if layout is None else layout
         self.n_structural = len(self.layout.parameters)
         self.tolerance: Tolerance | None = None
-        self.model = paired_model(model, data, parameters, pairing, softness)
+        with phase("modes at the start"):
+            self.model = paired_model(model, data, parameters, pairing, softness)
         check_held(self.layout, self.model)
         self.likelihood = likelihood_of(error, beta, model, self.model, data, parameters, discrepancy, self.layout)
         if self.likelihood.used is not None and not len(self.likelihood.used):

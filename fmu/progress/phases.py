@@ -79,12 +79,14 @@ class Phase:
             note(self.name, self.done, self.total)
         if self._report is not None and (self._is_told or time.monotonic() - self._began >= AT_ONCE_S):
             self._is_told = True
-            self._report(self.name, self.done, self.total, {"solves": self.solves, **self.said})
+            elapsed = {"elapsed_s": round(time.monotonic() - self._began, 1)}
+            self._report(self.name, self.done, self.total, {"solves": self.solves, **elapsed, **self.said})
 
     def end(self) -> None:
-        """Report a phase that ends before its last step as complete, if the phase has been reported before."""
-        if self._is_told and self.done < self.total:
-            self.total = self.done
+        """Report the phase as complete if it ends before its last step, or has lasted long without a report."""
+        is_long = time.monotonic() - self._began >= AT_ONCE_S
+        if (self._is_told and self.done < self.total) or (is_long and not self._is_told):
+            self.total = self.done = max(self.done, 1)
             self.tell()
 
 

@@ -14,7 +14,7 @@ Info = Mapping[str, str | int | float]
 """Further items of a report, by name: ``accept``, ``rhat``, ``ess``, ``solves_per_s``, ``group``, ``label``."""
 Report = Callable[[str, int, int, Info], None]
 """Called as ``report(phase, done, total, info)``: steps done and total steps of a phase, and further items."""
-HIDDEN = ("label", "group", "lp", "solves")
+HIDDEN = ("label", "group", "lp", "solves", "elapsed_s")
 """Items that are not listed beside a bar. The first two are part of the bar's name."""
 
 _RATE = "_per_s"

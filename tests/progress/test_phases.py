@@ -9,10 +9,15 @@ from fmu.progress.phases import advance_phase, by_parts, count_solves, phase, so
 
 @pytest.fixture
 def told(monkeypatch):
-    """What is told, from the first step on."""
+    """What is told, from the first step on, without the time."""
     monkeypatch.setattr(phases, "AT_ONCE_S", 0.0)
     lines = []
-    with told_to(lambda *line: lines.append(line)):
+
+    def report(name, done, total, info):
+        assert info["elapsed_s"] >= 0.0
+        lines.append((name, done, total, {key: value for key, value in info.items() if key != "elapsed_s"}))
+
+    with told_to(report):
         yield lines
 
 
@@ -54,6 +59,14 @@ def test_what_takes_no_time_is_not_told():
     assert lines == []
     assert notes == [("search", 0, 1), ("search", 1, 1), ("", 0, 0)]
     advance_phase()  # without a phase nothing happens
+
+
+def test_a_long_phase_without_steps_is_told_at_its_end(monkeypatch):
+    lines, clock = [], iter([10.0, 10.1, 14.2, 14.2, 14.2])
+    monkeypatch.setattr(phases.time, "monotonic", lambda: next(clock))
+    with told_to(lambda *line: lines.append(line)), phase("reading the model"):
+        pass
+    assert lines == [("reading the model", 1, 1, {"solves": 0, "elapsed_s": 4.2})]
 
 
 def test_parts_are_the_whole(told):

@@ -73,7 +73,7 @@ def measured(run: WholeRun) -> dict[str, Any]:
             "peak_gib": peak_gib(resource.RUSAGE_CHILDREN),
             "code": done.returncode,
             "said": [line for line in done.stderr.splitlines() if not line.startswith("{")],
-            "phases": phases(done.stderr),
+            "phases": phases(done.stderr, wall),
             "sampler": trace_file.stem,
             "solves": int(attrs["n_solves"] + attrs["warmup_n_solves"]),
             "rhat": float(summary["rhat"].max()),
@@ -83,14 +83,29 @@ def measured(run: WholeRun) -> dict[str, Any]:
         }
 
 
-def phases(lines: str) -> dict[str, float]:
-    """Return the seconds from the first to the last line of every phase in the JSON lines of a run."""
-    times: dict[str, list[datetime]] = {}
+def phases(lines: str, wall_s: float) -> dict[str, float]:
+    """Return the seconds of each phase in the JSON lines of a run, and those in no phase.
+
+    A line of a phase tells for how long it has been open. A line of a sampler does not, and its phase lasts from
+    its first line on. Phases within phases count for both.
+    """
+    opened: dict[str, list[tuple[float, float]]] = {}
     for line in lines.splitlines():
         if line.startswith("{"):
             told = json.loads(line)
-            times.setdefault(told["phase"], []).append(datetime.fromisoformat(told["time"]))
-    return {phase: (at[-1] - at[0]).total_seconds() for phase, at in times.items()}
+            end = datetime.fromisoformat(told["time"]).timestamp()
+            spans = opened.setdefault(told["phase"], [])
+            since = end - told["elapsed_s"] if "elapsed_s" in told else spans[-1][0] if spans else end
+            if spans and since <= spans[-1][1]:  # the same phase, told again
+                spans[-1] = (spans[-1][0], end)
+            else:
+                spans.append((since, end))
+    covered, last = 0.0, 0.0
+    for began, end in sorted(span for spans in opened.values() for span in spans):
+        covered += max(end - max(began, last), 0.0)
+        last = max(last, end)
+    found = {phase: sum(end - began for began, end in spans) for phase, spans in opened.items()}
+    return found | {"no phase": wall_s - covered}
 
 
 if __name__ == "__main__":

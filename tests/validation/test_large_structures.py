@@ -1,5 +1,7 @@
 """The study of large structures: its structures and its page."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -34,12 +36,26 @@ def test_the_page_says_what_was_measured():
     assert "- the plate: a note" in text
 
 
-def test_phases_last_from_their_first_line_to_their_last():
-    lines = ["Searching", *(f'{{"time": "2026-11-23T06:00:{s:06.3f}Z", "phase": "{p}"}}' for s, p in PHASES)]
-    assert phases("\n".join(lines)) == {"training": 7.5, "draws": 2.0}
+def test_phases_last_as_long_as_they_tell_and_those_of_samplers_from_their_first_line_on():
+    lines = ["Searching"]
+    for second, name, elapsed in PHASES:
+        line = {"time": f"2026-11-23T06:00:{second:06.3f}Z", "phase": name}
+        lines.append(json.dumps(line | ({} if elapsed is None else {"elapsed_s": elapsed})))
+    found = phases("\n".join(lines), 30.0)
+    assert found == pytest.approx(
+        {"training": 9.0, "draws": 2.0, "leaving out": 5.0, "search": 1.0, "no phase": 14.0}
+    )
 
 
-PHASES = ((0.5, "training"), (4.0, "training"), (8.0, "training"), (9.0, "draws"), (11.0, "draws"))
+PHASES = (
+    (4.0, "training", 3.0),
+    (8.0, "training", 7.0),  # the same again
+    (11.0, "training", 2.0),
+    (12.0, "draws", None),
+    (14.0, "draws", None),
+    (17.0, "search", 1.0),  # within the next
+    (20.0, "leaving out", 5.0),
+)
 
 
 def test_the_plate_converges_as_trilinear_elements_do():

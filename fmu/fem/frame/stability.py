@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,17 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from fmu.fem.frame.components import DIRECTIONS
-from fmu.fem.modes.eigensolver import NEGATIVE, ZERO, is_semidefinite, lowest, scale_matrix, unit_diagonal
+from fmu.fem.modes.eigensolver import (
+    NEGATIVE,
+    ZERO,
+    clear_factor,
+    is_semidefinite,
+    lowest,
+    scale_matrix,
+    unit_diagonal,
+)
 from fmu.fem.modes.separable import RigidArm, SeparableModel
+from fmu.fem.modes.solver import LARGE
 from fmu.numbers import listed, names_in_words
 from fmu.types import FloatArray
 
@@ -65,16 +75,24 @@ def free_motions(model: SeparableModel, theta: ArrayLike) -> FreeMotions:
     K = sp.csr_array(model.K(theta))
     if not np.all(np.isfinite(K.data)):
         raise ValueError("the stiffness matrix must be finite")
-    zero, negative = _lowest_motions(model, K)
+    at = np.atleast_1d(np.asarray(theta, dtype=float))
+    zero, negative = _lowest_motions(model, K, at)
     return FreeMotions(zero, rigid_motions(model, zero), negative)
 
 
-def _lowest_motions(model: SeparableModel, matrix: sp.csr_array) -> tuple[FloatArray, FloatArray]:
-    """Return the motions of zero and of negative energy of a symmetric matrix, shapes (n_dof, n)."""
-    zero: list[FloatArray] = []
-    negative: list[FloatArray] = []
+def _lowest_motions(
+    model: SeparableModel, matrix: sp.csr_array, theta: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return the motions of zero and of negative energy of a symmetric matrix, shapes (n_dof, n).
+
+    If the matrix is K at `theta` (n_parameters,), the factors of large blocks are kept for the first solve.
+    """
+    zero, negative = ([np.zeros((model.n_dof, 0))] for _ in range(2))
     for dofs in model.blocks:
         S, scale = unit_diagonal(matrix[dofs][:, dofs])
+        made = partial(clear_factor, S, scale)
+        if theta is not None and len(dofs) >= LARGE and model.last_factor(dofs).at(theta, made) is not None:
+            continue
         lam, vectors = lowest(S)
         for found, wanted in ((zero, (lam < ZERO) & (lam > -NEGATIVE)), (negative, lam <= -NEGATIVE)):
             motions = np.zeros((model.n_dof, int(np.sum(wanted))))

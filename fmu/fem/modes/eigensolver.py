@@ -30,7 +30,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
 
-from fmu.fem.modes.solver import Factor, Matrix, factorise
+from fmu.fem.modes.solver import Factor, Matrix, ScaledFactor, factorise
 from fmu.fem.modes.stacks import WIDE, rayleigh_quotients
 from fmu.types import BoolArray, FloatArray
 
@@ -54,7 +54,22 @@ class SingularMassError(ValueError):
     """Error raised if an eigenproblem has no solution, because of K, M or the solver."""
 
 
-def eigen(K: Matrix, M: Matrix, count: int, finite: int | None = None) -> tuple[FloatArray, FloatArray]:
+def clear_factor(S: Matrix, scale: FloatArray) -> ScaledFactor | None:
+    """Return the factors of A from `unit_diagonal`; None if A is not positive definite by more than rounding."""
+    try:
+        factor = _definite(S)
+    except np.linalg.LinAlgError:
+        return None
+    return ScaledFactor(factor, scale) if is_clearly_definite(factor, np.ones(S.shape[0])) else None
+
+
+def eigen(
+    K: Matrix,
+    M: Matrix,
+    count: int,
+    finite: int | None = None,
+    factored: Callable[[Matrix, FloatArray], ScaledFactor | None] = clear_factor,
+) -> tuple[FloatArray, FloatArray]:
     """Return the lowest modes of K φ = λ M φ.
 
     Parameters
@@ -66,6 +81,8 @@ def eigen(K: Matrix, M: Matrix, count: int, finite: int | None = None) -> tuple[
         Number of modes.
     finite : int, optional
         Number of modes with a finite frequency (the rank of M), if known; otherwise M is factorised to obtain it.
+    factored : callable
+        Returns what `clear_factor` returns, perhaps kept factors.
 
     Returns
     -------
@@ -93,7 +110,7 @@ def eigen(K: Matrix, M: Matrix, count: int, finite: int | None = None) -> tuple[
         S, scale = unit_diagonal(K)
         unit, top = abs(M).max(), np.max(scale)
         with np.errstate(all="ignore"):
-            lam, y = _of_scaled(S, scale_matrix(M / unit, scale / top), count)
+            lam, y = _of_scaled(S, scale_matrix(M / unit, scale / top), count, factored(S, scale))
             lam, y = lam / top**2 / unit, (scale / top)[:, None] * y / np.sqrt(unit)
     except (np.linalg.LinAlgError, RuntimeError) as error:
         raise SingularMassError(f"eigenproblem of {n} DOF: {error}") from error
@@ -102,10 +119,11 @@ def eigen(K: Matrix, M: Matrix, count: int, finite: int | None = None) -> tuple[
     return lam, y
 
 
-def _of_scaled(S: Matrix, M: Matrix, count: int) -> tuple[FloatArray, FloatArray]:
+def _of_scaled(S: Matrix, M: Matrix, count: int, clear: ScaledFactor | None) -> tuple[FloatArray, FloatArray]:
     """Return the modes for a K with unit diagonal; both matrices are dense or both are sparse."""
-    factor = _safely_factored(S)
-    if factor is None:  # free, nearly free, or negative for some motion: the lowest eigenvalues show which
+    if clear is not None:
+        factor = clear.scaled
+    else:  # free, nearly free, or negative for some motion: the lowest eigenvalues show which
         nu, vectors = lowest(S)
         if nu[0] <= -NEGATIVE:
             return _polish(S, M, _highest(_factorise_shifted(S, M), M, count))
@@ -157,15 +175,6 @@ def _definite(matrix: Matrix) -> Factor:
     if factor.negative:
         raise np.linalg.LinAlgError("the matrix is not positive definite")
     return factor
-
-
-def _safely_factored(S: Matrix) -> Factor | None:
-    """Return the factors of S; None if S is not definite, or definite only by rounding."""
-    try:
-        factor = _definite(S)
-    except np.linalg.LinAlgError:
-        return None
-    return factor if is_clearly_definite(factor, np.ones(S.shape[0])) else None
 
 
 def is_clearly_definite(factor: Factor, scale: FloatArray) -> bool:
@@ -336,8 +345,7 @@ def rank(matrix: Matrix) -> int:
     SingularMassError
         If the matrix is negative for some vector.
     """
-    if matrix.shape[0] <= DENSE_LIMIT:
-        matrix = _dense(matrix)
+    matrix = _dense(matrix) if matrix.shape[0] <= DENSE_LIMIT else matrix
     diagonal = matrix.diagonal()
     with_mass = np.flatnonzero(diagonal > 0.0)
     S = unit_diagonal(matrix)[0]
@@ -353,8 +361,7 @@ def rank(matrix: Matrix) -> int:
             raise SingularMassError("the mass matrix is not positive semidefinite")
         unit = sp.eye_array(part.shape[0])
         return len(with_mass) - factorise(part - NEGATIVE * unit, is_definite=False).negative
-    lam, _ = lowest(part)
-    if lam[0] <= -NEGATIVE:
+    if (lam := lowest(part)[0])[0] <= -NEGATIVE:
         raise SingularMassError("the mass matrix is not positive semidefinite")
     return len(with_mass) - int(np.sum(lam < ZERO))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cached_property
+from functools import cached_property, partial
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -11,16 +11,18 @@ import scipy.sparse as sp
 
 from fmu.fem.modes.block import Block, Mapped, Observation, Picked
 from fmu.fem.modes.derivatives import CLOSE, by_bordered_system
-from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, eigen, rank
+from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, clear_factor, eigen, rank, unit_diagonal
 from fmu.fem.modes.modal import BlockModel
 from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.modes.solver import Matrix
+from fmu.fem.modes.solver import LARGE, Matrix, ScaledFactor
 from fmu.fem.modes.stacks import SMALL, assemble, lowest_modes
 from fmu.fem.modes.terms import Term, WeightedSum, coefficient_gradients, weighted_sum
 from fmu.types import BoolArray, FloatArray, IntArray
 
 # Up to this size a dense solve for the derivatives of a shape takes less time than a sparse solve.
 _DENSE_SLOPES = 128
+# Number of modes beyond the requested ones that a large block computes, because training starts from them.
+_FURTHER = 3
 _RECOMPUTED = ("_sums", "_stacks")
 
 
@@ -59,6 +61,7 @@ class FullBlock(Block):
         self.constant = self.constant_mass and all(term.constant for term in self.K_terms)
         self._constant_rank = known if len(self.M_terms) == 1 else None
         self._last: tuple[bytes, FloatArray, FloatArray] | None = None
+        self._last_factor = model.last_factor(dofs)
 
     def __getstate__(self) -> dict[str, object]:
         """Return the state for pickling, without data that are recomputed on demand."""
@@ -87,7 +90,8 @@ class FullBlock(Block):
         """Return eigenvalues (n, count) and mass-normalised shapes (n, size, count); NaN on failure.
 
         A large block keeps its last solve at a single theta, because several quantities are needed at the start of
-        a problem. A block that no parameter changes is solved once.
+        a problem. A block that no parameter changes is solved once. From `LARGE` degrees of freedom on, a few
+        modes more are computed for `at_least`.
         """
         times = 1
         if self.constant:
@@ -95,9 +99,10 @@ class FullBlock(Block):
         if not (len(theta) == 1 and (self.constant or self.size > DENSE_LIMIT)):
             return self._solve_each(theta, count)
         at = b"" if self.constant else theta.tobytes()
-        if self._last is None or self._last[0] != at or self._last[1].shape[1] != count:
-            self._last = (at, *self._solve_each(theta, count))
-        _, lam, phi = self._last
+        wanted = self._count_with_further(count)
+        if self._last is None or self._last[0] != at or self._last[1].shape[1] != wanted:
+            self._last = (at, *self._solve_each(theta, wanted))
+        lam, phi = (of[..., :count] for of in self._last[1:])
         return np.repeat(lam, times, axis=0), np.repeat(phi, times, axis=0)
 
     def at_least(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
@@ -109,6 +114,21 @@ class FullBlock(Block):
         if last is not None and last[0] == theta.tobytes() and last[1].shape[1] >= count:
             return last[1:]
         return self.modes(theta, count)
+
+    def _count_with_further(self, count: int) -> int:
+        """Return the number of modes to compute for a request of `count` modes at a single theta."""
+        return min(count + _FURTHER, self.n_modes) if self.size >= LARGE and count else count
+
+    def clear_factor(self, theta: FloatArray) -> ScaledFactor | None:
+        """Return the factors of K at theta (n_parameters,), which are kept; None if K is not clearly definite."""
+        return self._last_factor.at(
+            theta, lambda: clear_factor(*unit_diagonal(self._sums[0](self._K_map(theta[None])[0])))
+        )
+
+    def _factor_of(self, theta: FloatArray, S: Matrix, scale: FloatArray) -> ScaledFactor | None:
+        if self.size < LARGE:
+            return clear_factor(S, scale)
+        return self._last_factor.at(theta, lambda: clear_factor(S, scale))
 
     def _solve_each(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         lam = np.full((len(theta), count), np.nan)
@@ -123,7 +143,8 @@ class FullBlock(Block):
             if not (_is_finite(K) and _is_finite(M)):
                 continue
             try:
-                lam[i], phi[i] = eigen(K, M, count, self._rank(M, has_rank_of_all[i]))
+                finite = self._rank(M, has_rank_of_all[i])
+                lam[i], phi[i] = eigen(K, M, count, finite, partial(self._factor_of, theta[i]))
             except SingularMassError:
                 continue
         return lam, phi

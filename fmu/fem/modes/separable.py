@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import connected_components
 
 from fmu.arguments import ArgumentError, Place, check_arguments
 from fmu.fem.modes.line_picture import LinePicture
+from fmu.fem.modes.solver import LastFactor
 from fmu.fem.modes.terms import Term, named_term, sum_at
 from fmu.formats.models.edges import edges
 from fmu.formats.models.exported import ExportedModel, Mesh
@@ -190,6 +191,7 @@ class SeparableModel:
         self.names: tuple[str, ...] | None = None
         self.notes: tuple[str, ...] = ()
         self.picture: LinePicture | None = None
+        self._last_factors: dict[int, LastFactor] = {}
         _check_terms(self)
 
     @classmethod
@@ -270,6 +272,10 @@ class SeparableModel:
         graph = sp.coo_array((np.ones(len(row)), (row, column)), shape=(self.n_dof, self.n_dof))
         count, label = connected_components(graph.tocsr(), directed=False)
         return tuple(np.flatnonzero(label == k) for k in range(count))
+
+    def last_factor(self, dofs: IntArray) -> LastFactor:
+        """Return where the factors of the block `dofs`, an entry of `blocks`, are kept."""
+        return self._last_factors.setdefault(int(dofs[0]), LastFactor())
 
     @cached_property
     def translations(self) -> IntArray:

@@ -3,8 +3,8 @@
 LAPACK factorises dense matrices, and definite matrices with a narrow band, such as those of beams, bridges and
 towers: it takes a tenth to a half of the time of a sparse solver. Other sparse matrices are factorised by PARDISO
 of Intel's MKL if the extra ``fmu[fast]`` is installed (package pypardiso), else by SuperLU, which comes with
-SciPy. PARDISO is meant for 10⁵ degrees of freedom and more; it uses one thread, or the number of threads that the
-environment variable ``MKL_NUM_THREADS`` gives.
+SciPy. PARDISO is meant for 10⁵ degrees of freedom and more. From `LARGE` rows on it factorises on as many threads
+as `n_threads` says; the factors are the same, bit for bit, with any number of threads.
 
 None of the solvers reorders rows to obtain large pivots. The matrices are positive definite or nearly so, and the
 signs of the pivots are then the signs of the eigenvalues (Sylvester's law of inertia).
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import os
 import weakref
+from collections.abc import Callable
 from functools import cache, lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -32,11 +33,15 @@ type Matrix = FloatArray | sp.sparray
 """A matrix, dense or sparse."""
 
 LAPACK, SUPERLU, PARDISO = "LAPACK", "SuperLU", "PARDISO"
+LARGE = 20_000
+"""Degrees of freedom of a block from which on a factorisation is dear: factors are kept and used again."""
 # From PARDISO's manual: types of matrices, phases of a solution, the smallest pivot as a negative power of ten,
 # and the number of its domain.
 _DEFINITE, _INDEFINITE = 2, -2
 _ANALYSE, _ELIMINATE, _SOLVE, _RELEASE = 11, 22, 33, -1
 _TINY, _OF_PARDISO = 20, 4
+# PARDISO divides its work among at most this many threads, and into the same parts with fewer threads.
+_MOST_THREADS = 8
 # Up to this half-width a band was faster than SuperLU to factorise and to solve, for 1000 to 5000 rows.
 _NARROW = 256
 
@@ -70,6 +75,17 @@ def sparse_solver() -> str:
     return PARDISO if find_spec("pypardiso") else SUPERLU
 
 
+def n_threads() -> int:
+    """Return the number of threads on which PARDISO factorises, at most 8.
+
+    It is the environment variable ``MKL_NUM_THREADS`` or, without it, ``OMP_NUM_THREADS``; fmu's engines and Dask
+    set both to 1 in their workers. Without both it is the number of processors that this process may use.
+    """
+    given = os.environ.get("MKL_NUM_THREADS") or os.environ.get("OMP_NUM_THREADS") or ""
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(max(int(given) if given.isdecimal() else usable, 1), _MOST_THREADS)
+
+
 def factorise(matrix: Matrix, solver: str | None = None, is_definite: bool = True) -> Factor:
     """Return the factors of a symmetric matrix, dense or sparse.
 
@@ -98,6 +114,49 @@ def factorise(matrix: Matrix, solver: str | None = None, is_definite: bool = Tru
             except np.linalg.LinAlgError:  # indefinite or singular: the other solvers tell which
                 pass
     return _Pardiso(matrix, is_definite) if (solver or sparse_solver()) == PARDISO else _SuperLU(matrix)
+
+
+class ScaledFactor:
+    """Factors of a matrix A from the factors of D A D, for a diagonal matrix D.
+
+    Attributes
+    ----------
+    scaled : Factor
+        The factors of D A D.
+    scale : ndarray, shape (n,)
+        The diagonal of D.
+    """
+
+    L: FloatArray | None = None
+
+    def __init__(self, scaled: Factor, scale: FloatArray) -> None:
+        self.scaled, self.scale = scaled, scale
+        self.negative, self.n_entries = scaled.negative, scaled.n_entries
+
+    def solve(self, loads: FloatArray) -> FloatArray:
+        """Return A⁻¹ b for b of shape (n,) or (n, m)."""
+        scale = self.scale if loads.ndim == 1 else self.scale[:, None]
+        return scale * self.scaled.solve(scale * loads)
+
+
+class LastFactor:
+    """The factors of a block's stiffness at the last theta for which they were made. A copy or pickle has none."""
+
+    def __init__(self) -> None:
+        self._at: bytes | None = None
+        self._factor: ScaledFactor | None = None
+
+    def __reduce__(self) -> tuple[type[LastFactor], tuple[()]]:
+        """Return the call that makes an empty one: factors cannot be pickled."""
+        return LastFactor, ()
+
+    def at(self, theta: FloatArray, make: Callable[[], ScaledFactor | None]) -> ScaledFactor | None:
+        """Return the factors at theta (n_parameters,), from `make` unless they are kept; None if it gives none."""
+        if self._at != theta.tobytes():
+            self._at = self._factor = None  # before the next factors take memory
+            self._factor = make()
+            self._at = theta.tobytes()
+        return self._factor
 
 
 class DenseFactor:
@@ -232,7 +291,7 @@ class _Pardiso:
         self._solver = _pardiso()(mtype=of)
         weakref.finalize(self, _call, self._solver, self._upper, _RELEASE).atexit = False
         # METIS, and unmodified pivots: PARDISO's own settings would change pivots below 1e-8 of the largest entry
-        for i, value in {1: 1, 2: 2, 10: _TINY}.items():
+        for i, value in {1: 1, 2: 2, 10: _TINY, 34: _MOST_THREADS}.items():
             self._solver.iparm[i - 1] = value
         _call(self._solver, self._upper, _ANALYSE)
         of_analysis, lasting, of_factors = (1024 * int(self._solver.get_iparm(i)) for i in (15, 16, 17))
@@ -270,9 +329,12 @@ def free_memory() -> int | None:
 def _call(solver: Any, upper: sp.csr_array, phase: int, loads: FloatArray | None = None) -> FloatArray:
     from pypardiso.pardiso_wrapper import PyPardisoError
 
+    n = upper.shape[0]
+    # the solution of several right-hand sides on several threads would depend on their number
+    solver.libmkl.MKL_Domain_Set_Num_Threads(n_threads() if phase == _ELIMINATE and n >= LARGE else 1, _OF_PARDISO)
     solver.set_phase(phase)
     try:
-        return solver._call_pardiso(upper, np.zeros(upper.shape[0]) if loads is None else np.asfortranarray(loads))
+        return solver._call_pardiso(upper, np.zeros(n) if loads is None else np.asfortranarray(loads))
     except PyPardisoError as error:
         raise np.linalg.LinAlgError(f"PARDISO ended with error {error.value}") from error
 
@@ -291,6 +353,4 @@ def _upper_triangle(matrix: sp.csr_array) -> sp.csr_array:
 def _pardiso() -> Any:
     from pypardiso import PyPardisoSolver
 
-    threads = int(os.environ.get("MKL_NUM_THREADS") or 1)
-    PyPardisoSolver().libmkl.MKL_Domain_Set_Num_Threads(threads, _OF_PARDISO)
     return PyPardisoSolver

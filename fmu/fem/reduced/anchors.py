@@ -21,7 +21,7 @@ import scipy.linalg as sl
 from fmu.fem.modes.eigensolver import is_clearly_definite, is_semidefinite, unit_diagonal
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import is_rigid
-from fmu.fem.modes.solver import Factor, Matrix, factorise
+from fmu.fem.modes.solver import LARGE, Factor, Matrix, factorise
 from fmu.fem.modes.terms import Term, coefficients
 from fmu.fem.reduced.space import Space
 from fmu.types import FloatArray, IntArray
@@ -130,6 +130,8 @@ class Anchors:
         return (*self.block.K_terms, *(self.block.M_terms if self.shift else ()))
 
     def _is_definite_at_anchors(self) -> bool:
+        if self.block.size >= LARGE:
+            return all(self._kept_factor(a) is not None for a in range(len(self.theta)))
         try:
             return all(
                 is_clearly_definite(self.factor(a), unit_diagonal(self.matrix(a))[1])
@@ -152,7 +154,7 @@ class Anchors:
         """Return the factors of K + s M at the anchor of index `a`; SingularAnchorError if it is not definite."""
         if a not in self._factors:
             try:
-                found = factorise(self.matrix(a))
+                found = self._kept_factor(a) or factorise(self.matrix(a))
                 if found.negative:
                     raise np.linalg.LinAlgError(f"{found.negative} of its eigenvalues are not positive")
             except np.linalg.LinAlgError as error:
@@ -163,6 +165,14 @@ class Anchors:
                 ) from error
             self._factors[a] = found
         return self._factors[a]
+
+    def _kept_factor(self, a: int) -> Factor | None:
+        """Return the factors of a large clearly definite K, which its block may have kept from its last solve."""
+        if self.shift or self.block.size < LARGE:
+            return None
+        if a not in self._factors and (found := self.block.clear_factor(self.theta[a])) is not None:
+            self._factors[a] = found
+        return self._factors.get(a)
 
     def modes(self, count: int) -> Space:
         """Return the space of the full model's lowest modes at all anchors, `count` per anchor and a few more."""

@@ -174,9 +174,9 @@ class ReducedStructure(Approximation):
     def confirmed_modes(self, theta: FloatArray) -> ModalSolution:
         """Return the modes of the full model at theta (n, n_parameters); large blocks reuse training's factors.
 
-        For blocks of `fmu.fem.reduced.shared.LARGE` degrees of freedom or more, iterations start from the
+        For blocks of `fmu.fem.modes.solver.LARGE` degrees of freedom or more, iterations start from the
         modes of the reduced model. They end when the estimated relative errors of the frequencies are below 1e-8.
-        The number of eigenvalues is verified at the first two points.
+        The number of eigenvalues is verified at the first point.
         """
         within = self.within(theta)
         if not within.any():

@@ -15,13 +15,10 @@ from typing import Self
 import numpy as np
 
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.solver import Factor
+from fmu.fem.modes.solver import LARGE, Factor
 from fmu.fem.modes.terms import coefficients
 from fmu.types import FloatArray
 
-LARGE = 20_000
-"""Degrees of freedom of a block from which on a solve is dear: right-hand sides are shared, modes that confirm the
-basis start from its modes, and the errors of the measurement set the tolerance."""
 _MOST_TERMS = 16
 MEMORY = 2**33
 """Largest memory of the vectors W in bytes; a larger space solves for each residual by itself."""

@@ -111,13 +111,14 @@ class Training:
         when the basis would be larger than `affordable`; the basis is then truncated to that size.
         """
         counts = self.rule.counts(self.full)
-        for b, count in counts.items():
-            block = self.full[b]
-            self.learners[b] = Learner(block, self.lower, self.upper, count, most_trial_vectors(block.size))
-            cost = Cost.of(block, self.learners[b].anchors.factor(0))
-            if cost is not None:
-                self.costs[b] = cost
-                self.learners[b].largest = min(self.learners[b].largest, 2 * self._affordable(b))
+        with phase("training"):
+            for b, count in counts.items():
+                block = self.full[b]
+                self.learners[b] = Learner(block, self.lower, self.upper, count, most_trial_vectors(block.size))
+                cost = Cost.of(block, self.learners[b].anchors.factor(0))
+                if cost is not None:
+                    self.costs[b] = cost
+                    self.learners[b].largest = min(self.learners[b].largest, 2 * self._affordable(b))
         self.n_trained = dict.fromkeys(counts, 0)
         self._visit(2 * _TOGETHER)
         self.fixed, self.n_trained = count_needed(self.full, self.rule, self.learners)

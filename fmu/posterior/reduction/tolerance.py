@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmu.fem.reduced.shared import LARGE
+from fmu.fem.modes.solver import LARGE
 
 FREQUENCY_TOLERANCE = 1e-6
 LOG_PROB_TOLERANCE = 1e-3

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from numpy.testing import assert_allclose
 
 from fmu.fem.modes import solver
-from fmu.fem.modes.solver import PARDISO, SUPERLU, factorise, sparse_solver
+from fmu.fem.modes.solver import PARDISO, SUPERLU, factorise, n_threads, sparse_solver
 
 fast = pytest.mark.skipif(find_spec("pypardiso") is None, reason="pypardiso, the extra fast, is not installed")
 BANDED = None  # what a narrow band gets where no solver is named
@@ -110,3 +110,29 @@ def test_factors_that_do_not_fit_are_refused_before_they_are_made(monkeypatch):
 def test_free_memory_is_a_number_or_unknown():
     free = solver.free_memory()
     assert free is None or free > 2**20
+
+
+@fast
+@pytest.mark.parametrize("is_definite", [True, False])
+def test_factors_do_not_depend_on_the_number_of_threads(monkeypatch, is_definite):
+    """Every pair of a grid's rows couples, so that PARDISO has work for several threads."""
+    monkeypatch.setattr(solver, "LARGE", 1000)
+    line = sp.diags_array([[2.0] * 40, [-1.0] * 39, [-1.0] * 39], offsets=[0, 1, -1])
+    grid = sp.csr_array(sp.kronsum(sp.kronsum(line, line[:12, :12]), line[:12, :12]))
+    loads = np.random.default_rng(0).standard_normal((grid.shape[0], 5))
+    found = []
+    for threads in ("1", "2"):
+        monkeypatch.setenv("MKL_NUM_THREADS", threads)
+        found.append(factorise(grid, PARDISO, is_definite).solve(loads))
+    np.testing.assert_array_equal(*found)
+
+
+def test_the_number_of_threads_is_the_users_or_that_of_processors(monkeypatch):
+    for name in ("MKL_NUM_THREADS", "OMP_NUM_THREADS"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(solver.os, "sched_getaffinity", lambda _: range(3), raising=False)
+    assert n_threads() == 3
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    assert n_threads() == 1
+    monkeypatch.setenv("MKL_NUM_THREADS", "32")
+    assert n_threads() == 8
