@@ -9,7 +9,8 @@ One step consists of
 2. proposals for the scores of all tests at once from Student distributions about their most probable values, which
    are computed to second order (`ScoresGivenMain`), another solve of all tests; the proposal of each test is
    accepted or rejected by itself, as the tests are independent given the main parameters;
-3. where standard deviations of errors are inferred, a random walk of each of them given the predicted modes, which
+3. candidates for the populations given the values in the tests, which need no solve (`PopulationsGivenValues`);
+4. where standard deviations of errors are inferred, a random walk of each of them given the predicted modes, which
    are solved for once more.
 
 The first part mixes well whether the tests are precise or not (Osmundsen, Kleppe & Liesenfeld 2021, *J. Comput.
@@ -174,10 +175,14 @@ class GibbsKernel:
         return State(positions, log_prob, extra={"terms": terms}), Info(none > 0, log_prob, ones, none)
 
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
-        """Move the main parameters together with the scores, then the scores of each test."""
+        """Move the main parameters with the scores, then the scores, then the populations given the values."""
         theta = self.problem.layout.standardise_scores(self.scaled.to_theta(state.position))
-        theta, terms, extra = self._move_main(rng, theta, state.extra["terms"])
-        theta, terms, moved = self._move_scores(rng, theta, terms)
+        theta, terms, linear, extra = self._move_main(rng, theta, state.extra["terms"])
+        theta, terms, moved = self._move_scores(rng, theta, terms, linear)
+        populations = self.conditionals.populations
+        if populations.n_blocks:
+            found = populations.propose(rng, theta)
+            theta = populations.move(theta, found, accept(rng, found.log_ratio))
         solves = np.full(len(theta), 2, dtype=np.int64)
         if len(self.conditionals.noise):
             theta, terms = self._move_noise(rng, theta, terms)
@@ -190,11 +195,11 @@ class GibbsKernel:
 
     def _move_main(
         self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray
-    ) -> tuple[FloatArray, FloatArray, dict[str, AnyArray]]:
-        """Return theta and terms after a trajectory of the main parameters, and statistics of it.
+    ) -> tuple[FloatArray, FloatArray, Linear, dict[str, AnyArray]]:
+        """Return theta and terms after a trajectory of the main parameters, with densities and statistics.
 
-        The statistics are the acceptance rate in the approximate density, which the step size is tuned by, and
-        whether the chain has moved.
+        The densities are those of the scores there. The statistics are the acceptance rate in the approximate
+        density, which the step size is tuned by, and whether the chain has moved.
         """
         marginal, given = self.conditionals.marginal, self.conditionals.scores
         target = _Target(marginal, theta)
@@ -228,15 +233,15 @@ class GibbsKernel:
             "main_acceptance": np.exp(np.minimum(gain, 0.0)),
             "main_accepted": accepted,
         }
-        chosen = accepted[:, None]
-        return np.where(chosen, candidate, theta), np.where(chosen, new_terms, terms), statistics
+        chosen, last = accepted[:, None], linear[1].select(accepted, first)
+        return np.where(chosen, candidate, theta), np.where(chosen, new_terms, terms), last, statistics
 
     def _move_scores(
-        self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray
+        self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray, linear: Linear
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return theta and terms with new scores, and the shares of tests that moved, (chains,)."""
         of, test = self.conditionals.scores, self.problem.likelihood.test_of_terms
-        z, normal = of.scores.take(theta), of.approximate(theta)
+        z, normal = of.scores.take(theta), of.normal_of(linear)
         walks = rng.random(z.shape[:2]) < _WALKS
         heavy = np.sqrt(_NU / rng.chisquare(_NU, z.shape[:2]))
         size = np.where(walks, _SMALLEST ** rng.random(z.shape[:2]), heavy)

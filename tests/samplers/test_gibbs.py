@@ -179,7 +179,7 @@ def test_scores_on_a_bent_ridge_have_their_density():
     theta = np.repeat(kernel.conditionals.typical, 300, axis=0)
     kept, terms = [], problem.likelihood.terms(of.layout.of_model(theta))
     for step in range(60):
-        theta, terms, moved = kernel._move_scores(rng, theta, terms)
+        theta, terms, moved = kernel._move_scores(rng, theta, terms, of.linearise(theta))
         if step >= 20:
             kept.append(of.scores.take(theta))
     assert np.mean(moved) > 0.5

@@ -102,6 +102,8 @@ _ROWS = (
      "spectra.sd[i, both] ** 2 + spectra.sd[j, both] ** 2", "0.01 * spectra.sd[i, both] ** 2", "posterior/data/test_frf_data.py"),
     ("damage at an unknown date: a gain", "posterior/joint/varies/undated.py",
      "Factor(1.0 - loss * share, slopes)", "Factor(1.0 + loss * share, slopes)", "posterior/joint/varies/test_undated.py"),
+    ("populations given the values: the weight of candidates", "posterior/joint/conditional/given_values.py",
+     "found = np.log(s).sum(axis=2) + ", "found = ", "posterior/joint/conditional/test_populations_given_values.py"),
     ("laws of covariates: derivative of a power", "posterior/joint/varies/laws.py",
      "np.sum(b * powers * away ** (powers - 1), axis=1)", "np.sum(b * away ** (powers - 1), axis=1)", "posterior/joint/varies/test_trend.py"),
     ("verdict: prior of a scatter that grows", "analysis/fit/reweighting.py",

@@ -14,7 +14,7 @@ correlations have certain independent beta distributions, the density of R is pr
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -44,10 +44,11 @@ class Correlation:
 
     columns: tuple[int, ...]
     scored: BoolArray
+    _last: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def factor(self, theta: FloatArray) -> FloatArray:
         """Return the Cholesky factor of the correlation matrix, shape (n, p, p), at theta (n, n_parameters)."""
-        return self._factors(theta)[0]
+        return self._at(theta)[0]
 
     def log_density(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-density of the copula in each test, and its derivatives.
@@ -64,9 +65,9 @@ class Correlation:
         by_correlation : ndarray, shape (n, p (p - 1) / 2)
             Derivatives of the sum over the tests with respect to the partial correlations.
         """
-        L, slopes = self._factors(theta)
+        L, slopes, blocks = self._at(theta)
         value, by_score, by_R = np.zeros(z.shape[:2]), np.zeros_like(z), np.zeros_like(L)
-        for here, tests, block, inverse, log_det in self._blocks(L):
+        for here, tests, block, inverse, log_det in blocks:
             of = z[:, tests][:, :, here]
             turned = np.einsum("nij,ntj->nti", inverse, of)
             value[:, tests] = -0.5 * log_det[:, None] - 0.5 * np.einsum("nti,nti->nt", of, turned - of)
@@ -82,14 +83,14 @@ class Correlation:
         """
         n_tests, p = self.scored.shape
         found = np.zeros((len(theta), n_tests, p, p))
-        for here, tests, _, inverse, _ in self._blocks(self.factor(theta)):
+        for here, tests, _, inverse, _ in self._at(theta)[2]:
             found[np.ix_(range(len(theta)), tests, here, here)] = (inverse - np.eye(len(here)))[:, None]
         return found
 
     def log_det(self, theta: FloatArray) -> FloatArray:
         """Return the log-determinant of the correlation matrix of each test's scores, (n, n_tests)."""
         found = np.zeros((len(theta), len(self.scored)))
-        for _, tests, _, _, log_det in self._blocks(self.factor(theta)):
+        for _, tests, _, _, log_det in self._at(theta)[2]:
             found[:, tests] = log_det[:, None]
         return found
 
@@ -106,20 +107,16 @@ class Correlation:
         -------
         ndarray, shape (n, p (p - 1) / 2)
         """
-        L, slopes = self._factors(theta)
+        L, slopes, blocks = self._at(theta)
         by_R = np.zeros_like(L)
-        for here, tests, block, inverse, _ in self._blocks(L):
+        for here, tests, block, inverse, _ in blocks:
             total = moments[:, tests].sum(axis=1)[:, here[:, None], here]
             by_R[block] += 0.5 * (inverse @ total @ inverse - len(tests) * inverse)
         return np.einsum("nij,nkij->nk", 2.0 * by_R @ L, slopes)
 
     def of_scores(self, second_moments: FloatArray) -> FloatArray:
         """Return the partial correlations, (p (p − 1) / 2,), of scores with the second moments (p, p)."""
-        size = np.sqrt(np.diag(second_moments))
-        L = np.linalg.cholesky(second_moments / np.outer(size, size))
-        left = np.sqrt(np.cumsum(L[:, ::-1] ** 2, axis=1)[:, ::-1])
-        found = [L[j, i] / left[j, i] for j in range(len(L)) for i in range(j)]
-        return np.clip(found, -_START, _START)
+        return np.clip(partial_correlations(np.linalg.cholesky(second_moments)), -_START, _START)
 
     @cached_property
     def _patterns(self) -> list[tuple[IntArray, IntArray]]:
@@ -133,6 +130,15 @@ class Correlation:
         ]
         return [(here, tests) for here, tests in found if len(here) > 1]
 
+    def _at(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, list[Any]]:
+        """Return the result of `_factors` at theta (n, n_parameters), and the list of `_blocks`."""
+        rho = theta[:, self.columns]
+        if not np.array_equal(self._last.get("rho", ()), rho):
+            L, slopes = self._factors(rho)
+            self._last.update(rho=rho, found=(L, slopes, list(self._blocks(L))))
+        found: tuple[FloatArray, FloatArray, list[Any]] = self._last["found"]
+        return found
+
     def _blocks(self, L: FloatArray) -> Iterator[Any]:
         """Yield the block of the correlation matrix for each of the `_patterns`.
 
@@ -144,14 +150,14 @@ class Correlation:
             block = np.ix_(range(len(R)), here, here)
             yield here, tests, block, np.linalg.inv(R[block]), np.linalg.slogdet(R[block])[1]
 
-    def _factors(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _factors(self, rho: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the Cholesky factor of the correlation matrix, and its derivatives by the partial correlations.
 
         The factor L has the shape (n, p, p), and its derivatives have the shape (n, p (p - 1) / 2, p, p).
 
         L_ji = ρ_ij √(1 − ρ_1j²) … √(1 − ρ_(i−1)j²), with ρ_jj = 1.
         """
-        rho, p = theta[:, self.columns], self.scored.shape[1]
+        p = self.scored.shape[1]
         L, slopes = np.zeros((len(rho), p, p)), np.zeros((len(rho), rho.shape[1], p, p))
         L[:, 0, 0] = 1.0
         first = 0
@@ -166,6 +172,22 @@ class Correlation:
                 )
             first += j
         return L, slopes
+
+
+def partial_correlations(factor: FloatArray) -> FloatArray:
+    """Return the partial correlations ρ_12, ρ_13, ρ_23, …, (…, p (p − 1) / 2), of covariance matrices.
+
+    Parameters
+    ----------
+    factor : ndarray, shape (…, p, p)
+        Square roots A of the matrices A Aᵀ; the scales of their rows do not matter.
+    """
+    # ρ_ij given the variables before i: what the rows i and j have in common beside the rows before them
+    L = np.swapaxes(np.linalg.qr(np.swapaxes(factor, -1, -2), mode="r"), -1, -2)
+    L = L * np.sign(np.einsum("...ii->...i", L))[..., None, :]
+    left = np.sqrt(np.cumsum(L[..., ::-1] ** 2, axis=-1)[..., ::-1])
+    pairs = [(i, j) for j in range(L.shape[-1]) for i in range(j)]
+    return np.stack([L[..., j, i] / left[..., j, i] for i, j in pairs], axis=-1)
 
 
 def correlations(names: Sequence[str], eta: float) -> list[Parameter]:

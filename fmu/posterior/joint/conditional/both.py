@@ -11,6 +11,7 @@ from fmu.box import find_inside
 from fmu.posterior.joint.blocks import BlockForm
 from fmu.posterior.joint.conditional.bend import find_bend
 from fmu.posterior.joint.conditional.expansion import OfTests, expand
+from fmu.posterior.joint.conditional.given_values import PopulationsGivenValues
 from fmu.posterior.joint.conditional.marginal import MarginalOfMain
 from fmu.posterior.joint.conditional.regression import FittedNormal, fit_normal, reflect
 from fmu.posterior.joint.conditional.scores import ScoresGivenMain
@@ -44,6 +45,7 @@ class Conditionals(NamedTuple):
         Relative standard deviations of the inferred standard deviations of errors; at most one.
     noise_prior : JointPrior
         Prior of these standard deviations.
+    populations : PopulationsGivenValues
     typical : ndarray, shape (1, ndim)
         The typical point, with standard normal scores.
     """
@@ -53,6 +55,7 @@ class Conditionals(NamedTuple):
     normal: FittedNormal
     noise: FloatArray
     noise_prior: JointPrior
+    populations: PopulationsGivenValues
     typical: FloatArray
 
 
@@ -127,7 +130,8 @@ def _compute(problem: UpdatingProblem) -> Conditionals:
     information = sum((term.information(s)[0] for term in problem.likelihood.terms_of), np.zeros((s.size, s.size)))
     noise = 1.0 / np.sqrt(1.0 + np.diag(information) * s[0] ** 2)
     noise_prior = JointPrior(problem.parameters[problem.n_structural :])
-    return Conditionals(scores, marginal, normal, noise, noise_prior, theta)
+    populations = PopulationsGivenValues(plain.layout, plain.parameters)
+    return Conditionals(scores, marginal, normal, noise, noise_prior, populations, theta)
 
 
 def _about(plain: UpdatingProblem, theta: FloatArray) -> tuple[ScoresGivenMain, MarginalOfMain]:

@@ -55,7 +55,11 @@ class Scattering(NamedTuple):
 
     def slope(self, theta: FloatArray) -> FloatArray:
         """Return the derivatives of the values by the scores, (n, n_tests), at theta (n, n_parameters)."""
-        return next(s.values for s in self.value_of(theta)[1] if s.columns is self.drawn.columns)
+        return self.of_score(self.value_of(theta)[1])
+
+    def of_score(self, slopes: list[Slope]) -> FloatArray:
+        """Return the derivatives by the scores, (n, n_tests), among the derivatives of the values."""
+        return next(slope.values for slope in slopes if slope.columns is self.drawn.columns)
 
 
 class Scores(NamedTuple):
@@ -134,6 +138,11 @@ class Linear(NamedTuple):
     inverse: FloatArray
     of_prior: FloatArray
 
+    def select(self, chosen: BoolArray, other: Linear) -> Linear:
+        """Return these densities for the chains that are `chosen`, (n,), and the `other` ones for the rest."""
+        every = zip(self, other, strict=True)
+        return Linear(*(np.where(chosen.reshape(-1, *(1,) * (x.ndim - 1)), x, y) for x, y in every))
+
     @property
     def log_det_factor(self) -> FloatArray:
         """The logarithm of the determinant of the factor, (n, n_tests)."""
@@ -207,6 +216,8 @@ class ScoresGivenMain:
 
     def __init__(self, layout: Layout, expansion: Expansion, bend: Bend | None = None) -> None:
         self.layout, self.expansion, self.scores, self.bend = layout, expansion, Scores.of(layout), bend
+        numbers = self.scores.parameters
+        self._information = expansion.information[:, numbers[:, None], numbers]
 
     def log_prior(self, theta: FloatArray) -> FloatArray:
         """Return the log-density of the scores of each test, given the main parameters, shape (n, n_tests)."""
@@ -224,13 +235,15 @@ class ScoresGivenMain:
         z = np.stack([one.nearest_scores(of, values) for one, values in pairs], axis=2)
         z = np.where(scored, np.clip(z, -_FAR, _FAR), 0.0)
         at = self.scores.put(of, z)
-        slopes = np.where(scored, np.stack([one.slope(at) for one in self.scores.every], axis=2), 0.0)
-        away = self.layout.values(at) - known.values
+        values = [value_of(at) for value_of in self.layout.values_of]
+        by_score = [one.of_score(values[j][1]) for j, one in zip(numbers, self.scores.every, strict=True)]
+        slopes = np.where(scored, np.stack(by_score, axis=2), 0.0)
+        away = np.stack([value for value, _ in values], axis=2) - known.values
         weight = known.weigh(theta[:, len(self.layout.parameters) :])
         turned = np.einsum("tij,ntj->nti", known.information, away)
         value = weight[..., 0] * np.einsum("nti,nti->nt", away, known.slope - 0.5 * turned)
         gradient = weight * (known.slope - turned)
-        precision = known.information[:, numbers[:, None], numbers] * slopes[..., :, None] * slopes[..., None, :]
+        precision = self._information * slopes[..., :, None] * slopes[..., None, :]
         precision = weight[..., None] * precision
         of_prior = np.broadcast_to(np.eye(z.shape[2]), precision.shape)
         if self.layout.correlation is not None:

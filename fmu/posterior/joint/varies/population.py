@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -156,7 +157,8 @@ class Population(Varies):
             Bounds of the values.
         """
         if not self.of_logarithm:
-            return truncated_normal_values(z, centre, sd, lower, upper)
+            value, slopes = truncated_normal_values(z, centre, sd, lower, upper)
+            return value, tuple(np.broadcast_to(slope, value.shape) for slope in slopes)  # type: ignore[return-value]
         with np.errstate(divide="ignore"):
             ends = np.log([max(lower, 0.0), upper])
         x, (by_z, by_m, by_s) = truncated_normal_values(z, np.log(centre), sd, *ends)
@@ -288,8 +290,8 @@ class Drawn(InTests):
 
     def curvature(self, theta: FloatArray) -> FloatArray:
         """Return minus the second derivative of each score's log-density, (n, n_tests), for distant bounds."""
-        _, (_, width), (_, blend), _ = self._at(theta)
-        return np.asarray((blend / width) ** 2)
+        value, (_, width), (_, blend), _ = self._at(theta)
+        return np.broadcast_to((blend / width) ** 2, value.shape)
 
     def population_scores(self, theta: FloatArray) -> tuple[FloatArray, Slopes]:
         """Return the scores relative to the population, (n, n_tests), and their derivatives.
@@ -299,6 +301,9 @@ class Drawn(InTests):
         return self.last.remember("scores", theta, self._computed_scores)
 
     def _computed_scores(self, theta: FloatArray) -> tuple[FloatArray, Slopes]:
+        if not self._is_centred:
+            z = theta[:, self.columns]
+            return z, (np.ones_like(z), np.zeros_like(z), np.zeros_like(z))
         value, population, _, (by_z, by_centre, by_width) = self._at(theta)
         bounds, is_other = (self.lower, self.upper), self.centring > 0.0
         z = np.where(is_other, self.population.scores(value, *population, *bounds), theta[:, self.columns])
@@ -334,9 +339,22 @@ class Drawn(InTests):
         """Return the scores of the values (n, n_tests) in all tests, with the populations at theta (n, ndim)."""
         return self.population.scores(value, *self._parts(theta)[2], self.lower, self.upper)
 
+    @cached_property
+    def _is_centred(self) -> bool:
+        return bool(np.any(self.centring > 0.0))
+
+    @cached_property
+    def _has_one_width(self) -> bool:
+        return bool(np.all(self.widths == self.widths[0]))
+
     def _parts(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, FloatArray]:
-        """Return the scores, the population, the distribution F, and ∂(centre of F)/∂(population centre)."""
-        centre, width = theta[:, [self.centre] * len(self.columns)], theta[:, self.widths]
+        """Return the scores, the population, the distribution F, and ∂(centre of F)/∂(population centre).
+
+        The last three are broadcast against the scores, (n, n_tests).
+        """
+        centre, width = theta[:, [self.centre]], theta[:, self.widths[: 1 if self._has_one_width else None]]
+        if not self._is_centred:
+            return theta[:, self.columns], (centre, width), (centre, width), np.ones((1, 1))
         w = self.centring
         if self.population.of_logarithm:
             of_centre = np.exp(w * np.log(self.reference[0]) + (1.0 - w) * np.log(centre))
@@ -359,8 +377,10 @@ class Drawn(InTests):
     def _at_scores(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, Slopes]:
         z, population, blend, by = self._parts(theta)
         value, (by_z, by_centre, by_width) = self.population.values(z, *blend, self.lower, self.upper)
-        by_sd = (1.0 - self.centring) * blend[1] / population[1]
-        return value, population, blend, (by_z, by_centre * by, by_width * by_sd)
+        if self._is_centred:
+            by_centre = by_centre * by
+            by_width = by_width * ((1.0 - self.centring) * blend[1] / population[1])
+        return value, population, blend, (by_z, by_centre, by_width)
 
     def _slopes(self, by_z: FloatArray, by_centre: FloatArray, by_width: FloatArray) -> list[Slope]:
         columns = (self.columns, np.full_like(self.columns, self.centre), self.widths)

@@ -19,6 +19,8 @@ def truncated_normal_values(
 ) -> tuple[FloatArray, Slopes]:
     """Return x = F⁻¹(Φ(z)) for the normal distribution F truncated to the bounds, and ∂x/∂z, ∂x/∂mean, ∂x/∂sd.
 
+    The derivatives can be broadcast to the shape of x.
+
     x = mean + sd q, where Φ(q) = Φ(α) Φ(−z) + Φ(β) Φ(z), α = (lower − mean)/sd and β = (upper − mean)/sd.
 
     Parameters
@@ -29,7 +31,7 @@ def truncated_normal_values(
     value = mean + sd * z
     near = _find_near(z, mean, sd, lower, upper)
     if near is None:
-        return value, tuple(np.broadcast_to(x, value.shape) for x in (sd, np.ones(1), z))  # type: ignore[return-value]
+        return value, (sd, np.ones((1,) * value.ndim), z)
     z, mean, sd, near = np.broadcast_arrays(z, mean, sd, near)
     slopes = (sd.copy(), np.ones(z.shape), z.copy())
     value[near], of_near = _values_near_bounds(z[near], mean[near], sd[near], lower, upper)
@@ -44,10 +46,21 @@ def _find_near(
     """Return a mask of the values on which the bounds have an influence; None if there is no such value."""
     if np.isneginf(lower) and np.isposinf(upper):
         return None
+    near = ~are_bounds_distant(z, mean, sd, lower, upper)
+    return near if np.any(near) else None
+
+
+def are_bounds_distant(
+    z: FloatArray | float,
+    mean: FloatArray,
+    sd: FloatArray,
+    lower: FloatArray | float,
+    upper: FloatArray | float,
+) -> BoolArray:
+    """Return a mask of the values on which the bounds have no influence, to rounding."""
     with np.errstate(over="ignore", invalid="ignore"):
         is_distant = np.minimum(mean - lower, upper - mean) >= _DISTANT * sd
-        near = ~(is_distant & (np.abs(z) <= _CENTRAL))
-    return near if np.any(near) else None
+        return np.asarray(is_distant & (np.abs(z) <= _CENTRAL))
 
 
 def _values_near_bounds(

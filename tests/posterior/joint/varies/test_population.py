@@ -33,7 +33,7 @@ def test_truncated_normal_is_that_of_scipy(mean, sd, lower, upper):
     assert_allclose(value, exact.logpdf(x), rtol=1e-10, atol=1e-12)
 
     inner = slice(4, -4)
-    slopes, of_density = (np.stack(one, axis=1)[inner] for one in (slopes, of_density))
+    slopes, of_density = (np.stack(np.broadcast_arrays(*one), axis=1)[inner] for one in (slopes, of_density))
     at = np.stack([z, m, s], axis=1)[inner]
     assert_gradient(
         slopes, lambda at: truncated_normal_values(*at.T, lower, upper)[0], at, 1e-6, rtol=1e-6, atol=1e-8

@@ -1,0 +1,185 @@
+"""The populations given the values of their parameters in the tests, where the bounds have no influence.
+
+Given the values x_t (their logarithms in log-normal populations), the likelihood says nothing more on the centres
+μ, the standard deviations s and the correlation matrix R of the populations. With Σ = D R D, where D has the s on
+its diagonal, and the prior density |Σ|^(−(p+1)/2) they would have a normal and an inverse Wishart distribution,
+
+    Σ ~ IW(n − 1, Σ_t (x_t − x̄)(x_t − x̄)ᵀ),    μ | Σ ~ N(x̄, Σ/n)
+
+(Gelman et al. 2013, *Bayesian Data Analysis*, section 3.6). Draws from it are candidates. They are accepted by the
+ratio of the prior to that prior, both as densities of (μ, s, R):
+
+    w = p(μ) p(s) p(R) |Σ|^((p+1)/2) Π s_k^(−p).
+
+Where the tests are precise, this moves the populations much farther than steps that hold the scores. Both together
+are the interweaving strategy of Yu & Meng (2011, *J. Comput. Graph. Stat.* 20, 531–570).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from fmu.posterior.joint.correlation import partial_correlations
+from fmu.posterior.joint.layout import Layout
+from fmu.posterior.joint.varies.population import Drawn
+from fmu.posterior.joint.varies.truncated_normal import are_bounds_distant
+from fmu.posterior.parameters import Parameter
+from fmu.types import BoolArray, FloatArray
+
+_FEWEST = 2
+"""Number of tests of a population that is too small for candidates."""
+_TESTS = 4
+"""Smallest number of tests for each of several correlated populations: with fewer the prior refuses candidates."""
+
+
+class Candidates(NamedTuple):
+    """Candidates for the populations of n chains, with the values that they have now.
+
+    Attributes
+    ----------
+    main : ndarray, shape (n, n_blocks, m)
+        Centres, standard deviations and partial correlations of each block of populations.
+    z : ndarray, shape (n, n_tests, n_blocks, p)
+        Scores; meaningless where a test has no score.
+    log_ratio : ndarray, shape (n, n_blocks)
+        The logarithm of the ratio by which each block is accepted; −∞ where the bounds have an influence.
+    """
+
+    main: FloatArray
+    z: FloatArray
+    log_ratio: FloatArray
+
+
+class PopulationsGivenValues:
+    """Candidates for populations by the values in the tests.
+
+    Independent populations are blocks that are accepted one by one; correlated populations are one block.
+
+    Parameters
+    ----------
+    layout : Layout
+        A layout with standard normal scores.
+    parameters : sequence of Parameter
+        The parameters of theta.
+
+    Attributes
+    ----------
+    n_blocks : int
+        Zero if candidates cannot be found for any population.
+    """
+
+    def __init__(self, layout: Layout, parameters: Sequence[Parameter]) -> None:
+        blocks = _blocks(layout)
+        self.n_blocks = len(blocks)
+        if not blocks:
+            return
+        p, drawn = len(blocks[0]), [one for block in blocks for one in block]
+        self._centres = np.array([one.centre for one in drawn]).reshape(-1, p)
+        self._widths = np.array([one.widths[0] for one in drawn]).reshape(-1, p)
+        self._partial = np.array(layout.correlation.columns if layout.correlation else (), dtype=np.int64)
+        partial = np.broadcast_to(self._partial, (len(blocks), len(self._partial)))
+        self._main = np.concatenate([self._centres, self._widths, partial], axis=1)
+        self._priors = [[parameters[k].prior for k in block] for block in self._main.tolist()]
+        ends = np.array([[parameters[k].lower, parameters[k].upper] for k in self._main.ravel()])
+        self._box = ends.T.reshape(2, *self._main.shape)
+        self._scores = np.stack([one.columns for one in drawn], axis=1).reshape(-1, len(blocks), p)
+        self._scored = np.stack([one.scored for one in drawn], axis=1).reshape(self._scores.shape)
+        self._count = self._scored.sum(axis=0)[:, 0].astype(float)
+        self._of_logarithm = np.array([one.population.of_logarithm for one in drawn]).reshape(-1, p)
+        bounds = np.array([[one.lower, one.upper] for one in drawn]).T.reshape(2, -1, p)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            self._low, self._high = np.where(self._of_logarithm, np.log(np.maximum(bounds, 0.0)), bounds)
+        before = np.array([i for j in range(p) for i in range(j)], dtype=float)
+        self._of_partial = 0.5 * (p + 1) - 0.5 * (p - 2 - before)
+
+    def propose(self, rng: np.random.Generator, theta: FloatArray) -> Candidates:
+        """Return candidates for the populations at theta, (n, ndim)."""
+        c, s = theta[:, self._centres], theta[:, self._widths]
+        z = np.where(self._scored, theta[:, self._scores], 0.0)
+        n, p, count = len(theta), c.shape[2], self._count[:, None]
+        mu = np.where(self._of_logarithm, np.log(np.where(self._of_logarithm, c, 1.0)), c)
+        away = s[:, None] * z  # the values minus μ
+        middle = away.sum(axis=1) / count
+        y = np.where(self._scored, away - middle[:, None], 0.0)
+        factor = inverse_wishart_factors(rng, np.einsum("ntbi,ntbj->nbij", y, y), self._count - 1.0)
+        new_s = np.sqrt(np.einsum("nbij,nbij->nbi", factor, factor))
+        moved = middle + np.einsum("nbij,nbj->nbi", factor, rng.standard_normal(c.shape)) / np.sqrt(count)
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+            new_z = (away - moved[:, None]) / new_s[:, None]
+            new_c = np.where(self._of_logarithm, np.exp(mu + moved), mu + moved)
+            rho = np.broadcast_to(theta[:, None, self._partial], (n, self.n_blocks, len(self._partial)))
+            new_rho = partial_correlations(factor / new_s[..., None]) if p > 1 else rho
+            main = np.concatenate([new_c, new_s, new_rho], axis=2)
+            inside = np.all((main >= self._box[0]) & (main <= self._box[1]), axis=2)
+            inside &= self._are_distant(mu, s, z) & self._are_distant(mu + moved, new_s, new_z)
+            main = np.where(inside[..., None], main, theta[:, self._main])
+            ratio = self._log_weight(main) - self._log_weight(theta[:, self._main])
+        return Candidates(main, new_z, np.where(inside, ratio, -np.inf))
+
+    def move(self, theta: FloatArray, found: Candidates, accepted: BoolArray) -> FloatArray:
+        """Return a copy of theta, (n, ndim), with the candidates of the `accepted` blocks, (n, n_blocks)."""
+        theta, scored = theta.copy(), self._scored
+        theta[:, self._main] = np.where(accepted[..., None], found.main, theta[:, self._main])
+        z = np.where(accepted[:, None, :, None], found.z, theta[:, self._scores])
+        theta[:, self._scores[scored]] = z[:, scored]
+        return theta
+
+    def _are_distant(self, mu: FloatArray, s: FloatArray, z: FloatArray) -> BoolArray:
+        """Return whether the bounds have no influence on any value of a block, (n, n_blocks)."""
+        distant = are_bounds_distant(z, mu[:, None], s[:, None], self._low, self._high) | ~self._scored
+        return np.asarray(distant.all(axis=(1, 3)))
+
+    def _log_weight(self, main: FloatArray) -> FloatArray:
+        """Return log w of the description of the module, (n, n_blocks)."""
+        p = self._centres.shape[1]
+        c, s, rho = main[..., :p], main[..., p : 2 * p], main[..., 2 * p :]
+        found = np.log(s).sum(axis=2) + np.where(self._of_logarithm, np.log(c), 0.0).sum(axis=2)
+        # the prior is that of partial correlations: with i from 1, det R = Π (1 − ρ_ij²), and the Jacobian
+        # determinant of ρ by R is Π (1 − ρ_ij²)^(−(p−1−i)/2)
+        found += (self._of_partial * np.log1p(-(rho**2))).sum(axis=2) if p > 1 else 0.0
+        return found + np.stack(
+            [
+                np.sum([prior.log_pdf(main[:, b, k]) for k, prior in enumerate(priors)], axis=0)
+                for b, priors in enumerate(self._priors)
+            ],
+            axis=1,
+        )
+
+
+def inverse_wishart_factors(rng: np.random.Generator, scatter: FloatArray, nu: FloatArray) -> FloatArray:
+    """Return factors G of draws G Gᵀ from inverse Wishart distributions.
+
+    With Bartlett's decomposition B Bᵀ of a Wishart matrix of unit scale and scatter = L Lᵀ, G = L B^(−T).
+
+    Parameters
+    ----------
+    rng : Generator
+    scatter : ndarray, shape (n, n_blocks, p, p)
+    nu : ndarray, shape (n_blocks,)
+        Degrees of freedom, at least p.
+    """
+    p = scatter.shape[-1]
+    B = np.tril(rng.standard_normal(scatter.shape), -1)
+    diagonal = np.arange(p)
+    B[..., diagonal, diagonal] = np.sqrt(rng.chisquare(nu[:, None] - diagonal, scatter.shape[:-1]))
+    if p == 1:
+        return np.asarray(np.sqrt(scatter) / B)
+    return np.asarray(np.linalg.cholesky(scatter) @ np.swapaxes(np.linalg.inv(B), -1, -2))
+
+
+def _blocks(layout: Layout) -> list[list[Drawn]]:
+    """Return the populations that candidates can be found for, in blocks of equal sizes.
+
+    Each has one standard deviation. Candidates of correlated populations need scores in all tests.
+    """
+    drawn, correlated = layout.drawn, layout.correlation is not None
+    is_possible = [
+        len(np.unique(one.widths)) == 1 and one.scored.sum() > _FEWEST and (one.scored.all() or not correlated)
+        for one in drawn
+    ]
+    if correlated:
+        return [drawn] if all(is_possible) and len(layout.tests) >= _TESTS * len(drawn) else []
+    return [[one] for one, is_one in zip(drawn, is_possible, strict=True) if is_one]
