@@ -131,7 +131,7 @@ results-list: $(READY)  ## List the studies of results/, with their groups, budg
 paper mutants: $(READY)  ## The same for one group of studies: the paper repeated, deliberate faults
 	.venv/bin/python -m tests.results run $@
 
-bench: $(READY_BENCH)  ## The same for the speed budget and the peers of the samplers
+bench: $(READY_BENCH)  ## The same for the speed budget and the samplers beside their peers
 	.venv/bin/python -m tests.results run bench
 
 validate: $(READY_BENCH) $(READY_FAST) $(READY_PROGRAMS)  ## The same for the studies of samplers, intervals and verdicts; and the long versions of tests

@@ -68,17 +68,19 @@ _EXPERIMENTS = tuple(f"{what}-{pairing}" for what in ("young", "section") for pa
 _OF_PAPER = (
     "README", "errata", "recomputed", "vector-beta", "model-error", *(f"{one}/tables" for one in _EXPERIMENTS),
 )  # fmt: skip
-_PEERS = "tests.benchmarks.peers"
+
+_POSTERIORS = (
+    *(f"cantilever-{of}" for of in ("young-shape", "young-index", "section-shape", "section-index", "frf-shape")),
+    "shear-10dof-index", "garteur-shape", "frame-50-index",
+)  # fmt: skip
 
 STUDIES = (
     Study("paper", 15, "fmu", tuple(f"{page}.md" for page in _OF_PAPER),
           (*_EXPERIMENTS, "recomputed.csv", "vector-beta.csv", "vector-beta.png", "model-error.csv",
            "model-error.png", "manifest.json"), PAPER,
           exclusive=True, also=("fmu.cli",), arguments=("paper", "--out", "{out}")),
-    Study("benchmarks", 25, "tests.benchmarks", ("benchmarks.md",), ("benchmarks",), BENCHMARKS,
-          exclusive=True, also=(_PEERS, "tests.benchmarks.test_log_prob", "tests.benchmarks.test_tower")),
-    Study("whole-runs", 25, f"{_PEERS}.whole_runs", ("whole-runs.md",), ("benchmarks",), BENCHMARKS,
-          exclusive=True),
+    Study("benchmarks", 12, "tests.benchmarks", ("benchmarks.md",), ("benchmarks",), BENCHMARKS,
+          exclusive=True, also=("tests.benchmarks.test_log_prob", "tests.benchmarks.test_tower")),
     Study("mutants", 35, "tests.validation.mutants", ("mutants.md",), (), FAULTS, exclusive=True,
           also=("fmu.cli",)),
     _study("scale", 30, "scale", exclusive=True, also=("tests.validation.scale_row",)),
@@ -86,9 +88,12 @@ STUDIES = (
     _study("kernels", 20, exclusive=True, also=("fmu.cli",)),
     _study("frfs", 15, exclusive=True),
     _study("workers", 8, exclusive=True),
-    _study("verdicts", 45),
-    _study("coverage", 40, "coverage"),
-    _study("left-out", 40),
+    *(Study(f"peers-{one}", 12, "tests.benchmarks.peers", (f"peers/{one}.md",), (f"peers/{one}.png",), BENCHMARKS,
+            arguments=("--posterior", one, "{out}", "--kept", "{kept}", "--minutes", "{minutes}"))
+      for one in _POSTERIORS),
+    _study("verdicts", 41),
+    _study("coverage", 34, "coverage"),
+    _study("left-out", 32),
     _study("populations", 35),
     _study("wrong-structures", 35),
     _study("densities", 30),

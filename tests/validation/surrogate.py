@@ -35,7 +35,7 @@ from fmu.samplers.registry import make_sampler
 from fmu.surrogates.error_limits import ErrorLimits
 from fmu.surrogates.learning import CHECKS
 from fmu.surrogates.selection import error_variances, stratify
-from tests.benchmarks.peers.target import of_unit_cube
+from tests.benchmarks.peers.posteriors import of_unit_cube
 from tests.validation.kept import Units, study_parser
 from tests.validation.surrogate_cases import POOR, PoorCase, cases, grid_moments, storeys, through, two_storeys
 from tests.validation.surrogate_page import N_CASES, page, passed

@@ -1,66 +1,58 @@
-"""Run all samplers on all posteriors, or some: python -m tests.benchmarks.peers OUT.json [--one-seed] [NAME …].
+"""fmu's samplers and their peers on a posterior, everything counted.
 
-Names are of cases or of samplers, such as "NumPyro NUTS"; the report needs all samplers. Everything runs on one
-processor core, whatever threads a library starts: processor seconds are then seconds. The samplers take turns, a
-seed each, so that what else the machine does slows all of them.
+    python -m tests.benchmarks.peers OUT --posterior KEY [--kept DIRECTORY] [--minutes M]
+
+Writes peers/KEY.md and peers/KEY.png. All run on one processor core, whatever threads a library starts. They take
+turns, a seed each, so that other work on the machine slows all of them.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import sys
-import time
+from collections import defaultdict
 from dataclasses import asdict
 from importlib.metadata import version
-from pathlib import Path
 
-PEERS = ("numpyro", "jax", "nutpie", "pints", "emcee")
+from tests.validation.kept import Units, study_parser
+
+PEERS = (
+    "emcee", "numpyro", "jax", "nutpie", "pints", "nautilus-sampler", "dynesty", "ultranest", "nessai", "pocomc",
+)  # fmt: skip
 
 
-def main(out: str, *options: str) -> None:
-    """Run, and write the figures of every run as JSON."""
+def main() -> int:
+    """Run what is missing, write the page, and return the exit code."""
+    parser = study_parser(__doc__)
+    parser.add_argument("--posterior", required=True, help="such as garteur-shape")
+    asked = parser.parse_args()
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    # XLA and BLAS count the cores when they are loaded
-    from tests.benchmarks.peers.contenders import CASES, SEEDS, check, contenders
-    from tests.benchmarks.peers.target import Target
+    os.environ["OMP_NUM_THREADS"] = "1"
+    # XLA, BLAS and PyTorch count the cores when they are loaded
+    from tests.benchmarks.peers.contenders import POSTERIORS, SEEDS, contenders
+    from tests.benchmarks.peers.figure import draw
+    from tests.benchmarks.peers.page import page
+    from tests.benchmarks.peers.posteriors import Target
+    from tests.benchmarks.peers.rows import Row
+    from tests.benchmarks.peers.run import Run
 
-    rows, differences, near = [], {}, {}
-    for case in [option for option in options if option in CASES] or CASES:
-        target = Target.load(case, CASES[case])
-        differences[case] = check(target)
-        ready = []
-        everybody = list(contenders(target))
-        for contender in [one for one in everybody if one.label in options] or everybody:
-            began = time.process_time()
-            run = contender.prepare()
-            row = {
-                "case": case,
-                "label": contender.label,
-                "model": contender.model,
-                "unit": contender.unit,
-                "cost": contender.cost(),
-                "prepared_s": time.process_time() - began,
-                "runs": [],
-            }
-            rows.append(row)
-            ready.append((run, row))
-        for seed in SEEDS[: 1 if "--one-seed" in options else None]:
-            for run, row in ready:
-                began = time.process_time()
-                outcome = run(seed)
-                row["runs"].append(asdict(outcome.figures()))
-                if row["label"] == "hmc":
-                    near[case] = target.near_a_bound(outcome.position.reshape(-1, target.problem.ndim))
-                took = time.process_time() - began
-                name, ess = f"{row['label']} ({row['model']})", round(row["runs"][-1]["ess"])
-                print(f"{case}, seed {seed}: {name}, {took:.0f} s, ESS {ess}", flush=True)
-    versions = {name: version(name) for name in PEERS}
-    result = {"versions": versions, "differences": differences, "near_a_bound": near, "rows": rows}
-    Path(out).parent.mkdir(parents=True, exist_ok=True)
-    Path(out).write_text(json.dumps(result, indent=1))
+    target = Target.load(*dict(zip(map("-".join, POSTERIORS), POSTERIORS, strict=True))[asked.posterior])
+    everybody = list(contenders(target))
+    keyed = [([one.label, seed], (one, seed)) for seed in SEEDS for one in everybody if seed in one.seeds]
+    units = Units(asked.kept, asked.minutes)
+    found = units.completed("runs", keyed, lambda one: asdict(one[0].run(one[1])))
+    runs: dict[tuple[str, str], list[Run]] = defaultdict(list)
+    for (_, (one, _)), result in zip(keyed, found, strict=False):
+        runs[one.label, one.whose].append(Run.read(result))
+    rows = [Row(whose, label, tuple(of_one)) for (label, whose), of_one in runs.items()]
+    folder = asked.out / "peers"
+    folder.mkdir(parents=True, exist_ok=True)
+    draw(rows, str(folder / f"{target.key}.png"))
+    text = page(target, rows, units.counts, {name: version(name) for name in PEERS})
+    (folder / f"{target.key}.md").write_text(f"{text}\n![Samplers]({target.key}.png)\n", encoding="utf-8")
+    return 0
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    sys.exit(main())

@@ -1,82 +1,69 @@
-"""emcee as its users run it: one ensemble of 32 walkers, the default moves, on the unit box."""
+"""emcee as its users run it: ensembles of walkers on the unit box, on fmu's log-probability in batches."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 from typing import Any
 
 import numpy as np
 
+import fmu
+from fmu.samplers.ensemble import _BEST, _move
 from fmu.types import FloatArray
-from tests.benchmarks.peers.outcome import Cost, Length, Outcome, Stopwatch, per_call
-from tests.benchmarks.peers.target import SciPyLogProb, Target
+from tests.benchmarks.peers.posteriors import Target
+from tests.benchmarks.peers.run import NOTHING, Meter, Run
 
-WALKERS = 32
+ENSEMBLES = 4
+"""Runs from starts of their own, as emcee's users do it to see whether they agree."""
+Moves = Callable[[Target], Any]
 
 
-def emcee_default(target: Target, length: Length, ensembles: int = 4) -> Callable[[int], Outcome]:
-    """Return what runs emcee's stretch move for a seed, on fmu's log-probability in batches."""
+def stretch(target: Target) -> None:
+    """Return emcee's default."""
+
+
+def differential(target: Target) -> list[tuple[Any, float]]:
+    """Return the moves that emcee's documentation recommends for narrow or separate maxima."""
     import emcee
 
-    density = InBox(target)
+    return [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
 
-    def once(seed: int) -> Outcome:
-        starts = target.starts(seed, ensembles * WALKERS).reshape(ensembles, WALKERS, -1)
-        paths, costs = [], []
-        for start, state in zip(starts, np.random.SeedSequence(seed).generate_state(ensembles), strict=True):
-            sampler = emcee.EnsembleSampler(WALKERS, target.problem.ndim, density, vectorize=True)
+
+def as_fmu(target: Target) -> list[tuple[Any, float]]:
+    """Return the moves of fmu's sampler "emcee"."""
+    return [(_move(name), weight) for name, weight in _BEST]
+
+
+def mixture(target: Target) -> list[tuple[Any, float]]:
+    """Return fmu's `MixtureMove` beside differential evolution, as its docstring has it."""
+    import emcee
+
+    zero, one = np.zeros(target.problem.ndim), target.to_unit(target.problem.upper)
+    return [(fmu.MixtureMove(lower=zero, upper=one), 0.8), (emcee.moves.DEMove(), 0.2)]
+
+
+def emcee_run(target: Target, moves: Moves, warmup: int, draws: int, seed: int) -> Run:
+    """Run ensembles of 32 walkers, or of twice the parameters; the warm-up is with ``tune=True``."""
+    import emcee
+
+    walkers = max(32, 2 * target.problem.ndim + 2)
+    starts = target.to_unit(target.starts(seed, ENSEMBLES * walkers)).reshape(ENSEMBLES, walkers, -1)
+    paths, costs = [], [NOTHING, NOTHING]
+    meter = Meter(target)
+
+    def density(u: FloatArray) -> FloatArray:
+        return np.asarray(target.problem.log_prob(target.from_unit(u)))
+
+    with meter.counting():
+        for start, state in zip(starts, np.random.SeedSequence(seed).generate_state(ENSEMBLES), strict=True):
+            sampler = emcee.EnsembleSampler(
+                walkers, target.problem.ndim, density, moves=moves(target), vectorize=True
+            )
             sampler.random_state = np.random.RandomState(state).get_state()
-            density.inside, stopwatch = 0, Stopwatch()
-            warm = sampler.run_mcmc(target.to_unit(start), length.warmup)
-            warmed = stopwatch.read(density.inside)
+            warm = sampler.run_mcmc(start, warmup, tune=True)
+            costs[0] += meter.read()
             sampler.reset()
-            density.inside = 0
-            sampler.run_mcmc(warm, length.draws)
-            costs.append((warmed, stopwatch.read(density.inside)))
+            sampler.run_mcmc(warm, draws)
+            costs[1] += meter.read()
             paths.append(sampler.get_chain(flat=True))
-        return _outcome(target, paths, costs)
-
-    return cache(once)
-
-
-def emcee_dense(run: Callable[[int], Outcome], log_prob: SciPyLogProb) -> Callable[[int], Outcome]:
-    """Return emcee on a dense log-probability.
-
-    Its steps are those of `run` on fmu's, the same posterior, and their time is that of the dense one by itself,
-    timed at draws of that run: the run would take hours, and what emcee takes besides is left out.
-    """
-
-    def once(seed: int) -> Outcome:
-        outcome = run(seed)
-        draws = outcome.position.reshape(-1, outcome.position.shape[-1])
-        points = draws[:: len(draws) // 20]
-        return outcome.at(per_call(lambda: [log_prob(x) for x in points]) / len(points))
-
-    return once
-
-
-class InBox:
-    """The log-probability of a batch on the unit box, which counts the points inside: nothing is solved elsewhere.
-
-    Attributes
-    ----------
-    inside : int
-    """
-
-    def __init__(self, target: Target) -> None:
-        self.target = target
-        self.inside = 0
-
-    def __call__(self, u: FloatArray) -> Any:
-        """Return the log-probability at u (ndim,) or (n, ndim)."""
-        value = self.target.problem.log_prob(self.target.from_unit(u))
-        self.inside += int(np.count_nonzero(value > -np.inf))
-        return value
-
-
-def _outcome(target: Target, paths: list[FloatArray], costs: list[tuple[Cost, Cost]]) -> Outcome:
-    warmup, draws = costs[0]
-    for warmed, drawn in costs[1:]:
-        warmup, draws = warmup + warmed, draws + drawn
-    return Outcome(target.from_unit(np.stack(paths)), warmup, draws, walkers=WALKERS)
+    return Run.of_chains(target.from_unit(np.stack(paths)), walkers, warmup=costs[0], draws=costs[1])

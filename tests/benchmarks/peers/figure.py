@@ -1,73 +1,60 @@
-"""The figure of the comparison."""
+"""The figure of the peers on one posterior."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fmu.numbers import significant
 from fmu.report.plots.style import DPI, FONT, GREY, PALE, colour, finish, new_figure
+from tests.benchmarks.peers.rows import Row, doubts
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+PANELS = (("evaluations", "log-probability"), ("cpu_s", "second on one core"))
 
-def draw(rows: dict[str, list[Any]], out: str) -> Figure:
-    """Draw ESS per solve and per second, a bar a sampler: logarithmic, the best per second on top.
+
+def draw(rows: list[Row], out: str) -> Figure:
+    """Draw effective draws per evaluation and per second: a bar a sampler, the best per second on top.
+
+    A bar is a whole run, and a line at it the draws after warm-up. Runs that are not right are hatched.
 
     Parameters
     ----------
-    rows : dict of str to list of Row
-        By experiment.
+    rows : list of Row
+        Of one posterior; those without draws are left out.
     out : str
         PNG.
-
-    Returns
-    -------
-    Figure
     """
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    figure = new_figure(11.0, 0.5 + sum(0.34 * len(of_case) + 0.9 for of_case in rows.values()))
-    axes = figure.subplots(len(rows), 2, squeeze=False, height_ratios=[len(of_case) for of_case in rows.values()])
-    for pair, (case, of_case) in zip(axes, rows.items(), strict=True):
-        ordered = sorted(of_case, key=lambda row: row.per_second())
-        _bars(pair[0], ordered, lambda row, warmup_in=False: row.per_solve(warmup_in))
-        _bars(pair[1], ordered, lambda row, warmup_in=False: row.per_second(warmup_in))
-        pair[0].set_yticks(range(len(ordered)), [row.name for row in ordered], fontsize=FONT - 1)
-        pair[1].set_yticks([])
-        pair[0].set_title(case, loc="left", fontsize=FONT + 1)
-        pair[0].set_xlabel("ESS per solve (a gradient counts as what it costs)", fontsize=FONT)
-        pair[1].set_xlabel("ESS per second on one core", fontsize=FONT)
+    having = [row for row in rows if np.isfinite(row.ess())]
+    ordered = sorted(having, key=lambda row: row.per("cpu_s", True))
+    figure = new_figure(11.0, 1.6 + 0.3 * len(ordered))
+    for axes, (unit, what) in zip(figure.subplots(1, 2), PANELS, strict=True):
+        in_all, after = ([row.per(unit, whole) for row in ordered] for whole in (True, False))
+        axes.set_xscale("log")
+        axes.set_xlim(0.6 * min(in_all), 5.0 * max(after))
+        for y, (row, value, later) in enumerate(zip(ordered, in_all, after, strict=True)):
+            style = {"facecolor": colour(row.label) if row.ours else PALE, "edgecolor": GREY}
+            axes.barh(y, value, 0.7, hatch="///" if doubts(row, rows) else None, **style)
+            axes.plot(later, y, marker="|", color="black", markersize=10)
+            axes.text(1.15 * later, y, significant(value, 2), va="center", fontsize=FONT - 2, color=GREY)
+        axes.set_xlabel(f"ESS per {what}", fontsize=FONT)
+        finish(axes)
+        axes.set_yticks(range(len(ordered)), [""] * len(ordered))
+    figure.axes[0].set_yticks(range(len(ordered)), [row.name for row in ordered], fontsize=FONT - 1)
     handles = [
-        Patch(facecolor=GREY, label="fmu, default settings (in colour)"),
-        Patch(facecolor=PALE, edgecolor=GREY, hatch="///", label="peer"),
-        Patch(facecolor="white", edgecolor=GREY, hatch="...", label="peer, steps × time of a dense model"),
-        Line2D([], [], color="black", marker="|", linestyle="", markersize=10, label="warm-up counted"),
+        Patch(facecolor=GREY, label="fmu (in colour)"),
+        Patch(facecolor=PALE, edgecolor=GREY, label="peer"),
+        Patch(facecolor="white", edgecolor=GREY, hatch="///", label="not right"),
+        Line2D([], [], color="black", marker="|", linestyle="", markersize=10, label="after warm-up alone"),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=FONT - 1, frameon=False)
     Path(out).parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(out, dpi=DPI)
     return figure
-
-
-def short(value: float) -> str:
-    """Return two significant digits, without an exponent."""
-    return np.format_float_positional(float(f"{value:.1e}"), trim="-")
-
-
-def _bars(axes: Any, rows: list[Any], value: Any) -> None:
-    values = np.array([value(row) for row in rows])
-    axes.set_xscale("log")
-    axes.set_xlim(0.6 * min(value(row, True) for row in rows), 4.0 * values.max())
-    for y, (row, width) in enumerate(zip(rows, values, strict=True)):
-        style = {"color": colour(row.label)}
-        if not row.ours:
-            hatch, face = ("...", "white") if row.is_product else ("///", PALE)
-            style = {"facecolor": face, "edgecolor": GREY, "hatch": hatch}
-        axes.barh(y, width, 0.7, **style)
-        axes.plot(value(row, True), y, marker="|", color="black", markersize=11)
-        axes.text(1.1 * width, y, short(width), va="center", fontsize=FONT - 2, color=GREY)
-    finish(axes)

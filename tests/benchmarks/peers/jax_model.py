@@ -15,7 +15,7 @@ from jax.scipy.linalg import solve_triangular
 from fmu.analysis.estimate import gradient_cost
 from fmu.fem.pairing.rules import RankPairing
 from fmu.types import FloatArray
-from tests.benchmarks.peers.target import Target
+from tests.benchmarks.peers.posteriors import Target
 
 jax.config.update("jax_enable_x64", True)
 
@@ -47,7 +47,7 @@ class JaxBlock:
 
 
 class JaxPosterior:
-    """Prior and likelihood of a target in coordinates x = (θ − lower)/scale.
+    """Prior and likelihood of a target in coordinates x = (θ − lower)/width.
 
     Parameters
     ----------
@@ -89,25 +89,23 @@ class JaxPosterior:
 
 
 class JaxBeam(JaxPosterior):
-    """A beam of the paper: errors of frequencies, Gaussian priors cut off at the box.
+    """A beam of the paper, or a frame: errors of frequencies, Gaussian priors cut off at the box.
 
     Parameters
     ----------
     target : Target
-    reduced : bool
-        Whether the eigenproblems are fmu's reduced ones, or those of the full blocks.
     """
 
-    def __init__(self, target: Target, reduced: bool = True) -> None:
+    def __init__(self, target: Target) -> None:
         super().__init__(target)
         problem = target.problem
         loc, sd = (np.array([getattr(p.prior, name) for p in problem.parameters]) for name in ("mean", "sd"))
-        loc, sd = target.to_unit(loc), sd / problem.scale
+        loc, sd = target.to_unit(loc), sd / target.width
         self.prior = dist.TruncatedNormal(jnp.asarray(loc), jnp.asarray(sd), low=0.0, high=1.0).to_event(1)
-        self.offset = problem.lower / problem.scale
+        self.offset = problem.lower / target.width
         self.measured = jnp.asarray(problem.data.frequencies_hz)
         self.noise = jnp.asarray(problem.likelihood.error.sd)
-        self.eigenvalues = _paired(target, reduced)
+        self.eigenvalues = _paired(target)
 
     def log_likelihood(self, x: Any) -> Any:
         """Return the log-likelihood at x (ndim,), a constant apart."""
@@ -121,11 +119,11 @@ class JaxBuilding(JaxPosterior):
     def __init__(self, target: Target) -> None:
         super().__init__(target)
         problem, model = target.problem, target.structure.structure
-        self.scale = jnp.asarray(problem.scale)
+        self.scale = jnp.asarray(target.width)
         median, sigma = (
             np.array([getattr(p.prior, name) for p in problem.parameters]) for name in ("median", "sigma")
         )
-        self.prior = dist.LogNormal(jnp.asarray(np.log(median / problem.scale)), jnp.asarray(sigma)).to_event(1)
+        self.prior = dist.LogNormal(jnp.asarray(np.log(median / target.width)), jnp.asarray(sigma)).to_event(1)
         self.K = jnp.asarray(np.stack([term.matrix.toarray() for term in model.K_terms]))
         (mass,) = {float(m) for term in model.M_terms for m in term.matrix.diagonal()}  # every floor's is the same
         self.K /= mass
@@ -149,15 +147,16 @@ class JaxBuilding(JaxPosterior):
 
 def in_jax(target: Target) -> JaxPosterior:
     """Return the posterior of a target on the model that fmu samples on."""
-    return JaxBeam(target) if target.is_box else JaxBuilding(target)
+    return JaxBeam(target) if np.all(target.boxed) else JaxBuilding(target)
 
 
-def _paired(target: Target, reduced: bool) -> Callable[[Any], Any]:
+def _paired(target: Target) -> Callable[[Any], Any]:
     """Return the eigenvalues of the measured modes as a function of theta over the bounds' width."""
     structure, pairing = target.structure, target.structure.pairing
-    width = target.problem.scale
-    blocks = structure.cheap.blocks if reduced else structure.truth.blocks
-    bases = [block.basis if reduced and hasattr(block, "basis") else None for block in blocks]
+    width = target.width
+    is_reduced = bool(structure.sizes)
+    blocks = structure.cheap.blocks if is_reduced else structure.truth.blocks
+    bases = [block.basis if is_reduced and hasattr(block, "basis") else None for block in blocks]
     if isinstance(pairing, RankPairing):
         (b,) = set(pairing.block)
         ranks = np.array(pairing.rank)
@@ -165,7 +164,12 @@ def _paired(target: Target, reduced: bool) -> Callable[[Any], Any]:
         return lambda x: block(x)[ranks]
     picked = np.array(structure.rule.numbers) - 1
     parts = [
-        JaxBlock(full, basis, width, min(block.n_trained, int(picked.max()) + 1))
+        JaxBlock(
+            full,
+            basis,
+            width,
+            min(block.n_trained, int(picked.max()) + 1) if is_reduced else int(picked.max()) + 1,
+        )
         for full, basis, block in zip(structure.truth.blocks, bases, blocks, strict=True)
     ]
     return lambda x: jnp.sort(jnp.concatenate([part(x) for part in parts]))[picked]

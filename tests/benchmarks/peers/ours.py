@@ -1,60 +1,52 @@
-"""fmu's samplers with their default settings."""
+"""fmu's samplers with their defaults, from nothing to a good verdict and enough effective draws."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import copy
 from typing import Any
 
-from fmu.analysis.estimate import gradient_cost
-from fmu.samplers import make_sampler, run
-from tests.benchmarks.peers.outcome import Cost, Length, Outcome, Stopwatch
-from tests.benchmarks.peers.target import Target
+import fmu
+from fmu.analysis.trace.reading import parameter_draws, walkers_of
+from fmu.samplers.registry import plan_steps
+from tests.benchmarks.peers.posteriors import Target
+from tests.benchmarks.peers.run import NOTHING, Meter, Run
 
-CHAINS = 4
+MOST_SOLVES = 300_000
+"""Solves after which a run of fmu is ended."""
 
 
-def sampler(name: str, target: Target, length: Length) -> Callable[[int], Outcome]:
-    """Return what runs one of fmu's samplers for a seed, from starts drawn from the prior.
+class WithoutModel:
+    """A problem as a log-density alone: `fmu.sample` does not predict, check and leave out after its draws."""
 
-    Evaluations are gradients for HMC, else log-probabilities; the few gradients of the mixture's local steps count
-    as what they cost.
-    """
-    settings = make_sampler(name)
-    cost = gradient_cost(target.problem, target.starts(0, CHAINS))
+    def __init__(self, problem: Any) -> None:
+        for name in ("ndim", "names", "units", "lower", "upper", "offset", "scale", "solves_per_gradient"):
+            setattr(self, name, getattr(problem, name))
+        self.log_prob, self.log_prob_and_grad = problem.log_prob, problem.log_prob_and_grad
+        self.sample_prior = problem.sample_prior
 
-    def booked(time: Cost, stats: Any) -> Cost:
-        gradients = int(stats["n_gradients"].sum())
-        evaluations = gradients if name == "hmc" else stats["n_solves"].sum() + (cost - 1.0) * gradients
-        return Cost(time.cpu_s, time.wall_s, round(evaluations))
 
-    def once(seed: int) -> Outcome:
-        starts = target.starts(seed, CHAINS * settings.walkers)
-        if settings.walkers > 1:
-            starts = starts.reshape(CHAINS, settings.walkers, -1)
-        stopwatch, warmed = Stopwatch(), []
+def fmu_run(target: Target, name: str, seed: int, enough: float) -> Run:
+    """Run a sampler as ``fmu run --until-ess`` does, the search for maxima included."""
+    meter, costs = Meter(target), {"warmup": NOTHING, "draws": NOTHING}
 
-        def progress(phase: str, done: int, total: int, words: dict[str, str]) -> None:
-            if phase == "warmup" and done == total:
-                warmed.append(stopwatch.read())
+    def progress(phase: str, done: int, total: int, words: dict[str, Any]) -> None:
+        if phase in costs:
+            costs[phase] += meter.read()
 
-        result = run(
-            target.problem,
-            settings,
-            draws=length.draws,
-            warmup=length.warmup,
-            chains=CHAINS,
-            seed=seed,
-            init=starts,
-            progress=progress,
-        )
-        drawn = stopwatch.read()
-        kept = result.posterior.stats
-        return Outcome(
-            result.posterior.position,
-            warmup=booked(warmed[0], result.warmup.stats),
-            draws=booked(drawn, kept),
-            walkers=settings.walkers,
-            divergences=int(kept["diverging"].sum()) if "diverging" in kept else None,
-        )
-
-    return once
+    with meter.counting():
+        maxima = fmu.find_map(copy.copy(target.problem))  # whose maxima are not known yet
+        search = meter.read()
+        warmup, draws = plan_steps(name, None, None)
+        trace = fmu.sample(
+            WithoutModel(target.problem), name, maxima=maxima, seed=seed, until_ess=enough, progress=progress,
+            warmup=warmup, draws=draws, max_solves=MOST_SOLVES,
+        )  # fmt: skip
+    found = fmu.evidence(trace) if name == "mixture" else None
+    return Run.of_chains(
+        parameter_draws(trace),
+        walkers_of(trace),
+        search=search,
+        evidence=None if found is None else (found.log_evidence, found.error),
+        ended=fmu.diagnose(trace).converged,
+        **costs,
+    )

@@ -1,0 +1,132 @@
+"""The runs of one contender on one posterior, and whether they are right."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmu.numbers import whole
+from tests.benchmarks.peers.contenders import ENOUGH, FMU
+from tests.benchmarks.peers.run import Run
+
+FAR = 4.0
+NEAR_ENOUGH = 0.05
+"""Of a log-evidence: nautilus gives no error, and the weights alone give one that is too small."""
+GOOD = 1.05
+"""R-hat of the chains of a peer."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One contender on a posterior: medians over its runs.
+
+    Attributes
+    ----------
+    whose, label : str
+    runs : tuple of Run
+    """
+
+    whose: str
+    label: str
+    runs: tuple[Run, ...]
+
+    @property
+    def ours(self) -> bool:
+        """Whether it is one of fmu's samplers."""
+        return self.whose == FMU
+
+    @property
+    def name(self) -> str:
+        """Name for readers."""
+        return f"fmu {self.label}" if self.ours else self.label
+
+    @property
+    def ended(self) -> bool:
+        """Whether all runs have ended by themselves."""
+        return all(run.ended for run in self.runs)
+
+    @property
+    def rhat(self) -> float:
+        """Largest R-hat of all runs; NaN of weighted draws."""
+        return max(run.rhat for run in self.runs)
+
+    def median(self, figure: Callable[[Run], float]) -> float:
+        """Return the median of a figure over the runs."""
+        return float(np.median([figure(run) for run in self.runs]))
+
+    def ess(self) -> float:
+        """Return the effective draws of a run."""
+        return self.median(lambda run: run.ess)
+
+    def spent(self, part: str) -> float:
+        """Return the evaluations of a part of a run."""
+        return self.median(lambda run: getattr(run, part).evaluations)
+
+    def per(self, unit: str, whole_run: bool) -> float:
+        """Return effective draws per evaluation or second: of the draws alone, or of a whole run to `ENOUGH`.
+
+        Parameters
+        ----------
+        unit : {"evaluations", "cpu_s"}
+        whole_run : bool
+            With the search and the warm-up as they are, and the draws in proportion. Of a nested sampler all that
+            it did counts both times, as it cannot stop earlier.
+        """
+
+        def figure(run: Run) -> float:
+            draws, before = getattr(run.draws, unit), getattr(run.search + run.warmup, unit)
+            return ENOUGH / (before + draws * ENOUGH / run.ess) if whole_run and before else run.ess / draws
+
+        return self.median(figure)
+
+    def mean(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the posterior means over all runs and their standard errors, shape (ndim,)."""
+        errors = np.array([run.mcse for run in self.runs])
+        return np.mean([run.mean for run in self.runs], axis=0), np.sqrt(np.sum(errors**2, axis=0)) / len(errors)
+
+    def evidence(self) -> tuple[float, float] | None:
+        """Return the log-evidence over all runs and its standard error; None if it has none."""
+        found = [run.evidence for run in self.runs if run.evidence is not None]
+        if not found:
+            return None
+        value, error = np.array(found).T
+        return float(value.mean()), float(np.sqrt(np.sum(error**2)) / len(error))
+
+
+def reference(rows: Iterable[Row]) -> Row:
+    """Return the peer with most effective draws in all its runs, of those that ended and whose chains agree."""
+    peers = [row for row in rows if not row.ours]
+    good = [row for row in peers if row.ended and not row.rhat > GOOD]
+    return max(good or peers, key=lambda row: sum(run.ess for run in row.runs))
+
+
+def deviation(row: Row, rows: Iterable[Row]) -> float:
+    """Return how far a row's means are from those of the reference, in standard errors, at most."""
+    (other, error), (mean, own) = reference(rows).mean(), row.mean()
+    return float(np.max(np.abs(mean - other) / np.sqrt(own**2 + error**2)))
+
+
+def evidence_of_reference(rows: Iterable[Row]) -> tuple[float, float] | None:
+    """Return the log-evidence of the peer with most effective draws that has one."""
+    having = [row for row in rows if row.evidence() is not None]
+    peers = [row for row in having if not row.ours and row.ended]
+    return max(peers, key=Row.ess).evidence() if peers else None
+
+
+def doubts(row: Row, rows: list[Row]) -> list[str]:
+    """Return why a row is not right."""
+    found = []
+    if not row.ended:
+        calls = whole(row.median(lambda run: run.cost.evaluations))
+        found.append("its verdict is not good" if row.ours else f"not at an end after {calls} calls")
+    if row.rhat > GOOD:
+        found.append("its chains do not agree")
+    if row is not reference(rows) and not deviation(row, rows) < FAR:
+        found.append("its means are off")
+    evidence, known = row.evidence(), evidence_of_reference(rows)
+    if evidence is not None and known is not None:
+        allowed = max(NEAR_ENOUGH, FAR * float(np.hypot(known[1], evidence[1])))
+        found += ["its log-evidence is off"] * (not abs(evidence[0] - known[0]) < allowed)
+    return found
