@@ -26,8 +26,8 @@ TEXT = """Written by `python -m tests.benchmarks.peers --posterior {key} results
 
 Every sampler on the posterior of {title}, with {parameters} parameters, from starts drawn from the
 prior, the same for all; {seeds} seeds each, of PINTS and the nested samplers one; medians. Everything has one
-processor core, and seconds are processor seconds. ESS is the bulk ESS of the worst parameter, of an ensemble by its
-autocorrelation time, of weighted draws Kish's. An *evaluation* is a log-probability inside the bounds; a gradient
+processor core, and seconds are processor seconds. ESS is the bulk ESS of the worst parameter, of an ensemble by
+its autocorrelation time, of weighted draws Kish's. An *evaluation* is a log-probability inside the bounds; a gradient
 counts as the time that it takes, of the same model and in batches of four. *In all* is a run to {enough} effective
 draws with its search for maxima and its warm-up as they are, and its draws in proportion; compilation is not
 counted.
