@@ -24,13 +24,13 @@ PLAIN_EMCEE = "emcee, moves of fmu's"
 
 TEXT = """Written by `python -m tests.benchmarks.peers --posterior {key} results`. {machine} {done}.
 
-Every sampler on the posterior of {title}, with {parameters} parameters, from starts drawn from the
-prior, the same for all; {seeds} seeds each, of PINTS and the nested samplers one; medians. Everything has one
-processor core, and seconds are processor seconds. ESS is the bulk ESS of the worst parameter, of an ensemble by
-its autocorrelation time, of weighted draws Kish's. An *evaluation* is a log-probability inside the bounds; a gradient
-counts as the time that it takes, of the same model and in batches of four. *In all* is a run to {enough} effective
-draws with its search for maxima and its warm-up as they are, and its draws in proportion; compilation is not
-counted.
+Every sampler on the posterior of {title}, with {parameters} parameters, from starts drawn from the prior, the
+same for all; {seeds} seeds each, of PINTS and the nested samplers one; medians. Everything has one processor
+core, and seconds are processor seconds. ESS is the bulk ESS of the worst parameter, of an ensemble by its
+autocorrelation time, of weighted draws Kish's. An *evaluation* is a log-probability inside the bounds; a
+gradient counts as the time that it takes, of the same model and in batches of four. *In all* is a run to
+{enough} effective draws with its search for maxima and its warm-up as they are, and its draws in proportion;
+compilation is not counted.
 
 - **fmu**: as `fmu run --until-ess {enough}` runs each sampler, the search for maxima included.
 - **emcee**: four ensembles of 32 walkers (of 2 n + 2 with more parameters), 500 + 750 steps;
