@@ -81,11 +81,11 @@ IN_ONE_PROCESS = [p for p in with_blocks("python") if p.name not in ("CONTRIBUTI
 
 @pytest.fixture(params=[True, pytest.param(False, marks=pytest.mark.validate)], ids=["short", "whole"])
 def _length(request, monkeypatch):
-    """Leave the runs of the examples their lengths, or shorten them to some hundred steps."""
+    """Leave the runs of the examples their lengths, or shorten them to a hundred steps or so."""
     sample = fmu.sample
 
     def shortened(*given, draws=1000, warmup=1000, **options):
-        return sample(*given, draws=min(draws, 200), warmup=min(warmup, 100), **options)
+        return sample(*given, draws=min(draws, 80), warmup=min(warmup, 60), **options)
 
     if request.param:
         monkeypatch.setattr(fmu, "sample", shortened)
