@@ -44,6 +44,12 @@ def moments(of):
 
 
 @pytest.fixture(scope="module")
+def exact_moments():
+    """Return those of the model's own posterior."""
+    return moments(problem())
+
+
+@pytest.fixture(scope="module")
 def learnt():
     """The surrogate, and every theta in the order in which it was solved."""
     solved = []
@@ -55,8 +61,8 @@ def learnt():
     return fmu.surrogate(problem(counted)), np.array(solved)
 
 
-def test_the_posterior_is_that_of_the_model(learnt):
-    mean, sd = moments(problem())
+def test_the_posterior_is_that_of_the_model(learnt, exact_moments):
+    mean, sd = exact_moments
     found_mean, found_sd = moments(learnt[0])
     record = learnt[0].model.certificate
     assert np.max(np.abs(found_mean - mean) / sd) <= record.shift <= 0.05
@@ -102,8 +108,8 @@ def test_workers_and_batched_functions_change_nothing(learnt):
         assert other.model.certificate == learnt[0].model.certificate
 
 
-def test_a_corner_that_fails_is_learnt_and_told():
-    mean, sd = moments(problem())
+def test_a_corner_that_fails_is_learnt_and_told(exact_moments):
+    mean, sd = exact_moments
     edge = mean[0] + 0.5 * sd[0]  # it cuts through the posterior
 
     def failing(theta):
@@ -139,13 +145,13 @@ def test_a_mode_that_may_have_been_taken_for_another_is_told():
     assert "has a MAC below 0.6" in found.model.certificate.doubts
 
 
-def test_scatter_of_the_answers_is_estimated_and_told():
+def test_scatter_of_the_answers_is_estimated_and_told(exact_moments):
     rng = np.random.default_rng(1)
     with pytest.warns(SurrogateWarning, match="answers scatter"):
         found = fmu.surrogate(problem(lambda theta: storeys(theta) * (1.0 + 5e-4 * rng.standard_normal(2))))
     record = found.model.certificate
     assert record.scatter == pytest.approx(5e-4, rel=0.6)
-    mean, sd = moments(problem())
+    mean, sd = exact_moments
     assert np.max(np.abs(moments(found)[0] - mean) / sd) <= record.shift
 
 
