@@ -26,7 +26,7 @@ from fmu.runs.status import RunReader
 from fmu.runs.web import WatchServer
 from tests.cli.runs import problem_in
 from tests.report.browser import needs_browser
-from tests.report.conftest import browser  # noqa: F401
+from tests.report.conftest import browser, chromium  # noqa: F401
 from tests.runs.keeping import at_keep
 
 ROOT = Path(__file__).parents[2]

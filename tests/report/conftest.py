@@ -21,11 +21,18 @@ from tests.report.parsed import IMAGE, SCRIPT
 
 
 @pytest.fixture(scope="session")
-def browser(tmp_path_factory):
+def chromium(tmp_path_factory):
     """Chromium, started once for all tests of a worker."""
     driver = started(tmp_path_factory.mktemp("profile"))
     yield driver
     driver.quit()
+
+
+@pytest.fixture(scope="module")
+def browser(chromium):
+    """Chromium, which leaves its page at the end of a file: what moves there would take a core until it quits."""
+    yield chromium
+    chromium.get("about:blank")
 
 
 class Gaussian:
