@@ -31,6 +31,7 @@ from fmu.config.tests import MOST_TESTS, TestTable, build_tests, in_the_file, va
 from fmu.engines.base import Engine
 from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.rules import SOFTNESS
+from fmu.fem.reduced.cost import memory_in_words
 from fmu.formats.decks import EXPORTED, fill_deck, filled_name, read_deck
 from fmu.posterior.data.expected import expected_modes
 from fmu.posterior.data.modal_data import ModalData
@@ -185,6 +186,8 @@ class ProblemFile(TomlTable):
                 structure = self.model.build(folder, self.structural)
             if structure.separable is not None:
                 tell_fact(f"{structure.separable.n_dof} degrees of freedom, {len(self.parameters)} parameters")
+                if memory := memory_in_words(structure.separable):
+                    tell_fact(memory)
             if self.tests is not None:
                 return self._joint(folder, structure, parameters, errors, pairing, beta, engine)
             if self._is_unmeasured(planning):

@@ -10,6 +10,7 @@ from fmu.fem.frame.drawing import changed_elements, draw_svg, is_drawable, param
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.static import TRANSLATIONS, rigid_translation
 from fmu.fem.pairing.paired_structure import structure_of
+from fmu.fem.reduced.cost import memory_in_words
 from fmu.numbers import customary_unit, listed, names_in_words, significant, with_unit
 from fmu.posterior.parameters import prior_in_words
 from fmu.tables import data_frame
@@ -46,6 +47,7 @@ def model_in_words(problem: UpdatingProblem) -> list[str]:
         said.append(f"Its reduced model has {' + '.join(map(str, problem.model.sizes))} unknowns.")
     said += [model.why_full] if model.why_full else []
     said.append(f"Its matrices are factorised by {model.solver}.")
+    said += [memory] if (memory := memory_in_words(structure)) else []
     return said
 
 

@@ -65,6 +65,11 @@ class Factor(Protocol):
         """Number of entries in the factors, L and its transpose."""
         ...
 
+    @property
+    def n_bytes(self) -> int:
+        """Memory of the factors, by PARDISO's own count, and otherwise by the number of their entries."""
+        ...
+
     def solve(self, loads: FloatArray) -> FloatArray:
         """Return A⁻¹ b for b of shape (n,) or (n, m)."""
         ...
@@ -131,7 +136,7 @@ class ScaledFactor:
 
     def __init__(self, scaled: Factor, scale: FloatArray) -> None:
         self.scaled, self.scale = scaled, scale
-        self.negative, self.n_entries = scaled.negative, scaled.n_entries
+        self.negative, self.n_entries, self.n_bytes = scaled.negative, scaled.n_entries, scaled.n_bytes
 
     def solve(self, loads: FloatArray) -> FloatArray:
         """Return A⁻¹ b for b of shape (n,) or (n, m)."""
@@ -140,11 +145,17 @@ class ScaledFactor:
 
 
 class LastFactor:
-    """The factors of a block's stiffness at the last theta for which they were made. A copy or pickle has none."""
+    """The factors of a block's stiffness at the last theta for which they were made. A copy or pickle has none.
+
+    Attributes
+    ----------
+    factor : ScaledFactor or None
+        The factors, if there are any.
+    """
 
     def __init__(self) -> None:
         self._at: bytes | None = None
-        self._factor: ScaledFactor | None = None
+        self.factor: ScaledFactor | None = None
 
     def __reduce__(self) -> tuple[type[LastFactor], tuple[()]]:
         """Return the call that makes an empty one: factors cannot be pickled."""
@@ -153,17 +164,17 @@ class LastFactor:
     def at(self, theta: FloatArray, make: Callable[[], ScaledFactor | None]) -> ScaledFactor | None:
         """Return the factors at theta (n_parameters,), from `make` unless they are kept; None if it gives none."""
         if self._at != theta.tobytes():
-            self._at = self._factor = None  # before the next factors take memory
-            self._factor = make()
+            self._at = self.factor = None  # before the next factors take memory
+            self.factor = make()
             self._at = theta.tobytes()
-        return self._factor
+        return self.factor
 
 
 class DenseFactor:
     """Factors of a dense matrix: Cholesky factors L Lᵀ, or L D Lᵀ if indefinite (Bunch & Kaufman 1977)."""
 
     def __init__(self, matrix: FloatArray) -> None:
-        self.negative, self.n_entries = 0, matrix.size
+        self.negative, self.n_entries, self.n_bytes = 0, matrix.size, 8 * matrix.size
         self.L: FloatArray | None = None
         try:
             self.L = np.linalg.cholesky(matrix)
@@ -236,7 +247,7 @@ class _BandedFactor:
         self._lower, failed = sl.lapack.dpbtrf(lower, lower=1, overwrite_ab=1)
         if failed:
             raise np.linalg.LinAlgError("the matrix is not positive definite")
-        self.n_entries = 2 * size
+        self.n_entries, self.n_bytes = 2 * size, 8 * size
 
     def solve(self, loads: FloatArray) -> FloatArray:
         found, solution = np.empty_like(loads), sl.lapack.dpbtrs(self._lower, loads[self._order], lower=1)[0]
@@ -257,6 +268,7 @@ class _SuperLU:
             raise np.linalg.LinAlgError(str(error)) from error
         self.negative = int(np.sum(~(self._lu.U.diagonal() > 0.0)))
         self.n_entries = int(self._lu.nnz)
+        self.n_bytes = 12 * self.n_entries
 
     def solve(self, loads: FloatArray) -> FloatArray:
         return self._lu.solve(loads)
@@ -283,6 +295,10 @@ class _Pardiso:
     @property
     def n_entries(self) -> int:
         return 2 * int(self._solver.get_iparm(18))
+
+    @property
+    def n_bytes(self) -> int:
+        return sum(1024 * int(self._solver.get_iparm(i)) for i in (16, 17))
 
     def solve(self, loads: FloatArray) -> FloatArray:
         return _call(self._solver, self._upper, _SOLVE, loads)

@@ -1,6 +1,7 @@
 """Factors of symmetric matrices: each solver solves a block, and counts the eigenvalues below zero."""
 
 import sys
+from functools import reduce
 from importlib.util import find_spec
 
 import numpy as np
@@ -115,10 +116,13 @@ def test_free_memory_is_a_number_or_unknown():
 @fast
 @pytest.mark.parametrize("is_definite", [True, False])
 def test_factors_do_not_depend_on_the_number_of_threads(monkeypatch, is_definite):
-    """Every pair of a grid's rows couples, so that PARDISO has work for several threads."""
+    """A grid of 40 x 20 x 20 points has fronts that several threads share."""
     monkeypatch.setattr(solver, "LARGE", 1000)
-    line = sp.diags_array([[2.0] * 40, [-1.0] * 39, [-1.0] * 39], offsets=[0, 1, -1])
-    grid = sp.csr_array(sp.kronsum(sp.kronsum(line, line[:12, :12]), line[:12, :12]))
+    lines = [
+        sp.csr_array(sp.diags_array([[2.0] * n, [-1.0] * (n - 1), [-1.0] * (n - 1)], offsets=[0, 1, -1]))
+        for n in (40, 20, 20)
+    ]
+    grid = sp.csr_array(reduce(sp.kronsum, lines))
     loads = np.random.default_rng(0).standard_normal((grid.shape[0], 5))
     found = []
     for threads in ("1", "2"):
