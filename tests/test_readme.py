@@ -66,10 +66,14 @@ def test_modes_left_out_are_those_of_the_paper_with_a_model_that_may_be_wrong(re
     ).groups()
     assert f"| section 5.1, paired by shape | {few} of 5 | {of} |" in page
     shifted = (RESULTS / "forgotten-mass.md").read_text(encoding="utf-8")
-    scatter, updated = re.search(
-        r"held (\d+) % of the moduli with scatter, and (\d+) %", plain(read_guide("contradicted"))
+    said_of = re.search(
+        r"held (\d+) % of the moduli with independent scatter, (\d+) % with scatter in common, (\d+) % with an "
+        r"inferred correlation, and (\d+) % with an updated mass",
+        plain(read_guide("contradicted")),
     ).groups()
-    for words, said in (("scatter of all three", scatter), ("an updated mass", updated)):
+    scatter = ("", ", in common", ", correlations inferred")
+    rows = [*(f"scatter of all three{kind}" for kind in scatter), "an updated mass"]
+    for words, said in zip(rows, said_of, strict=True):
         held = re.search(rf"\| mass \| {words} \| (\S+) % \|", shifted)[1]
         assert float(said) == round(float(held))
 

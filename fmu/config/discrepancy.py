@@ -26,8 +26,9 @@ class DiscrepancyTable(TomlTable):
     """Groups, or names of parameters, that scatter; all if not given."""
     sd: Positive | None = None
     """With kind = "modes", the standard deviation of relative errors of frequencies. Inferred if not given."""
-    correlation: Annotated[float, Field(ge=0, lt=1)] | None = None
-    """With kind = "modes", the correlation of the errors of two frequencies. Inferred if not given."""
+    correlation: Annotated[float, Field(ge=0, le=1)] | Literal["inferred"] | None = None
+    """Correlation of the errors of two frequencies, inferred if not given (kind = "modes"), or of the scatter of a
+    parameter in two modes, 0 if not given (kind = "embedded")."""
     shape_sd: Positive | None = None
     """With kind = "modes", of a component of a shape whose largest component is 1. Inferred if not given."""
     length: Positive | None = None

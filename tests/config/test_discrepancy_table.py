@@ -22,6 +22,7 @@ def load(folder, table, text=MODEL):
         {"kind": "embedded", "tau": 0.05},
         {"kind": "modes", "sd": 0.02},
         {"kind": "modes", "correlation": 0.5},
+        {"kind": "embedded", "correlation": "inferred"},
     ],
 )
 def test_a_table_is_the_object_of_the_same_settings(tmp_path, settings):
@@ -47,7 +48,8 @@ def test_a_table_is_the_object_of_the_same_settings(tmp_path, settings):
     [
         ('kind = "mode"', "discrepancy.0.kind"),
         ('kind = "embedded"\ntau = -1.0', "discrepancy.0.tau"),
-        ('kind = "modes"\ncorrelation = 1.0', "discrepancy.0.correlation"),
+        ('kind = "modes"\ncorrelation = 1.0', 'discrepancy.correlation: must be less than 1 with kind = "modes"'),
+        ('kind = "embedded"\ncorrelation = "common"', "discrepancy.0.correlation"),
         ('kind = "modes"\ntau = 0.1', 'discrepancy.tau: must not be given with kind = "modes"'),
         ('kind = "embedded"\ngroups = ["roof"]', "discrepancy.groups: must be of"),
     ],

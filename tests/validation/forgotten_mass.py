@@ -49,6 +49,8 @@ class Allowance(NamedTuple):
         Factor on the standard deviations of the priors of τ.
     tau : float or None
         The τ if it is known.
+    correlation : float or None
+        The correlation of the scatter of each over the modes; None if it is inferred, one for each.
     """
 
     words: str
@@ -56,11 +58,18 @@ class Allowance(NamedTuple):
     updated: tuple[str, ...] = ()
     wider: float = 1.0
     tau: float | None = None
+    correlation: float | None = 0.0
 
 
-NONE, ALL = Allowance("nothing"), Allowance("scatter of all three", HELD)
+EVERY = (
+    Allowance("nothing"),
+    Allowance("scatter of all three", HELD),
+    Allowance("scatter of all three, correlations inferred", HELD, correlation=None),
+)
 ROWS = (
-    *((kind, allowance) for kind in ("right", "joint", "thickness", "mass") for allowance in (NONE, ALL)),
+    *((kind, allowance) for kind in ("right", "joint", "thickness", "mass") for allowance in EVERY),
+    ("right", Allowance("scatter of all three, in common", HELD, correlation=1.0)),
+    ("mass", Allowance("scatter of all three, in common", HELD, correlation=1.0)),
     ("mass", Allowance("scatter of all three, priors of τ 4 times as wide", HELD, wider=4.0)),
     ("mass", Allowance("scatter of the mass", ("mass",))),
     ("mass", Allowance("scatter of the mass, τ = 4 % known", ("mass",), tau=0.04)),
@@ -104,24 +113,35 @@ def measured(rng: np.random.Generator, kind: str, E: FloatArray, S: FloatArray) 
     return moduli, E @ moduli + wrong + sd * rng.standard_normal(MODES), sd
 
 
+def _scatters(allowance: Allowance) -> tuple[FloatArray, FloatArray]:
+    """Return points of the priors of τ and of the correlation ρ of each value that scatters, (k, q) each."""
+    q = len(allowance.scattered)
+    if not q:
+        return np.zeros((1, 0)), np.zeros((1, 0))
+    inferred = allowance.correlation is None
+    u = qmc.Sobol(q * (1 + inferred), rng=np.random.default_rng(SEED)).random_base2(POINTS + 2 * inferred)
+    tau = allowance.wider * np.array([SIZES[name] for name in allowance.scattered]) * halfnorm.ppf(u[:, :q])
+    tau = tau if allowance.tau is None else np.array([[allowance.tau]])
+    return tau, u[:, q:] if inferred else np.full(tau.shape, allowance.correlation)
+
+
 def updated(kind: str, allowance: Allowance) -> Row:
     """Return what the intervals of moduli of structures with an error of the model of this kind did."""
     rng, (E, S) = np.random.default_rng(SEED), slopes()
     scattered, new = ([HELD.index(name) for name in names] for names in (allowance.scattered, allowance.updated))
-    tau = np.zeros((1, 0))
-    if scattered:
-        u = qmc.Sobol(len(scattered), rng=np.random.default_rng(SEED)).random_base2(POINTS)
-        sizes = np.array([SIZES[name] for name in allowance.scattered])
-        tau = allowance.wider * sizes * halfnorm.ppf(u)
-        tau = tau if allowance.tau is None else np.array([[allowance.tau]])
-    A = np.hstack([E, S[:, new]])
-    precision = np.diag(1.0 / np.array([PRIOR_SD, PRIOR_SD, *(SIZES[HELD[k]] for k in new)]) ** 2)
+    tau, rho = _scatters(allowance)
+    own = ((1.0 - rho) * tau**2) @ S[:, scattered].T ** 2
+    fixed_columns = np.broadcast_to(np.hstack([E, S[:, new]]), (len(tau), MODES, 2 + len(new)))
+    A = np.concatenate([fixed_columns, S[:, scattered] * (np.sqrt(rho) * tau)[:, None]], axis=2)
+    precision = np.diag(
+        1.0 / np.array([PRIOR_SD, PRIOR_SD, *(SIZES[HELD[k]] for k in new), *np.ones(len(scattered))]) ** 2
+    )
     held, sds, errors, taus = [], [], [], []
     for _ in range(STRUCTURES):
         moduli, y, sd = measured(rng, kind, E, S)
-        W = 1.0 / (sd**2 + tau**2 @ S[:, scattered].T ** 2)
-        H = np.einsum("im,ki,in->kmn", A, W, A) + precision
-        b = np.einsum("im,ki,i->km", A, W, y)
+        W = 1.0 / (sd**2 + own)
+        weighted = np.swapaxes(W[..., None] * A, 1, 2)
+        H, b = weighted @ A + precision, weighted @ y
         covariance = np.linalg.inv(H)
         mean = np.einsum("kmn,kn->km", covariance, b)
         log_w = 0.5 * (np.log(W).sum(axis=1) - W @ y**2 + np.sum(mean * b, axis=1) - np.linalg.slogdet(H)[1])
@@ -174,12 +194,13 @@ linear in all values, with τ integrated out and no chains.
 
 - The intervals are not too narrow, they are off: the mean error of E1 is as large as its standard deviation.
 - The prior of τ is not the cause: four times as wide, it holds about as many.
-- Scatter is independent from mode to mode. It allows for a mass that is too large in one mode and too small in the
-  next, and averages over the modes. A forgotten mass lowers all modes, which no average removes: only a τ of four
-  times the error holds 90 %, and nothing in the data asks for it.
-- A mass that is a parameter, one for all modes, removes the error; its intervals are narrower than with scatter.
+- Without a correlation, scatter is independent from mode to mode. It allows for a mass that is too large in one
+  mode and too small in the next, and averages over the modes. A forgotten mass lowers all modes, which no average
+  removes: only a τ of four times the error holds 90 %, and nothing in the data asks for it.
+- Scatter whose correlation over the modes is inferred (`correlation = "inferred"`), or that all modes have in
+  common (`correlation = 1.0`), removes the error. So does a mass that is a parameter, one for all modes.
 
-The price of parameters is in the last row: the standard deviation where the model is right.
+The price of each is the standard deviation where the model is right.
 
 """
 

@@ -203,7 +203,9 @@ def told(kind: str, size: float, sd: FloatArray) -> tuple[float, float]:
     return signal, float(max(cosines))
 
 
-def problem(measured: FloatArray, sd: FloatArray, discrepancy: bool = False) -> fmu.UpdatingProblem:
+def problem(
+    measured: FloatArray, sd: FloatArray, discrepancy: bool = False, correlation: float = 0.0
+) -> fmu.UpdatingProblem:
     """Return the problem of updating the moduli, with a scatter of each of `HELD` over the modes or without."""
     prior = fmu.Normal(PRIOR_SD, mean=1.0)
     parameters = [fmu.Parameter(name, 1.0, 0.8, 1.2, prior=prior) for name in MODULI]
@@ -213,7 +215,10 @@ def problem(measured: FloatArray, sd: FloatArray, discrepancy: bool = False) -> 
     rank = 1 + np.searchsorted(np.sort(every / (2.0 * np.pi)), before * (1.0 - 1e-9))
     order = np.argsort(rank)
     data = fmu.ModalData(measured[order], sd_hz=sd[order], counterparts=tuple(rank[order].tolist()))
-    scatters = [fmu.Discrepancy(groups=(group,), name=f"tau {group}", prior_sd=SIZES[group]) for group in HELD]
+    scatters = [
+        fmu.Discrepancy(groups=(one,), name=f"tau {one}", prior_sd=SIZES[one], correlation=correlation)
+        for one in HELD
+    ]
     return fmu.UpdatingProblem.reduced(
         model(), data, parameters, pairing="shape", discrepancy=scatters if discrepancy else ()
     )

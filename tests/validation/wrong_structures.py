@@ -1,14 +1,15 @@
 """Simulated structures whose model is wrong: do intervals hold the truth, with and without a discrepancy?
 
     python -m tests.validation.wrong_structures OUT [--kept DIRECTORY] [--minutes M] [--replicates N]
-        [--seed N]
+        [--seed N] [--correlation R]
 
 Each structure is a beam of two parts with a joint (`tests.validation.wrong_beam`), whose two moduli are drawn from
 their prior, 1 ± 0.05. Its 18 frequencies are measured with errors of 1 to 2 %. Two of three structures differ from
 the model: their joint is 5 to 30 % softer, a mass of 2 to 6 % of the beam's was forgotten at the joint, or the
 thickness is off by 3 %. The model of the others is right. The data are made by LAPACK and NumPy alone. Each
 structure is sampled without a discrepancy, and with a scatter of the joint, the thickness and the mass over the
-modes, which are not updated. The prior of each τ has the root mean square of these errors. Written to
+modes, which are not updated. The prior of each τ has the root mean square of these errors. The scatter in two
+modes is independent, or has the correlation R: it is 1 if all modes see the same joint. Written to
 wrong-structures.md in the directory OUT. Exit code 1 where a gate fails.
 """
 
@@ -78,7 +79,7 @@ class Structure:
     needed: list[float]
 
 
-def one_structure(seed: int, number: int) -> Structure:
+def one_structure(seed: int, number: int, correlation: float = 0.0) -> Structure:
     """Simulate a structure and update it without and with a discrepancy."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
     kind = KINDS[number % len(KINDS)]
@@ -86,7 +87,7 @@ def one_structure(seed: int, number: int) -> Structure:
     found = Structure(number, kind, made.size, made.signal, made.cosine, *([] for _ in range(9)))
     for discrepancy in (False, True):
         began = time.process_time()
-        of = problem(made.measured, made.sd, discrepancy)
+        of = problem(made.measured, made.sd, discrepancy, correlation)
         trace = fmu.sample(
             of, draws=DRAWS, warmup=WARMUP, until_ess=UNTIL_ESS, seed=number + 1,
             maxima=fmu.find_map(of, starts=STARTS), progress=False,
@@ -113,14 +114,18 @@ def main() -> int:
     parser = study_parser(__doc__)
     parser.add_argument("--replicates", type=int, default=REPLICATES)
     parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--correlation", type=float, default=0.0)
     asked = parser.parse_args()
     units, numbers = Units(asked.kept, asked.minutes), each(range(asked.replicates))
     with threadpool_limits(1):
         structures = units.completed(
-            "structures", numbers, lambda n: one_structure(asked.seed, n), fields_of(Structure, list)
+            "structures",
+            numbers,
+            lambda n: one_structure(asked.seed, n, asked.correlation),
+            fields_of(Structure, list),
         )
     study = Study(structures)
-    (asked.out / "wrong-structures.md").write_text(page(study, REPLICATES), encoding="utf-8")
+    (asked.out / "wrong-structures.md").write_text(page(study, REPLICATES, asked.correlation), encoding="utf-8")
     return 1 if study.failures else 0
 
 

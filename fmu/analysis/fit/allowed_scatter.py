@@ -9,7 +9,7 @@ import numpy as np
 
 from fmu.analysis.fit.reweighting import estimated_scatter
 from fmu.analysis.trace.reading import problem_of
-from fmu.numbers import names_in_words, significant
+from fmu.numbers import fixed, names_in_words, significant
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -41,6 +41,7 @@ def scatter_sentences(trace: xr.DataTree) -> tuple[str, ...]:
             mine = [name for name, other in zip(one["names"], one["tau"], strict=True) if other == tau]
             size = significant(100.0 * tau, 2)
             said.append(f"{names_in_words(mine)}: a given scatter of {size} % over the modes")
+        said += _describe_correlation(trace, one, noise)
     return tuple(said)
 
 
@@ -80,6 +81,16 @@ def _describe_modes(trace: xr.DataTree, settings: Mapping[str, Any], noise: list
         low, middle, high = (significant(x, 2) for x in np.quantile(draws, [0.05, 0.5, 0.95]))
         found.append(f"a {what} by the model, {name}, of {middle} % (90 %: {low} to {high} %)")
     return found
+
+
+def _describe_correlation(trace: xr.DataTree, settings: Mapping[str, Any], noise: list[str]) -> list[str]:
+    """Return a sentence on an inferred correlation of the scatter over the modes, if there is one."""
+    number = settings.get("correlation", {}).get("inferred", -1)
+    if number < 0:
+        return []
+    draws = trace["posterior"][noise[number]].to_numpy().ravel()
+    low, middle, high = (fixed(x, 2) for x in np.quantile(draws, [0.05, 0.5, 0.95]))
+    return [f"a correlation over the modes, {noise[number]}, of {middle} (90 %: {low} to {high})"]
 
 
 def _describe_inferred(trace: xr.DataTree, tau: str, names: list[str], parameters: Any) -> str:

@@ -6,6 +6,10 @@ the frequencies then have, beside the errors of their measurement, independent G
 
 v_i = Σ_k (∂f_i/∂θ_k)² s_k² τ_k².
 
+With a correlation ρ > 0 the numbers are √(1 − ρ_k) z_ik + √ρ_k w_k, with one w_k for all modes. Two frequencies
+then have the covariance Σ_k ρ_k (∂f_i/∂θ_k) (∂f_j/∂θ_k) s_k² τ_k². A value that is wrong in the same way for all
+modes, such as a mass that was forgotten, has ρ = 1.
+
 The idea is the embedded model error of Sargsyan, Najm & Ghanem 2015, *Int. J. Chem. Kinet.* 47, 246–276.
 """
 
@@ -13,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from annotated_types import Interval
@@ -22,9 +26,29 @@ from fmu.arguments import ArgumentError, check_arguments
 from fmu.posterior.errors.noise import NoiseIndex
 from fmu.posterior.parameters import Parameter, require_name
 from fmu.posterior.priors.one_sided import HalfNormal
-from fmu.types import FloatArray, Plain, Positive
+from fmu.types import BoolArray, FloatArray, Plain, Positive
 
 MOST = 10.0  # upper bound of an inferred τ, in standard deviations of its prior
+_START, _MOST_CORRELATED = 0.3, 0.999
+
+
+class Setting(NamedTuple):
+    """A number that is known, or the index of an inferred one among the inferred standard deviations."""
+
+    fixed: float
+    number: int = -1
+
+    def at(self, noise: FloatArray) -> FloatArray:
+        """Return the values (n,) at inferred standard deviations (n, n_noise)."""
+        return noise[:, self.number] if self.number >= 0 else np.full(len(noise), self.fixed)
+
+    def as_dict(self) -> dict[str, Plain]:
+        """Return a dict in plain Python types."""
+        return {"known": self.fixed, "inferred": self.number}
+
+
+INDEPENDENT = Setting(0.0)
+"""The correlation of independent errors."""
 
 
 @check_arguments
@@ -54,9 +78,10 @@ class Discrepancy:
         For "embedded". Names of the groups, or of parameters, that scatter; all if empty.
     sd : float, optional
         For "modes". Standard deviation of the relative errors of the frequencies; inferred if not given.
-    correlation : float, optional
-        For "modes". Correlation of the errors of two frequencies, from 0 to below 1. It is inferred if not given,
-        with a uniform prior.
+    correlation : float or "inferred", optional
+        Correlation over the modes: with "modes" of the errors of two frequencies, from 0 to below 1, inferred if
+        not given; with "embedded" of the scatter of each parameter in two modes, from 0 to 1, and 0 if not given.
+        An inferred one has a uniform prior.
     shape_sd : float, optional
         For "modes". Standard deviation of the errors of a component of a shape whose largest component is 1, or of
         a residue of a frequency response function relative to the root mean square of those of all functions;
@@ -66,7 +91,7 @@ class Discrepancy:
         falls to 1/e. Without it, or without coordinates of the sensors in the model, errors are independent.
     name : str, optional
         Name of the inferred τ or σ, "tau" or "model error" by default. With `by` = "group" the name of the group
-        follows, with `kind` = "modes" the word "correlation" or "shapes".
+        follows, and the word "correlation" or "shapes" where one is inferred.
 
     Raises
     ------
@@ -85,7 +110,7 @@ class Discrepancy:
     by: Literal["common", "group"] = "common"
     groups: tuple[str, ...] = ()
     sd: Positive | None = None
-    correlation: Annotated[float, Interval(ge=0, lt=1)] | None = None
+    correlation: Annotated[float, Interval(ge=0, le=1)] | Literal["inferred"] | None = None
     shape_sd: Positive | None = None
     length: Positive | None = None
     name: str | None = None
@@ -94,7 +119,7 @@ class Discrepancy:
         require_name(self.label)
         object.__setattr__(self, "groups", tuple(self.groups))
         of_other = {
-            "embedded": {k: vars(self)[k] for k in ("sd", "correlation", "shape_sd", "length")},
+            "embedded": {k: vars(self)[k] for k in ("sd", "shape_sd", "length")},
             "modes": {
                 "tau": self.tau,
                 "by": self.by if self.by != "common" else None,
@@ -106,6 +131,8 @@ class Discrepancy:
                 raise ArgumentError(
                     f"discrepancy.{key}", f'must not be given with kind = "{self.kind}"', repr(value)
                 )
+        if self.kind == "modes" and self.correlation == 1.0:
+            raise ArgumentError("discrepancy.correlation", 'must be less than 1 with kind = "modes"', "1.0")
 
     @property
     def label(self) -> str:
@@ -143,13 +170,20 @@ class Discrepancy:
             name = self.label if self.by == "common" else f"{self.label} {own[k]}"
             prior = HalfNormal(self.prior_sd)
             number[k] = index(Parameter(name, 0.5 * self.prior_sd, 0.0, MOST * self.prior_sd, prior))
-        size = np.array([_size(p) for p in parameters])
-        return EmbeddedScatter(tuple(p.name for p in parameters), relative, size, fixed, number)
+        size, correlation = np.array([_size(p) for p in parameters]), self.correlation_over_modes(index)
+        return EmbeddedScatter(tuple(p.name for p in parameters), relative, size, fixed, number, correlation)
+
+    def correlation_over_modes(self, index: NoiseIndex) -> Setting:
+        """Return the correlation; `index` is as in `bind`."""
+        known = 0.0 if self.correlation is None and self.kind == "embedded" else self.correlation
+        if isinstance(known, float | int):
+            return Setting(float(known))
+        return Setting(0.0, index(Parameter(f"{self.label} correlation", _START, 0.0, _MOST_CORRELATED)))
 
 
 def require_distinct_names(discrepancies: Sequence[Discrepancy]) -> None:
     """Raise ValueError if two discrepancies have inferred numbers of the same name."""
-    names = [one.label for one in discrepancies if one.tau is None]
+    names = [one.label for one in discrepancies if one.tau is None or one.correlation == "inferred"]
     if len(set(names)) < len(names):
         raise ArgumentError("discrepancy.name", "must be different for each discrepancy", names[-1])
 
@@ -177,6 +211,8 @@ class EmbeddedScatter:
         The known τ_k; 0 if a parameter does not scatter or its τ is inferred.
     number : ndarray of int, shape (p,)
         Index of the inferred τ_k among the inferred standard deviations; −1 if it is not inferred.
+    correlation : Setting
+        ρ.
     """
 
     names: tuple[str, ...]
@@ -184,6 +220,7 @@ class EmbeddedScatter:
     size: FloatArray
     fixed: FloatArray
     number: FloatArray
+    correlation: Setting = INDEPENDENT
 
     @classmethod
     def none(cls, p: int) -> EmbeddedScatter:
@@ -194,8 +231,21 @@ class EmbeddedScatter:
         """Return the unit s_k of the scatter of each parameter at values (…, p), of the same shape."""
         return np.where(self.relative, np.abs(values), self.size)
 
-    def variances(self, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return τ², (n, p), and its derivatives by the inferred standard deviations `noise`, (n, n_noise, p)."""
+    @property
+    def scatters(self) -> BoolArray:
+        """Whether each parameter scatters, shape (p,)."""
+        return np.asarray((self.fixed > 0.0) | (self.number >= 0))
+
+    def variances(self, noise: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return the variances of the scatter, relative to s², and their derivatives.
+
+        Returns
+        -------
+        own, common : ndarray, shape (n, p)
+            (1 − ρ) τ² of each mode's own part, and ρ τ² of the part that all modes have in common.
+        by_own, by_common : ndarray, shape (n, n_noise, p)
+            Derivatives by the inferred standard deviations `noise`, (n, n_noise).
+        """
         n, inferred = len(noise), np.flatnonzero(self.number >= 0)
         tau = np.broadcast_to(self.fixed, (n, len(self.fixed)))
         slopes = np.zeros((n, noise.shape[1], len(self.fixed)))
@@ -203,10 +253,18 @@ class EmbeddedScatter:
             tau = tau.copy()
             tau[:, inferred] = noise[:, self.number[inferred]]
             slopes[:, self.number[inferred], inferred] = 2.0 * tau[:, inferred]
-        return tau**2, slopes
+        if self.correlation == INDEPENDENT:
+            return tau**2, np.zeros_like(tau), slopes, np.zeros_like(slopes)
+        rho = self.correlation.at(noise)[:, None]
+        own, common = slopes * (1.0 - rho)[..., None], slopes * rho[..., None]
+        if self.correlation.number >= 0:
+            own[:, self.correlation.number] -= tau**2
+            common[:, self.correlation.number] += tau**2
+        return tau**2 * (1.0 - rho), tau**2 * rho, own, common
 
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of the settings in plain Python types."""
+        of_modes = {} if self.correlation == INDEPENDENT else {"correlation": self.correlation.as_dict()}
         return {
             "kind": "embedded",
             "names": list(self.names),
@@ -214,4 +272,5 @@ class EmbeddedScatter:
             "size": self.size.tolist(),
             "tau": self.fixed.tolist(),
             "inferred": self.number.tolist(),
+            **of_modes,
         }

@@ -85,7 +85,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         labels = [label for test in layout.tests for label in test.data.labels]
         self.group = np.array([labels.index(label) for label in labels])
         only = self.terms_of[0] if len(self.terms_of) == 1 and self.n_tests == 1 else None
-        if isinstance(only, FrequencyTerm) and not self.errors.modes:
+        if isinstance(only, FrequencyTerm) and not self.errors.modes and not self.errors.n_common:
             self._alone = ScatteredFrequencies(only, self.errors.scatters)
         if self.needs_shapes or model.is_uncertain:  # `by_parameters` differences the slopes
             self.predictions_per_gradient = 1 + 2 * len(layout.structural)

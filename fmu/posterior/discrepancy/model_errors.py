@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fmu.fem.pairing.prediction import ModalPrediction
-from fmu.posterior.discrepancy.embedded import EmbeddedScatter
+from fmu.posterior.discrepancy.embedded import INDEPENDENT, EmbeddedScatter, Setting
 from fmu.posterior.discrepancy.latent import LatentErrors
 from fmu.posterior.discrepancy.modes import ModeErrors
 from fmu.posterior.errors.base import ErrorTerm
@@ -68,19 +68,18 @@ class Change(NamedTuple):
 
 
 class Variances(NamedTuple):
-    """Variances of the standard normal errors: of τ z of p parameters, of the modes' own, and in common.
+    """Variances of the errors in units of each: of a mode's own, and of what all modes have in common.
 
     Attributes
     ----------
-    tau, own, common : ndarray, shapes (n, p), (n, Q) and (n, C)
-    by_tau, by_own, by_common : ndarray, with an axis of n_noise before the last
+    own, common : ndarray, shapes (n, E + Q) and (n, F + C)
+        First of the E and F parameters whose scatter has such a part, relative to s², then of errors of modes.
+    by_own, by_common : ndarray, shapes (n, n_noise, E + Q) and (n, n_noise, F + C)
         Derivatives of their logarithms by the inferred standard deviations.
     """
 
-    tau: FloatArray
     own: FloatArray
     common: FloatArray
-    by_tau: FloatArray
     by_own: FloatArray
     by_common: FloatArray
 
@@ -102,13 +101,24 @@ class ModelErrors:
     @cached_property
     def scattered(self) -> IntArray:
         """Indices of the parameters that scatter."""
-        every = [(one.fixed > 0.0) | (one.number >= 0) for one in self.scatters]
+        return np.union1d(self.of_mode, self.in_common)
+
+    @cached_property
+    def of_mode(self) -> IntArray:
+        """Indices of the E parameters of which each mode has a scatter of its own."""
+        every = [one.scatters & (one.correlation != Setting(1.0)) for one in self.scatters]
+        return np.flatnonzero(np.any(every, axis=0))
+
+    @cached_property
+    def in_common(self) -> IntArray:
+        """Indices of the F parameters of which all modes have a scatter in common."""
+        every = [one.scatters & (one.correlation != INDEPENDENT) for one in self.scatters]
         return np.flatnonzero(np.any(every, axis=0))
 
     @property
     def n_common(self) -> int:
         """Number of errors that all modes have in common."""
-        return sum(one.n_common for one in self.modes)
+        return len(self.in_common) + sum(one.n_common for one in self.modes)
 
     def as_list(self) -> list[Plain]:
         """Return a list of dicts of the settings in plain Python types."""
@@ -133,19 +143,12 @@ class ModelErrors:
 
     def variances(self, noise: FloatArray) -> Variances:
         """Return the variances of the errors at inferred standard deviations (n, n_noise)."""
-        value, slopes = zip(*(one.variances(noise) for one in self.scatters), strict=True)
-        tau, by_tau = np.asarray(sum(value)), np.asarray(sum(slopes))
-        by_tau = by_tau / np.where(tau > 0.0, tau, 1.0)[:, None]
-        if not self.modes:
-            none, by_none = np.empty((len(noise), 0)), np.empty((*noise.shape, 0))
-            return Variances(tau, none, none, by_tau, by_none, by_none)
-        found = zip(*(one.variances(noise) for one in self.modes), strict=True)
-        own, common, by_own, by_common = (np.concatenate(x, axis=-1) for x in found)
-        return Variances(tau, own, common, by_tau, by_own, by_common)
-
-    def sizes(self, values: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return the standard deviations s τ of the parameters, (n, m, p), at values (n, m, p)."""
-        return np.asarray(self.scale(values) * np.sqrt(self.variances(noise).tau)[:, None])
+        scatter = [np.asarray(sum(x)) for x in zip(*(one.variances(noise) for one in self.scatters), strict=True)]
+        for i, k in enumerate((self.of_mode, self.in_common)):
+            value = scatter[i][:, k]
+            scatter[i], scatter[i + 2] = value, scatter[i + 2][..., k] / np.where(value > 0.0, value, 1.0)[:, None]
+        found = [scatter, *(one.variances(noise) for one in self.modes)]
+        return Variances(*(np.concatenate(x, axis=-1) for x in zip(*found, strict=True)))
 
     def in_hz(
         self, slopes: FloatArray | None, measured: FloatArray, values: FloatArray, noise: FloatArray
@@ -158,43 +161,52 @@ class ModelErrors:
         measured : ndarray, shape (m,), Hz
         values : ndarray, shape (n, m, p)
         noise : ndarray, shape (n, n_noise)
+
+        Returns
+        -------
+        own, common : ndarray, shapes (n, m, P) and (n, m, C)
         """
-        v = self.variances(noise)
-        units = [one.in_hz(measured) for one in self.modes]
-        none = np.empty((len(measured), 0))
-        own, common = (np.concatenate([none, *x], axis=1) for x in (list(zip(*units, strict=True)) or [(), ()]))
-        parts = [own * np.sqrt(v.own)[:, None]]
+        v, parts = self.variances(noise), (list[FloatArray](), list[FloatArray]())
         if slopes is not None and len(self.scattered):
-            parts.insert(0, (slopes * self.sizes(values, noise))[..., self.scattered])
-        return np.concatenate(parts, axis=2), common * np.sqrt(v.common)[:, None]
+            units = slopes * self.scale(values)
+            parts = [units[..., self.of_mode]], [units[..., self.in_common]]
+        for one in self.modes:
+            for part, unit in zip(parts, one.in_hz(measured), strict=True):
+                part.append(np.broadcast_to(unit, (len(noise), *unit.shape)))
+        own, common = (np.concatenate(part, axis=2) for part in parts)
+        return own * np.sqrt(v.own)[:, None], common * np.sqrt(v.common)[:, None]
 
     def latent(self, rows: Linearised, values: FloatArray, noise: FloatArray, group: IntArray) -> LatentErrors:
         """Return the density of the residuals; values (n, m, p) are the parameters in the test of each row."""
-        v = self.variances(noise)
-        common = rows.common * np.sqrt(v.common)[:, None, None]
-        loads = rows.own * np.sqrt(v.own)[:, None, None]
-        if len(self.scattered):
-            T = self.sizes(values, noise)[:, :, None, self.scattered]
-            loads = np.concatenate([rows.slopes[..., self.scattered] * T, loads], axis=3)
-        return LatentErrors(rows.residuals, loads, common, group)
+        v, (own, common) = self.variances(noise), self._units(rows, values)
+        loads, shared = own * np.sqrt(v.own)[:, None, None], common * np.sqrt(v.common)[:, None, None]
+        return LatentErrors(rows.residuals, loads, shared, group)
 
     def change(self, rows: Linearised, latent: LatentErrors, values: FloatArray, noise: FloatArray) -> Change:
         """Return the derivatives of the sum of the terms of `latent`, which is of these rows."""
-        found, v, E = latent.slopes(), self.variances(noise), len(self.scattered)
-        by_slope, by_value = np.zeros((*rows.residuals.shape, values.shape[-1])), np.zeros(values.shape)
+        found, v, units = latent.slopes(), self.variances(noise), self._units(rows, values)
+        by_own = found.by_loads * np.sqrt(v.own)[:, None, None]
+        by_common = found.by_common * np.sqrt(v.common)[:, None, None]
         by_noise = np.zeros((*rows.residuals.shape[:2], noise.shape[1]))
-        if E:
-            T = self.sizes(values, noise)[:, :, None, self.scattered]
-            by_slope[..., self.scattered] = found.by_loads[..., :E] * T
-            by_log = np.sum(by_slope * rows.slopes, axis=2)  # by log s and by log τ of each parameter
+        for by, unit, slopes in ((by_own, units[0], v.by_own), (by_common, units[1], v.by_common)):
+            by_noise += 0.5 * np.einsum("nmkl,nmkl,ndl->nmd", by, unit, slopes)
+        by_slope, by_value = np.zeros((*rows.residuals.shape, values.shape[-1])), np.zeros(values.shape)
+        E, F, scale = len(self.of_mode), len(self.in_common), self.scale(values)[:, :, None]
+        by_slope[..., self.of_mode] = by_own[..., :E] * scale[..., self.of_mode]
+        by_slope[..., self.in_common] += by_common[..., :F] * scale[..., self.in_common]
+        if len(self.scattered):
+            by_log = np.sum(by_slope * rows.slopes, axis=2)  # by log s of each parameter
             relative = self.scatters[0].relative
             by_value = np.where(relative, by_log / np.where(relative, values, 1.0), 0.0)
-            by_noise += 0.5 * np.einsum("nml,ndl->nmd", by_log, v.by_tau)
-        by_own = found.by_loads[..., E:] * np.sqrt(v.own)[:, None, None]
-        by_common = found.by_common * np.sqrt(v.common)[:, None, None]
-        for by, unit, slopes in ((by_own, rows.own, v.by_own), (by_common, rows.common, v.by_common)):
-            by_noise += 0.5 * np.einsum("nmkl,nmkl,ndl->nmd", by, unit, slopes)
-        return Change(found.by_residual, by_slope, by_own, by_common, by_value, by_noise)
+        return Change(found.by_residual, by_slope, by_own[..., E:], by_common[..., F:], by_value, by_noise)
+
+    def _units(self, rows: Linearised, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the residuals (n, m, k, P) and (n, m, k, C) due to errors of 1, of a mode's own and in common."""
+        if not len(self.scattered):
+            return rows.own, rows.common
+        scale = self.scale(values)[:, :, None]
+        of_mode, in_common = (rows.slopes[..., k] * scale[..., k] for k in (self.of_mode, self.in_common))
+        return np.concatenate([of_mode, rows.own], axis=3), np.concatenate([in_common, rows.common], axis=3)
 
     def information(
         self, terms: Sequence[ErrorTerm], latent: LatentErrors, noise: FloatArray, take: Take
@@ -208,8 +220,7 @@ class ModelErrors:
         """
         v = self.variances(noise)
         _, _, of_z, of_both, of_w = latent.given_residuals()
-        E = np.concatenate([v.by_tau[..., self.scattered], v.by_own], axis=2)
-        last = np.unique(latent.last)
+        E, last = v.by_own, np.unique(latent.last)
         K = np.sum((np.eye(of_z.shape[-1]) - of_z[:, last]) ** 2, axis=1)
         found = 0.5 * E @ K @ np.swapaxes(E, 1, 2)
         if v.common.shape[1]:

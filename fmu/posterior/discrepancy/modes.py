@@ -10,13 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from fmu.fem.modes.separable import RigidArm, SeparableModel
 from fmu.fem.pairing.prediction import ModalPrediction
-from fmu.posterior.discrepancy.embedded import MOST, Discrepancy
+from fmu.posterior.discrepancy.embedded import INDEPENDENT, MOST, Discrepancy, Setting
 from fmu.posterior.errors.base import ErrorTerm
 from fmu.posterior.errors.frequency import FrequencyTerm
 from fmu.posterior.errors.noise import NoiseIndex
@@ -24,19 +23,6 @@ from fmu.posterior.errors.shape import ShapeTerm
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.one_sided import HalfNormal
 from fmu.types import Dof, FloatArray, Plain
-
-_START, _MOST_CORRELATED = 0.3, 0.999
-
-
-class Setting(NamedTuple):
-    """A number that is known, or the index of an inferred one among the inferred standard deviations."""
-
-    fixed: float
-    number: int = -1
-
-    def at(self, noise: FloatArray) -> FloatArray:
-        """Return the values (n,) at inferred standard deviations (n, n_noise)."""
-        return noise[:, self.number] if self.number >= 0 else np.full(len(noise), self.fixed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,10 +64,7 @@ class ModeErrors:
         sd = correlation = shape_sd = None
         if any(isinstance(term, FrequencyTerm) for term in terms):
             sd = size(settings.label, settings.sd)
-            correlation = Setting(settings.correlation or 0.0)
-            if settings.correlation is None:
-                name = f"{settings.label} correlation"
-                correlation = Setting(0.0, index(Parameter(name, _START, 0.0, _MOST_CORRELATED)))
+            correlation = settings.correlation_over_modes(index)
         if any(isinstance(term, ShapeTerm) for term in terms):
             shape_sd = size(f"{settings.label} shapes", settings.shape_sd)
         alike = np.eye(len(sensors))
@@ -98,7 +81,7 @@ class ModeErrors:
     @property
     def n_common(self) -> int:
         """Number of errors that all modes have in common."""
-        return 0 if self.correlation is None or self.correlation == Setting(0.0) else 1
+        return 0 if self.correlation is None or self.correlation == INDEPENDENT else 1
 
     def units(
         self, terms: Sequence[ErrorTerm], seen: ModalPrediction, noise: FloatArray
@@ -166,7 +149,7 @@ class ModeErrors:
         kept = {"sd": self.sd, "correlation": self.correlation, "shape_sd": self.shape_sd}
         return {
             "kind": "modes",
-            **{key: {"known": one.fixed, "inferred": one.number} for key, one in kept.items() if one is not None},
+            **{key: one.as_dict() for key, one in kept.items() if one is not None},
             "root": self.root.tolist(),
         }
 

@@ -182,7 +182,7 @@ class FRFErrors(QuantityErrors):
         rule = 'of frequency response functions must be of kind "modes": errors of frequencies and residues'
         if discrepancy.kind != "modes" or discrepancy.length is not None:
             raise ArgumentError("discrepancy", rule, discrepancy.kind if discrepancy.length is None else "length")
-        if discrepancy.sd is None or discrepancy.correlation is None:
+        if discrepancy.sd is None or discrepancy.correlation in (None, "inferred"):
             rule = (
                 "of frequency response functions needs sd and correlation; a band has too few modes to infer them"
             )

@@ -78,7 +78,7 @@ class ModeScatter:
         if given.shape_sd is None:
             size, prior = given.prior_sd, HalfNormal(given.prior_sd)
             own.append(Parameter(f"{given.label} shapes", 0.5 * size, 0.0, MOST * size, prior))
-        sd, correlation = given.sd or 0.0, given.correlation or 0.0  # given, see `FRFErrors`
+        sd, correlation = given.sd or 0.0, float(given.correlation or 0.0)  # given, see `FRFErrors`
         return cls(model.n_rigid, tuple(own), sd, correlation, given.shape_sd)
 
     @cached_property

@@ -70,7 +70,7 @@ def test_gradient_against_differences(varies, errors):
     assert_gradient(gradient, problem.log_prob, theta, step, order=4, rtol=1e-6, of_largest=1e-6)
 
 
-def covariance(problem, at):
+def covariance(problem, at, correlation=0.0):
     """Return all residuals at the parameters of the tests and their covariance, mode by mode, at one point."""
     likelihood = problem.likelihood
     seen, noise = likelihood.observed(at[None]), at[None, 9:]
@@ -85,8 +85,8 @@ def covariance(problem, at):
     S = np.eye(m * k)
     for i in range(m):
         for j in range(m):
-            if labels[i] == labels[j]:
-                S[i * k : (i + 1) * k, j * k : (j + 1) * k] += A[i] @ A[j].T
+            alike = 1.0 if labels[i] == labels[j] else correlation
+            S[i * k : (i + 1) * k, j * k : (j + 1) * k] += alike * A[i] @ A[j].T
     return r.ravel(), S
 
 

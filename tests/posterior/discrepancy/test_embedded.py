@@ -110,7 +110,9 @@ def dense(problem, theta, whitened=True):
     sd = [np.sqrt(np.atleast_2d(term.spread.variance(noise)[0])).T / 0.01 for term in likelihood.terms_of]
     m = len(MEASURED)
     blocks, slopes = [], []
-    T = likelihood.errors.sizes(theta[None, None, :4], noise)[0, 0]
+    T = np.zeros(4)
+    T[likelihood.errors.of_mode] = np.sqrt(likelihood.errors.variances(noise).own[0])
+    T *= likelihood.errors.scale(theta[:4])
     for i in range(m):
         J = np.concatenate([part[i] for part in parts])
         unit = np.ones(len(J)) if whitened else np.concatenate([one[i] for one in sd])
@@ -123,7 +125,9 @@ def dense(problem, theta, whitened=True):
         S = projection + (J * T**2) @ J.T
         blocks.append(S * np.outer(unit, unit))
         slopes.append(J * unit[:, None])
-    return block_diag(*blocks), np.concatenate(slopes)
+    slopes, k = np.concatenate(slopes), likelihood.errors.in_common
+    common = slopes[:, k] * likelihood.errors.scale(theta[:4])[k]
+    return block_diag(*blocks) + (common * likelihood.errors.variances(noise).common[0]) @ common.T, slopes
 
 
 @pytest.mark.parametrize("errors", [name for name in ERRORS if "shapes" in name])
