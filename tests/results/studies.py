@@ -118,7 +118,7 @@ STUDIES = (
           also=("fmu.cli",)),
     _study("contradictions", 6),
     _study("evidence", 5),
-    _study("forgotten-mass", 6),
+    _study("forgotten-mass", 2),
 )  # fmt: skip
 """In the order in which `make results` begins them: those that need the machine alone, and then the longest."""
 

@@ -128,7 +128,8 @@ def page(study: Study, replicates: int, correlation: float = 0.0) -> str:
     rows.append(["all wrong", f"{len(every)}", *(f"{100 * held / max(1, m):.1f} %" for held, m in coverage),
                  f"{study.widening(*HELD):.2f}"])  # fmt: skip
     return PAGE.format(
-        verdict=verdict, n=n, correlation=f"{correlation:.1f}", coverage=markdown_table(head, rows, (0,)), sizes=markdown_table(other, sizes, (0,)),
+        verdict=verdict, n=n, correlation=f"{correlation:.1f}",
+        coverage=markdown_table(head, rows, (0,)), sizes=markdown_table(other, sizes, (0,)),
         groups=markdown_table(of_groups, groups, (0,)), low=100 * BAND[0], high=100 * BAND[1], wider=WIDER,
         interval=100 * INTERVAL, signal=SIGNAL, cosine=COSINE, needed=100 * NEEDED, largest=100 * LARGEST,
         told=len(told), wrong=len(every), found=sum(map(finds_group, told)),
@@ -144,9 +145,9 @@ Written by `python -m tests.validation.wrong_structures results`, whose first li
 
 {n} structures are updated without a discrepancy, and with embedded scatter of the joint, the thickness and the
 mass (`fmu.Discrepancy(groups=("joint",), prior_sd=0.19, correlation={correlation})` and so on). The first table
-has the shares of {interval:.0f} % intervals that hold the true value of a modulus, or the measurement of a mode that the others
-predict. With a discrepancy {low:.0f} to {high:.0f} % of the intervals of wrong models must hold, and intervals of
-the moduli of right models may be wider by a factor of {wider} in the median. Runs that did not converge are
+has the shares of {interval:.0f} % intervals that hold the true value of a modulus, or the measurement of a mode
+that the others predict. With a discrepancy {low:.0f} to {high:.0f} % of the intervals of wrong models must hold,
+and intervals of the moduli of right models may be wider by a factor of {wider} in the median. Runs that did not converge are
 counted.
 
 {coverage}
