@@ -147,8 +147,8 @@ Written by `python -m tests.validation.wrong_structures results`, whose first li
 mass (`fmu.Discrepancy(groups=("joint",), prior_sd=0.19, correlation={correlation})` and so on). The first table
 has the shares of {interval:.0f} % intervals that hold the true value of a modulus, or the measurement of a mode
 that the others predict. With a discrepancy {low:.0f} to {high:.0f} % of the intervals of wrong models must hold,
-and intervals of the moduli of right models may be wider by a factor of {wider} in the median. Runs that did not converge are
-counted.
+and intervals of the moduli of right models may be wider by a factor of {wider} in the median.
+Runs that did not converge are counted.
 
 {coverage}
 The group of the error can be told if, by the linearised model and before any draw, its change of the frequencies
