@@ -85,7 +85,7 @@ class GibbsSampler(Sampler):
     title: ClassVar[str] = "Gibbs sampling by tests"
     colour: ClassVar[str] = "#117733"
     cost: ClassVar[tuple[float, float, float]] = (2.0, 2.0, 0.9)
-    first: ClassVar[tuple[int, int]] = (100, 400)
+    first: ClassVar[tuple[int, int]] = (100, 250)
     takes_maxima: ClassVar[bool] = False
 
     def __post_init__(self) -> None:

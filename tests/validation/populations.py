@@ -31,7 +31,7 @@ from tests.validation.several_tests import building, modes
 REPLICATES, SEED = 300, 20_283
 MEDIAN_SD, LOG_SD, ETA = 0.1, 0.05, 2.0
 MISSING, ERRORS, SHAPE_ERROR = 0.2, (0.001, 0.02), 0.03
-UNTIL_ESS, DRAWS, WARMUP, MAX_SOLVES = 400, 400, 100, 40_000
+UNTIL_ESS, DRAWS, WARMUP, MAX_SOLVES = 400, 250, 100, 40_000
 
 
 @dataclass(frozen=True)
