@@ -189,7 +189,7 @@ def draw(
             first = limits.first_after(task.warmup, run.warmup_solves, task.costs)
             result, limit = run.extend(first), ""
             while limits.until_ess is not None and not limit:
-                so_far = _as_trace(task, beginning, result, predictions=False)
+                so_far = _as_trace(task, beginning, result, draws_only=True)
                 missing = draws_missing(so_far, limits.until_ess, maxima)
                 if not missing:
                     break
@@ -258,11 +258,14 @@ def examine(task: Task, beginning: Beginning, trace: xr.DataTree) -> xr.DataTree
     return with_left_out(with_identifiability(trace, problem, maxima), problem)
 
 
-def _as_trace(task: Task, beginning: Beginning, result: RunResult, *, predictions: bool = True) -> xr.DataTree:
+def _as_trace(
+    task: Task, beginning: Beginning, result: RunResult, *, predictions: bool = True, draws_only: bool = False
+) -> xr.DataTree:
     from fmu.analysis.trace.conversion import to_trace
 
     starts = beginning.starts
-    return to_trace(replace(result, init=starts.word), task.problem, starts.origin, predictions=predictions)
+    result = replace(result, init=starts.word)
+    return to_trace(result, task.problem, starts.origin, predictions=predictions, draws_only=draws_only)
 
 
 def _store(task: Task, beginning: Beginning, saved: Checkpoint) -> Store:

@@ -17,7 +17,7 @@ from fmu.analysis.convergence.diagnostics import (
     convergence_failures,
     few_ensembles,
     is_beyond_draws,
-    summary,
+    summary_for_verdict,
 )
 from fmu.analysis.convergence.remedies import (
     MIN_AUTOCORRELATION_TIMES,
@@ -359,7 +359,7 @@ def draws_missing(trace: xr.DataTree, until_ess: float, maxima: Maxima | None) -
         growth = MIN_AUTOCORRELATION_TIMES / float(np.min(autocorrelation_times_run(trace)))
         if growth > 1:
             return draws_to_come(draws, growth)
-    table = summary(trace)
+    table = summary_for_verdict(trace)
     growth = growth_needed(table, max(until_ess, required_ess(trace["posterior"].sizes["chain"])))
     growth = max(growth, growth_for_candidates(trace))
     if not growth > 1 and not _reasons(trace, maxima, {}, table)[0]:

@@ -89,28 +89,10 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
         If `ci_prob` does not lie between 0 and 1, or `trace` is not a trace.
     """
     check_trace(trace)
-    lower, upper = interval_columns(ci_prob)
+    interval_columns(ci_prob)  # raises if the probability is invalid
     walkers = walkers_of(trace)
     names, draws = parameter_names(trace), parameter_draws(trace)
-    rows = []
-    for x in np.moveaxis(draws, -1, 0):
-        of_ends = (1 - ci_prob) / 2, (1 + ci_prob) / 2
-        ends = np.quantile(x, of_ends)
-        errors = [effective.mcse_quantile(x, probability, walkers) for probability in of_ends]
-        rows.append(
-            {
-                "mean": x.mean(),
-                "sd": x.std(ddof=1),
-                lower: ends[0],
-                upper: ends[1],
-                "rhat": effective.rhat(x),
-                "ess_bulk": effective.ess_bulk(x, walkers),
-                "ess_tail": effective.ess_tail(x, walkers),
-                "mcse_mean": effective.mcse_mean(x, walkers),
-                f"mcse_{lower}": errors[0],
-                f"mcse_{upper}": errors[1],
-            }
-        )
+    rows = [_row(x, walkers, ci_prob) for x in np.moveaxis(draws, -1, 0)]
     table = data_frame(rows, "parameter", names)
     if has(trace, "emcee"):
         times = trace["emcee"]["autocorrelation_time"].to_numpy()
@@ -118,6 +100,43 @@ def summary(trace: xr.DataTree, ci_prob: float = 0.9) -> pd.DataFrame:
     table.attrs["units"] = dict(zip(names, parameter_units(trace), strict=True))
     table.attrs["scores"] = score_names(trace)
     return table
+
+
+def summary_for_verdict(trace: xr.DataTree) -> pd.DataFrame:
+    """Return ``summary(trace)`` with R-hat alone for the scores of single tests, which may be many.
+
+    The verdict needs no other column of these.
+    """
+    walkers, names, scores = walkers_of(trace), parameter_names(trace), score_names(trace)
+    draws = np.moveaxis(parameter_draws(trace), -1, 0)
+    are_scores = np.isin(names, scores)
+    rows = [
+        {"rhat": effective.rhat(x)} if is_score else _row(x, walkers, 0.9)
+        for x, is_score in zip(draws, are_scores, strict=True)
+    ]
+    table = data_frame(rows, "parameter", names)
+    table.attrs["scores"] = scores
+    return table
+
+
+def _row(x: FloatArray, walkers: int, ci_prob: float) -> dict[str, float]:
+    """Return the row of `summary` of a parameter with the draws x, (chains, draws)."""
+    lower, upper = interval_columns(ci_prob)
+    of_ends = (1 - ci_prob) / 2, (1 + ci_prob) / 2
+    ends = np.quantile(x, of_ends)
+    errors = [effective.mcse_quantile(x, probability, walkers) for probability in of_ends]
+    return {
+        "mean": x.mean(),
+        "sd": x.std(ddof=1),
+        lower: ends[0],
+        upper: ends[1],
+        "rhat": effective.rhat(x),
+        "ess_bulk": effective.ess_bulk(x, walkers),
+        "ess_tail": effective.ess_tail(x, walkers),
+        "mcse_mean": effective.mcse_mean(x, walkers),
+        f"mcse_{lower}": errors[0],
+        f"mcse_{upper}": errors[1],
+    }
 
 
 def interval_columns(ci_prob: float) -> tuple[str, str]:
@@ -219,7 +238,7 @@ def convergence_failures(
     """
     check_trace(trace)
     if table is None:
-        table = summary(trace)
+        table = summary_for_verdict(trace)
     is_ensemble = walkers_of(trace) > 1
     chains = trace["posterior"].sizes["chain"]
     failures = []

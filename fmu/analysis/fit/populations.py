@@ -14,6 +14,7 @@ scores from the residuals (`fmu.analysis.fit.residual_scores`). The checks are
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from scipy.special import stdtr
 from fmu.analysis.fit.causes import find_effects
 from fmu.analysis.fit.check import LAW, POPULATION, Check, probability
 from fmu.analysis.fit.residual_scores import GROUP as RESIDUALS
+from fmu.analysis.trace.distinct_draws import evaluate_in_parts
 from fmu.analysis.trace.reading import has, parameter_names, problem_of, roles_of, score_names
 from fmu.numbers import significant
 from fmu.types import FloatArray
@@ -29,6 +31,7 @@ from fmu.types import FloatArray
 if TYPE_CHECKING:
     import xarray as xr
 
+    from fmu.posterior.joint.varies.population import Drawn
     from fmu.posterior.problem import UpdatingProblem
 
 
@@ -70,7 +73,7 @@ def population_group(
     names = list(layout.populations)
     scores = np.full((2, len(names), len(problem.tests)), np.nan)
     for k, one in enumerate(layout.drawn):
-        z = one.population_scores(theta)[0][:, one.scored]
+        z = evaluate_in_parts(partial(_scores_of, one), theta)
         scores[:, k, one.scored] = z.mean(axis=0), z.std(axis=0)
     dims = ("population", "test")
     variables: dict[str, Any] = {"score": (dims, scores[0]), "score_sd": (dims, scores[1])}
@@ -80,6 +83,11 @@ def population_group(
     matrices = layout.correlations(theta).reshape(*shape, len(names), -1)
     variables["correlation"] = (("chain", "draw", "population", "other"), matrices)
     return xr.Dataset(variables, coords=every | {"other": names})
+
+
+def _scores_of(one: Drawn, theta: FloatArray) -> FloatArray:
+    """Return the standard normal scores of the tests that have one, (n, n_scored)."""
+    return one.population_scores(theta)[0][:, one.scored]
 
 
 def population_checks(trace: xr.DataTree, level: float) -> list[Check]:

@@ -18,7 +18,7 @@ from fmu.analysis.evidence_estimators import tempering_group
 from fmu.analysis.frf.predictions import GROUP as FRFS
 from fmu.analysis.frf.predictions import frf_groups
 from fmu.analysis.trace.densities import has_prior, has_several_tests, is_updating, names_of, start_of, units_of
-from fmu.analysis.trace.distinct_draws import DistinctDraws
+from fmu.analysis.trace.distinct_draws import DistinctDraws, evaluate_in_parts
 from fmu.analysis.trace.misfit import misfit_group, quantities_group
 from fmu.analysis.trace.modal_states import drawn_structure
 from fmu.analysis.trace.netcdf import from_netcdf, to_netcdf
@@ -55,6 +55,7 @@ def to_trace(
     start: object = None,
     *,
     predictions: bool = True,
+    draws_only: bool = False,
     frequency: FloatArray | None = None,
 ) -> xr.DataTree:
     """Convert a run to an ArviZ trace.
@@ -71,6 +72,8 @@ def to_trace(
         maxima. They are part of the configuration and its hash.
     predictions : bool
         Whether to solve the model at the draws for the groups that need frequencies.
+    draws_only : bool
+        Whether to leave out all groups that follow from the draws; the convergence can be judged without them.
     frequency : ndarray, shape (chains, draws, n_modes), Hz, optional
         The computed frequencies at the draws, if they are known.
 
@@ -112,14 +115,14 @@ def to_trace(
         "warmup_sample_stats": _stats(result.warmup, density),
         "constant_data": _constants(density, names),
     }
-    if has_prior(density):
+    if has_prior(density) and not draws_only:
         prior = density.sample_prior(generator(result.seed, PRIOR_STREAM), PRIOR_DRAWS)
         groups["prior"] = _variables(prior[np.newaxis], names, units)
     if LOG_LIKELIHOOD in result.posterior.stats:
         groups["tempering"] = tempering_group(result)
-    if has_several_tests(density):
+    if has_several_tests(density) and not draws_only:
         groups |= _groups_of_tests(result, density, predictions)
-    if predictions and is_updating(density):
+    if predictions and is_updating(density) and not draws_only:
         groups |= _frequency_groups(result, density, frequency)
     trace = xr.DataTree.from_dict(groups)
     trace.attrs = attributes(result, density, start)
@@ -280,7 +283,7 @@ def _frequency_groups(
     likelihood = problem.likelihood
     theta, hz = (x.reshape(-1, x.shape[-1]) for x in (result.posterior.position, frequency))
     if likelihood.by_frequencies:
-        both = _stack_terms(*problem.terms_and_misfit(theta, hz))
+        both = evaluate_in_parts(lambda *part: _stack_terms(*problem.terms_and_misfit(*part)), theta, hz)
         both = both.reshape(*frequency.shape[:2], *both.shape[1:])
     else:
         both = distinct.evaluate(lambda theta: _stack_terms(*problem.terms_and_misfit(theta)))
@@ -343,7 +346,7 @@ def _groups_of_tests(result: RunResult, problem: UpdatingProblem, predictions: b
     coordinates = _sample_coordinates(position)
     theta = position.reshape(-1, position.shape[-1])
     structural = theta[:, : problem.n_structural]
-    values = problem.values(theta).reshape(*position.shape[:2], len(problem.tests), -1)
+    values = evaluate_in_parts(problem.values, theta).reshape(*position.shape[:2], len(problem.tests), -1)
     variables = {
         p.name: (("chain", "draw", "test"), values[..., j], {"units": p.unit})
         for j, p in enumerate(problem.layout.structural)

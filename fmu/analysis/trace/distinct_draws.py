@@ -11,7 +11,21 @@ from fmu.progress.phases import by_parts
 from fmu.types import FloatArray, IntArray
 
 BATCH = 4096
-"""Number of draws passed to the model at a time, which bounds the memory of one batched solve."""
+"""Largest number of draws passed to the model at a time, which bounds the memory of one batched solve."""
+_NUMBERS = 2**18
+"""Largest number of parameters of such draws together: many tests have many."""
+
+
+def batch_of(theta: FloatArray) -> int:
+    """Return the number of draws (n, ndim) to evaluate at a time."""
+    return max(1, min(BATCH, _NUMBERS // theta.shape[1]))
+
+
+def evaluate_in_parts(function: Callable[..., FloatArray], theta: FloatArray, *others: FloatArray) -> FloatArray:
+    """Return ``function(theta, *others)`` of arrays with n rows, computed for a batch of rows at a time."""
+    n, batch = len(theta), batch_of(theta)
+    parts = [slice(k, k + batch) for k in range(0, max(n, 1), batch)]
+    return np.concatenate([function(*(x[part] for x in (theta, *others))) for part in parts])
 
 
 @dataclass(frozen=True)
@@ -46,13 +60,15 @@ class DistinctDraws:
         inverse = np.cumsum(moved).reshape(moved.shape) - 1
         return cls(paths[moved], inverse.swapaxes(1, 2).reshape(chains, draws))
 
-    def evaluate(self, function: Callable[[FloatArray], FloatArray], batch: int = BATCH) -> FloatArray:
+    def evaluate(self, function: Callable[[FloatArray], FloatArray], batch: int | None = None) -> FloatArray:
         """Return ``function(theta)`` for every draw, shape (chains, draws, ...), in the phase "predictions".
 
         Parameters
         ----------
         function : callable
             Maps (n, ndim) to (n, ...); called with at most `batch` rows, once for each distinct draw.
-        batch : int
+        batch : int, optional
+            By default `batch_of` the draws.
         """
+        batch = batch_of(self.theta) if batch is None else batch
         return np.concatenate(by_parts("predictions", function, self.theta, batch))[self.inverse]

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fmu.analysis.trace.distinct_draws import DistinctDraws
+from fmu.analysis.trace.distinct_draws import DistinctDraws, evaluate_in_parts
 
 
 def walk(rng, chains, steps, walkers):
@@ -39,3 +39,16 @@ def test_a_chain_is_not_joined_to_its_neighbour():
     distinct = DistinctDraws.of(position)
     assert len(distinct.theta) == 2
     np.testing.assert_array_equal(distinct.inverse, [[0, 0, 0], [1, 1, 1]])
+
+
+def test_draws_of_many_parameters_are_evaluated_few_at_a_time():
+    """Memory: a thousand tests have thousands of parameters, and each draw is a thousand solves."""
+    sizes, theta = [], np.random.default_rng(0).standard_normal((150, 4000))
+
+    def total(theta, other):
+        sizes.append(len(theta))
+        return theta.sum(axis=1) + other
+
+    np.testing.assert_array_equal(evaluate_in_parts(total, theta, theta[:, 0]), theta.sum(axis=1) + theta[:, 0])
+    assert len(sizes) > 1
+    assert 4000 * max(sizes) <= 2**18
