@@ -369,4 +369,6 @@ def _upper_triangle(matrix: sp.csr_array) -> sp.csr_array:
 def _pardiso() -> Any:
     from pypardiso import PyPardisoSolver
 
+    # each new solver would look for the library in all directories, which takes a second
+    os.environ.setdefault("PYPARDISO_MKL_RT", PyPardisoSolver().libmkl._name)
     return PyPardisoSolver

@@ -143,15 +143,16 @@ class WeightedSum:
         matrices = [sp.csr_array(term.matrix, copy=not term.matrix.has_canonical_format) for term in terms]
         for matrix in matrices:
             matrix.sum_duplicates()
-        keys = [np.ravel_multi_index(matrix.tocoo().coords, self._shape) for matrix in matrices]
-        pattern = np.unique(np.concatenate(keys))
-        rows, columns = np.unravel_index(pattern, self._shape)
-        self._places = pattern if dense else None
-        self._indices = columns.astype(np.int32)
-        self._indptr = np.searchsorted(rows, np.arange(self._shape[0] + 1)).astype(np.int32)
+        ones = [_with_entries(matrix, np.ones(matrix.nnz)) for matrix in matrices]
+        pattern = ones[0]
+        for one in ones[1:]:
+            pattern = pattern + one
+        number = _with_entries(pattern, np.arange(1.0, pattern.nnz + 1.0))  # from 1: a product drops zeros
+        self._places = np.ravel_multi_index(pattern.tocoo().coords, self._shape) if dense else None
+        self._indices, self._indptr = (of.astype(np.int32) for of in (pattern.indices, pattern.indptr))
         self._parts = [
-            (slice(None) if len(key) == len(pattern) else np.searchsorted(pattern, key).astype(np.int32), m.data)
-            for key, m in zip(keys, matrices, strict=True)
+            (slice(None) if m.nnz == pattern.nnz else one.multiply(number).data.astype(np.int32) - 1, m.data)
+            for one, m in zip(ones, matrices, strict=True)
         ]
 
     def __call__(self, weights: FloatArray) -> Any:
@@ -165,6 +166,10 @@ class WeightedSum:
             total.flat[self._places] = data
             return total
         return sp.csr_array((data, self._indices, self._indptr), shape=self._shape)
+
+
+def _with_entries(matrix: sp.csr_array, entries: FloatArray) -> sp.csr_array:
+    return sp.csr_array((entries, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
 class CoefficientMap:

@@ -152,14 +152,15 @@ class Training:
         ]
         found = max(off, default=0.0) / ((1.0 - SHARE) * self.tolerance)
         self.share = min(self.share, found if found > 0.0 else 1.0) / times
-        for b, learner in self.learners.items():
-            learner.share = np.where(learner.share < 1.0, self.share, learner.share)
-            left = theta
-            for _ in range(_ROUNDS):
-                left = left[~self._look(b, left, self.share)]
-                if not len(left) or self.is_spent:
-                    break
-        self._cut()
+        with phase("training"):
+            for b, learner in self.learners.items():
+                learner.share = np.where(learner.share < 1.0, self.share, learner.share)
+                left = theta
+                for _ in range(_ROUNDS):
+                    left = left[~self._look(b, left, self.share)]
+                    if not len(left) or self.is_spent:
+                        break
+            self._cut()
         return self._current()
 
     def narrow(self, tolerance: float, region: Callable[[], FloatArray]) -> Iterator[Trained]:

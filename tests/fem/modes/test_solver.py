@@ -140,3 +140,13 @@ def test_the_number_of_threads_is_the_users_or_that_of_processors(monkeypatch):
     assert n_threads() == 1
     monkeypatch.setenv("MKL_NUM_THREADS", "32")
     assert n_threads() == 8
+
+
+@fast
+def test_the_library_is_looked_for_once(monkeypatch):
+    """A search takes a second, and every factorisation makes a solver of its own."""
+    factorise(arrow(), PARDISO)
+    monkeypatch.setattr("pypardiso.pardiso_wrapper.find_library", None)
+    monkeypatch.setattr("pypardiso.pardiso_wrapper.glob.glob", None)
+    loads = np.ones(600)
+    assert_allclose(arrow() @ factorise(arrow(), PARDISO).solve(loads), loads, rtol=1e-12)
