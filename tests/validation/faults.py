@@ -453,9 +453,16 @@ IN_THE_POSTERIOR = (
     Fault(
         "discrepancy: τ taken for τ²",
         "fmu/posterior/discrepancy/embedded.py",
-        "return tau**2, slopes",
-        "return tau, slopes",
+        "return tau**2, np.zeros_like(tau)",
+        "return tau, np.zeros_like(tau)",
         ("tests/posterior/discrepancy/test_embedded.py",),
+    ),
+    Fault(
+        "discrepancy: scatter in common counted as a mode's own too",
+        "fmu/posterior/discrepancy/embedded.py",
+        "return tau**2 * (1.0 - rho), tau**2 * rho",
+        "return tau**2, tau**2 * rho",
+        ("tests/posterior/discrepancy/test_scatter_in_common.py",),
     ),
     Fault(
         "discrepancy of frequencies alone: the determinant left out",
