@@ -68,6 +68,7 @@ from .posterior.frf.errors import FRFErrors as FRFErrors
 from .posterior.joint.damage_target import DamageTarget as DamageTarget
 from .posterior.joint.joint_problem import JointProblem as JointProblem
 from .posterior.joint.modal_test import Test as Test
+from .posterior.joint.outliers import Outliers as Outliers
 from .posterior.joint.varies.damage import Damage as Damage
 from .posterior.joint.varies.laws import PiecewiseLinear as PiecewiseLinear
 from .posterior.joint.varies.laws import Polynomial as Polynomial

@@ -14,6 +14,7 @@ from fmu.config.mistakes import Mistakes
 from fmu.config.tables import Declared, Name, NotNegative, OneOf, ParameterName, Positive, TomlTable
 from fmu.fem.frame.updates import PROPERTIES
 from fmu.formats.shown import quote
+from fmu.posterior.joint.outliers import Outliers
 from fmu.posterior.joint.varies import Variation
 from fmu.posterior.joint.varies.damage import Damage
 from fmu.posterior.joint.varies.laws import Law, PiecewiseLinear, Polynomial
@@ -107,6 +108,29 @@ class PopulationTable(TomlTable):
         """Return the population that the table describes."""
         sd, between = (None if prior is None else prior.build() for prior in (self.sd, self.between))
         return Population(self.distribution, sd, between, self.sd_by_group)
+
+
+class OutliersTable(TomlTable):
+    """Tests that may be outliers of the populations."""
+
+    share: Annotated[
+        Annotated[float, Tag("<number>")]
+        | Annotated[Declared, OneOf("distribution", {"beta": PRIORS["beta"]}), Tag("<table>")],
+        Discriminator(lambda value: "<table>" if isinstance(value, dict | Declared) else "<number>"),
+    ] = 0.05
+    """Probability that a test is an outlier; or its prior, distribution = "beta" on [0, 1], with which it is
+    inferred."""
+    scale: float = 5.0
+    """Standard deviation of the values of outliers, relative to that of the others."""
+
+    def build(self) -> Outliers:
+        """Return the outliers that the table describes."""
+        return Outliers(self.share if isinstance(self.share, float) else self.share.build(), self.scale)
+
+    @model_validator(mode="after")
+    def _can_be_built(self) -> Self:
+        self.build()
+        return self
 
 
 class PolynomialTable(TomlTable):

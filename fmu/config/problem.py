@@ -24,7 +24,7 @@ from fmu.config.models.frame import FrameTable
 from fmu.config.models.matrices import MatricesTable
 from fmu.config.models.opensees import OpenSeesTable
 from fmu.config.models.python import PythonTable
-from fmu.config.parameters import NoiseTable, ParameterTable, build_parameters, of_several_tests
+from fmu.config.parameters import NoiseTable, OutliersTable, ParameterTable, build_parameters, of_several_tests
 from fmu.config.planned.plan import PlanTable
 from fmu.config.tables import Built, FileName, Name, Positive, TomlTable, by_kind
 from fmu.config.tests import MOST_TESTS, TestTable, build_tests, in_the_file, variations
@@ -126,6 +126,8 @@ class ProblemFile(TomlTable):
     correlation: float | None = None
     """Shape η of the prior LKJ(η) of the correlation between parameters with a population. 1 is flat over
     correlation matrices; the larger it is, the smaller are the correlations. Independent if not given."""
+    outliers: OutliersTable | None = None
+    """With a population: tests that may be outliers."""
     parameters: Annotated[list[ParameterTable], Field(min_length=1, max_length=MOST_PARAMETERS)]
     """What is uncertain, in the order of theta."""
     export: ExportTable | None = None
@@ -258,7 +260,7 @@ class ProblemFile(TomlTable):
                 given = "a plan only, which fmu plan reads"
             return [ArgumentError("measurement", f"must be given, or several [[tests]] instead (got {given})")]
         if self.tests is None:
-            keys = {"reference": self.reference, "correlation": self.correlation}
+            keys = {"reference": self.reference, "correlation": self.correlation, "outliers": self.outliers}
             rule = "is allowed with several [[tests]] only"
             of_one = [ArgumentError(key, rule) for key, value in keys.items() if value is not None]
             return self.measured.mistakes(needs_trust) + of_several_tests(self.parameters) + of_one
@@ -327,6 +329,7 @@ class ProblemFile(TomlTable):
                 slopes=slopes,
                 reference=self.reference,
                 correlation=self.correlation,
+                outliers=None if self.outliers is None else self.outliers.build(),
                 pairing=pairing or self.pairing,
                 error=errors or cast("str", self.error),
                 discrepancy=[table.build() for table in self.discrepancy],

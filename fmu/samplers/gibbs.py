@@ -1,6 +1,7 @@
 """Sampling of hierarchical posteriors: the parameters of populations and the scores of all tests in turn.
 
-One step consists of
+Where tests may be outliers, a step begins with a draw of which ones are, given their scores, and of their share;
+the rest of the step is conditional on that. It consists of
 
 1. a Hamiltonian trajectory of the main parameters in their density without the scores, which needs no solve of the
    model (`fmu.posterior.joint.conditional.MarginalOfMain`); the scores move along, so that they keep their
@@ -32,7 +33,7 @@ from fmu.box import find_inside
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.joint.conditional.both import Conditionals, conditionals
 from fmu.posterior.joint.conditional.marginal import MarginalOfMain
-from fmu.posterior.joint.conditional.scores import Linear
+from fmu.posterior.joint.conditional.scores import REGULAR, Linear
 from fmu.posterior.joint.layout import sum_by_test
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.scaled import ScaledDensity
@@ -120,6 +121,8 @@ class _Target(ExactGradient):
     marginal : MarginalOfMain
     theta : ndarray, shape (chains, ndim)
         Supplies the standard deviations of the errors.
+    scales : ndarray, shape (chains, n_tests, p)
+        The standard deviations of the scores without the data.
 
     Attributes
     ----------
@@ -130,13 +133,15 @@ class _Target(ExactGradient):
     linear: Linear
     solves_per_gradient = 0
 
-    def __init__(self, marginal: MarginalOfMain, theta: FloatArray) -> None:
-        self.marginal, self.theta = marginal, theta
+    def __init__(self, marginal: MarginalOfMain, theta: FloatArray, scales: FloatArray) -> None:
+        self.marginal, self.theta, self.scales = marginal, theta, scales
         self.lower, self.upper, self.ndim = marginal.lower, marginal.upper, len(marginal.lower)
 
     def log_prob_and_grad(self, position: FloatArray, chain: Index) -> tuple[FloatArray, FloatArray]:
         """Return the log-densities and their gradients; `chain` is as in `Target.log_prob`."""
-        value, gradient, self.linear = self.marginal.log_prob_and_grad(position, self.theta[chain])
+        value, gradient, self.linear = self.marginal.log_prob_and_grad(
+            position, self.theta[chain], REGULAR if self.scales is REGULAR else self.scales[chain]
+        )
         return value, gradient
 
 
@@ -177,8 +182,9 @@ class GibbsKernel:
     def step(self, rng: np.random.Generator, state: State) -> tuple[State, Info]:
         """Move the main parameters with the scores, then the scores, then the populations given the values."""
         theta = self.problem.layout.standardise_scores(self.scaled.to_theta(state.position))
-        theta, terms, linear, extra = self._move_main(rng, theta, state.extra["terms"])
-        theta, terms, moved = self._move_scores(rng, theta, terms, linear)
+        theta, scales = self._draw_scales(rng, theta)
+        theta, terms, linear, extra = self._move_main(rng, theta, state.extra["terms"], scales)
+        theta, terms, moved = self._move_scores(rng, theta, terms, linear, scales)
         populations = self.conditionals.populations
         if populations.n_blocks:
             found = populations.propose(rng, theta)
@@ -193,8 +199,19 @@ class GibbsKernel:
         position = self.scaled.to_scaled(theta)
         return State(position, log_prob, extra={"terms": terms}), info
 
+    def _draw_scales(self, rng: np.random.Generator, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return theta with a new share of outliers, and the standard deviations of the scores of each test.
+
+        Which tests are outliers is drawn given their scores, and the share given these.
+        """
+        outliers = self.problem.layout.outliers
+        if outliers is None:
+            return theta, REGULAR
+        scales = outliers.draw_scales(rng, theta, self.conditionals.scores.scores.take(theta))
+        return outliers.draw_share(rng, theta, scales), scales
+
     def _move_main(
-        self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray
+        self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray, scales: FloatArray
     ) -> tuple[FloatArray, FloatArray, Linear, dict[str, AnyArray]]:
         """Return theta and terms after a trajectory of the main parameters, with densities and statistics.
 
@@ -202,7 +219,7 @@ class GibbsKernel:
         density, which the step size is tuned by, and whether the chain has moved.
         """
         marginal, given = self.conditionals.marginal, self.conditionals.scores
-        target = _Target(marginal, theta)
+        target = _Target(marginal, theta, scales)
         begun, _ = target.start(marginal.coordinates(theta))
         first = target.linear
         n_steps = int(
@@ -218,12 +235,12 @@ class GibbsKernel:
             gain = np.where(end.finished, gain - (begun.log_prob - self.metric.kinetic(momentum)), -np.inf)
         gain = np.nan_to_num(gain, nan=-np.inf, neginf=-np.inf)
         moved = marginal.theta_at(np.where(end.finished[:, None], end.position, begun.position), theta)
-        linear = (first, target.linear if np.all(end.finished) else given.linearise(moved))
+        linear = (first, target.linear if np.all(end.finished) else given.linearise(moved, scales))
         before, after = (given.normal_of(one) for one in linear)
         candidate = given.scores.put(moved, after.restore(before.standardise(given.scores.take(theta))))
         new_terms = self._terms(candidate)
         error = [
-            given.log_prior(at) - one.log_det_factor - marginal.log_evidence(one)
+            given.log_prior(at, scales) - one.log_det_factor - marginal.log_evidence(one)
             for at, one in zip((theta, candidate), linear, strict=True)
         ]
         with np.errstate(invalid="ignore"):
@@ -237,7 +254,12 @@ class GibbsKernel:
         return np.where(chosen, candidate, theta), np.where(chosen, new_terms, terms), last, statistics
 
     def _move_scores(
-        self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray, linear: Linear
+        self,
+        rng: np.random.Generator,
+        theta: FloatArray,
+        terms: FloatArray,
+        linear: Linear,
+        scales: FloatArray = REGULAR,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return theta and terms with new scores, and the shares of tests that moved, (chains,)."""
         of, test = self.conditionals.scores, self.problem.likelihood.test_of_terms
@@ -252,7 +274,8 @@ class GibbsKernel:
         new_terms = self._terms(candidate)
         n_tests = z.shape[1]
         with np.errstate(invalid="ignore"):
-            gain = sum_by_test(new_terms - terms, test, n_tests) + of.log_prior(candidate) - of.log_prior(theta)
+            gain = sum_by_test(new_terms - terms, test, n_tests)
+            gain = gain + of.log_prior(candidate, scales) - of.log_prior(theta, scales)
             ratio = gain + np.where(walks, 0.0, normal.log_density(now, _NU) - normal.log_density(new, _NU))
         accepted = accept(rng, ratio)
         chosen = np.where(accepted[..., None], of.scores.take(candidate), z)

@@ -123,6 +123,27 @@ def test_an_sd_in_each_group(tmp_path):
     ]
 
 
+def test_tests_that_may_be_outliers(tmp_path):
+    scatters = 'varies = "population"\n'
+    tests = [PLAIN.replace("plain", f"t{t}") for t in range(4)]
+    path = written(tmp_path, K1 + scatters, K2, *tests)
+    text = path.read_text()
+    path.write_text("outliers = { share = 0.1, scale = 4 }\n" + text)
+    assert fmu.load(path).layout.outliers.of == fmu.Outliers(0.1, 4.0)
+    path.write_text('outliers = { share = { distribution = "beta", a = 1, b = 9 } }\n' + text)
+    problem = fmu.load(path)
+    assert problem.names[:4] == ("k1 mean", "k1 sd", "k2", "share of outliers")
+    assert problem.roles[3] == ("share", None, "")
+    path.write_text("outliers = { share = 1.5, scale = 1 }\n" + text)
+    assert mistakes(path) == ["outliers.scale: must be a finite number above 1 (got 1.0)"]
+    path.write_text('outliers = { share = { distribution = "half-normal", sd = 0.1 } }\n' + text)
+    assert mistakes(path) == ["outliers.share.distribution: must be one of beta (got 'half-normal')"]
+    path.write_text("outliers = {}\n" + text.replace(scatters, ""))
+    assert mistakes(path) == [
+        "outliers: needs a parameter with a population, of which a test may be an outlier (got none)"
+    ]
+
+
 def test_damage_at_an_unknown_date(tmp_path):
     onset = 'varies = "undated-damage"\nonset = { by = "day", grows = true, event = "corrosion" }\n'
     tests = [PLAIN.replace("plain", f"t{t}") + f"covariates = {{ day = {t}.5 }}\n" for t in range(4)]

@@ -39,6 +39,7 @@ GROUP = "populations"
 _INFORMED = 0.05
 """A score is skipped if the data remove less than this share of its prior variance."""
 _FEWEST = 6
+_OUTLIER = 0.5
 _TO_CAUSES = 0.6
 """Share of the level for the causes; the rest is for the farthest test."""
 _POPULATION = (
@@ -60,6 +61,9 @@ def population_group(
 ) -> xr.Dataset:
     """Return the trace group with the posterior means and standard deviations of the scores, and the correlations.
 
+    Where tests may be outliers, ``outlier`` is the probability that a test is one, and ``outlier_of`` that its
+    score in a population is that of an outlier.
+
     Parameters
     ----------
     problem : UpdatingProblem
@@ -77,6 +81,11 @@ def population_group(
         scores[:, k, one.scored] = z.mean(axis=0), z.std(axis=0)
     dims = ("population", "test")
     variables: dict[str, Any] = {"score": (dims, scores[0]), "score_sd": (dims, scores[1])}
+    if layout.outliers is not None:
+        z = np.stack([one.population_scores(theta)[0] for one in layout.drawn], axis=2)
+        outlier, of_each = layout.outliers.outlying(theta, z)
+        variables["outlier"] = "test", outlier.mean(axis=0)
+        variables["outlier_of"] = dims, of_each.mean(axis=0).T
     every = coordinates | {"population": names, "test": [test.name for test in problem.tests]}
     if layout.correlation is None:
         return xr.Dataset(variables, coords=every)
@@ -209,9 +218,14 @@ def _regress_out(scores: FloatArray, k: int) -> FloatArray:
 
 
 def standard_scores(group: xr.Dataset) -> FloatArray:
-    """Return scores, standard normal if the model is correct, (n_tests, n_populations); NaN where unknown."""
+    """Return scores, standard normal if the model is correct, (n_tests, n_populations); NaN where unknown.
+
+    Tests that are probably outliers in the model are left out.
+    """
     mean, sd = (group[name].transpose("test", "population").to_numpy() for name in ("score", "score_sd"))
     informed = 1.0 - sd**2
+    if "outlier" in group:
+        informed = np.where(group["outlier"].to_numpy()[:, None] > _OUTLIER, 0.0, informed)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(informed > _INFORMED, mean / np.sqrt(informed), np.nan)
 

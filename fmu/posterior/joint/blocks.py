@@ -122,9 +122,8 @@ class BlockForm:
         main = np.einsum("tik,til->kl", by_main, turned) + self._of_prior(theta)
         cross = by_score[..., None] * turned[:, numbers]
         scores = by_score[..., None] * information[:, numbers[:, None], numbers] * by_score[:, None]
-        scores = scores + np.eye(p)
-        if layout.correlation is not None:
-            scores = scores + layout.correlation.precision(theta[None, :n])[0]
+        z = self.scores.take(theta[None, :n])
+        scores = scores + np.eye(p) + layout.precision_of_scores(theta[None, :n], z)[0]
         return BlockHessian(main, cross, scores)
 
     def _of_prior(self, theta: FloatArray) -> FloatArray:

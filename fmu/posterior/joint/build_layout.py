@@ -10,6 +10,7 @@ import numpy as np
 from fmu.posterior.joint.correlation import Correlation, correlations
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.modal_test import Test
+from fmu.posterior.joint.outliers import ContaminatedScores, Outliers
 from fmu.posterior.joint.varies.base import Theta, Varies
 from fmu.posterior.joint.varies.taken import Held
 from fmu.posterior.joint.varies.trend import Slopes, Trends, as_dicts
@@ -23,6 +24,7 @@ def build_layout(
     slopes: Slopes,
     reference: str,
     eta: float | None,
+    outliers: Outliers | None,
 ) -> Layout:
     """Return the layout of several tests. The arguments are as in `fmu.JointProblem`, which has checked them.
 
@@ -39,6 +41,8 @@ def build_layout(
     if eta is not None:
         of_both = correlations(list(populations), eta)
         columns = tuple(theta.add(parameter, "correlation", None) for parameter in of_both)
+    share = None if outliers is None else outliers.parameter
+    of_share = None if share is None else theta.add(share, "share", None)
     layout = Layout(
         tuple(structural),
         (*theta.main, *theta.scores),
@@ -47,12 +51,15 @@ def build_layout(
         populations,
         tuple(p.name for p in structural if varies[p.name].by_group),
         None,
+        None,
         (*theta.roles, *theta.roles_of_scores),
         reference,
         as_dicts(slopes),
         {p.name: by for p in structural if (by := varies[p.name].by_date) is not None},
     )
-    if eta is None:
+    if eta is None and outliers is None:
         return layout
     scored = np.stack([one.scored for one in layout.drawn], axis=1)
-    return replace(layout, correlation=Correlation(columns, scored))
+    correlation = None if eta is None else Correlation(columns, scored)
+    contaminated = None if outliers is None else ContaminatedScores(outliers, of_share, scored, correlation)
+    return replace(layout, correlation=correlation, outliers=contaminated)

@@ -20,6 +20,7 @@ from fmu.posterior.joint.build_layout import build_layout
 from fmu.posterior.joint.configurations import find_configurations, stack_tests
 from fmu.posterior.joint.modal_test import Test, TestsError
 from fmu.posterior.joint.model_in_tests import ModelInTests
+from fmu.posterior.joint.outliers import Outliers
 from fmu.posterior.joint.quantities import Errors
 from fmu.posterior.joint.typical import centre_scores
 from fmu.posterior.joint.varies import Variation, way_of
@@ -43,6 +44,7 @@ def JointProblem(  # capitalised because it constructs a problem
     slopes: Mapping[str, Mapping[str, Prior | Law | str]] | None = None,
     reference: str | None = None,
     correlation: float | None = None,
+    outliers: Outliers | None = None,
     pairing: str = "shape",
     beta: Positive | None = None,
     error: str | ErrorModel | Sequence[ErrorModel] = "frequency",
@@ -84,6 +86,9 @@ def JointProblem(  # capitalised because it constructs a problem
         Shape parameter η of the LKJ(η) prior of the populations' correlation matrix
         (`fmu.posterior.joint.correlation`). 1 is a flat prior; larger values favour smaller correlations. By
         default the populations are independent.
+    outliers : Outliers, optional
+        Tests may be outliers of the populations. Which ones are, is summed over; the trace has the probability of
+        each. By default no test is an outlier.
     discrepancy : Discrepancy or sequence of Discrepancy, optional
         Errors of the model itself. They are the same in all tests: a mode of the structure, by its label, sees the
         same parameters in every test, beside what varies between the tests.
@@ -112,7 +117,7 @@ def JointProblem(  # capitalised because it constructs a problem
     check_names(parameters)
     reference = (tests[0].group if tests else "") if reference is None else reference
     ways = {p.name: Shared() for p in parameters} | {name: way_of(how) for name, how in (varies or {}).items()}
-    found = find_mistakes(tests, parameters, of_model, ways, slopes, reference, correlation)
+    found = find_mistakes(tests, parameters, of_model, ways, slopes, reference, correlation, outliers)
     found += errors.find_mistakes(model, [test.name for test in tests])
     if any(isinstance(one, (ShapeErrors, MACErrors)) for one in np.ravel(np.array(error, dtype=object))):
         found += mistakes_of_shapes(tests)
@@ -121,7 +126,7 @@ def JointProblem(  # capitalised because it constructs a problem
     if pairing == "soft" or (isinstance(error, str) and error == "modal-residual"):
         what = "soft pairing" if pairing == "soft" else "the modal residual"
         raise ValueError(f"tests: {what} is for a single test (got {len(tests)})")
-    layout = build_layout(parameters, tests, ways, slopes, reference, correlation)
+    layout = build_layout(parameters, tests, ways, slopes, reference, correlation, outliers)
     data = stack_tests(tests)
     common: dict[str, Any] = {"beta": beta}
     options = {"pairing": pairing, "reduction": reduction, "engine": engine, "error": errors.of_modes, **common}
@@ -155,7 +160,8 @@ def simulate_next_test(
         A problem of several tests.
     rng : Generator
     theta : ndarray, shape (n, ndim)
-        Posterior draws. For each draw, a parameter with a population gets a new value from that population.
+        Posterior draws. For each draw, a parameter with a population gets a new value from that population; the
+        further test is no outlier.
     like : str, optional
         Name of the test whose configuration, group, modes and errors the further test has. Default: the first.
     covariates : mapping of str to float, optional
@@ -226,6 +232,7 @@ def find_mistakes(
     slopes: Slopes,
     reference: str,
     correlation: float | None = None,
+    outliers: Outliers | None = None,
 ) -> list[str]:
     """Return a list of messages on contradictions between tests and parameters, each naming the argument.
 
@@ -261,8 +268,11 @@ def find_mistakes(
     groups = {test.group for test in tests}
     if tests and reference not in groups:
         found.append(f"reference: must be the group of a test (got {reference!r})")
+    n = sum(varies[name].population is not None for name in names)
+    if outliers is not None and not n:
+        rule = "needs a parameter with a population, of which a test may be an outlier"
+        found.append(f"outliers: {rule} (got none)")
     if correlation is not None:
-        n = sum(varies[name].population is not None for name in names)
         if n < 2:
             found.append(f"correlation: needs two parameters or more with a population (got {n})")
         if not 0.0 < correlation < np.inf:

@@ -12,6 +12,7 @@ import numpy as np
 from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.joint.correlation import Correlation
 from fmu.posterior.joint.modal_test import Test
+from fmu.posterior.joint.outliers import ContaminatedScores
 from fmu.posterior.joint.varies.base import Future, InTests, Role, Slope, Varies
 from fmu.posterior.joint.varies.population import Drawn
 from fmu.posterior.joint.varies.taken import SHARED, Held, Taken
@@ -41,6 +42,8 @@ class Layout:
         Names of the structural parameters that vary between groups of tests.
     correlation : Correlation, optional
         Correlation of the populations. If it is None, the populations are independent.
+    outliers : ContaminatedScores, optional
+        The density of the scores where tests may be outliers. If it is None, there are no outliers.
     roles : tuple of Role
         The meaning of each parameter in `parameters`.
     reference : str
@@ -59,6 +62,7 @@ class Layout:
     populations: Mapping[str, Varies] = field(default_factory=dict)
     by_state: tuple[str, ...] = ()
     correlation: Correlation | None = None
+    outliers: ContaminatedScores | None = None
     roles: tuple[Role, ...] = ()
     reference: str = ""
     slopes: Mapping[str, Plain] = field(default_factory=dict)
@@ -112,6 +116,7 @@ class Layout:
             "populations": {name: one.as_dict() for name, one in self.populations.items()},
             "reference": self.reference,
             "correlated": self.correlation is not None,
+            **({} if self.outliers is None else {"outliers": self.outliers.of.as_dict()}),
             **({"slopes": dict(self.slopes)} if self.slopes else {}),
             **({"by_date": dict(self.by_date)} if self.by_date else {}),
         }
@@ -163,9 +168,21 @@ class Layout:
 
     @property
     def scales(self) -> list[int]:
-        """Sorted indices in theta of the populations' centres, widths and correlations."""
+        """Sorted indices in theta of the populations' centres, widths, correlations and share of outliers."""
         found = {k for one in self.drawn for k in (one.centre, *one.widths.tolist())}
-        return sorted([*found, *(self.correlation.columns if self.correlation else ())])
+        return sorted([*found, *(self.density_of_scores.columns if self.density_of_scores else ())])
+
+    @property
+    def density_of_scores(self) -> Correlation | ContaminatedScores | None:
+        """The density of the scores of each test; None if they are independent and standard normal."""
+        return self.correlation if self.outliers is None else self.outliers
+
+    def precision_of_scores(self, theta: FloatArray, z: FloatArray) -> FloatArray:
+        """Return the precision matrices of the scores z minus I, (n, n_tests, p, p)."""
+        if self.outliers is not None:
+            return self.outliers.precision(theta, z)
+        none = np.zeros((*z.shape, z.shape[2]))
+        return none if self.correlation is None else self.correlation.precision(theta)
 
     def remove_centring(self) -> Layout:
         """Return the layout in the non-centred form, with a centring of zero for all scores."""
@@ -287,15 +304,18 @@ class Layout:
         """Return the log-density of the prior, (n,), given the log-density of independent parameters.
 
         Independent scores are standard normal. Corrections are added for centred scores, whose density depends on
-        the population, and for the correlation of the populations.
+        the population, and for scores that are correlated or those of outliers.
         """
         value = independent
         for one in self._centred:
             value = value + np.einsum("nt->n", one.log_prior(theta)[0])
-        if self.correlation is not None:
-            z = np.stack([one.population_scores(theta)[0] for one in self.drawn], axis=2)
-            value = value + np.einsum("nt->n", self.correlation.log_density(theta, z)[0])
+        if self.density_of_scores is not None:
+            value = value + np.einsum("nt->n", self.density_of_scores.log_density(theta, self._scores(theta))[0])
         return value
+
+    def _scores(self, theta: FloatArray) -> FloatArray:
+        """Return the scores relative to the populations, (n, n_tests, n_populations)."""
+        return np.stack([one.population_scores(theta)[0] for one in self.drawn], axis=2)
 
     def log_prior_gradient(self, theta: FloatArray, independent: FloatArray) -> FloatArray:
         """Return the gradient of `log_prior`, (n, ndim), given the gradient for independent parameters."""
@@ -305,11 +325,10 @@ class Layout:
             gradient[:, by_score.columns[one.scored]] += by_score.values[:, one.scored]
             for slope in (by_centre, by_width):
                 add_by_column(gradient, slope)
-        if self.correlation is not None:
+        if self.density_of_scores is not None:
             found = [one.population_scores(theta) for one in self.drawn]
-            z = np.stack([z for z, _ in found], axis=2)
-            _, by_z, by_correlation = self.correlation.log_density(theta, z)
-            gradient[:, self.correlation.columns] += by_correlation
+            _, by_z, by_columns = self.density_of_scores.log_density(theta, self._scores(theta))
+            gradient[:, self.density_of_scores.columns] += by_columns
             for j, (one, (_, slopes)) in enumerate(zip(self.drawn, found, strict=True)):
                 of_score, *of_both = (by_z[:, :, j] * np.where(one.scored, s, 0.0) for s in slopes)
                 gradient[:, one.columns[one.scored]] += of_score[:, one.scored]
@@ -328,8 +347,8 @@ class Layout:
         for one in self._centred:
             columns = one.columns[one.scored]
             curvature[:, columns, columns] = one.curvature(theta)[:, one.scored] * scale[columns] ** 2
-        if self.correlation is not None:
-            precision = self.correlation.precision(theta)
+        if self.density_of_scores is not None:
+            precision = self.precision_of_scores(theta, self._scores(theta))
             slopes = [np.sqrt(one.curvature(theta)) for one in self.drawn]
             for i, of_rows in enumerate(self.drawn):
                 for j, of_columns in enumerate(self.drawn):
@@ -341,8 +360,9 @@ class Layout:
 
     def draw_from_prior(self, theta: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return draws from the prior, (n, ndim), given draws of independent parameters in `theta`."""
-        if self.correlation is not None:
+        if self.density_of_scores is not None:
             z = self.draw_scores(theta, rng, len(self.tests))
+            z = z if self.outliers is None else z * self.outliers.draw_from_prior(rng, theta)
             for j, one in enumerate(self.drawn):
                 theta[:, one.columns[one.scored]] = z[:, one.scored, j]
         return self.restore_scores(theta)

@@ -102,12 +102,22 @@ def _search(problem: UpdatingProblem) -> tuple[FloatArray, FloatArray]:
         theta, hessian = form.climb(theta, _ROUGH)
         columns = scores.columns[scores.scored]
         variance[columns] = hessian.score_variances()[scores.scored] * form.scaled.scale[columns] ** 2
-        moved = [_most_probable(problem, one, theta, variance) for one in layout.drawn]
+        kappa = _weights(layout, theta)
+        moved = [
+            _most_probable(problem, one, theta, variance, weights)
+            for one, weights in zip(layout.drawn, kappa, strict=True)
+        ]
         if layout.correlation is not None:
             _correlate(layout, theta, variance)
         if max(moved, default=0.0) < _SETTLED:
             break
     return theta, variance
+
+
+def _weights(layout: Layout, theta: FloatArray) -> FloatArray:
+    """Return the weights of the tests in each population, (p, n_tests): small for outliers, else one."""
+    z = np.stack([one.population_scores(theta[None])[0] for one in layout.drawn], axis=2)
+    return np.ones(z.shape[:0:-1]) if layout.outliers is None else layout.outliers.weights(theta[None], z)[0].T
 
 
 def _correlate(layout: Layout, theta: FloatArray, variance: FloatArray) -> None:
@@ -124,12 +134,18 @@ def _correlate(layout: Layout, theta: FloatArray, variance: FloatArray) -> None:
         theta[list(correlation.columns)] = correlation.of_scores(moments)
 
 
-def _most_probable(problem: UpdatingProblem, one: Drawn, theta: FloatArray, variance: FloatArray) -> float:
-    """Set a population's centre and widths in `theta` from its values; return the largest change, in widths."""
+def _most_probable(
+    problem: UpdatingProblem, one: Drawn, theta: FloatArray, variance: FloatArray, of_tests: FloatArray
+) -> float:
+    """Set a population's centre and widths in `theta` from its values; return the largest change, in widths.
+
+    `of_tests`, (n_tests,), are weights of the tests.
+    """
     columns, widths, before = one.columns[one.scored], one.widths[one.scored], theta[None].copy()
     value, by_score = one(theta[None])[0][0, one.scored], one(theta[None])[1][0].values[0, one.scored]
     x, spread = (np.log(value), by_score / value) if one.population.of_logarithm else (value, by_score)
-    last, weights = theta[one.centre], (theta[widths[0]] / theta[widths]) ** 2
+    of_tests = of_tests[one.scored]
+    last, weights = theta[one.centre], of_tests * (theta[widths[0]] / theta[widths]) ** 2
     middle = np.sum(weights * x) / np.sum(weights)
     low, high = problem.lower[one.centre], problem.upper[one.centre]
     margin = 1e-3 * (high - low) if np.isfinite(high - low) else 0.0
@@ -139,7 +155,8 @@ def _most_probable(problem: UpdatingProblem, one: Drawn, theta: FloatArray, vari
     changes = []
     for k in np.unique(widths):
         here = widths == k
-        width = np.sqrt(np.mean((x - middle)[here] ** 2) + np.mean((variance[columns] * spread**2)[here]))
+        squares = (x - middle)[here] ** 2, (variance[columns] * spread**2)[here]
+        width = np.sqrt(sum(np.mean(of_tests[here] * square) for square in squares))
         width = max(width, _LEAST_SD * problem.start[k])
         changes.append(float(max(abs(new - last), abs(width - theta[k])) / width))
         theta[k] = np.clip(width, problem.lower[k], problem.upper[k])

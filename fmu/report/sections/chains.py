@@ -144,7 +144,7 @@ def settling(run: ReportedRun) -> PageSection:
 
 def _autocorrelation(run: ReportedRun) -> Picture:
     axes = plot_autocorrelation(run.trace)
-    k = int(np.argmin(run.summary["ess_bulk"].to_numpy()))
+    k = int(np.argmin(run.summary.loc[list(run.names), "ess_bulk"].to_numpy()))
     *chains, _ = axes[k].lines  # the last line marks zero
     mean = np.mean([line.get_ydata() for line in chains], axis=0)
     values = ", ".join(f"{fixed(mean[lag], 2)} at lag {lag}" for lag in (1, 10, 50) if lag < len(mean))

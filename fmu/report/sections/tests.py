@@ -22,7 +22,7 @@ from fmu.analysis.trace.damage import (
 from fmu.analysis.trace.modal_states import sketch_of
 from fmu.analysis.trace.reading import LOSSES, has, roles_of, sds_of_population
 from fmu.fem.frame.drawing import UNCHANGED, WIDTH, draw_svg, without_sensors
-from fmu.numbers import MISSING, customary_unit, decimals, fixed, interval, share, with_sd
+from fmu.numbers import MISSING, customary_unit, decimals, fixed, interval, share, significant, with_sd
 from fmu.report.document import (
     Omitted,
     PageSection,
@@ -48,6 +48,8 @@ ONE_TEST = "there is one test"
 _BEYOND = (0.05, 0.1)
 _CERTAIN, _FEW = 0.9, 3
 """Probability from which a loss is stated as certain on the first screen; most parameters named in one line."""
+_UNLIKELY, _MOST_OUTLIERS = 0.05, 20
+"""Smallest probability of an outlier that is listed, and the most tests in the list."""
 _STEPS = (0.1, 0.5, 0.9)
 _SCALE = (
     ("#C8C8C8", "below 10 %"),
@@ -102,11 +104,37 @@ def population(run: ReportedRun) -> PageSection | Omitted:
     caption = "Bars: the value in each test, 90 %. Band: the population, mean ± sd."
     drawn = picture(plot_values(run.trace), f"{run.name}-tests", alt, caption)
     parts: list[Part] = [words, table, Pictures((drawn,))]
+    if has(run.trace, "populations", "outlier"):
+        parts += _outliers(run)
     if has(run.trace, "populations", "correlation"):
         parts.append(_correlations(run))
     if has(run.trace, "next_test"):
         parts.append(_next_test(run))
     return PageSection("population", title, tuple(parts))
+
+
+def _outliers(run: ReportedRun) -> list[Part]:
+    """Return a sentence on the tests that may be outliers, and a table of the most probable ones."""
+    group = run.trace["populations"].to_dataset()
+    names, tests = group["population"].to_numpy().tolist(), group["test"].to_numpy().tolist()
+    p = group["outlier"].to_numpy()
+    of_each = group["outlier_of"].transpose("test", "population").to_numpy()
+    likely = [t for t in np.argsort(-p, kind="stable") if p[t] >= _UNLIKELY][:_MOST_OUTLIERS]
+    found = [str(tests[t]) for t in likely if p[t] > 0.5]
+    said = f"Probably outliers: {', '.join(found)}." if found else "No test is probably an outlier."
+    parts: list[Part] = [
+        Text(
+            f"{said} The values of an outlier are drawn from a wider population, and hardly count for the mean "
+            f"and sd of the others. The expected number of outliers is {significant(float(p.sum()), 2)} of "
+            f"{len(tests)} tests."
+        )
+    ]
+    rows = [(str(tests[t]), probably(float(p[t])), *map(probably, of_each[t].tolist())) for t in likely]
+    if rows:
+        header = ("test", "P(outlier)", *(f"of {name}" for name in names))
+        title = f"Tests that are outliers with a probability of {share(_UNLIKELY)} or more"
+        parts.append(PageTable(title, header, tuple(rows)))
+    return parts
 
 
 def _correlations(run: ReportedRun) -> PageTable:

@@ -14,7 +14,7 @@ from fmu.posterior.joint.conditional.expansion import OfTests, expand
 from fmu.posterior.joint.conditional.given_values import PopulationsGivenValues
 from fmu.posterior.joint.conditional.marginal import MarginalOfMain
 from fmu.posterior.joint.conditional.regression import FittedNormal, fit_normal, reflect
-from fmu.posterior.joint.conditional.scores import ScoresGivenMain
+from fmu.posterior.joint.conditional.scores import REGULAR, Scores, ScoresGivenMain
 from fmu.posterior.joint.typical import typical_point
 from fmu.posterior.priors.joint import JointPrior
 from fmu.posterior.problem import UpdatingProblem
@@ -48,6 +48,8 @@ class Conditionals(NamedTuple):
     populations : PopulationsGivenValues
     typical : ndarray, shape (1, ndim)
         The typical point, with standard normal scores.
+    scales : ndarray, shape (1, n_tests, p) or (1, 1, 1)
+        The standard deviations of the scores there; not one for tests that are outliers.
     """
 
     scores: ScoresGivenMain
@@ -57,6 +59,7 @@ class Conditionals(NamedTuple):
     noise_prior: JointPrior
     populations: PopulationsGivenValues
     typical: FloatArray
+    scales: FloatArray
 
 
 _KNOWN: WeakKeyDictionary[UpdatingProblem, Conditionals] = WeakKeyDictionary()
@@ -87,7 +90,8 @@ def scatter_about_typical(
     of_noise = dispersion * known.noise * rng.standard_normal((n, len(known.noise)))
     share, found = np.ones((n, 1)), problem.layout.restore_scores(centre)
     middle, d = marginal.coordinates(centre), len(known.normal.mean)
-    least = marginal.log_prob_and_grad(middle[:1], centre[:1])[0] - _FARTHEST * dispersion**2 * (d + np.sqrt(d))
+    highest = marginal.log_prob_and_grad(middle[:1], centre[:1], known.scales)[0]
+    least = highest - _FARTHEST * dispersion**2 * (d + np.sqrt(d))
     left = np.arange(n)
     for _ in range(_HALVINGS):
         low, high = marginal.lower, marginal.upper
@@ -95,9 +99,9 @@ def scatter_about_typical(
         theta = marginal.theta_at(w, centre[left])
         theta[:, problem.n_structural :] *= np.exp(share[left] * of_noise[left])
         inside = find_inside(theta, problem.lower, problem.upper)[0] & np.all((w > low) & (w < high), axis=1)
-        inside &= marginal.log_prob_and_grad(w, theta)[0] > least
+        inside &= marginal.log_prob_and_grad(w, theta, known.scales)[0] > least
         theta[~inside] = centre[left][~inside]
-        normal = given.approximate(theta)
+        normal = given.approximate(theta, known.scales)
         z = normal.bend(normal.mean + normal.scatter(share[left, :, None] * of_scores[left]))
         theta = problem.layout.restore_scores(given.scores.put(theta, z))
         good = inside & np.isfinite(problem.log_prob(theta))
@@ -114,16 +118,18 @@ def _compute(problem: UpdatingProblem) -> Conditionals:
     plain = problem.with_layout(problem.layout.remove_centring())
     own = ScaledDensity(problem).to_theta(typical_point(problem))[None]
     first = problem.layout.standardise_scores(own)
-    scores, marginal = _about(plain, first)
-    normal = _fit(marginal, first, marginal.rough_covariance(first))
+    scales = _scales(plain, first)
+    scores, marginal = _about(plain, first, scales)
+    normal = _fit(marginal, first, marginal.rough_covariance(first, scales), scales)
     # the first typical point may have standard deviations near zero, where the mean of the density is far from it
     theta = marginal.theta_at(normal.draws(_DRAWS, marginal.lower, marginal.upper).mean(axis=0)[None], first)
-    found = scores.approximate(theta)
+    found = scores.approximate(theta, scales)
     theta = scores.scores.put(theta, found.bend(found.mean))
     if np.isfinite(plain.log_prob(theta))[0]:
         theta = BlockForm(plain, np.array([], dtype=np.int64)).climb(theta[0], _CLIMBED)[0][None]
-        scores, marginal = _about(plain, theta)
-        normal = _fit(marginal, theta, normal.covariance)
+        scales = _scales(plain, theta)
+        scores, marginal = _about(plain, theta, scales)
+        normal = _fit(marginal, theta, normal.covariance, scales)
     else:
         theta = first
     s = theta[:, problem.n_structural :]
@@ -131,35 +137,45 @@ def _compute(problem: UpdatingProblem) -> Conditionals:
     noise = 1.0 / np.sqrt(1.0 + np.diag(information) * s[0] ** 2)
     noise_prior = JointPrior(problem.parameters[problem.n_structural :])
     populations = PopulationsGivenValues(plain.layout, plain.parameters)
-    return Conditionals(scores, marginal, normal, noise, noise_prior, populations, theta)
+    return Conditionals(scores, marginal, normal, noise, noise_prior, populations, theta, scales)
 
 
-def _about(plain: UpdatingProblem, theta: FloatArray) -> tuple[ScoresGivenMain, MarginalOfMain]:
+def _scales(plain: UpdatingProblem, theta: FloatArray) -> FloatArray:
+    """Return the most probable standard deviations of the scores without the data; see `Linear.scales`."""
+    outliers = plain.layout.outliers
+    return REGULAR if outliers is None else outliers.likeliest_scales(theta, Scores.of(plain.layout).take(theta))
+
+
+def _about(
+    plain: UpdatingProblem, theta: FloatArray, scales: FloatArray
+) -> tuple[ScoresGivenMain, MarginalOfMain]:
     """Return the densities of scores and of main parameters by expansions about theta, (1, ndim)."""
     assert isinstance(plain.likelihood, OfTests)
     expansion = expand(plain.layout, plain.likelihood, theta[0])
-    scores = _bend(ScoresGivenMain(plain.layout, expansion), plain, theta)
+    scores = _bend(ScoresGivenMain(plain.layout, expansion), plain, theta, scales)
     return scores, MarginalOfMain(plain, scores, theta)
 
 
-def _fit(marginal: MarginalOfMain, theta: FloatArray, covariance: FloatArray) -> FittedNormal:
+def _fit(marginal: MarginalOfMain, theta: FloatArray, covariance: FloatArray, scales: FloatArray) -> FittedNormal:
     """Return the normal distribution that is closest to the density of the main parameters."""
 
     def gradient(w: FloatArray) -> FloatArray:
-        return marginal.log_prob_and_grad(w, np.repeat(theta, len(w), axis=0))[1]
+        return marginal.log_prob_and_grad(w, np.repeat(theta, len(w), axis=0), scales)[1]
 
     centre = marginal.coordinates(theta)[0]
     return fit_normal(gradient, centre, covariance, marginal.lower, marginal.upper)
 
 
-def _bend(straight: ScoresGivenMain, plain: UpdatingProblem, theta: FloatArray) -> ScoresGivenMain:
+def _bend(
+    straight: ScoresGivenMain, plain: UpdatingProblem, theta: FloatArray, scales: FloatArray
+) -> ScoresGivenMain:
     """Return the density of the scores with bent approximations, if some are bent noticeably."""
 
     def gradient(z: FloatArray) -> FloatArray:
         slopes = plain.log_prob_and_grad(straight.scores.put(np.repeat(theta, len(z), axis=0), z))[1]
         return straight.scores.take(slopes)
 
-    normal = straight.approximate(theta)
+    normal = straight.approximate(theta, scales)
     precision = normal.factor[0] @ np.swapaxes(normal.factor[0], 1, 2)
     at = straight.scores.put(theta, normal.mean)[:, : len(plain.layout.parameters)]
     slopes = np.stack([one.slope(at)[0] for one in straight.scores.every], axis=1)

@@ -173,9 +173,12 @@ def inverse_wishart_factors(rng: np.random.Generator, scatter: FloatArray, nu: F
 def _blocks(layout: Layout) -> list[list[Drawn]]:
     """Return the populations that candidates can be found for, in blocks of equal sizes.
 
-    Each has one standard deviation. Candidates of correlated populations need scores in all tests.
+    Each has one standard deviation, and no test may be an outlier. Candidates of correlated populations need
+    scores in all tests.
     """
     drawn, correlated = layout.drawn, layout.correlation is not None
+    if layout.outliers is not None:
+        return []
     is_possible = [
         len(np.unique(one.widths)) == 1 and one.scored.sum() > _FEWEST and (one.scored.all() or not correlated)
         for one in drawn

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmu.posterior.joint.conditional.scores import Linear, ScoresGivenMain
+from fmu.posterior.joint.conditional.scores import REGULAR, Linear, ScoresGivenMain
 from fmu.posterior.priors.joint import JointPrior
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.scaled import ScaledDensity
@@ -45,14 +45,16 @@ class MarginalOfMain:
     Attributes
     ----------
     columns : ndarray of int, shape (d,)
-        Indices of the main parameters in theta.
+        Indices of the main parameters in theta, without the share of outliers.
     lower, upper : ndarray, shape (d,)
         Bounds of w.
     """
 
     def __init__(self, problem: UpdatingProblem, scores: ScoresGivenMain, theta: FloatArray) -> None:
         self.layout, self.given, of = problem.layout, scores, scores.scores
-        self.columns: IntArray = np.setdiff1d(np.arange(problem.n_structural), of.columns[of.scored])
+        outliers = self.layout.outliers
+        others = [*of.columns[of.scored].tolist(), *(outliers.of_share if outliers else ())]
+        self.columns: IntArray = np.setdiff1d(np.arange(problem.n_structural), others)
         self.prior = JointPrior([problem.parameters[k] for k in self.columns])
         scaled = ScaledDensity(problem)
         self._offset, self._scale = scaled.offset[self.columns], scaled.scale[self.columns]
@@ -97,7 +99,9 @@ class MarginalOfMain:
         found[:, self.columns] = np.clip(main, self._low, self._high)
         return found
 
-    def log_prob_and_grad(self, w: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray, Linear]:
+    def log_prob_and_grad(
+        self, w: FloatArray, theta: FloatArray, scales: FloatArray = REGULAR
+    ) -> tuple[FloatArray, FloatArray, Linear]:
         """Return the log-density (n,) of w, (n, d), its gradient, and the densities of the scores there.
 
         The gradient is exact where bounds and the curvature of the values have no influence.
@@ -107,9 +111,11 @@ class MarginalOfMain:
         w : ndarray, shape (n, d)
         theta : ndarray, shape (n, ndim)
             Supplies the inferred standard deviations of errors.
+        scales : ndarray, shape (n, n_tests, p), optional
+            The standard deviations of the scores without the data (`Linear`).
         """
         at = self.theta_at(w, theta)
-        linear = self.given.linearise(at)
+        linear = self.given.linearise(at, scales)
         main = at[:, self.columns]
         value = np.einsum("nt->n", self.log_evidence(linear)) + self.prior.log_pdf(main)
         gradient = self._gradient(linear, at)[:, self.columns] + self.prior.log_pdf_gradient(main)
@@ -123,7 +129,7 @@ class MarginalOfMain:
         value = value + np.log(by_w[:, self._widths]).sum(axis=1) + np.log1p(-(rho**2)).sum(axis=1)
         return value, gradient, linear
 
-    def rough_covariance(self, theta: FloatArray) -> FloatArray:
+    def rough_covariance(self, theta: FloatArray, scales: FloatArray = REGULAR) -> FloatArray:
         """Return a covariance matrix of w, (d, d): the inverse of the curvature at theta, (1, ndim).
 
         The curvature is computed by differences of the gradient. It may vanish by a standard deviation near zero,
@@ -135,7 +141,7 @@ class MarginalOfMain:
         h = _STEP * np.minimum(1.0, np.minimum(w - self.lower, self.upper - w)[0])
         h = np.where(h > 0.0, h, _STEP)
         moves = np.concatenate([np.diag(h), -np.diag(h)])
-        slopes = self.log_prob_and_grad(w + moves, np.repeat(theta, 2 * d, axis=0))[1]
+        slopes = self.log_prob_and_grad(w + moves, np.repeat(theta, 2 * d, axis=0), scales)[1]
         hessian = (slopes[d:] - slopes[:d]) / (2.0 * h[:, None])
         values, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
         size = np.abs(values)
@@ -144,7 +150,7 @@ class MarginalOfMain:
         return np.linalg.inv((vectors * np.maximum(size, 1e-9 * size.max())) @ vectors.T + np.diag(added))
 
     def log_evidence(self, linear: Linear) -> FloatArray:
-        """Return the logarithm of the integral over the scores of each test, (n, n_tests)."""
+        """Return the log of the integral over the scores of each test, (n, n_tests), less a term of the scales."""
         found = linear.largest - linear.log_det_factor
         copula = self.layout.correlation
         return found if copula is None else found - 0.5 * copula.log_det(linear.at)
@@ -174,5 +180,7 @@ class MarginalOfMain:
         if copula is not None:
             z = linear.z + linear.step
             moments = linear.inverse + z[..., :, None] * z[..., None, :]
+            if linear.scales is not REGULAR:
+                moments = moments / (linear.scales[..., :, None] * linear.scales[..., None, :])
             gradient[:, list(copula.columns)] = copula.gradient_of_moments(linear.at, moments)
         return gradient

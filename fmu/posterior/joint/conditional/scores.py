@@ -22,6 +22,8 @@ from fmu.types import BoolArray, FloatArray, IntArray
 
 _FAR = 6.0
 """Largest absolute score of an expansion, in standard deviations of the population."""
+REGULAR: FloatArray = np.ones((1, 1, 1))
+"""The standard deviations of the scores of tests without outliers."""
 _INSIDE = 1e-9
 """Smallest distance of an expansion from the bounds of a value, relative to their distance."""
 
@@ -125,6 +127,8 @@ class Linear(NamedTuple):
         matrices.
     of_prior : ndarray, shape (n, n_tests, p, p)
         The precision matrices of the scores without the data.
+    scales : ndarray, shape (n, n_tests, p) or (1, 1, 1)
+        The standard deviations of the scores without the data; one but for outliers.
     """
 
     at: FloatArray
@@ -137,6 +141,7 @@ class Linear(NamedTuple):
     factor: FloatArray
     inverse: FloatArray
     of_prior: FloatArray
+    scales: FloatArray
 
     def select(self, chosen: BoolArray, other: Linear) -> Linear:
         """Return these densities for the chains that are `chosen`, (n,), and the `other` ones for the rest."""
@@ -219,16 +224,22 @@ class ScoresGivenMain:
         numbers = self.scores.parameters
         self._information = expansion.information[:, numbers[:, None], numbers]
 
-    def log_prior(self, theta: FloatArray) -> FloatArray:
-        """Return the log-density of the scores of each test, given the main parameters, shape (n, n_tests)."""
-        z = self.scores.take(theta)
+    def log_prior(self, theta: FloatArray, scales: FloatArray = REGULAR) -> FloatArray:
+        """Return the log-density of the scores of each test, given main parameters and `scales`, (n, n_tests).
+
+        Constants, and terms of the scales alone, are left out. `scales` is as in `Linear`.
+        """
+        z = self.scores.take(theta) / scales
         found = -0.5 * np.einsum("ntp,ntp->nt", z, z)
         if self.layout.correlation is not None:
             found += self.layout.correlation.log_density(theta, z)[0]
         return found
 
-    def linearise(self, theta: FloatArray) -> Linear:
-        """Return the densities of the scores, with linear values, at the main parameters of theta (n, ndim)."""
+    def linearise(self, theta: FloatArray, scales: FloatArray = REGULAR) -> Linear:
+        """Return the densities of the scores, with linear values, at the main parameters of theta (n, ndim).
+
+        `scales` is as in `Linear`.
+        """
         known, numbers, scored = self.expansion, self.scores.parameters, self.scores.scored
         of = theta[:, : len(self.layout.parameters)]
         pairs = zip(self.scores.every, known.values.T[numbers], strict=True)
@@ -248,6 +259,8 @@ class ScoresGivenMain:
         of_prior = np.broadcast_to(np.eye(z.shape[2]), precision.shape)
         if self.layout.correlation is not None:
             of_prior = of_prior + self.layout.correlation.precision(of)
+        if scales is not REGULAR:
+            of_prior = of_prior / (scales[..., :, None] * scales[..., None, :])
         pull = np.einsum("ntij,ntj->nti", of_prior, z)
         total = slopes * gradient[:, :, numbers] - pull
         value = value - 0.5 * np.einsum("nti,nti->nt", z, pull)
@@ -255,14 +268,15 @@ class ScoresGivenMain:
         factor, inverse = np.linalg.cholesky(precision), np.linalg.inv(precision)
         step = np.einsum("ntij,ntj->nti", inverse, total)
         value = value + 0.5 * np.einsum("nti,nti->nt", total, step)
-        return Linear(at, z, slopes, step, value, gradient, weight, factor, inverse, of_prior)
+        return Linear(at, z, slopes, step, value, gradient, weight, factor, inverse, of_prior, scales)
 
-    def approximate(self, theta: FloatArray) -> Normal:
+    def approximate(self, theta: FloatArray, scales: FloatArray = REGULAR) -> Normal:
         """Return the normal approximation of the scores' density at the main parameters of theta (n, ndim).
 
         The likelihood of each test is that of the expansion, and the values are linear in the scores there.
+        `scales` is as in `Linear`.
         """
-        return self.normal_of(self.linearise(theta))
+        return self.normal_of(self.linearise(theta, scales))
 
     def normal_of(self, linear: Linear) -> Normal:
         """Return the normal approximation of the scores' density with linear values."""

@@ -32,11 +32,11 @@ class Role(NamedTuple):
         in a population; ``"effect"``: the effect of a group on a population; ``"loss"``: the relative loss of a
         group, or since an event; ``"date"``: the date of an event; ``"slope"`` or ``"kink"``: the slope with a
         covariate, or the place where it changes; ``"covariate"``: the value of a covariate in a test;
-        ``"correlation"``: a partial correlation of two populations; ``"noise"``: an inferred standard deviation of
-        the errors.
+        ``"correlation"``: a partial correlation of two populations; ``"share"``: the probability that a test is an
+        outlier; ``"noise"``: an inferred standard deviation of the errors.
     of : int or None
-        Index into ``layout.structural`` of the parameter of the structure; None for correlations, covariates and
-        dates.
+        Index into ``layout.structural`` of the parameter of the structure; None for correlations, covariates,
+        dates and the share of outliers.
     where : str
         Name of the test, group, covariate or event, if the role refers to one; otherwise empty.
     """

@@ -39,6 +39,8 @@ Normals = tuple[FloatArray, FloatArray]
 
 _SCATTER = 0.2
 """Scale of the default half-normal prior of a population's standard deviation, relative to the start value."""
+_ROUNDING = 1e-12
+"""Smallest distance of a value from a bound that has a score, relative to the bound."""
 _FAR = 4.0
 """Half-width of the range in which a reduced model is trained, in standard deviations of the population."""
 
@@ -318,6 +320,9 @@ class Drawn(InTests):
         theta = theta.copy()
         z, (centre, width), blend, _ = self._parts(theta)
         value = self.population.values(z, centre, width, self.lower, self.upper)[0]
+        # far scores give the bounds themselves, to rounding
+        inside = 1.0 + _ROUNDING * np.sign([self.lower, -self.upper])
+        value = np.clip(value, self.lower * inside[0], self.upper * inside[1])
         scores = self.population.scores(value, *blend, self.lower, self.upper)
         theta[:, self.columns[self.scored]] = np.where(self.centring > 0.0, scores, z)[:, self.scored]
         return theta

@@ -1,0 +1,251 @@
+"""Tests that are outliers, whose scores have a wider distribution than the scores of other tests.
+
+With the probability ε, a test is an outlier, in one of several ways c that are equally probable: the score of one
+population alone, or the scores of all, are s times as large (a contaminated normal distribution; Tukey 1960, in
+*Contributions to Probability and Statistics*, Stanford University Press, 448–485). With the diagonal matrix D_c of
+these factors, ones and s, and the correlation matrix R of the populations, the density of the scores of a test is
+
+    p(z) = (1 − ε) N(z; 0, R) + ε/m Σ_c N(z; 0, D_c R D_c),
+
+where m is the number of ways. Which tests are outliers is thereby summed over exactly. The probability that a test
+is an outlier of kind c, given the data, is the posterior mean of the share of term c in the sum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from annotated_types import Gt
+from scipy.special import logsumexp
+
+from fmu.arguments import ArgumentError, check_arguments
+from fmu.posterior.joint.correlation import Correlation
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors.scipy_distributions import ScaledBeta
+from fmu.types import BoolArray, FloatArray, IntArray, Plain
+
+NAME = "share of outliers"
+"""Name of the parameter ε."""
+
+
+@check_arguments
+@dataclass(frozen=True)
+class Outliers:
+    """Some tests may be outliers: the values of one population, or of all, are drawn from a wider one.
+
+    Attributes
+    ----------
+    share : float or ScaledBeta
+        Probability ε that a test is an outlier; or its prior on [0, 1], with which it is inferred. Default: 0.05.
+    scale : float
+        The standard deviation of the scores of an outlier, relative to the others'. Default: 5.
+
+    Raises
+    ------
+    ValueError
+        If the share is not between 0 and 1, a prior is not one on [0, 1], or the scale does not exceed 1.
+    """
+
+    share: float | ScaledBeta = 0.05
+    scale: Annotated[float, Gt(1.0)] = 5.0
+
+    def __post_init__(self) -> None:
+        if isinstance(self.share, ScaledBeta):
+            if (self.share.low, self.share.high) != (0.0, 1.0):
+                ends = f"[{self.share.low}, {self.share.high}]"
+                raise ArgumentError("share", "must be a number, or a beta prior on [0, 1]", ends)
+        elif not 0.0 < self.share < 1.0:
+            raise ArgumentError("share", "must be between 0 and 1", self.share)
+
+    @property
+    def parameter(self) -> Parameter | None:
+        """The share as a parameter of theta; None if it is known."""
+        if not isinstance(self.share, ScaledBeta):
+            return None
+        return Parameter(NAME, self.share.a / (self.share.a + self.share.b), 0.0, 1.0, self.share)
+
+    def as_dict(self) -> dict[str, Plain]:
+        """Return a dict of the settings, in plain Python types."""
+        share = self.share.as_dict() if isinstance(self.share, ScaledBeta) else self.share
+        return {"share": share, "scale": self.scale}
+
+
+class _Terms(NamedTuple):
+    """The terms of the density of the scores of each test, for the regular tests and each kind of outlier.
+
+    Attributes
+    ----------
+    log : ndarray, shape (n, n_kinds, n_tests)
+        Logarithms of the terms, relative to the density of independent standard normal scores.
+    by_score : ndarray, shape (n, n_kinds, n_tests, p)
+    """
+
+    log: FloatArray
+    by_score: FloatArray
+
+
+@dataclass(frozen=True)
+class ContaminatedScores:
+    """The density of the scores of tests that may be outliers.
+
+    Attributes
+    ----------
+    of : Outliers
+    share : int or None
+        Index in theta of ε; None if it is known.
+    scored : ndarray of bool, shape (n_tests, p)
+        Whether a test has a score in a population. A score that it does not have cannot be that of an outlier.
+    correlation : Correlation or None
+        The correlation of the populations; None if they are independent.
+    """
+
+    of: Outliers
+    share: int | None
+    scored: BoolArray
+    correlation: Correlation | None
+
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """Indices in theta of the partial correlations and of ε."""
+        return (*(self.correlation.columns if self.correlation else ()), *self.of_share)
+
+    @property
+    def of_share(self) -> tuple[int, ...]:
+        """Index in theta of ε; empty if it is known."""
+        return () if self.share is None else (self.share,)
+
+    @cached_property
+    def scales(self) -> FloatArray:
+        """The diagonals of D_c in each test, (n_kinds, n_tests, p); the first kind is a regular test."""
+        p = self.scored.shape[1]
+        kinds = np.ones((1 + p + (p > 1), p))
+        kinds[1 : 1 + p][np.eye(p, dtype=bool)] = self.of.scale
+        kinds[1 + p :] = self.of.scale
+        return np.where(self.scored, kinds[:, None], 1.0)
+
+    @cached_property
+    def is_outlier(self) -> BoolArray:
+        """Whether a test of each kind is an outlier, (n_kinds, n_tests)."""
+        return np.asarray((self.scales > 1.0).any(axis=2))
+
+    def log_density(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return log p(z) minus the log-density of independent scores in each test, and its derivatives.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (n, n_parameters)
+        z : ndarray, shape (n, n_tests, p)
+
+        Returns
+        -------
+        value : ndarray, shape (n, n_tests)
+        by_score : ndarray, shape (n, n_tests, p)
+        by_columns : ndarray, shape (n, n_columns)
+            Derivatives of the sum over the tests with respect to the parameters in `columns`.
+        """
+        terms = self._terms(theta, z)
+        value = logsumexp(terms.log, axis=1)
+        share_of = np.exp(terms.log - value[:, None])
+        by_score = np.einsum("nct,nctp->ntp", share_of, terms.by_score)
+        by_columns = []
+        if self.correlation is not None:
+            y = z[:, None] / self.scales
+            moments = np.einsum("nct,ncti,nctj->ntij", share_of, y, y)
+            by_columns.append(self.correlation.gradient_of_moments(theta, moments))
+        if self.share is not None:
+            epsilon, outlying = theta[:, self.share], self._outlying(share_of)
+            counted = self.is_outlier.any(axis=0)
+            of_share = outlying / epsilon[:, None] - (1.0 - outlying) / (1.0 - epsilon[:, None])
+            by_columns.append(np.einsum("nt->n", np.where(counted, of_share, 0.0))[:, None])
+        return value, by_score, np.concatenate([np.zeros((len(theta), 0)), *by_columns], axis=1)
+
+    def precision(self, theta: FloatArray, z: FloatArray) -> FloatArray:
+        """Return the expected precision of scores z minus I, (n, n_tests, p, p), over the kinds of tests."""
+        share_of = self.probabilities(theta, z)
+        every = [self.precision_of(theta, scales[None]) for scales in self.scales]
+        eye = np.eye(z.shape[2])
+        found = sum(share_of[:, c, :, None, None] * one for c, one in enumerate(every))
+        return np.asarray(found - eye)
+
+    def precision_of(self, theta: FloatArray, scales: FloatArray) -> FloatArray:
+        """Return (D R D)⁻¹ for the diagonals D, (n, n_tests, p): shape (n, n_tests, p, p)."""
+        inverse = np.eye(scales.shape[2]) + (
+            0.0 if self.correlation is None else self.correlation.precision(theta)
+        )
+        return np.asarray(inverse / (scales[..., :, None] * scales[..., None, :]))
+
+    def weights(self, theta: FloatArray, z: FloatArray) -> FloatArray:
+        """Return the expected 1/D² of each score z, (n, n_tests, p): one for a regular test."""
+        return np.einsum("nct,ctp->ntp", self.probabilities(theta, z), self.scales**-2.0)
+
+    def probabilities(self, theta: FloatArray, z: FloatArray) -> FloatArray:
+        """Return the probabilities of the kinds of each test, (n, n_kinds, n_tests), with the scores z."""
+        terms = self._terms(theta, z).log
+        return np.exp(terms - logsumexp(terms, axis=1)[:, None])
+
+    def outlying(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the probability that a test is an outlier, and that the score of each population is.
+
+        The shapes are (n, n_tests) and (n, n_tests, p).
+        """
+        share_of = self.probabilities(theta, z)
+        return self._outlying(share_of), np.einsum("nct,ctp->ntp", share_of, (self.scales > 1.0).astype(float))
+
+    def draw_from_prior(self, rng: np.random.Generator, theta: FloatArray) -> FloatArray:
+        """Return diagonals D of tests drawn from the prior, (n, n_tests, p)."""
+        return self._draw(rng, self._log_weights(theta))
+
+    def draw_scales(self, rng: np.random.Generator, theta: FloatArray, z: FloatArray) -> FloatArray:
+        """Return diagonals D of the tests, (n, n_tests, p), drawn given their scores z."""
+        return self._draw(rng, self._terms(theta, z).log)
+
+    def likeliest_scales(self, theta: FloatArray, z: FloatArray) -> FloatArray:
+        """Return the most probable diagonals D of the tests, (n, n_tests, p), given their scores z."""
+        return self._select(np.argmax(self._terms(theta, z).log, axis=1))
+
+    def draw_share(self, rng: np.random.Generator, theta: FloatArray, scales: FloatArray) -> FloatArray:
+        """Return a copy of theta with ε drawn given the diagonals D of the tests, (n, n_tests, p).
+
+        The distribution of ε is then beta, with the numbers of outliers and of other tests added to a and b.
+        """
+        if self.share is None or not isinstance(self.of.share, ScaledBeta):
+            return theta
+        found, counted = theta.copy(), self.is_outlier.any(axis=0)
+        n_outliers = np.sum((scales > 1.0).any(axis=2), axis=1)
+        a, b = self.of.share.a + n_outliers, self.of.share.b + counted.sum() - n_outliers
+        tiny = np.finfo(float).eps
+        found[:, self.share] = np.clip(rng.beta(a, b), tiny, 1.0 - tiny)
+        return found
+
+    def _terms(self, theta: FloatArray, z: FloatArray) -> _Terms:
+        logs, slopes = self._log_weights(theta), []
+        for c, scales in enumerate(self.scales):
+            y = z / scales
+            logs[:, c] += 0.5 * np.einsum("ntp->nt", z**2 - y**2) - np.log(scales).sum(axis=1)
+            by_y = -y
+            if self.correlation is not None:
+                value, by_score, _ = self.correlation.log_density(theta, y)
+                logs[:, c], by_y = logs[:, c] + value, by_y + by_score
+            slopes.append(z + by_y / scales)
+        return _Terms(logs, np.stack(slopes, axis=1))
+
+    def _log_weights(self, theta: FloatArray) -> FloatArray:
+        """Return the logarithms of the prior probabilities of the kinds, (n, n_kinds, n_tests)."""
+        epsilon = np.full(len(theta), self.of.share) if self.share is None else theta[:, self.share]
+        m = self.is_outlier.sum(axis=0)
+        with np.errstate(divide="ignore"):
+            of_outliers = np.where(self.is_outlier, np.log(epsilon[:, None, None] / np.maximum(m, 1)), -np.inf)
+            of_outliers[:, 0] = np.where(m > 0, np.log1p(-epsilon)[:, None], 0.0)
+        return of_outliers
+
+    def _outlying(self, share_of: FloatArray) -> FloatArray:
+        return np.einsum("nct,ct->nt", share_of, self.is_outlier.astype(float))
+
+    def _draw(self, rng: np.random.Generator, logs: FloatArray) -> FloatArray:
+        return self._select(np.argmax(logs + rng.gumbel(size=logs.shape), axis=1))
+
+    def _select(self, kinds: IntArray) -> FloatArray:
+        return np.asarray(self.scales[kinds, np.arange(kinds.shape[1])])
