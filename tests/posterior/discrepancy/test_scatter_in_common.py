@@ -80,6 +80,22 @@ def test_frequencies_are_gaussian_with_the_covariance(kind):
     assert_allclose(np.cov(drawn.T) / np.outer(sd, sd), S / np.outer(sd, sd), atol=6 * np.sqrt(2 / n))
 
 
+@pytest.mark.parametrize("kind", ["in part", "one wholly", "inferred"])
+def test_predictions_know_the_common_part_as_far_as_the_data_do(kind):
+    """The errors of all modes given the data of two, against the dense covariance."""
+    problem, n, used = problem_of(kind).using(["1", "3"]), 4000, [0, 2]
+    one = embedded.points(problem, 1)[0]
+    f, S = covariance(problem, kind, one)
+    errors = S - np.diag((np.array([0.02, 0.03, 0.01]) / np.sqrt([1.0, 0.5, 2.0]) * embedded.MEASURED) ** 2)
+    gain = np.linalg.solve(S[np.ix_(used, used)], errors[used]).T
+    mean, C = f + gain @ (embedded.MEASURED - f)[used], errors - gain @ errors[used]
+    many = np.tile(f, (n, 1)), np.tile(one, (n, 1))
+    drawn = problem.likelihood.with_discrepancy(np.random.default_rng(1), *many, given_data=True)
+    sd = np.sqrt(np.diag(C))
+    assert_allclose((drawn.mean(axis=0) - mean) / sd, 0.0, atol=5 / np.sqrt(n))
+    assert_allclose(np.cov(drawn.T) / np.outer(sd, sd), C / np.outer(sd, sd), atol=6 * np.sqrt(2 / n))
+
+
 def test_frequencies_and_shapes_share_the_parameters():
     problem, plain = problem_of("inferred", "shapes too"), embedded.problem_of("none", "shapes too")
     for one in embedded.points(problem):
