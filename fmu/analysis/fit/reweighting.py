@@ -94,13 +94,14 @@ def by_draws(trace: xr.DataTree) -> Estimate | None:
         return None
     squares = array_of(trace, GROUP, "squares")[:, :, 0].reshape(-1, len(linear.g))
     log_w = _log_ratios(squares, linear.g)
+    log_ratio = logsumexp(log_w, axis=1)
     try:
-        weights, k = smoothed_weights(logsumexp(log_w, axis=1))
+        weights, k = smoothed_weights(log_ratio)
     except ValueError:  # so many draws are equal that the weights have no tail
         return None
     if not (k <= GOOD_K and effective_size(weights) >= _FEWEST):
         return None
-    by_tau = np.exp(logsumexp(log_w - logsumexp(log_w, axis=1)[:, None] + weights[:, None], axis=0))
+    by_tau = np.exp(logsumexp(log_w - log_ratio[:, None] + weights[:, None], axis=0))
     theta, w = parameter_draws(trace).reshape(len(squares), -1), np.exp(weights)
     return Estimate(by_tau, np.sqrt(w @ (theta - w @ theta) ** 2) / theta.std(axis=0))
 
