@@ -350,7 +350,12 @@ def calls(folder: Path) -> Iterator[Call]:
     yield Call("PiecewiseLinear", fmu.PiecewiseLinear, {"prior": prior, "kinks": [0.0]})
     yield Call("PointMass", fmu.PointMass, {"node": 0, "mass": 1.0, "inertia": (0.0, 0.0, 0.1), "name": "m"})
     yield Call("Polynomial", fmu.Polynomial, {"priors": [prior]})
-    yield Call("Population", fmu.Population, {"distribution": "normal", "sd": prior, "between": prior})
+    yield Call("Outliers", fmu.Outliers, {"share": 0.1, "scale": 4.0})
+    yield Call(
+        "Population",
+        fmu.Population,
+        {"distribution": "normal", "sd": prior, "between": prior, "sd_by_group": True},
+    )
     yield Call("RandomWalk", fmu.RandomWalk, {"scale": [[0.1]]})
     yield Call("RigidArm", fmu.RigidArm, {"node": 1, "offset": (0.0, 0.0, 0.1)})
     yield Call("ScaledBeta", fmu.ScaledBeta, {"a": 2.0, "b": 3.0, **numbers})

@@ -194,3 +194,12 @@ def test_what_is_no_share_and_no_scale():
             [fmu.Parameter(name, 1.0, 0.2, 3.0) for name in ("k1", "k2")],
             outliers=fmu.Outliers(),
         )
+
+
+def test_scores_far_beyond_a_bound_stay_finite():
+    """A score of an outlier whose value is the bound to rounding keeps a finite centred score."""
+    problem = posed(fmu.Outliers(0.5, 20.0), noise=0.001, distribution="log-normal")
+    assert np.any(problem.layout.drawn[0].centring > 0.0)
+    theta = problem.sample_prior(np.random.default_rng(1), 500)
+    assert np.all(np.isfinite(theta))
+    assert np.all(np.isfinite(problem.log_prior(theta)))
