@@ -95,7 +95,7 @@ STUDIES = (
     _study("coverage", 34, "coverage"),
     _study("left-out", 32),
     _study("populations", 35),
-    _study("campaigns", 45),
+    _study("campaigns", 20),
     _study("wrong-structures", 35),
     _study("densities", 30),
     _study("wrong-model", 30),

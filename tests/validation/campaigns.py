@@ -10,7 +10,7 @@ fails.
   With a linear law the model is contradicted, the temperature is named, and P(loss) is withheld.
 - Dates: 60 tests; storey 2 has lost 8 % from an unknown test on. The median of the date is within 5 tests of it.
 - Populations: 30 tests, also by shapes, stiffnesses that scatter by 5 %. One of them drifts by 3 standard
-  deviations over the tests, or comes in three blocks 2 apart, or is 6 off in one test. The checks of `fmu.diagnose`
+  deviations over the tests, or comes in three blocks 2 apart, or is 6 off in one test. The checks of a run
   tell it, and nothing without. The scores are those at the typical point where sampling begins, without draws.
 """
 
