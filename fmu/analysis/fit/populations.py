@@ -31,7 +31,7 @@ from fmu.types import FloatArray
 if TYPE_CHECKING:
     import xarray as xr
 
-    from fmu.posterior.joint.varies.population import Drawn
+    from fmu.posterior.joint.varies.drawn import Drawn
     from fmu.posterior.problem import UpdatingProblem
 
 

@@ -14,7 +14,7 @@ from fmu.posterior.joint.correlation import Correlation
 from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.outliers import ContaminatedScores
 from fmu.posterior.joint.varies.base import Future, InTests, Role, Slope, Varies
-from fmu.posterior.joint.varies.population import Drawn
+from fmu.posterior.joint.varies.drawn import Drawn
 from fmu.posterior.joint.varies.taken import SHARED, Held, Taken
 from fmu.posterior.parameters import Parameter, box
 from fmu.types import FloatArray, IntArray, Plain

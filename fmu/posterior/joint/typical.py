@@ -11,7 +11,7 @@ from fmu.posterior.ascent import GaussNewton
 from fmu.posterior.joint.blocks import BlockForm
 from fmu.posterior.joint.conditional.scores import Scores
 from fmu.posterior.joint.layout import Layout
-from fmu.posterior.joint.varies.population import Drawn
+from fmu.posterior.joint.varies.drawn import Drawn
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.scaled import ScaledDensity
 from fmu.types import FloatArray

@@ -24,7 +24,7 @@ import numpy as np
 
 from fmu.posterior.joint.correlation import partial_correlations
 from fmu.posterior.joint.layout import Layout
-from fmu.posterior.joint.varies.population import Drawn
+from fmu.posterior.joint.varies.drawn import Drawn
 from fmu.posterior.joint.varies.truncated_normal import are_bounds_distant
 from fmu.posterior.parameters import Parameter
 from fmu.types import BoolArray, FloatArray

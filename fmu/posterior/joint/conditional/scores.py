@@ -17,7 +17,7 @@ from fmu.posterior.joint.conditional.bend import Bend, Curve
 from fmu.posterior.joint.conditional.expansion import Expansion
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.varies.base import InTests, Slope
-from fmu.posterior.joint.varies.population import Drawn
+from fmu.posterior.joint.varies.drawn import Drawn
 from fmu.types import BoolArray, FloatArray, IntArray
 
 _FAR = 6.0

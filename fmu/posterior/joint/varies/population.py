@@ -1,30 +1,20 @@
-"""A parameter that scatters from test to test: its distribution over the tests, and the scores that are sampled.
-
-The value in test t is θ_t = F⁻¹(Φ(z_t)), where z_t is the score of the test, Φ is the standard normal distribution
-function, and F is the distribution function of a normal distribution truncated to the bounds of the parameter. If
-F is the population's, N(μ, σ²), the scores are a priori standard normal and independent of μ and σ. This is the
-non-centred form of a hierarchical model, easy to sample where a test says little about its own value. If F is
-fixed, the scores are the values themselves in other units. This is the centred form, which is easy to sample
-where a test determines its own value well. A weight w per test interpolates between the two forms: F has the mean
-w μ₀ + (1 − w) μ and the standard deviation σ₀^w σ^(1−w) (Papaspiliopoulos, Roberts & Sköld 2007, *Statistical
-Science* 22, 59–73; Gorinova, Moore & Hoffman 2020, *ICML*, PMLR 119). The weights do not change the posterior of
-the values.
-"""
+"""A parameter that scatters from test to test: its distribution over the tests."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any, ClassVar, Literal, Self
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from fmu.arguments import check_arguments
 from fmu.posterior.joint.modal_test import Test
-from fmu.posterior.joint.varies.base import Future, InTests, Reference, Slope, Theta, Varies
+from fmu.posterior.joint.varies.base import InTests, Theta, Varies
+from fmu.posterior.joint.varies.drawn import Drawn
 from fmu.posterior.joint.varies.nested import Nested, find_mistakes_of_groups, find_mistakes_of_sds
 from fmu.posterior.joint.varies.truncated_normal import (
+    Normals,
     Slopes,
     truncated_normal_log_pdf,
     truncated_normal_scores,
@@ -33,16 +23,10 @@ from fmu.posterior.joint.varies.truncated_normal import (
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal, Prior
 from fmu.posterior.priors.one_sided import HalfNormal
-from fmu.types import BoolArray, FloatArray, IntArray, Plain
-
-Normals = tuple[FloatArray, FloatArray]
+from fmu.types import FloatArray, Plain
 
 _SCATTER = 0.2
 """Scale of the default half-normal prior of a population's standard deviation, relative to the start value."""
-_ROUNDING = 1e-12
-"""Smallest distance of a value from a bound that has a score, relative to the bound."""
-_FAR = 4.0
-"""Half-width of the range in which a reduced model is trained, in standard deviations of the population."""
 
 
 @check_arguments
@@ -219,197 +203,3 @@ class Population(Varies):
             **({} if self.between is None else {"between": self.between.as_dict()}),
             **({"sd_by_group": True} if self.sd_by_group else {}),
         }
-
-
-class LastTheta:
-    """A cache of quantities computed at the last theta, for several callers."""
-
-    def __init__(self) -> None:
-        self._theta: FloatArray | None = None
-        self._known: dict[str, Any] = {}
-
-    def remember(self, what: str, theta: FloatArray, compute: Callable[[FloatArray], Any]) -> Any:
-        """Return ``compute(theta)`` and cache it under the name `what` until another theta is passed."""
-        if self._theta is None or not np.array_equal(self._theta, theta):
-            self._theta, self._known = theta.copy(), {}
-        if what not in self._known:
-            self._known[what] = compute(theta)
-        return self._known[what]
-
-
-@dataclass(eq=False)
-class Drawn(InTests):
-    """A structural parameter that scatters over the tests.
-
-    Attributes
-    ----------
-    population : Population
-    centre : int
-        Index in theta of the population's mean or median.
-    widths : ndarray of int, shape (n_tests,)
-        For each test, the index in theta of the population's standard deviation.
-    columns : ndarray of int, shape (n_tests,)
-        For each test, the index in theta of the score.
-    scored : ndarray of bool, shape (n_tests,)
-        Whether the test has a score. In a test without a score the value is known.
-    lower, upper : float
-        Bounds of the values.
-    centring : ndarray, shape (n_tests,)
-        The weight w of the module docstring: 0 for standard normal scores, 1 for the values in other units.
-    reference : tuple of float and ndarray, shape (n_tests,)
-        The reference centre μ₀ and the reference width σ₀ of each test.
-    last : LastTheta
-        Cache of the values at the last theta, which both the likelihood and the prior need.
-    """
-
-    population: Population
-    centre: int
-    widths: IntArray
-    columns: IntArray
-    scored: BoolArray
-    lower: float
-    upper: float
-    centring: FloatArray
-    reference: Reference
-    last: LastTheta = field(default_factory=LastTheta, init=False, repr=False)
-
-    def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the values (n, n_tests) in all tests at theta (n, n_parameters), and their derivatives."""
-        value, *_, slopes = self._at(theta)
-        return value, self._slopes(*slopes)
-
-    def identity(self, test: int) -> Hashable:
-        """Return a key that is equal for two tests if the value in them is equal at every theta."""
-        return int(self.columns[test])
-
-    def log_prior(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        """Return the log ratio of the scores' density to the standard normal, (n, n_tests), and its derivatives.
-
-        The log ratio is zero where the centring is zero, because the scores are then standard normal.
-        """
-        found: tuple[FloatArray, list[Slope]] = self.last.remember("log ratio", theta, self._log_ratio)
-        return found
-
-    def curvature(self, theta: FloatArray) -> FloatArray:
-        """Return minus the second derivative of each score's log-density, (n, n_tests), for distant bounds."""
-        value, (_, width), (_, blend), _ = self._at(theta)
-        return np.broadcast_to((blend / width) ** 2, value.shape)
-
-    def population_scores(self, theta: FloatArray) -> tuple[FloatArray, Slopes]:
-        """Return the scores relative to the population, (n, n_tests), and their derivatives.
-
-        The derivatives are with respect to the score in theta, the centre and the width, shape (n, n_tests) each.
-        """
-        return self.last.remember("scores", theta, self._computed_scores)
-
-    def _computed_scores(self, theta: FloatArray) -> tuple[FloatArray, Slopes]:
-        if not self._is_centred:
-            z = theta[:, self.columns]
-            return z, (np.ones_like(z), np.zeros_like(z), np.zeros_like(z))
-        value, population, _, (by_z, by_centre, by_width) = self._at(theta)
-        bounds, is_other = (self.lower, self.upper), self.centring > 0.0
-        z = np.where(is_other, self.population.scores(value, *population, *bounds), theta[:, self.columns])
-        of_z, of_centre, of_width = self.population.values(z, *population, *bounds)[1]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            slopes = by_z / of_z, (by_centre - of_centre) / of_z, (by_width - of_width) / of_z
-        plain = np.ones_like(z), np.zeros_like(z), np.zeros_like(z)
-        return z, tuple(np.where(is_other, *pair) for pair in zip(slopes, plain, strict=True))  # type: ignore[return-value]
-
-    def drawn(self, theta: FloatArray) -> FloatArray:
-        """Return a copy of theta with the standard normal scores converted to scores with the present centring."""
-        theta = theta.copy()
-        z, (centre, width), blend, _ = self._parts(theta)
-        value = self.population.values(z, centre, width, self.lower, self.upper)[0]
-        # far scores give the bounds themselves, to rounding
-        inside = 1.0 + _ROUNDING * np.sign([self.lower, -self.upper])
-        value = np.clip(value, self.lower * inside[0], self.upper * inside[1])
-        scores = self.population.scores(value, *blend, self.lower, self.upper)
-        theta[:, self.columns[self.scored]] = np.where(self.centring > 0.0, scores, z)[:, self.scored]
-        return theta
-
-    def _log_ratio(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
-        value, (centre, width), blend, (by_z, by_centre, by_width) = self._at(theta)
-        bounds = self.lower, self.upper
-        ratio, one, other = self.population.log_ratio(value, (centre, width), blend, *bounds)
-        of_value, off = one[0] - other[0], 1.0 - self.centring
-        slopes = (
-            of_value * by_z,
-            of_value * by_centre + one[1] - other[1] * self._by_centre(centre, blend[0]),
-            of_value * by_width + one[2] - other[2] * off * blend[1] / width,
-        )
-        is_score = self.scored & (self.centring > 0.0)
-        return np.where(is_score, ratio, 0.0), self._slopes(*(np.where(is_score, s, 0.0) for s in slopes))
-
-    def scores_at(self, value: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return the scores of the values (n, n_tests) in all tests, with the populations at theta (n, ndim)."""
-        return self.population.scores(value, *self._parts(theta)[2], self.lower, self.upper)
-
-    @cached_property
-    def _is_centred(self) -> bool:
-        return bool(np.any(self.centring > 0.0))
-
-    @cached_property
-    def _has_one_width(self) -> bool:
-        return bool(np.all(self.widths == self.widths[0]))
-
-    def _parts(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, FloatArray]:
-        """Return the scores, the population, the distribution F, and ∂(centre of F)/∂(population centre).
-
-        The last three are broadcast against the scores, (n, n_tests).
-        """
-        centre, width = theta[:, [self.centre]], theta[:, self.widths[: 1 if self._has_one_width else None]]
-        if not self._is_centred:
-            return theta[:, self.columns], (centre, width), (centre, width), np.ones((1, 1))
-        w = self.centring
-        if self.population.of_logarithm:
-            of_centre = np.exp(w * np.log(self.reference[0]) + (1.0 - w) * np.log(centre))
-        else:
-            of_centre = w * self.reference[0] + (1.0 - w) * centre
-        of_width = np.exp(w * np.log(self.reference[1]) + (1.0 - w) * np.log(width))
-        return theta[:, self.columns], (centre, width), (of_centre, of_width), self._by_centre(centre, of_centre)
-
-    def _by_centre(self, centre: FloatArray, blend: FloatArray) -> FloatArray:
-        off = 1.0 - self.centring
-        return np.asarray(
-            off * blend / centre if self.population.of_logarithm else np.broadcast_to(off, blend.shape)
-        )
-
-    def _at(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, Slopes]:
-        """Return the values, the population, the distribution F of the scores, and the values' derivatives."""
-        found: tuple[FloatArray, Normals, Normals, Slopes] = self.last.remember("values", theta, self._at_scores)
-        return found
-
-    def _at_scores(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, Slopes]:
-        z, population, blend, by = self._parts(theta)
-        value, (by_z, by_centre, by_width) = self.population.values(z, *blend, self.lower, self.upper)
-        if self._is_centred:
-            by_centre = by_centre * by
-            by_width = by_width * ((1.0 - self.centring) * blend[1] / population[1])
-        return value, population, blend, (by_z, by_centre, by_width)
-
-    def _slopes(self, by_z: FloatArray, by_centre: FloatArray, by_width: FloatArray) -> list[Slope]:
-        columns = (self.columns, np.full_like(self.columns, self.centre), self.widths)
-        return [Slope(*pair) for pair in zip(columns, (by_z, by_centre, by_width), strict=True)]
-
-    def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return lower and upper limits of the values, (n_tests,) each, for limits of theta (n_parameters,)."""
-        pairs = ((-_FAR, lower[self.centre]), (_FAR, upper[self.centre]))
-        low, high = (
-            self.population.values(np.array(z), centre, upper[self.widths], self.lower, self.upper)[0]
-            for z, centre in pairs
-        )
-        return low, high
-
-    def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
-        """Return the values (n,) in a further test, drawn from the population."""
-        ends = theta[:, self.centre], theta[:, self.widths[like]]
-        return self.population.values(future.scores[self.centre], *ends, self.lower, self.upper)[0]
-
-    def after(self, n: int) -> Self:
-        """Return the parameter with the indices of its scores increased by `n`."""
-        return replace(self, columns=self.columns + n)
-
-    def refer_to(self, references: Mapping[int, tuple[FloatArray, Reference]]) -> Self:
-        """Return the parameter with another centring and reference of its scores."""
-        centring, reference = references[self.centre]
-        return replace(self, centring=centring, reference=reference)

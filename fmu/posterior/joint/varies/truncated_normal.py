@@ -7,7 +7,10 @@ from scipy.special import log_ndtr, ndtri_exp
 
 from fmu.types import BoolArray, FloatArray
 
+Normals = tuple[FloatArray, FloatArray]
+"""Centre and standard deviation of normal distributions."""
 Slopes = tuple[FloatArray, FloatArray, FloatArray]
+"""Derivatives with respect to value or score, centre and standard deviation."""
 
 _DISTANT, _CENTRAL = 12.0, 6.0
 """Bounds this many standard deviations from the mean have no influence on scores up to this size, to rounding."""
