@@ -772,8 +772,8 @@ IN_SEVERAL_TESTS = (
     Fault(
         "population: the next test has the values of the first",
         "fmu/posterior/joint/varies/drawn.py",
-        "self.population.values(future.scores[self.centre], *ends",
-        "self.population.values(0.0 * future.scores[self.centre], *ends",
+        "self.family.values(future.scores[self.centre], *ends",
+        "self.family.values(0.0 * future.scores[self.centre], *ends",
         POPULATIONS,
     ),
     Fault(

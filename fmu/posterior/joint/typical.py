@@ -143,15 +143,15 @@ def _most_probable(
     """
     columns, widths, before = one.columns[one.scored], one.widths[one.scored], theta[None].copy()
     value, by_score = one(theta[None])[0][0, one.scored], one(theta[None])[1][0].values[0, one.scored]
-    x, spread = (np.log(value), by_score / value) if one.population.of_logarithm else (value, by_score)
+    x, spread = (np.log(value), by_score / value) if one.family.of_logarithm else (value, by_score)
     of_tests = of_tests[one.scored]
     last, weights = theta[one.centre], of_tests * (theta[widths[0]] / theta[widths]) ** 2
     middle = np.sum(weights * x) / np.sum(weights)
     low, high = problem.lower[one.centre], problem.upper[one.centre]
     margin = 1e-3 * (high - low) if np.isfinite(high - low) else 0.0
-    centre = np.exp(middle) if one.population.of_logarithm else middle
+    centre = np.exp(middle) if one.family.of_logarithm else middle
     theta[one.centre] = np.clip(centre, low + margin, high - margin)
-    last, new = (np.log(c) if one.population.of_logarithm else c for c in (last, theta[one.centre]))
+    last, new = (np.log(c) if one.family.of_logarithm else c for c in (last, theta[one.centre]))
     changes = []
     for k in np.unique(widths):
         here = widths == k

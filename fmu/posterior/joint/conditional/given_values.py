@@ -88,8 +88,8 @@ class PopulationsGivenValues:
         self._scores = np.stack([one.columns for one in drawn], axis=1).reshape(-1, len(blocks), p)
         self._scored = np.stack([one.scored for one in drawn], axis=1).reshape(self._scores.shape)
         self._count = self._scored.sum(axis=0)[:, 0].astype(float)
-        self._of_logarithm = np.array([one.population.of_logarithm for one in drawn]).reshape(-1, p)
-        bounds = np.array([[one.lower, one.upper] for one in drawn]).T.reshape(2, -1, p)
+        self._of_logarithm = np.array([one.family.of_logarithm for one in drawn]).reshape(-1, p)
+        bounds = np.array([[one.family.lower, one.family.upper] for one in drawn]).T.reshape(2, -1, p)
         with np.errstate(divide="ignore", invalid="ignore"):
             self._low, self._high = np.where(self._of_logarithm, np.log(np.maximum(bounds, 0.0)), bounds)
         before = np.array([i for j in range(p) for i in range(j)], dtype=float)

@@ -171,7 +171,7 @@ class MarginalOfMain:
             of_slope, widths = by_log_slope[:, :, k], one.drawn.widths
             for column in np.unique(widths):
                 gradient[:, column] += of_slope[:, widths == column].sum(axis=1) / theta[:, column]
-            if not one.drawn.population.of_logarithm:
+            if not one.drawn.family.of_logarithm:
                 for slope in one.factor(linear.at)[1]:
                     terms = of_slope * slope.values
                     for column in np.unique(slope.columns):

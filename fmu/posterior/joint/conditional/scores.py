@@ -50,7 +50,7 @@ class Scattering(NamedTuple):
 
     def nearest_scores(self, theta: FloatArray, values: FloatArray) -> FloatArray:
         """Return the scores, (n, n_tests), of values (n_tests,), or of the nearest values within the bounds."""
-        low, high = self.drawn.lower, self.drawn.upper
+        low, high = self.drawn.family.lower, self.drawn.family.upper
         margin = _INSIDE * (high - low) if np.isfinite(high - low) else 0.0
         base = np.clip(values / self.factor(theta)[0], low + margin, high - margin)
         return self.drawn.scores_at(np.broadcast_to(base, (len(theta), len(values))), theta)

@@ -16,16 +16,13 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 
 from fmu.posterior.joint.varies.base import Future, InTests, Reference, Slope
-from fmu.posterior.joint.varies.truncated_normal import Normals, Slopes
+from fmu.posterior.joint.varies.truncated_normal import Normals, Slopes, TruncatedFamily
 from fmu.types import BoolArray, FloatArray, IntArray
-
-if TYPE_CHECKING:
-    from fmu.posterior.joint.varies.population import Population
 
 _ROUNDING = 1e-12
 """Smallest distance of a value from a bound that has a score, relative to the bound."""
@@ -55,7 +52,8 @@ class Drawn(InTests):
 
     Attributes
     ----------
-    population : Population
+    family : TruncatedFamily
+        The distributions of the values.
     centre : int
         Index in theta of the population's mean or median.
     widths : ndarray of int, shape (n_tests,)
@@ -64,8 +62,6 @@ class Drawn(InTests):
         For each test, the index in theta of the score.
     scored : ndarray of bool, shape (n_tests,)
         Whether the test has a score. In a test without a score the value is known.
-    lower, upper : float
-        Bounds of the values.
     centring : ndarray, shape (n_tests,)
         The weight w of the module docstring: 0 for standard normal scores, 1 for the values in other units.
     reference : tuple of float and ndarray, shape (n_tests,)
@@ -74,13 +70,11 @@ class Drawn(InTests):
         Cache of the values at the last theta, which both the likelihood and the prior need.
     """
 
-    population: Population
+    family: TruncatedFamily
     centre: int
     widths: IntArray
     columns: IntArray
     scored: BoolArray
-    lower: float
-    upper: float
     centring: FloatArray
     reference: Reference
     last: LastTheta = field(default_factory=LastTheta, init=False, repr=False)
@@ -119,9 +113,9 @@ class Drawn(InTests):
             z = theta[:, self.columns]
             return z, (np.ones_like(z), np.zeros_like(z), np.zeros_like(z))
         value, population, _, (by_z, by_centre, by_width) = self._at(theta)
-        bounds, is_other = (self.lower, self.upper), self.centring > 0.0
-        z = np.where(is_other, self.population.scores(value, *population, *bounds), theta[:, self.columns])
-        of_z, of_centre, of_width = self.population.values(z, *population, *bounds)[1]
+        is_other = self.centring > 0.0
+        z = np.where(is_other, self.family.scores(value, *population), theta[:, self.columns])
+        of_z, of_centre, of_width = self.family.values(z, *population)[1]
         with np.errstate(divide="ignore", invalid="ignore"):
             slopes = by_z / of_z, (by_centre - of_centre) / of_z, (by_width - of_width) / of_z
         plain = np.ones_like(z), np.zeros_like(z), np.zeros_like(z)
@@ -131,18 +125,17 @@ class Drawn(InTests):
         """Return a copy of theta with the standard normal scores converted to scores with the present centring."""
         theta = theta.copy()
         z, (centre, width), blend, _ = self._parts(theta)
-        value = self.population.values(z, centre, width, self.lower, self.upper)[0]
+        value = self.family.values(z, centre, width)[0]
         # far scores give the bounds themselves, to rounding
-        inside = 1.0 + _ROUNDING * np.sign([self.lower, -self.upper])
-        value = np.clip(value, self.lower * inside[0], self.upper * inside[1])
-        scores = self.population.scores(value, *blend, self.lower, self.upper)
+        inside = 1.0 + _ROUNDING * np.sign([self.family.lower, -self.family.upper])
+        value = np.clip(value, self.family.lower * inside[0], self.family.upper * inside[1])
+        scores = self.family.scores(value, *blend)
         theta[:, self.columns[self.scored]] = np.where(self.centring > 0.0, scores, z)[:, self.scored]
         return theta
 
     def _log_ratio(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
         value, (centre, width), blend, (by_z, by_centre, by_width) = self._at(theta)
-        bounds = self.lower, self.upper
-        ratio, one, other = self.population.log_ratio(value, (centre, width), blend, *bounds)
+        ratio, one, other = self.family.log_ratio(value, (centre, width), blend)
         of_value, off = one[0] - other[0], 1.0 - self.centring
         slopes = (
             of_value * by_z,
@@ -154,7 +147,7 @@ class Drawn(InTests):
 
     def scores_at(self, value: FloatArray, theta: FloatArray) -> FloatArray:
         """Return the scores of the values (n, n_tests) in all tests, with the populations at theta (n, ndim)."""
-        return self.population.scores(value, *self._parts(theta)[2], self.lower, self.upper)
+        return self.family.scores(value, *self._parts(theta)[2])
 
     @cached_property
     def _is_centred(self) -> bool:
@@ -173,7 +166,7 @@ class Drawn(InTests):
         if not self._is_centred:
             return theta[:, self.columns], (centre, width), (centre, width), np.ones((1, 1))
         w = self.centring
-        if self.population.of_logarithm:
+        if self.family.of_logarithm:
             of_centre = np.exp(w * np.log(self.reference[0]) + (1.0 - w) * np.log(centre))
         else:
             of_centre = w * self.reference[0] + (1.0 - w) * centre
@@ -182,9 +175,7 @@ class Drawn(InTests):
 
     def _by_centre(self, centre: FloatArray, blend: FloatArray) -> FloatArray:
         off = 1.0 - self.centring
-        return np.asarray(
-            off * blend / centre if self.population.of_logarithm else np.broadcast_to(off, blend.shape)
-        )
+        return np.asarray(off * blend / centre if self.family.of_logarithm else np.broadcast_to(off, blend.shape))
 
     def _at(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, Slopes]:
         """Return the values, the population, the distribution F of the scores, and the values' derivatives."""
@@ -193,7 +184,7 @@ class Drawn(InTests):
 
     def _at_scores(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, Slopes]:
         z, population, blend, by = self._parts(theta)
-        value, (by_z, by_centre, by_width) = self.population.values(z, *blend, self.lower, self.upper)
+        value, (by_z, by_centre, by_width) = self.family.values(z, *blend)
         if self._is_centred:
             by_centre = by_centre * by
             by_width = by_width * ((1.0 - self.centring) * blend[1] / population[1])
@@ -206,16 +197,13 @@ class Drawn(InTests):
     def box(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return lower and upper limits of the values, (n_tests,) each, for limits of theta (n_parameters,)."""
         pairs = ((-_FAR, lower[self.centre]), (_FAR, upper[self.centre]))
-        low, high = (
-            self.population.values(np.array(z), centre, upper[self.widths], self.lower, self.upper)[0]
-            for z, centre in pairs
-        )
+        low, high = (self.family.values(np.array(z), centre, upper[self.widths])[0] for z, centre in pairs)
         return low, high
 
     def next_test(self, theta: FloatArray, like: int, future: Future) -> FloatArray:
         """Return the values (n,) in a further test, drawn from the population."""
         ends = theta[:, self.centre], theta[:, self.widths[like]]
-        return self.population.values(future.scores[self.centre], *ends, self.lower, self.upper)[0]
+        return self.family.values(future.scores[self.centre], *ends)[0]
 
     def after(self, n: int) -> Self:
         """Return the parameter with the indices of its scores increased by `n`."""

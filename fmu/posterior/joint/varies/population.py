@@ -13,17 +13,11 @@ from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.varies.base import InTests, Theta, Varies
 from fmu.posterior.joint.varies.drawn import Drawn
 from fmu.posterior.joint.varies.nested import Nested, find_mistakes_of_groups, find_mistakes_of_sds
-from fmu.posterior.joint.varies.truncated_normal import (
-    Normals,
-    Slopes,
-    truncated_normal_log_pdf,
-    truncated_normal_scores,
-    truncated_normal_values,
-)
+from fmu.posterior.joint.varies.truncated_normal import TruncatedFamily
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal, Prior
 from fmu.posterior.priors.one_sided import HalfNormal
-from fmu.types import FloatArray, Plain
+from fmu.types import Plain
 
 _SCATTER = 0.2
 """Scale of the default half-normal prior of a population's standard deviation, relative to the start value."""
@@ -107,7 +101,8 @@ class Population(Varies):
             name = theta.tests[t].name
             columns[t] = theta.add_score(Parameter(f"{p.name} score [{name}]", 0.0, prior=Normal(1.0)), of, name)
         scored, start = np.isin(range(n), here), (mean.start, np.full(n, sd.start))
-        return Drawn(self, centre, widths, columns, scored, p.lower, p.upper, np.zeros(n), start)
+        family = TruncatedFamily(self.of_logarithm, p.lower, p.upper)
+        return Drawn(family, centre, widths, columns, scored, np.zeros(n), start)
 
     def parameters(self, of: Parameter) -> tuple[Parameter, Parameter]:
         """Return the two inferred parameters of the distribution: centre and width.
@@ -129,71 +124,6 @@ class Population(Varies):
         mean = Parameter(f"{of.name} {centre}", of.start, of.lower, of.upper, of.prior, of.unit)
         unit = "" if self.of_logarithm else of.unit
         return mean, Parameter(f"{of.name} {width}", median, max(0.0, prior.support[0]), np.inf, prior, unit)
-
-    def values(
-        self, z: FloatArray, centre: FloatArray, sd: FloatArray, lower: float, upper: float
-    ) -> tuple[FloatArray, Slopes]:
-        """Return the values with the scores z, and their derivatives with respect to score, centre and sd.
-
-        Parameters
-        ----------
-        z, centre, sd : ndarray, broadcastable
-            The values and all derivatives have the broadcast shape.
-        lower, upper : float
-            Bounds of the values.
-        """
-        if not self.of_logarithm:
-            value, slopes = truncated_normal_values(z, centre, sd, lower, upper)
-            return value, tuple(np.broadcast_to(slope, value.shape) for slope in slopes)  # type: ignore[return-value]
-        with np.errstate(divide="ignore"):
-            ends = np.log([max(lower, 0.0), upper])
-        x, (by_z, by_m, by_s) = truncated_normal_values(z, np.log(centre), sd, *ends)
-        value = np.exp(x)
-        return value, (value * by_z, value * by_m / centre, value * by_s)
-
-    def log_ratio(
-        self, value: FloatArray, one: Normals, other: Normals, lower: float, upper: float
-    ) -> tuple[FloatArray, Slopes, Slopes]:
-        """Return the log ratio of the densities of two populations at some values, with derivatives.
-
-        Parameters
-        ----------
-        value : ndarray
-        one, other : tuple of (ndarray, ndarray)
-            Centre and standard deviation of the population in the numerator, and of that in the denominator.
-        lower, upper : float
-            Bounds of the values.
-
-        Returns
-        -------
-        ratio : ndarray
-        by_one, by_other : tuple of three ndarray
-            Derivatives of the two log-densities with respect to value, centre and standard deviation.
-            ``by_other`` has to be subtracted.
-        """
-        (p, by_p), (q, by_q) = (self._log_pdf(value, *of, lower, upper) for of in (one, other))
-        return p - q, by_p, by_q
-
-    def _log_pdf(
-        self, value: FloatArray, centre: FloatArray, sd: FloatArray, lower: float, upper: float
-    ) -> tuple[FloatArray, Slopes]:
-        """Return the log-density of the value (of its logarithm for a log-normal population), with derivatives."""
-        if not self.of_logarithm:
-            return truncated_normal_log_pdf(value, centre, sd, lower, upper)
-        with np.errstate(divide="ignore"):
-            ends = np.log([max(lower, 0.0), upper])
-        p, (by_x, by_m, by_s) = truncated_normal_log_pdf(np.log(value), np.log(centre), sd, *ends)
-        return p, (by_x / value, by_m / centre, by_s)
-
-    def scores(
-        self, value: FloatArray, centre: FloatArray, sd: FloatArray, lower: float, upper: float
-    ) -> FloatArray:
-        """Return the scores of the values, the inverse of `values`."""
-        if not self.of_logarithm:
-            return truncated_normal_scores(value, centre, sd, lower, upper)
-        with np.errstate(divide="ignore"):
-            ends = np.log([max(lower, 0.0), upper])
-        return truncated_normal_scores(np.log(value), np.log(centre), sd, *ends)
 
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of the settings, in plain Python types."""

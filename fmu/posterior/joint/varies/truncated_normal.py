@@ -1,6 +1,9 @@
-"""Values, scores and log-density of a normal distribution truncated to bounds, with derivatives."""
+"""Values, scores and log-density of normal and log-normal distributions truncated to bounds, with derivatives."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.special import log_ndtr, ndtri_exp
@@ -150,3 +153,73 @@ def _log_mass(alpha: FloatArray, beta: FloatArray) -> FloatArray:
     turned = alpha > 0.0
     a, b = np.where(turned, -beta, alpha), np.where(turned, -alpha, beta)
     return np.asarray(log_ndtr(b) + np.log(-np.expm1(np.minimum(log_ndtr(a) - log_ndtr(b), 0.0))))
+
+
+@dataclass(frozen=True)
+class TruncatedFamily:
+    """The normal or log-normal distributions of values between two bounds.
+
+    Attributes
+    ----------
+    of_logarithm : bool
+        Whether the logarithm of a value is normal; the centre is then the median of the values.
+    lower, upper : float
+        Bounds of the values.
+    """
+
+    of_logarithm: bool
+    lower: float
+    upper: float
+
+    @cached_property
+    def _ends(self) -> FloatArray:
+        """Bounds of the logarithm."""
+        with np.errstate(divide="ignore"):
+            return np.log([max(self.lower, 0.0), self.upper])
+
+    def values(self, z: FloatArray, centre: FloatArray, sd: FloatArray) -> tuple[FloatArray, Slopes]:
+        """Return the values with the scores z, and their derivatives with respect to score, centre and sd.
+
+        Parameters
+        ----------
+        z, centre, sd : ndarray, broadcastable
+            The values and all derivatives have the broadcast shape.
+        """
+        if not self.of_logarithm:
+            value, slopes = truncated_normal_values(z, centre, sd, self.lower, self.upper)
+            return value, tuple(np.broadcast_to(slope, value.shape) for slope in slopes)  # type: ignore[return-value]
+        x, (by_z, by_m, by_s) = truncated_normal_values(z, np.log(centre), sd, *self._ends)
+        value = np.exp(x)
+        return value, (value * by_z, value * by_m / centre, value * by_s)
+
+    def log_ratio(self, value: FloatArray, one: Normals, other: Normals) -> tuple[FloatArray, Slopes, Slopes]:
+        """Return the log ratio of the densities of two populations at some values, with derivatives.
+
+        Parameters
+        ----------
+        value : ndarray
+        one, other : tuple of (ndarray, ndarray)
+            Centre and standard deviation of the population in the numerator, and of that in the denominator.
+
+        Returns
+        -------
+        ratio : ndarray
+        by_one, by_other : tuple of three ndarray
+            Derivatives of the two log-densities with respect to value, centre and standard deviation.
+            ``by_other`` has to be subtracted.
+        """
+        (p, by_p), (q, by_q) = (self._log_pdf(value, *of) for of in (one, other))
+        return p - q, by_p, by_q
+
+    def _log_pdf(self, value: FloatArray, centre: FloatArray, sd: FloatArray) -> tuple[FloatArray, Slopes]:
+        """Return the log-density of the value (of its logarithm for a log-normal population), with derivatives."""
+        if not self.of_logarithm:
+            return truncated_normal_log_pdf(value, centre, sd, self.lower, self.upper)
+        p, (by_x, by_m, by_s) = truncated_normal_log_pdf(np.log(value), np.log(centre), sd, *self._ends)
+        return p, (by_x / value, by_m / centre, by_s)
+
+    def scores(self, value: FloatArray, centre: FloatArray, sd: FloatArray) -> FloatArray:
+        """Return the scores of the values, the inverse of `values`."""
+        if not self.of_logarithm:
+            return truncated_normal_scores(value, centre, sd, self.lower, self.upper)
+        return truncated_normal_scores(np.log(value), np.log(centre), sd, *self._ends)
