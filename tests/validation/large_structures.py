@@ -17,6 +17,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from scipy.optimize import brentq
+
 from fmu.numbers import fixed, significant, whole
 from fmu.tables import markdown_table
 from tests.validation.kept import Units, study_parser
@@ -46,8 +49,39 @@ def page(rows: Mapping[str, Mapping[str, Any]], counts: str) -> str:
         "aluminium, 8 m × 1.6 m × 0.32 m, of shells of four nodes (`tests/validation/wing_box.py`), has a "
         "modulus for each third of its skin, for its spars and for its ribs, and six frequencies. A phase "
         "within another counts for both. Where the clock is far above the processor seconds, other programs used "
-        "the machine.\n\n" + _whole_runs(list(rows), list(rows.values())) + "\n"
+        "the machine.\n\n" + _whole_runs(list(rows), list(rows.values())) + "\n\n" + limits(rows)
     )
+
+
+def limits(rows: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return how many degrees of freedom would fill the memory allowed, from those of the largest two runs.
+
+    Factors by nested dissection grow as n^(4/3) in solids and as n log n in shells (George 1973, *SIAM J. Numer.
+    Anal.* 10, 345–363; Lipton, Rose & Tarjan 1979, *SIAM J. Numer. Anal.* 16, 346–358).
+    """
+    words = []
+    for name, kind, growth in (("the fine plate", "solid", _of_solids), ("the wing box", "shell", _of_shells)):
+        if name in rows:
+            n, peak = int(rows[name]["n_dof"]), float(rows[name]["peak_gib"])
+            most = brentq(
+                lambda m, n=n, peak=peak, growth=growth: peak * growth(m) / growth(n) - ALLOWED_GIB, n, 1e9
+            )
+            words.append(f"a {kind} of {significant(most / 1e6, 2)} million degrees of freedom")
+    if not words:
+        return ""
+    return (
+        f"{' and '.join(words).capitalize()} would fill {significant(ALLOWED_GIB)} GiB: computed from the peaks "
+        "above, with all memory growing as the factors by nested dissection do, as n^(4/3) in solids and as n log n "
+        "in shells. Beyond that a run is refused before its factors are made.\n"
+    )
+
+
+def _of_solids(n: float) -> float:
+    return n ** (4.0 / 3.0)
+
+
+def _of_shells(n: float) -> float:
+    return n * float(np.log(n))
 
 
 def _whole_runs(names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> str:

@@ -36,6 +36,13 @@ def test_the_page_says_what_was_measured():
     assert "- the plate: a note" in text
 
 
+def test_the_largest_structures_that_fit_follow_from_the_peaks():
+    solid = made_up(RUNS["the fine plate"]) | {"n_dof": 100_000, "peak_gib": 1.25}
+    text = page({"the fine plate": solid}, "1 of 4 runs")
+    assert "A solid of 0.8 million degrees of freedom would fill 20 GiB" in text  # 16^(3/4) = 8 times as many
+    assert "would fill" not in page({"the plate": made_up(RUNS["the plate"])}, "1 of 4 runs")
+
+
 def test_phases_last_as_long_as_they_tell_and_those_of_samplers_from_their_first_line_on():
     lines = ["Searching"]
     for second, name, elapsed in PHASES:
