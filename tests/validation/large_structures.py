@@ -71,8 +71,8 @@ def limits(rows: Mapping[str, Mapping[str, Any]]) -> str:
         return ""
     return (
         f"{' and '.join(words).capitalize()} would fill {significant(ALLOWED_GIB)} GiB: computed from the peaks "
-        "above, with all memory growing as the factors by nested dissection do, as n^(4/3) in solids and as n log n "
-        "in shells. Beyond that a run is refused before its factors are made.\n"
+        "above, with all memory growing as the factors by nested dissection do, as n^(4/3) in solids and as "
+        "n log n in shells. Beyond that a run is refused before its factors are made.\n"
     )
 
 
