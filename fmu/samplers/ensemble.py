@@ -93,16 +93,25 @@ class Ensemble(Sampler):
             )
         import emcee
 
-        enough = _PER_COORDINATE * density.ndim
+        target, moves = _Tally(density), self.weighted_moves(density.ndim)
+        sampler = emcee.EnsembleSampler(self.walkers, density.ndim, target, moves=moves, vectorize=True)
+        return EnsembleKernel(target, sampler)
+
+    def weighted_moves(self, ndim: int) -> list[tuple[Move, float]]:
+        """Return emcee's moves for `ndim` coordinates with their weights.
+
+        Raises
+        ------
+        ValueError
+            If there are too few walkers for the move kde.
+        """
+        enough = _PER_COORDINATE * ndim
         given = (_BEST if self.walkers >= enough else _BEST[:1]) if self.moves is None else _mixture(self.moves)
         if self.walkers < enough and any(name == "kde" for name, _ in given):
             raise ValueError(
                 f"walkers: must be at least {enough}, four per coordinate, for the move kde (got {self.walkers})"
             )
-        target = _Tally(density)
-        moves = [(_move(name), weight) for name, weight in given]
-        sampler = emcee.EnsembleSampler(self.walkers, density.ndim, target, moves=moves, vectorize=True)
-        return EnsembleKernel(target, sampler)
+        return [(_move(name), weight) for name, weight in given]
 
 
 @dataclass(frozen=True)

@@ -108,3 +108,10 @@ def test_a_peer_that_ran_out_of_its_budget_is_neither_right_nor_the_reference():
     cut = text(nautilus=spent)
     assert "not at an end after 65 000 calls" in line_of(cut, "nautilus")
     assert "| reference | yes |" in line_of(cut, "nutpie NUTS")
+
+
+def test_the_reference_is_the_peer_with_whom_others_agree_and_not_the_one_with_most_draws():
+    off = {"mean": [0.1, 0.0], "ess": 90_000.0}
+    found = text(**{"emcee, moves of fmu's": off})
+    assert line_of(found, "emcee, moves of fmu's").endswith("| **no**: its means are off |")
+    assert "| reference | yes |" in line_of(found, "nautilus")

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 import fmu
-from fmu.samplers.ensemble import _BEST, _move
 from fmu.types import FloatArray
 from tests.benchmarks.peers.posteriors import Target
 from tests.benchmarks.peers.run import NOTHING, Meter, Run
@@ -16,6 +15,11 @@ from tests.benchmarks.peers.run import NOTHING, Meter, Run
 ENSEMBLES = 4
 """Runs from starts of their own, as emcee's users do it to see whether they agree."""
 Moves = Callable[[Target], Any]
+
+
+def walkers_for(ndim: int) -> int:
+    """Return how many walkers an ensemble has."""
+    return max(32, 2 * ndim + 2)
 
 
 def stretch(target: Target) -> None:
@@ -31,7 +35,8 @@ def differential(target: Target) -> list[tuple[Any, float]]:
 
 def as_fmu(target: Target) -> list[tuple[Any, float]]:
     """Return the moves of fmu's sampler "emcee"."""
-    return [(_move(name), weight) for name, weight in _BEST]
+    ndim = target.problem.ndim
+    return fmu.Ensemble(walkers_for(ndim)).weighted_moves(ndim)
 
 
 def mixture(target: Target) -> list[tuple[Any, float]]:
@@ -43,10 +48,10 @@ def mixture(target: Target) -> list[tuple[Any, float]]:
 
 
 def emcee_run(target: Target, moves: Moves, warmup: int, draws: int, seed: int) -> Run:
-    """Run ensembles of 32 walkers, or of twice the parameters; the warm-up is with ``tune=True``."""
+    """Run ensembles; the warm-up is with ``tune=True``."""
     import emcee
 
-    walkers = max(32, 2 * target.problem.ndim + 2)
+    walkers = walkers_for(target.problem.ndim)
     starts = target.to_unit(target.starts(seed, ENSEMBLES * walkers)).reshape(ENSEMBLES, walkers, -1)
     paths, costs = [], [NOTHING, NOTHING]
     meter = Meter(target)

@@ -8,6 +8,7 @@ from typing import Any
 import fmu
 from fmu.analysis.trace.reading import parameter_draws, walkers_of
 from fmu.samplers.registry import plan_steps
+from tests.benchmarks.peers.ensembles import walkers_for
 from tests.benchmarks.peers.posteriors import Target
 from tests.benchmarks.peers.run import NOTHING, Meter, Run
 
@@ -37,8 +38,9 @@ def fmu_run(target: Target, name: str, seed: int, enough: float) -> Run:
         maxima = fmu.find_map(copy.copy(target.problem))  # whose maxima are not known yet
         search = meter.read()
         warmup, draws = plan_steps(name, None, None)
+        sampler = fmu.Ensemble(walkers_for(target.problem.ndim)) if name == "emcee" else name
         trace = fmu.sample(
-            WithoutModel(target.problem), name, maxima=maxima, seed=seed, until_ess=enough, progress=progress,
+            WithoutModel(target.problem), sampler, maxima=maxima, seed=seed, until_ess=enough, progress=progress,
             warmup=warmup, draws=draws, max_solves=MOST_SOLVES,
         )  # fmt: skip
     found = fmu.evidence(trace) if name == "mixture" else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,20 +95,32 @@ class Row:
         return float(value.mean()), float(np.sqrt(np.sum(error**2)) / len(error))
 
 
-def reference(rows: Iterable[Row]) -> Row:
-    """Return the peer with most effective draws in all its runs, of those that ended and whose chains agree."""
+def reference(rows: Sequence[Row]) -> Row:
+    """Return the peer with whose means most others agree, of those that ended and whose chains agree.
+
+    Of several the one with most effective draws: emcee's snooker move has many, and is off where all others agree.
+    """
     peers = [row for row in rows if not row.ours]
-    good = [row for row in peers if row.ended and not row.rhat > GOOD]
-    return max(good or peers, key=lambda row: sum(run.ess for run in row.runs))
+    good = [row for row in peers if row.ended and not row.rhat > GOOD] or peers
+
+    def support(row: Row) -> tuple[int, float]:
+        agreeing = sum(_distance(row, other) < FAR for other in good)
+        return agreeing, sum(run.ess for run in row.runs)
+
+    return max(good, key=support)
 
 
-def deviation(row: Row, rows: Iterable[Row]) -> float:
+def deviation(row: Row, rows: Sequence[Row]) -> float:
     """Return how far a row's means are from those of the reference, in standard errors, at most."""
-    (other, error), (mean, own) = reference(rows).mean(), row.mean()
-    return float(np.max(np.abs(mean - other) / np.sqrt(own**2 + error**2)))
+    return _distance(row, reference(rows))
 
 
-def evidence_of_reference(rows: Iterable[Row]) -> tuple[float, float] | None:
+def _distance(row: Row, other: Row) -> float:
+    (mean, error), (others, of_others) = row.mean(), other.mean()
+    return float(np.max(np.abs(mean - others) / np.sqrt(error**2 + of_others**2)))
+
+
+def evidence_of_reference(rows: Sequence[Row]) -> tuple[float, float] | None:
     """Return the log-evidence of the peer with most effective draws that has one."""
     having = [row for row in rows if row.evidence() is not None]
     peers = [row for row in having if not row.ours and row.ended]
@@ -123,7 +135,7 @@ def doubts(row: Row, rows: list[Row]) -> list[str]:
         found.append("its verdict is not good" if row.ours else f"not at an end after {calls} calls")
     if row.rhat > GOOD:
         found.append("its chains do not agree")
-    if row is not reference(rows) and not deviation(row, rows) < FAR:
+    if row is not reference(rows) and deviation(row, rows) >= FAR:
         found.append("its means are off")
     evidence, known = row.evidence(), evidence_of_reference(rows)
     if evidence is not None and known is not None:
