@@ -5,10 +5,12 @@ from __future__ import annotations
 import copy
 from typing import Any
 
+import numpy as np
+
 import fmu
 from fmu.analysis.trace.reading import parameter_draws, walkers_of
 from fmu.samplers.registry import plan_steps
-from tests.benchmarks.peers.ensembles import walkers_for
+from tests.benchmarks.peers.ensembles import ENSEMBLES, walkers_for
 from tests.benchmarks.peers.posteriors import Target
 from tests.benchmarks.peers.run import NOTHING, Meter, Run
 
@@ -35,13 +37,18 @@ def fmu_run(target: Target, name: str, seed: int, enough: float) -> Run:
             costs[phase] += meter.read()
 
     with meter.counting():
-        maxima = fmu.find_map(copy.copy(target.problem))  # whose maxima are not known yet
+        problem = copy.copy(target.problem)  # whose maxima are not known yet
+        maxima = fmu.find_map(problem)
         search = meter.read()
         warmup, draws = plan_steps(name, None, None)
-        sampler = fmu.Ensemble(walkers_for(target.problem.ndim)) if name == "emcee" else name
+        sampler, init = name, "maxima"
+        if name == "emcee":  # whose walkers begin around the maxima of a problem, and at the prior of a density
+            walkers = walkers_for(target.problem.ndim)
+            sampler = fmu.Ensemble(walkers)
+            init = np.stack([problem.walkers(walkers, 10 * seed + k) for k in range(ENSEMBLES)])
         trace = fmu.sample(
-            WithoutModel(target.problem), sampler, maxima=maxima, seed=seed, until_ess=enough, progress=progress,
-            warmup=warmup, draws=draws, max_solves=MOST_SOLVES,
+            WithoutModel(problem), sampler, maxima=maxima, init=init, seed=seed, until_ess=enough,
+            progress=progress, warmup=warmup, draws=draws, max_solves=MOST_SOLVES,
         )  # fmt: skip
     found = fmu.evidence(trace) if name == "mixture" else None
     return Run.of_chains(
