@@ -327,14 +327,14 @@ class Layout:
                 add_by_column(gradient, slope)
         if self.density_of_scores is not None:
             found = [one.population_scores(theta) for one in self.drawn]
-            _, by_z, by_columns = self.density_of_scores.log_density(theta, self._scores(theta))
+            z = np.stack([z for z, _ in found], axis=2)
+            _, by_z, by_columns = self.density_of_scores.log_density(theta, z)
             gradient[:, self.density_of_scores.columns] += by_columns
             for j, (one, (_, slopes)) in enumerate(zip(self.drawn, found, strict=True)):
                 of_score, *of_both = (by_z[:, :, j] * np.where(one.scored, s, 0.0) for s in slopes)
                 gradient[:, one.columns[one.scored]] += of_score[:, one.scored]
-                for columns, of_all in zip(
-                    (np.full_like(one.widths, one.centre), one.widths), of_both, strict=True
-                ):
+                both = np.full_like(one.widths, one.centre), one.widths
+                for columns, of_all in zip(both, of_both, strict=True):
                     add_by_column(gradient, Slope(columns, of_all))
         return gradient
 
@@ -377,7 +377,7 @@ class Layout:
     def restore_scores(self, theta: FloatArray) -> FloatArray:
         """Return theta (n, ndim) with the scores of this layout in place of standard normal scores."""
         for one in self._centred:
-            theta = one.drawn(theta)
+            theta = one.restore_scores(theta)
         return theta
 
     @cached_property

@@ -180,8 +180,7 @@ def _blocks(layout: Layout) -> list[list[Drawn]]:
     if layout.outliers is not None:
         return []
     is_possible = [
-        len(np.unique(one.widths)) == 1 and one.scored.sum() > _FEWEST and (one.scored.all() or not correlated)
-        for one in drawn
+        one.has_one_width and one.scored.sum() > _FEWEST and (one.scored.all() or not correlated) for one in drawn
     ]
     if correlated:
         return [drawn] if all(is_possible) and len(layout.tests) >= _TESTS * len(drawn) else []

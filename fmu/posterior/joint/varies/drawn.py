@@ -121,7 +121,7 @@ class Drawn(InTests):
         plain = np.ones_like(z), np.zeros_like(z), np.zeros_like(z)
         return z, tuple(np.where(is_other, *pair) for pair in zip(slopes, plain, strict=True))  # type: ignore[return-value]
 
-    def drawn(self, theta: FloatArray) -> FloatArray:
+    def restore_scores(self, theta: FloatArray) -> FloatArray:
         """Return a copy of theta with the standard normal scores converted to scores with the present centring."""
         theta = theta.copy()
         z, (centre, width), blend, _ = self._parts(theta)
@@ -154,7 +154,8 @@ class Drawn(InTests):
         return bool(np.any(self.centring > 0.0))
 
     @cached_property
-    def _has_one_width(self) -> bool:
+    def has_one_width(self) -> bool:
+        """Whether the population has the same standard deviation in all tests."""
         return bool(np.all(self.widths == self.widths[0]))
 
     def _parts(self, theta: FloatArray) -> tuple[FloatArray, Normals, Normals, FloatArray]:
@@ -162,7 +163,7 @@ class Drawn(InTests):
 
         The last three are broadcast against the scores, (n, n_tests).
         """
-        centre, width = theta[:, [self.centre]], theta[:, self.widths[: 1 if self._has_one_width else None]]
+        centre, width = theta[:, [self.centre]], theta[:, self.widths[: 1 if self.has_one_width else None]]
         if not self._is_centred:
             return theta[:, self.columns], (centre, width), (centre, width), np.ones((1, 1))
         w = self.centring
