@@ -6,6 +6,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
@@ -14,6 +15,7 @@ from scipy.special import logsumexp
 
 from fmu.analysis.convergence.effective import mcse_mean
 from fmu.analysis.convergence.pareto import pareto_k
+from fmu.analysis.held_out.own_run import draws_without
 from fmu.analysis.held_out.prediction import NEITHER, Draws, HeldOut, with_mode
 from fmu.analysis.held_out.refit import (
     ACCEPTED,
@@ -23,6 +25,7 @@ from fmu.analysis.held_out.refit import (
     LeftOut,
     approximation,
     left_out,
+    log_prob_of_all,
 )
 from fmu.analysis.held_out.together import left_out_together
 from fmu.analysis.held_out.weights import SMOOTHED_K, Smoothed, smooth_weights
@@ -40,6 +43,7 @@ from fmu.arguments import ArgumentError, check_arguments
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
 from fmu.fem.pairing.paired_structure import structure_of
 from fmu.numbers import names_in_words
+from fmu.posterior.discrepancy.draws import at_distinct_rows
 from fmu.progress.phases import phase
 from fmu.tables import data_frame
 from fmu.types import FloatArray
@@ -74,8 +78,10 @@ def leave_one_out(trace: xr.DataTree, problem: UpdatingProblem | None = None) ->
     ----------
     trace : xarray.DataTree
     problem : UpdatingProblem, optional
-        The problem that was sampled: the table is computed again, however long this takes. Without a problem, the
-        stored table is returned; for a trace without a table, only ``elpd`` and ``pareto_k`` are known.
+        The problem that was sampled: the table is computed again, however long this takes. A mode that refits by
+        importance sampling do not predict reliably has a run of the mixture of its own. Without a problem, the
+        stored table is returned; for a trace without a table, only ``elpd`` and ``pareto_k`` are known. A
+        hierarchical posterior, which has parameters for every test, is never refitted: its draws are weighted.
 
     Returns
     -------
@@ -130,6 +136,8 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
         Largest number of solves for updating without modes. The default is half the solves of the draws or the
         number that takes five seconds, whichever is larger, for 400 or more draws of a model with derivatives.
         Modes with unreliable weights are left out beyond that if each takes 2.5 seconds at most, all of them 15.
+        With ``inf``, every mode whose refit is unreliable has a run of its own. A hierarchical posterior has too
+        many parameters for refits, and `most` has no effect.
     """
     import xarray as xr
 
@@ -139,6 +147,8 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
     hz = array_of(trace, "posterior_predictive", "model_frequency").reshape(len(theta), -1)
     draws = Draws(problem, theta, hz)
     a_solve = 0.0
+    if problem.is_hierarchical:
+        most = 0.0
     if most is None:
         enough = int(trace.attrs["draws"]) * trace["posterior"].sizes["chain"] >= _ENOUGH
         is_cheap = enough and problem.solves_per_gradient == 1
@@ -155,6 +165,8 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
     if sum(use) > 1:  # without the only used mode there are no data
         doubtful = sorted(doubtful + [k for k, used in enumerate(use) if used])
     found |= _left_out_all(problem, doubtful, most / (len(doubtful) + 1))
+    if most == np.inf:
+        found |= _by_runs_of_their_own(problem, [k for k in doubtful if use[k] and k not in found])
     # weights with a Pareto k of 0.4 were wrong by 0.4 nats: used only if a refit takes too long
     smoothed = smooth_weights(trace) if len(found) < len(use) else {}
     good = {label for label, one in smoothed.items() if one.is_good}
@@ -206,6 +218,24 @@ def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -
     return found
 
 
+def _by_runs_of_their_own(problem: UpdatingProblem, modes: Sequence[int]) -> dict[int, HeldOut]:
+    """Return a dict of the predictions by draws of the posterior without each mode, as far as they converge."""
+    found: dict[int, HeldOut] = {}
+    with phase("runs without a mode", len(modes)) as under_way:
+        for k in modes:
+            other = _without(problem, k)
+            theta = draws_without(other, _SEED)
+            if theta is not None:
+                points = theta.reshape(-1, problem.ndim)
+                both = partial(log_prob_of_all, (other, problem))
+                solved = at_distinct_rows(lambda rows, both=both: (both(rows),), points)[0]
+                draws = Draws(problem, points, solved[:, 2:])
+                row = _by_posterior(k, draws, solved[:, 1] - solved[:, 0], len(theta))
+                found[k] = row._replace(method=REFIT)
+            under_way.advance()
+    return found
+
+
 def left_out_warnings(trace: xr.DataTree) -> list[str]:
     """Return a warning about used modes without a prediction, because neither weights nor refits were reliable."""
     table = kept_table(trace)
@@ -234,13 +264,18 @@ def _predict_weighted(k: int, draws: Draws, smoothed: Smoothed | None) -> HeldOu
 def _not_used(trace: xr.DataTree, problem: UpdatingProblem, k: int, draws: Draws) -> HeldOut:
     """Return the prediction by the posterior of mode `k`, which was not used in updating."""
     log_p = _log_likelihood(with_mode(problem, k), draws) - _log_likelihood(problem, draws)
-    row = draws.predict(k, np.full(len(log_p), -np.log(len(log_p))))._replace(method=NOT_USED)
+    row = _by_posterior(k, draws, log_p, trace["posterior"].sizes["chain"], walkers_of(trace))
+    return row._replace(method=NOT_USED)
+
+
+def _by_posterior(k: int, draws: Draws, log_p: FloatArray, chains: int, walkers: int = 1) -> HeldOut:
+    """Return the prediction of mode `k` by draws of the posterior without it, given its log-density there, (n,)."""
+    row = draws.predict(k, np.full(len(log_p), -np.log(len(log_p))))
     shape = pareto_k(log_p)
     if not shape <= SMOOTHED_K:
         return row._replace(pareto_k=shape)
     elpd = float(logsumexp(log_p)) - float(np.log(len(log_p)))
-    density = np.exp(log_p - elpd).reshape(trace["posterior"].sizes["chain"], -1)
-    mcse = mcse_mean(density, walkers_of(trace))
+    mcse = mcse_mean(np.exp(log_p - elpd).reshape(chains, -1), walkers)
     return row._replace(elpd=elpd, mcse_elpd=mcse, pareto_k=shape)
 
 

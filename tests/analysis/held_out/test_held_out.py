@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import norm
 
 import fmu
-from fmu.analysis.held_out import modes
+from fmu.analysis.held_out import modes, own_run
 from fmu.analysis.held_out.modes import left_out_warnings, with_left_out
 from fmu.analysis.held_out.refit import approximation, cheaper, compare_posteriors, left_out
 from fmu.analysis.trace.conversion import to_trace
@@ -200,6 +200,18 @@ def test_a_mode_that_was_not_left_out_is_named(make_result, problem, monkeypatch
     (warning,) = left_out_warnings(trace)
     assert warning.startswith("modes W1 and T1 of 3 are not predicted by the others")
     assert warning in fmu.diagnose(trace).notes
+
+
+def test_modes_that_importance_sampling_does_not_predict_have_runs_of_their_own(few, problem, monkeypatch):
+    """For a caller who waits however long it takes; a run that does not converge gives no number."""
+    monkeypatch.setattr(modes, "_left_out_all", lambda *_: {})
+    monkeypatch.setattr(own_run, "_WARMUP", 200)
+    table = fmu.leave_one_out(few(problem), problem)
+    assert table["method"].tolist() == BY_REFITS
+    check(table, (True,) * 3, np.diag(0.5 / BETA), sigmas=6.0)
+    monkeypatch.setattr(own_run, "_MOST", 1000)
+    monkeypatch.setattr(own_run, "_is_converged", lambda draws: False)
+    assert not fmu.leave_one_out(few(problem), problem)["method"].any()
 
 
 def test_what_is_affordable_does_not_depend_on_the_clock():
