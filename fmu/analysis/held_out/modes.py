@@ -269,7 +269,7 @@ def _not_used(trace: xr.DataTree, problem: UpdatingProblem, k: int, draws: Draws
 
 
 def _by_posterior(k: int, draws: Draws, log_p: FloatArray, chains: int, walkers: int = 1) -> HeldOut:
-    """Return the prediction of mode `k` by draws of the posterior without it, given its log-density there, (n,)."""
+    """Return the prediction of mode `k` by draws of the posterior without it, and its log-density there, (n,)."""
     row = draws.predict(k, np.full(len(log_p), -np.log(len(log_p))))
     shape = pareto_k(log_p)
     if not shape <= SMOOTHED_K:
