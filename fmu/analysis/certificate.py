@@ -130,7 +130,9 @@ def certify(
     others = np.setdiff1d(np.arange(n_bounded), solved)
     solved = np.concatenate([solved, others[: max(n_bounded // effort.each, fewest_solved) - worst]])
     theta = theta[solved]
-    exact = np.concatenate(by_parts("certificate", lambda part: model.of_modes(part, _by_full), theta, _AT_ONCE))
+    exact = np.concatenate(
+        by_parts("certificate", lambda part: model.of_modes(part, _by_full), theta, _AT_ONCE, _AT_ONCE)
+    )
     found = model.of_modes(theta, _by_reduced)
     exact_hz, reduced_hz = frequency_hz(exact[..., 0]), frequency_hz(found[..., 0])
     tolerance = problem.tolerance or Tolerance()
@@ -176,7 +178,7 @@ def _terms_of_both(
     if likelihood.by_frequencies:
         return likelihood.terms_of_frequencies(exact_hz, theta), of_reduced
     by_full = problem.with_model(problem.model.truth).likelihood
-    return np.concatenate(by_parts("certificate", by_full.terms, theta, _AT_ONCE)), of_reduced
+    return np.concatenate(by_parts("certificate", by_full.terms, theta, _AT_ONCE, _AT_ONCE)), of_reduced
 
 
 def certificate_failures(attrs: Mapping[Hashable, str | float]) -> list[str]:

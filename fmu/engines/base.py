@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Protocol, Self, runtime_checkable
 
+from fmu.engines.memory import free_memory
 from fmu.progress import Report
 
 type Work[Shared, Task, Result] = Callable[[Shared, Task, Report | None], Result]
@@ -51,6 +52,10 @@ class Engine(Protocol):
     @property
     def workers(self) -> int:
         """Number of tasks that run at the same time."""
+        ...
+
+    def free_memory(self) -> int | None:
+        """Return the bytes of memory that the workers may take together; None if that is not known."""
         ...
 
     def run_tasks[Shared, Task, Result](
@@ -135,6 +140,10 @@ class InProcess(Engine):
                 if following is not None:
                     waiting.append((i, following))
         return [results[i] for i in range(len(tasks))]
+
+    def free_memory(self) -> int | None:
+        """Return the bytes of memory that are free on this machine; None where the system does not tell."""
+        return free_memory()
 
     def close(self) -> None:
         """Do nothing, because there are no workers to stop."""

@@ -83,6 +83,10 @@ class DaskCluster(RemoteEngine):
         """Number of threads of all present workers, at least 1."""
         return max(1, sum(self._client.nthreads().values()))
 
+    def free_memory(self) -> int | None:
+        """Return None: the memory of the workers' machines is not known here."""
+        return None
+
     def close(self) -> None:
         """Leave the cluster."""
         self._shared = None

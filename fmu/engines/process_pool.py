@@ -27,6 +27,7 @@ from typing import Any
 
 import cloudpickle
 
+from fmu.engines.memory import free_memory
 from fmu.engines.remote import Outcome, RemoteEngine, Shared, Task, carry_out, limit_blas_threads
 from fmu.progress import Report
 
@@ -109,6 +110,10 @@ class ProcessPool(RemoteEngine):
     def workers(self) -> int:
         """Number of processes."""
         return self._workers
+
+    def free_memory(self) -> int | None:
+        """Return the bytes of memory that are free on this machine; None where the system does not tell."""
+        return free_memory()
 
     def close(self) -> None:
         """Stop all workers, even those that are busy."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Annotated, Any
 
 from annotated_types import Interval
@@ -12,7 +13,7 @@ from fmu.arguments import Chains, Count, Draws, OwnRule, Seed, Workers, check_ar
 from fmu.samplers.registry import SAMPLERS as SAMPLERS
 from fmu.sampling.limits import Limits
 from fmu.sampling.steps import StoppedRun as StoppedRun
-from fmu.sampling.steps import Task, begin, convert, draw, examine
+from fmu.sampling.steps import Task, begin, convert, draw, engine_of, examine
 
 if TYPE_CHECKING:
     import os
@@ -120,8 +121,8 @@ def sample(
         A directory in which the draws and the sampler's state are saved during the run. The same call with the
         same directory resumes a run that was stopped or killed. A finished run is read from it, not repeated.
     workers : int, str or Engine
-        Number of processes on this machine that advance the groups; or the address of the scheduler of a Dask
-        cluster, ``"tcp://host:port"``; or an engine from `fmu.engine`.
+        Number of processes on this machine that advance the groups, and solve the full model for the certificate;
+        or the address of the scheduler of a Dask cluster, ``"tcp://host:port"``; or an engine from `fmu.engine`.
     max_failure_rate : float
         The run stops when more than this fraction of the solves has failed. With 1 it never stops for failures.
     progress : bool or callable, optional
@@ -169,14 +170,15 @@ def sample(
     limits = Limits.of(draws, until_ess, max_draws, max_solves)
     numbers = _check(problem, settings, init, workers, warmup=warmup, chains=chains, groups=groups, seed=seed)
     task = Task.of(problem, settings, numbers, limits, checkpoint, max_failure_rate)
-    with reporting(progress, settings.name) as report, told_to(report):
+    with reporting(progress, settings.name) as report, told_to(report), ExitStack() as stack:
         beginning = begin(task, settings, init, jumps, maxima)
-        result, limit = draw(task, beginning, report, workers)
+        engine = engine_of(workers, stack)
+        result, limit = draw(task, beginning, report, engine)
         before = solves()
         trace = convert(task, beginning, result, limit)
         if on_draws is not None:
             on_draws(trace)
-        trace = examine(task, beginning, trace)
+        trace = examine(task, beginning, trace, engine)
         trace.attrs["after_n_solves"] = solves() - before
     return trace
 

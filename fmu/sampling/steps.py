@@ -137,9 +137,7 @@ def begin(
     return Beginning(settings, starts, maxima, is_new)
 
 
-def draw(
-    task: Task, beginning: Beginning, report: Report | None, workers: int | str | Engine
-) -> tuple[RunResult, str]:
+def draw(task: Task, beginning: Beginning, report: Report | None, engine: Engine) -> tuple[RunResult, str]:
     """Draw, and save to the checkpoint, until the verdict or a limit ends the run.
 
     Returns
@@ -178,7 +176,7 @@ def draw(
                 **{**task.numbers, "warmup": task.warmup},
                 init=beginning.starts.position,
                 progress=report,
-                engine=_engine(workers, stack),
+                engine=engine,
                 checkpointer=store,
                 stop=stop,
                 too_many_failed=lambda failed, solves, why: failure_rate_exceeded(
@@ -232,10 +230,11 @@ def convert(task: Task, beginning: Beginning, result: RunResult, limit: str) -> 
     return trace
 
 
-def examine(task: Task, beginning: Beginning, trace: xr.DataTree) -> xr.DataTree:
+def examine(task: Task, beginning: Beginning, trace: xr.DataTree, engine: Engine) -> xr.DataTree:
     """Return the trace with the certificate, the modes, their pairing, identifiability and leave-one-out added.
 
-    The trace of a problem that is not an updating problem is returned unchanged.
+    Full models are solved by the engine. The trace of a problem that is not an updating problem is returned
+    unchanged.
     """
     from fmu.analysis.certificate import certify
     from fmu.analysis.frf.certificate import certify_frfs
@@ -248,7 +247,8 @@ def examine(task: Task, beginning: Beginning, trace: xr.DataTree) -> xr.DataTree
     problem, maxima = task.problem, beginning.maxima
     if not is_updating(problem):
         return trace
-    certificate = certify(trace, problem, full_solves=task.full_solves)
+    with problem.model.spread_over(engine):
+        certificate = certify(trace, problem, full_solves=task.full_solves)
     trace.attrs.update({} if certificate is None else certificate.attributes())
     of_frfs = certify_frfs(trace, problem)
     trace.attrs.update({} if of_frfs is None else of_frfs.attributes())
@@ -297,7 +297,7 @@ def _saved_warmup(saved: Checkpoint, asked: int, warmup: int) -> int:
     return int(run.get(_SHORTENED, asked)) if run.get("warmup") == asked else warmup
 
 
-def _engine(workers: int | str | Engine, stack: ExitStack) -> Engine:
+def engine_of(workers: int | str | Engine, stack: ExitStack) -> Engine:
     """Return the engine that runs the tasks; an engine that is created here is closed with the stack."""
     from fmu.engines import engine
     from fmu.engines.base import Engine

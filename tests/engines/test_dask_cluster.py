@@ -7,11 +7,14 @@ import sys
 import time
 
 import engine_tasks
+import numpy as np
 import pytest
 
 import fmu
 from fmu.engines import engine
 from fmu.engines.base import LostTaskError
+from fmu.fem.reduced.reduced_structure import train
+from tests.fem.reduced.test_training_in_workers import assert_states_equal, chain, paired
 from tests.sampling.test_workers import SETTINGS, LinearProblem, assert_same
 
 pytest.importorskip("distributed")
@@ -175,3 +178,16 @@ def test_without_the_package(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ValueError, match=r"--cluster: needs the package distributed: pip install 'fmu\[dist"):
         engine(cluster="tcp://head:8786")
+
+
+def test_a_large_structure_is_trained_and_solved_the_same(cluster):
+    found = []
+    for at in (None, cluster):
+        structure, lower, upper = paired(chain())
+        with structure.spread_over(at):
+            model, state = train(structure, lower, upper, 1e-3)
+            found.append(
+                (state, model.confirmed_modes(np.stack([lower, upper, 0.5 * (lower + upper)])).eigenvalues)
+            )
+    assert_states_equal(found[0][0], found[1][0])
+    np.testing.assert_array_equal(found[0][1], found[1][1])

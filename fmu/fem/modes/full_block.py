@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from functools import cached_property, partial
+from itertools import islice
 from typing import ClassVar, Literal
 
 import numpy as np
 import scipy.sparse as sp
 
+from fmu.engines.base import Engine, Work
 from fmu.fem.modes.block import Block, Mapped, Observation, Picked
 from fmu.fem.modes.derivatives import CLOSE, by_bordered_system
 from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, clear_factor, eigen, rank, unit_diagonal
-from fmu.fem.modes.modal import BlockModel
+from fmu.fem.modes.modal import BlockModel, single_thread
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.solver import LARGE, Matrix, ScaledFactor
 from fmu.fem.modes.stacks import SMALL, assemble, lowest_modes
@@ -23,7 +26,27 @@ from fmu.types import BoolArray, FloatArray, IntArray
 _DENSE_SLOPES = 128
 # Number of modes beyond the requested ones that a large block computes, because training starts from them.
 _FURTHER = 3
+# Memory of a worker, beside the block and its factors: bytes of Python with the libraries, copies of the stiffness
+# matrix while it is factorised, and vectors of an eigenproblem.
+LIBRARIES, COPIES = int(0.35 * 2**30), 6
+_VECTORS = 120
 _RECOMPUTED = ("_sums", "_stacks")
+
+
+class EngineInUse:
+    """The engine whose workers solve for a block, if there is one. A copy or pickle has none.
+
+    Attributes
+    ----------
+    engine : Engine or None
+    """
+
+    def __init__(self) -> None:
+        self.engine: Engine | None = None
+
+    def __reduce__(self) -> tuple[type[EngineInUse], tuple[()]]:
+        """Return the call that makes one without an engine: a worker has no workers of its own."""
+        return EngineInUse, ()
 
 
 def full_model(model: SeparableModel) -> BlockModel[FullBlock]:
@@ -62,6 +85,7 @@ class FullBlock(Block):
         self._constant_rank = known if len(self.M_terms) == 1 else None
         self._last: tuple[bytes, FloatArray, FloatArray] | None = None
         self._last_factor = model.last_factor(dofs)
+        self._in_use = EngineInUse()
 
     def __getstate__(self) -> dict[str, object]:
         """Return the state for pickling, without data that are recomputed on demand."""
@@ -91,17 +115,19 @@ class FullBlock(Block):
 
         A large block keeps its last solve at a single theta, because several quantities are needed at the start of
         a problem. A block that no parameter changes is solved once. From `LARGE` degrees of freedom on, a few
-        modes more are computed for `at_least`.
+        modes more are computed for `at_least`. Within `spread_over`, a large block is solved at several theta in
+        the workers of the engine; no bit of a result depends on the engine, or on the other theta.
         """
         times = 1
         if self.constant:
             times, theta = len(theta), theta[:1]
-        if not (len(theta) == 1 and (self.constant or self.size > DENSE_LIMIT)):
-            return self._solve_each(theta, count)
-        at = b"" if self.constant else theta.tobytes()
         wanted = self._count_with_further(count)
+        if not (len(theta) == 1 and (self.constant or self.size > DENSE_LIMIT)):
+            lam, phi = self._solve_all(theta, wanted)
+            return lam[..., :count], phi[..., :count]
+        at = b"" if self.constant else theta.tobytes()
         if self._last is None or self._last[0] != at or self._last[1].shape[1] != wanted:
-            self._last = (at, *self._solve_each(theta, wanted))
+            self._last = (at, *self._solve_all(theta, wanted))
         lam, phi = (of[..., :count] for of in self._last[1:])
         return np.repeat(lam, times, axis=0), np.repeat(phi, times, axis=0)
 
@@ -116,7 +142,7 @@ class FullBlock(Block):
         return self.modes(theta, count)
 
     def _count_with_further(self, count: int) -> int:
-        """Return the number of modes to compute for a request of `count` modes at a single theta."""
+        """Return the number of modes to compute for a request of `count` modes."""
         return min(count + _FURTHER, self.n_modes) if self.size >= LARGE and count else count
 
     def clear_factor(self, theta: FloatArray) -> ScaledFactor | None:
@@ -129,6 +155,68 @@ class FullBlock(Block):
         if self.size < LARGE:
             return clear_factor(S, scale)
         return self._last_factor.at(theta, lambda: clear_factor(S, scale))
+
+    @contextmanager
+    def spread_over(self, engine: Engine) -> Iterator[None]:
+        """Within a with block, solve in the workers of an engine what takes long; the results are the same."""
+        before, self._in_use.engine = self._in_use.engine, engine
+        try:
+            yield
+        finally:
+            self._in_use.engine = before
+
+    def run_tasks[Shared, Task, Result](
+        self, work: Work[Shared, Task, Result], shared: Shared, tasks: Iterable[Task], of_factors: int = 0
+    ) -> list[Result]:
+        """Return the results of ``work(shared, task, None)``, by the workers of `spread_over` or in this process.
+
+        A task is made only when a worker is free for it. No more workers are used than fit in the memory.
+
+        Parameters
+        ----------
+        work : callable
+            A function defined at module level, whose result depends on its arguments alone.
+        shared : object
+            What all tasks need: the block, or an object that contains it. A worker receives it once.
+        tasks : iterable
+            No task may be None.
+        of_factors : int
+            Bytes of the factors that every worker makes for itself.
+        """
+        engine, waiting = self._in_use.engine, enumerate(tasks)
+        begun = list(islice(waiting, 1 if engine is None else self._workers_that_fit(engine, of_factors)))
+        if engine is None or len(begun) < 2:
+            with single_thread():
+                return [work(shared, task, None) for part in (begun, waiting) for _, task in part]
+        numbers, found = [number for number, _ in begun], dict[int, Result]()
+
+        def follow(i: int, result: Result) -> Task | None:
+            found[numbers[i]] = result
+            numbers[i], following = next(waiting, (-1, None))
+            return following
+
+        engine.run_tasks(work, shared, [task for _, task in begun], follow)
+        return [found[number] for number in range(len(found))]
+
+    def _workers_that_fit(self, engine: Engine, of_factors: int) -> int:
+        """Return the number of workers that have memory for the block and for factors of so many bytes."""
+        free = engine.free_memory()
+        if free is None or self.size < LARGE:
+            return engine.workers
+        terms = (*self.K_terms, *self.M_terms)
+        stored, stiffness = (sum(12 * term.matrix.nnz for term in of) for of in (terms, self.K_terms))
+        needed = LIBRARIES + stored + COPIES * stiffness + of_factors + 8 * self.size * _VECTORS
+        return min(engine.workers, free // needed)
+
+    def _solve_all(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+        """Return eigenvalues (n, count) and shapes (n, size, count); each theta of a large block is a task."""
+        if len(theta) < 2 or self.size <= DENSE_LIMIT:
+            return self._solve_each(theta, count)
+        kept = self._last_factor.factor
+        of_factors = 0 if kept is None else kept.n_bytes
+        found = self.run_tasks(_solve_there, self, ((point[None], count) for point in theta), of_factors)
+        lam, phi = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        return lam, phi
 
     def _solve_each(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         lam = np.full((len(theta), count), np.nan)
@@ -240,6 +328,10 @@ class FullBlock(Block):
                 one = dK_phi[i, :, k, None], dM_phi[i, :, k, None]
                 slopes[i, :, k] = by_bordered_system(K, M, lam[i, k], phi[i, :, k], *one, beside)[0][:, 0]
         return slopes
+
+
+def _solve_there(block: FullBlock, task: tuple[FloatArray, int], _: object) -> tuple[FloatArray, FloatArray]:
+    return block._solve_each(*task)
 
 
 def _rank_of_all(M_terms: tuple[Term, ...]) -> int | None:

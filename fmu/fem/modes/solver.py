@@ -17,7 +17,6 @@ import weakref
 from collections.abc import Callable
 from functools import cache, lru_cache
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -26,6 +25,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from fmu.engines.memory import free_memory
 from fmu.numbers import significant, whole
 from fmu.types import FloatArray, IntArray
 
@@ -307,7 +307,7 @@ class _Pardiso:
         self._solver = _pardiso()(mtype=of)
         weakref.finalize(self, _call, self._solver, self._upper, _RELEASE).atexit = False
         # METIS, and unmodified pivots: PARDISO's own settings would change pivots below 1e-8 of the largest entry
-        for i, value in {1: 1, 2: 2, 10: _TINY, 34: _MOST_THREADS}.items():
+        for i, value in {1: 1, 2: 2, 10: _TINY, 18: -1, 34: _MOST_THREADS}.items():
             self._solver.iparm[i - 1] = value
         _call(self._solver, self._upper, _ANALYSE)
         of_analysis, lasting, of_factors = (1024 * int(self._solver.get_iparm(i)) for i in (15, 16, 17))
@@ -323,23 +323,6 @@ def _require_memory(needed: int, n_dof: int) -> None:
             f"the factors of {whole(n_dof)} degrees of freedom need {significant(needed / 2**30, 3)} GiB, "
             f"and {significant(free / 2**30, 3)} GiB of memory are free; coarsen or condense the model"
         )
-
-
-def free_memory() -> int | None:
-    """Return the bytes of memory that this process may still take; None where the system does not tell."""
-    try:
-        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
-        free = next(1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))
-    except (OSError, StopIteration, ValueError):
-        return None
-    group = Path("/sys/fs/cgroup")  # a container may be allowed less
-    try:
-        limit, used = (
-            int((group / name).read_text(encoding="ascii")) for name in ("memory.max", "memory.current")
-        )
-    except (OSError, ValueError):
-        return free
-    return min(free, max(limit - used, 0))
 
 
 def _call(solver: Any, upper: sp.csr_array, phase: int, loads: FloatArray | None = None) -> FloatArray:

@@ -12,6 +12,7 @@ import numpy as np
 from fmu.engines.base import Engine
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.certificates import Certificate
+from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.pairing.sensitivities import Sensitivities, SensitivitiesByDifferences, Steps
@@ -60,6 +61,8 @@ class ModalModel:
         Matrices of the model, if it has matrices.
     functions : tuple of BlackBoxModel
         The users' functions that the model calls; empty for other kinds of model.
+    full_blocks : tuple of FullBlock
+        The blocks of matrices that are solved in full; empty for other kinds of model.
     gives_shapes : bool
         Whether `observed` gives shapes at the sensors.
     is_soft : bool
@@ -85,6 +88,7 @@ class ModalModel:
     name = "model"
     structure: SeparableModel | None = None
     functions: tuple[BlackBoxModel, ...] = ()
+    full_blocks: tuple[FullBlock, ...] = ()
     gives_shapes = False
     is_soft = False
     is_uncertain = False
@@ -118,10 +122,14 @@ class ModalModel:
 
     @contextmanager
     def spread_over(self, engine: Engine | None) -> Iterator[None]:
-        """Call users' functions, if any, in the workers of an engine, inside a ``with`` block."""
+        """Call users' functions, and solve large matrices, in an engine's workers, inside a ``with`` block."""
         with ExitStack() as stack:
-            for function in () if engine is None else self.functions:
-                stack.enter_context(function.spread_over(engine))  # type: ignore[arg-type]
+            if engine is not None:
+                for function in self.functions:
+                    stack.enter_context(function.spread_over(engine))
+                for part in self.parts:
+                    for block in part.truth.full_blocks:
+                        stack.enter_context(block.spread_over(engine))
             yield
 
     def seconds_at(self, theta: FloatArray) -> float | None:

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
-from fmu.fem.modes.full_block import full_model
+from fmu.fem.modes.full_block import FullBlock, full_model
 from fmu.fem.modes.modal import BlockModel, ModalSolution, frequency_gradient, frequency_hz, single_thread
 from fmu.fem.modes.separable import SeparableModel, selection
 from fmu.fem.modes.solver import LAPACK, sparse_solver
@@ -170,6 +170,11 @@ class PairedStructure(ModalModel):
         if pairing == SOFT:
             rule = SoftPairing(rule.rows, rule.shapes, rule.margin, softness)
         return cls(model, full, rule, n_modes, seen, shapes is not None)
+
+    @property
+    def full_blocks(self) -> tuple[FullBlock, ...]:  # type: ignore[override]
+        """The blocks that are not reduced."""
+        return tuple(block for block in self.blocks if not block.is_reduced)
 
     def __repr__(self) -> str:
         return f"PairedStructure({self.structure!r}, {type(self.pairing).__name__})"

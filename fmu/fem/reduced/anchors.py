@@ -11,13 +11,14 @@ no coefficient changes by more than a factor of some tens. Where a stiffness may
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg as sl
 
+from fmu.engines.base import Work
 from fmu.fem.modes.eigensolver import is_clearly_definite, is_semidefinite, unit_diagonal
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import is_rigid
@@ -34,6 +35,7 @@ _MOST = 8
 # Number of modes of the anchors beyond the requested ones.
 _GUARDS = 3
 _HALVED = 20  # bisection steps
+_STRIP = 32  # right-hand sides of a large block that are solved for together
 NO_MODES = "the eigenproblem of K and M has no solution"
 
 
@@ -166,6 +168,21 @@ class Anchors:
             self._factors[a] = found
         return self._factors[a]
 
+    def solve(self, a: int, loads: FloatArray) -> FloatArray:
+        """Return (K + s M)⁻¹ b at the anchor of index `a`, for b of shape (n_dof, m).
+
+        For a large block the columns are solved for in strips, by the workers of its engine if there is one
+        (`FullBlock.spread_over`), each with factors of its own. No bit depends on the engine.
+        """
+        if self.block.size < LARGE or loads.shape[1] <= _STRIP:
+            return self.factor(a).solve(loads)
+        strips = ((a, loads[:, first : first + _STRIP]) for first in range(0, loads.shape[1], _STRIP))
+        return np.concatenate(self.run_tasks(_solve_there, strips), axis=1)
+
+    def run_tasks[Task, Result](self, work: Work[Anchors, Task, Result], tasks: Iterable[Task]) -> list[Result]:
+        """Return the results of tasks that need the anchors; see `FullBlock.run_tasks`."""
+        return self.block.run_tasks(work, self, tasks, sum(of.n_bytes for of in self._factors.values()))
+
     def _kept_factor(self, a: int) -> Factor | None:
         """Return the factors of a large clearly definite K, which its block may have kept from its last solve."""
         if self.shift or self.block.size < LARGE:
@@ -257,6 +274,11 @@ class Anchors:
             A, A0 = A + self.shift * M, A0 + self.shift * M0
             alpha[i] = sl.eigh(A, A0, eigvals_only=True, subset_by_index=[0, 0], check_finite=False)[0]
         return alpha
+
+
+def _solve_there(anchors: Anchors, task: tuple[int, FloatArray], _: object) -> FloatArray:
+    a, loads = task
+    return anchors.factor(a).solve(loads)
 
 
 def anchor_points(terms: Sequence[Term], lower: FloatArray, upper: FloatArray) -> FloatArray:

@@ -5,10 +5,13 @@ Sadkane 1994, *SIAM J. Sci. Comput.* 15, 62–76). It starts from the Ritz vecto
 modes. The corrections are w = Ā⁻¹ r with the factors from training. At the first point K − σ M is factorised: its
 inertia is the number of eigenvalues below σ (Sylvester), and shows that no mode is missing. If this number does
 not agree with the modes found, the ordinary eigensolver is used from then on, and where the iterations do not
-converge.
+converge. Several points are tasks of the engine that the block is spread over, if there is one.
 """
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,11 +26,33 @@ from fmu.types import FloatArray
 CONVERGED = 1e-8
 """Estimated relative error of a frequency at which the iterations end; the last corrections are still added."""
 _MOST_STEPS = 12
-# Number of points at which the eigenvalues are counted, at the cost of a factorisation each: one in the box when
-# training ends, and one draw, with the largest bound, in the certificate.
-_COUNTED = 1
 # Number of modes above the requested ones, and how many ranks below the highest requested mode σ may lie.
 _BEYOND = 3
+
+
+class _Start(NamedTuple):
+    """What the iterations at one point start from.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (1, n_parameters)
+        The point.
+    vectors : list of ndarray, each of shape (n_dof, m)
+        The Ritz vectors of the basis and of the anchors' modes.
+    anchor : int
+        Index of the anchor whose factors are used.
+    alpha : float
+        The factor α of the bound A ≥ α Ā.
+    n_wanted, n_converged : int
+        Numbers of modes that are computed, and that must converge.
+    """
+
+    theta: FloatArray
+    vectors: list[FloatArray]
+    anchor: int
+    alpha: float
+    n_wanted: int
+    n_converged: int
 
 
 class ConfirmedBlock(FullBlock):
@@ -45,42 +70,63 @@ class ConfirmedBlock(FullBlock):
         self.__dict__.update(block.__dict__)
         self._last = None
         self._space, self._anchors = space, anchors
-        self._counted, self._is_complete = 0, True
+        self._is_counted, self._is_complete = False, True
 
     def _count_with_further(self, count: int) -> int:
         return count
 
-    def _solve_each(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    def _solve_all(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         lam = np.full((len(theta), count), np.nan)
         phi = np.full((len(theta), self.size, count), np.nan)
-        for i in range(len(theta)):
-            point = theta[i : i + 1]
-            found = self._from_ritz(point, count) if self._is_complete else None
-            lam[i], phi[i] = (of[0] for of in super()._solve_each(point, count)) if found is None else found
+        if self._is_complete:
+            for i, (values, X) in self._from_ritz(theta, count).items():
+                lam[i], phi[i] = values[:count], X[:, :count]
+        others = np.isnan(lam[:, 0])
+        if others.any():
+            lam[others], phi[others] = super()._solve_all(theta[others], count)
         return lam, phi
 
-    def _from_ritz(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray] | None:
-        """Return the lowest λ (count,) and shapes (size, count) at theta (1, p); None if the method fails."""
-        space, anchors = self._space, self._anchors
-        known = anchors.modes(count)
+    def _from_ritz(self, theta: FloatArray, count: int) -> dict[int, tuple[FloatArray, FloatArray]]:
+        """Return λ (wanted,) and shapes (size, wanted) by the index of each point of theta (n, p) that converges.
+
+        The dict is empty if a mode is missing.
+        """
+        started: list[int] = []
+
+        def starts() -> Iterator[_Start]:
+            for i in range(len(theta)):
+                start = self._start(theta[i : i + 1], count)
+                if start is not None:
+                    started.append(i)
+                    yield start
+
+        outcome = self._anchors.run_tasks(_iterate_there, starts())
+        found = {i: pairs for i, pairs in zip(started, outcome, strict=True) if pairs is not None}
+        if found and not self._is_counted:
+            self._is_counted, first = True, min(found)
+            ((K, M),) = self._matrices(theta[first : first + 1])
+            lam = found[first][0]
+            self._is_complete = bool(inertia_agrees(K, M, lam, max(count - 1 - _BEYOND, 0), count))
+        return found if self._is_complete else {}
+
+    def _start(self, theta: FloatArray, count: int) -> _Start | None:
+        """Return the start of the iterations at theta (1, p); None if there is none."""
+        space, known = self._space, self._anchors.modes(count)
         wanted = min(count + _BEYOND, space.size, known.size)
-        (best,), (alpha,) = anchors.nearest(theta, space)
+        (best,), (alpha,) = self._anchors.nearest(theta, space)
         if not (wanted > count and alpha > 0.0):
             return None
-        ((K, M),) = self._matrices(theta)
-        A = K + space.shift * M if space.shift else K
-        start = [of.V @ of.modes(theta, wanted)[1][0] for of in (space, known)]
-        if not all(np.isfinite(part).all() for part in start):
+        vectors = [of.V @ of.modes(theta, wanted)[1][0] for of in (space, known)]
+        if not all(np.isfinite(part).all() for part in vectors):
             return None
-        factor = anchors.factor(int(best))
-        found = davidson(A, M, space.shift, start, factor, wanted, count, float(alpha))
-        if found is None:
-            return None
-        lam, X = found
-        if self._counted < _COUNTED:
-            self._counted += 1
-            self._is_complete = bool(inertia_agrees(K, M, lam, max(count - 1 - _BEYOND, 0), count))
-        return (lam[:count], X[:, :count]) if self._is_complete else None
+        return _Start(theta, vectors, int(best), float(alpha), wanted, count)
+
+
+def _iterate_there(anchors: Anchors, start: _Start, _: object) -> tuple[FloatArray, FloatArray] | None:
+    ((K, M),) = anchors.block._matrices(start.theta)
+    A = K + anchors.shift * M if anchors.shift else K
+    factor = anchors.factor(start.anchor)
+    return davidson(A, M, anchors.shift, start.vectors, factor, start.n_wanted, start.n_converged, start.alpha)
 
 
 def confirmed_model(bound: FrequencyBound) -> BlockModel[FullBlock]:

@@ -12,10 +12,11 @@ from __future__ import annotations
 from bisect import bisect_right
 from dataclasses import dataclass
 
+from fmu.engines.memory import free_memory
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
-from fmu.fem.modes.full_block import FullBlock
+from fmu.fem.modes.full_block import COPIES, LIBRARIES, FullBlock
 from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.modes.solver import LARGE, Factor, free_memory
+from fmu.fem.modes.solver import LARGE, Factor
 from fmu.fem.reduced.shared import MEMORY
 from fmu.numbers import significant
 
@@ -26,10 +27,9 @@ _ITERATIONS, _AN_ITERATION = 40, 1.2e-4
 # Cost of a reduced solve, of its terms, and of its eigenproblem: with a regular or possibly singular mass matrix.
 _A_REDUCED_SOLVE, _A_TERM, _STANDARD, _SINGULAR = 1e-4, 1e-9, 2.5e-10, 6e-10
 _PAYS = 3.0
-# Memory of Python with the libraries that a run loads, bytes; copies of the stiffness matrix while it is scaled
-# and factorised; factors at a time, of an anchor and of a count of eigenvalues; and vectors that training found
-# in frames, solids and shells.
-_LIBRARIES, _COPIES, _FACTORS, _VECTORS = 0.35 * 2**30, 6, 2, 80
+# Factors at a time, of an anchor and of a count of eigenvalues, and vectors that training found in frames, solids
+# and shells.
+_FACTORS, _VECTORS = 2, 80
 
 
 @dataclass(frozen=True)
@@ -100,10 +100,10 @@ def memory_in_words(model: SeparableModel) -> str:
     terms = (*model.K_terms, *model.M_terms)
     stored, stiffness = (sum(12 * term.matrix.nnz for term in of) for of in (terms, model.K_terms))
     vector = 8 * model.n_dof * _VECTORS
-    needed = _LIBRARIES + stored + _COPIES * stiffness + _FACTORS * of_factors
+    needed = LIBRARIES + stored + COPIES * stiffness + _FACTORS * of_factors
     needed += vector + min(vector * len(terms), MEMORY)
     free = free_memory()
-    is_short = free is not None and needed > _LIBRARIES + stored + of_factors + free
+    is_short = free is not None and needed > LIBRARIES + stored + of_factors + free
     beside = (
         f", but only {significant(free / 2**30, 2)} GiB more are free" if is_short and free is not None else ""
     )

@@ -159,7 +159,7 @@ class Learner:
 
     def _share(self, X: FloatArray) -> None:
         if self.shared is not None:
-            self.shared = self.shared.grown(X, self.anchors.factor(0))
+            self.shared = self.shared.grown(X, partial(self.anchors.solve, 0))
 
     def _correct(self, C: FloatArray, target: FloatArray) -> None:
         """Add directions of the corrections C (n_dof, m) to the space, as many as their errors need.

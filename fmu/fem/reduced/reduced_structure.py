@@ -11,7 +11,6 @@ from typing import Self
 import numpy as np
 
 from fmu.box import find_inside
-from fmu.engines.base import Engine
 from fmu.fem.approximation import Approximation
 from fmu.fem.modes.modal import ModalSolution, frequency_hz, single_thread
 from fmu.fem.pairing.modal_model import ModalModel
@@ -260,11 +259,12 @@ def train(
     upper: FloatArray,
     tolerance: float = 1e-6,
     inaccurate_points: Callable[[ReducedStructure], tuple[FloatArray, float] | None] | None = None,
-    engine: Engine | None = None,
     region: Callable[[ReducedStructure], FloatArray] | None = None,
     wider_box: Callable[[ReducedStructure], tuple[FloatArray, FloatArray] | None] | None = None,
 ) -> tuple[ReducedStructure | PairedStructure, dict[str, FloatArray]]:
     """Train a reduced model over a box; see `fmu.fem.reduced.training.Training.run`.
+
+    Within ``truth.spread_over(engine)``, what takes long is solved in the workers of the engine.
 
     Parameters
     ----------
@@ -276,8 +276,6 @@ def train(
         Maps the current reduced model to the points (n, n_parameters) at which it is too inaccurate for the
         caller's purpose, and to the factor by which the errors of frequencies there must decrease. Returns None if
         the model is accurate enough.
-    engine : Engine, optional
-        Solves the full model at several points in parallel.
     region : callable, optional
         Maps the current reduced model to fresh points (n, n_parameters) of the part of the box that matters. If a
         basis for the whole box would not pay, `tolerance` holds in that part only, and 1e-3 elsewhere.
@@ -294,14 +292,14 @@ def train(
     """
     with single_thread():
         for left in range(_WIDENED, -1, -1):
-            training = Training(truth.blocks, truth.rule, lower, upper, tolerance, engine)
+            training = Training(truth.blocks, truth.rule, lower, upper, tolerance)
             model = ReducedStructure(truth, training.run())
             wider = None if wider_box is None or not left else wider_box(model)
             if wider is None:
                 break
             lower, upper = wider
         if training.is_cut() and region is not None and tolerance < LOOSE:
-            narrow = Training(truth.blocks, truth.rule, lower, upper, LOOSE, engine)
+            narrow = Training(truth.blocks, truth.rule, lower, upper, LOOSE)
             narrow.run()
             part = None if narrow.is_cut() else _narrow(truth, narrow, tolerance, region)
             if part is not None:

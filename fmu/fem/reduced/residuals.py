@@ -107,7 +107,7 @@ def _solve_residuals(
     W, G, mass = np.empty_like(R), np.empty((n, count, count)), np.empty((n, count))
     for a in np.unique(best):
         rows = np.flatnonzero(best == a)
-        W[:, rows] = anchors.factor(int(a)).solve(R[:, rows].reshape(n_dof, -1)).reshape(n_dof, -1, count)
+        W[:, rows] = anchors.solve(int(a), R[:, rows].reshape(n_dof, -1)).reshape(n_dof, -1, count)
     for i, M in enumerate(space.block._masses(theta)):
         G[i] = R[:, i].T @ W[:, i]
         mass[i] = np.sum(W[:, i] * (M @ W[:, i]), axis=0)

@@ -9,13 +9,14 @@ of λ and has thus an error of 1e-15 λ, whereas the errors of frequencies that 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 
 from fmu.fem.modes.full_block import FullBlock
-from fmu.fem.modes.solver import LARGE, Factor
+from fmu.fem.modes.solver import LARGE
 from fmu.fem.modes.terms import coefficients
 from fmu.types import FloatArray
 
@@ -53,10 +54,10 @@ class SharedResiduals:
             return None
         return cls(block, np.empty((0, 0)), np.empty((len(block.M_terms), 0, 0)))
 
-    def grown(self, X: FloatArray, factor: Factor) -> Self | None:
+    def grown(self, X: FloatArray, solve: Callable[[FloatArray], FloatArray]) -> Self | None:
         """Return the residuals of the space with the vectors X (n_dof, q) added; None if they are too many.
 
-        `factor` are the factors of Ā.
+        `solve` returns Ā⁻¹ b for b (n_dof, m).
         """
         terms = (*self.block.K_terms, *self.block.M_terms)
         grown = self
@@ -66,7 +67,7 @@ class SharedResiduals:
             if 8 * size * self.block.size > MEMORY:
                 return None
             R = np.stack([term.matrix @ new for term in terms], axis=2).reshape(self.block.size, -1)
-            W = factor.solve(R)
+            W = solve(R)
             energy = np.concatenate([part.T @ R for part in (*grown.W, W)])
             masses = []
             for term, mass in zip(self.block.M_terms, grown.mass, strict=True):

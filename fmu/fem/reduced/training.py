@@ -11,11 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import islice
 
 import numpy as np
 
-from fmu.engines.base import Engine, InProcess
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import BlockModel
@@ -75,8 +73,11 @@ class Training:
         Bounds of the box.
     tolerance : float
         Largest relative error of a needed frequency at the visited points.
-    engine : Engine, optional
-        Solves the full model at several points in parallel. The result does not depend on it.
+
+    Notes
+    -----
+    What takes long is solved in the workers of an engine within `FullBlock.spread_over`. The result does not
+    depend on it.
     """
 
     full: BlockModel[FullBlock]
@@ -84,7 +85,6 @@ class Training:
     lower: FloatArray
     upper: FloatArray
     tolerance: float
-    engine: Engine | None = None
 
     def __post_init__(self) -> None:
         for b, block in enumerate(self.full):
@@ -363,16 +363,16 @@ class Training:
         """
         points = self._shuffled_points(_CHECKS + round_, round_)[: 2 * _CHECKED]
         counts = self.rule.counts(self.full)
-        # if full solves are expensive, they start from the modes of the basis, in the one process with the factors
+        # if full solves are expensive, they start from the modes of the basis
         full = confirmed_model(self._current().bound(self.full))
-        engine = self.engine if self.engine is not None and full is self.full else InProcess()
-        tasks = [(b, theta[None], count) for b, count in counts.items() for theta in points[:_CHECKED]]
-        with phase("training", len(tasks)) as under_way:
-            outcome = iter(engine.run_tasks(_solve_there, full, tasks, lambda *_: under_way.advance()))
+        exact: dict[int, tuple[FloatArray, FloatArray]] = {}
+        with phase("training", len(counts)) as under_way:
+            for b, count in counts.items():
+                exact[b] = full[b].modes(points[:_CHECKED], count)
+                under_way.advance()
             count_solves(_CHECKED)
         agreed = True
-        exact = {b: list(islice(outcome, _CHECKED)) for b in counts}
-        eigenvalues, shapes = ({b: np.concatenate([of[i] for of in exact[b]]) for b in counts} for i in (0, 1))
+        eigenvalues, shapes = ({b: of[i] for b, of in exact.items()} for i in (0, 1))
         fixed, needed = self.rule.find_needed(self.full, eigenvalues, shapes)
         agreed &= self.fixed is None or fixed == self.fixed
         agreed &= all(needed[b] <= n or self.fixed is None for b, n in self.n_trained.items())
@@ -388,10 +388,3 @@ class Training:
             for row in np.flatnonzero(bad):
                 learner.add(shapes[b][row])
         return agreed
-
-
-def _solve_there(
-    full: BlockModel[FullBlock], task: tuple[int, FloatArray, int], _: object
-) -> tuple[FloatArray, FloatArray]:
-    b, theta, count = task
-    return full.blocks[b].modes(theta, count)

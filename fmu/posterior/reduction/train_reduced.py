@@ -71,8 +71,8 @@ def reduced_model(
     - The full model, which is returned with None for the tolerance.
 
     A model that is not given by its matrices is returned unchanged, with None. An engine solves the full model at
-    several points at once. Comparisons with the full model count against a budget
-    (`fmu.fem.reduced.training.BUDGET`).
+    several points at once, and for the residuals of large structures. Comparisons with the full model count
+    against a budget (`fmu.fem.reduced.training.BUDGET`).
 
     Raises
     ------
@@ -88,6 +88,14 @@ def reduced_model(
     structure = structure_of(problem.model)
     if structure is None:
         return problem.model, None
+    with structure.spread_over(engine):
+        return _reduce(problem, structure, tolerance)
+
+
+def _reduce(
+    problem: Posterior, structure: PairedStructure, tolerance: Tolerance
+) -> tuple[ModalModel, Tolerance | None]:
+    """Return the reduced model of a structure, and its tolerance; see `reduced_model`."""
     tolerances = (tolerance.frequency, tolerance.log_prob, tolerance.depth)
     key = {"problem": problem.configuration(), "tolerances": tolerances, "solver": structure.solver}
     state = load_basis(key)
@@ -147,7 +155,6 @@ def reduced_model(
             trained[1].copy(),
             tolerance.frequency,
             inaccurate_points if likelihood.of_modes else None,
-            engine,
             (lambda model: some_points(model)[:, :n]) if likelihood.of_modes else None,
             wider_box if likelihood.of_modes and is_narrower(problem, trained) else None,
         )
@@ -215,7 +222,7 @@ def _trained_at_draws(
 
 def _log_prob_errors(problem: Posterior, model: ReducedStructure, points: FloatArray) -> FloatArray:
     """Return the errors of a reduced model's log-probability at points (n, ndim), shape (n,)."""
-    exact = np.concatenate(by_parts("training", problem.likelihood.terms, points, _AT_ONCE))
+    exact = np.concatenate(by_parts("training", problem.likelihood.terms, points, _AT_ONCE, _AT_ONCE))
     return np.asarray(np.sum(problem.with_model(model).likelihood.terms(points) - exact, axis=1))
 
 

@@ -102,6 +102,14 @@ def test_pardiso_releases_what_it_holds():
 
 
 @fast
+def test_pardiso_tells_the_number_of_entries():
+    """From it follow the costs that decide on the size of a reduced basis."""
+    n = 600
+    # the first row is eliminated last: L has the diagonal and that row, stored with a few zeros
+    assert 2 * n - 1 <= factorise(arrow(n), PARDISO).n_entries / 2 <= 2 * n + 20
+
+
+@fast
 def test_factors_that_do_not_fit_are_refused_before_they_are_made(monkeypatch):
     monkeypatch.setattr(solver, "free_memory", lambda: 2**10)
     with pytest.raises(MemoryError, match=r"the factors of 600 degrees of freedom need \S+ GiB, and 9.54e-7"):

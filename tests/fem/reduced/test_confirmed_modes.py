@@ -30,7 +30,7 @@ def solved_anew(monkeypatch):
 
     def counted(self, theta, count):
         if isinstance(self, confirming.ConfirmedBlock):
-            points.append(theta)
+            points.extend(theta)
         return whole(self, theta, count)
 
     monkeypatch.setattr(confirming.FullBlock, "_solve_each", counted)

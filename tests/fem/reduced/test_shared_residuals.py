@@ -31,9 +31,9 @@ def trial(request):
     anchors, rng = anchors_of(request.param), np.random.default_rng(3)
     block = anchors.block
     space = anchors.modes(COUNT)
-    residuals = SharedResiduals.of(block).grown(space.V, anchors.factor(0))
+    residuals = SharedResiduals.of(block).grown(space.V, anchors.factor(0).solve)
     more = space.grown(rng.standard_normal((block.size, 3)), anchors.first)
-    residuals = residuals.grown(more.V[:, space.size :], anchors.factor(0))
+    residuals = residuals.grown(more.V[:, space.size :], anchors.factor(0).solve)
     return more, anchors, residuals, rng.uniform(lower, upper, size=(6, len(lower)))
 
 
