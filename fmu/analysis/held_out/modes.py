@@ -218,6 +218,10 @@ def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -
     return found
 
 
+def _of_both(other: UpdatingProblem, problem: UpdatingProblem, theta: FloatArray) -> tuple[FloatArray]:
+    return (log_prob_of_all((other, problem), theta),)
+
+
 def _by_runs_of_their_own(problem: UpdatingProblem, modes: Sequence[int]) -> dict[int, HeldOut]:
     """Return a dict of the predictions by draws of the posterior without each mode, as far as they converge."""
     found: dict[int, HeldOut] = {}
@@ -227,8 +231,7 @@ def _by_runs_of_their_own(problem: UpdatingProblem, modes: Sequence[int]) -> dic
             theta = draws_without(other, _SEED)
             if theta is not None:
                 points = theta.reshape(-1, problem.ndim)
-                both = partial(log_prob_of_all, (other, problem))
-                solved = at_distinct_rows(lambda rows, both=both: (both(rows),), points)[0]
+                solved = at_distinct_rows(partial(_of_both, other, problem), points)[0]
                 draws = Draws(problem, points, solved[:, 2:])
                 row = _by_posterior(k, draws, solved[:, 1] - solved[:, 0], len(theta))
                 found[k] = row._replace(method=REFIT)
