@@ -9,8 +9,10 @@ import numpy as np
 
 from fmu.numbers import change, significant
 
-LEVEL = 0.01
-"""Largest probability that a correct model fails any of the checks."""
+LEVEL, WITH_POPULATIONS, OF_POPULATIONS = 0.01, 0.02, 0.015
+"""Largest probabilities that a correct model fails any of the checks: `LEVEL` without a population, and
+`WITH_POPULATIONS` with one. Of the latter, `OF_POPULATIONS` is for the checks of `fmu.analysis.fit.populations`,
+which compare many tests in many ways."""
 PREDICTED, HELD_OUT, RESIDUALS, TEST, NOISE, SHAPE, QUANTITY, POPULATION, LAW, RESPONSES = (
     "from the other modes", "not used in updating", "residuals", "one of the tests", "inferred noise", "shape",
     "mass or displacement", "population", "law over the tests", "frequency response function",
@@ -62,6 +64,11 @@ class Check:
     def could_fail(self) -> bool:
         """Whether the check failed or could have failed; a check that could not have failed tests nothing."""
         return self.failed or not self.why_not
+
+
+def level_of(checks: Sequence[Check]) -> float:
+    """Return the largest probability that a correct model fails any of the checks."""
+    return WITH_POPULATIONS if any(check.kind == POPULATION for check in checks) else LEVEL
 
 
 def beyond(below: float, above: float) -> str:

@@ -3,7 +3,9 @@
 Under a correct model, the parameters are draws from their priors and the errors are draws from the error model.
 Each kind of check that applies to a run gets an equal share of the level `LEVEL`, and the checks of one kind
 divide this share equally (Bonferroni). A correct model therefore fails at least one check with a probability of at
-most `LEVEL`, however the checks depend on each other. The kinds of check are:
+most `LEVEL`, however the checks depend on each other. With a population the level is `WITH_POPULATIONS`, of which
+the checks of the laws over the tests get `OF_POPULATIONS`, and the other kinds equal shares of the rest. The kinds
+of check are:
 
 - A mode predicted from the other modes, and a mode that was held out. The statistic is the tail probability of the
   measured frequency in the predictive distribution that was computed without this mode, noise included. Under a
@@ -45,10 +47,12 @@ from fmu.analysis.fit.check import (
     HELD_OUT,
     LEVEL,
     NOISE,
+    OF_POPULATIONS,
     PREDICTED,
     RESIDUALS,
     SHAPE,
     TEST,
+    WITH_POPULATIONS,
     Check,
     beyond,
     probability,
@@ -87,8 +91,9 @@ _GAUSSIAN = 1e8  # degrees of freedom from which Student's distribution is the G
 
 def checks_of(trace: xr.DataTree) -> list[Check]:
     """Return the list of the checks of a run; empty for the modal residual, which is not a measured quantity."""
-    kinds = _kinds(trace)
-    found = [check for kind in kinds for check in kind(LEVEL / len(kinds))]
+    of_each, of_laws = _levels(trace)
+    found = [check for kind in _kinds(trace) for check in kind(of_each)]
+    found += population_checks(trace, of_laws) if _has_laws(trace) else []
     return [check for check in found if np.isfinite(check.p)] + (_shapes(trace) if has(trace, GROUP) else [])
 
 
@@ -96,7 +101,7 @@ def contradicted_laws(trace: xr.DataTree) -> list[str]:
     """Return a list of the dependences on order, covariate or group that contradict the law of a parameter."""
     if not _has_laws(trace):
         return []
-    return [check.dependence for check in population_checks(trace, LEVEL / len(_kinds(trace))) if check.dependence]
+    return [check.dependence for check in population_checks(trace, _levels(trace)[1]) if check.dependence]
 
 
 def _has_laws(trace: xr.DataTree) -> bool:
@@ -105,7 +110,7 @@ def _has_laws(trace: xr.DataTree) -> bool:
 
 
 def _kinds(trace: xr.DataTree) -> list[Callable[[float], list[Check]]]:
-    """Return the kinds of check that apply to a run, each a function of its level."""
+    """Return the kinds of check that apply to a run but for laws over the tests, each a function of its level."""
     kinds: list[Callable[[float], list[Check]]] = []
     if not has(trace, GROUP):
         return kinds
@@ -124,9 +129,16 @@ def _kinds(trace: xr.DataTree) -> list[Callable[[float], list[Check]]]:
         kinds += [partial(held_out_checks, trace)] if has_held_out(trace) else []
     if has(trace, QUANTITIES):
         kinds.append(partial(quantity_checks, trace))
-    if _has_laws(trace):
-        kinds.append(partial(population_checks, trace))
     return kinds
+
+
+def _levels(trace: xr.DataTree) -> tuple[float, float]:
+    """Return the level of each kind of check but laws over the tests, and the level of these."""
+    n = len(_kinds(trace))
+    if has(trace, POPULATIONS, "score"):
+        return (WITH_POPULATIONS - OF_POPULATIONS) / max(n, 1), OF_POPULATIONS
+    of_each = LEVEL / max(n + _has_laws(trace), 1)
+    return of_each, of_each
 
 
 def _predictions(trace: xr.DataTree) -> pd.DataFrame | None:

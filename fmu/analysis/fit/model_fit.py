@@ -12,7 +12,6 @@ from fmu.analysis.fit.allowed_scatter import remedy, scatter_sentences
 from fmu.analysis.fit.check import (
     HELD_OUT,
     LAW,
-    LEVEL,
     NOISE,
     POPULATION,
     PREDICTED,
@@ -22,6 +21,7 @@ from fmu.analysis.fit.check import (
     Check,
     beyond,
     failed_checks,
+    level_of,
 )
 from fmu.analysis.fit.checks import checks_of
 from fmu.analysis.fit.populations import effective_parameters
@@ -49,7 +49,8 @@ class ModelFit:
     Attributes
     ----------
     checks : tuple of Check
-        All checks that were made; a correct model fails any of them with a probability of at most `LEVEL`.
+        All checks that were made; a correct model fails any of them with a probability of at most
+        `fmu.analysis.fit.check.level_of`.
     n_data, n_parameters : int
         Number of independent measured values used in updating, and number of parameters, inferred noise included.
     left_out : str
@@ -208,7 +209,8 @@ class ModelFit:
 
     @property
     def _level(self) -> str:
-        said = f"A correct model would fail at least one of these checks less than {share(LEVEL)} of the time."
+        most = share(level_of(self.checks))
+        said = f"A correct model would fail at least one of these checks less than {most} of the time."
         return f"{said} No check tests the {self.left_out}." if self.left_out else said
 
 

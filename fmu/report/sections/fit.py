@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fmu.analysis.fit.check import LEVEL, failed_checks
+from fmu.analysis.fit.check import failed_checks, level_of
 from fmu.analysis.fit.measured_shapes import paired_mac, shape_warnings
 from fmu.analysis.fit.model_fit import ALLOWED, CONTRADICTED, NOT_CONTRADICTED, NOT_TESTABLE, UNKNOWN, ModelFit
 from fmu.analysis.held_out.modes import left_out_warnings
@@ -76,7 +76,7 @@ def checks(run: ReportedRun) -> PageSection | Omitted:
     )  # fmt: skip
     caption = (
         "p is the probability of what was found, or of worse, if the model is right; such a model fails any of "
-        f"the checks with a probability of at most {share(LEVEL)}."
+        f"the checks with a probability of at most {share(level_of(fit.checks))}."
     )
     silent = tuple(i for i, check in enumerate(fit.checks) if not check.could_fail)
     said = (

@@ -4,7 +4,7 @@ import pytest
 import fmu
 from fmu.analysis.convergence.diagnostics import convergence_failures, summary, summary_for_verdict
 from fmu.analysis.convergence.remedies import fewest, without_scores
-from fmu.analysis.fit.check import POPULATION
+from fmu.analysis.fit.check import POPULATION, level_of
 from fmu.analysis.fit.populations import checks_of_scores, effective_parameters
 from fmu.analysis.trace.reading import parameter_names, score_names
 from tests.posterior.joint.conditional.test_conditional_densities import campaign
@@ -149,6 +149,16 @@ def test_a_run_of_a_population_is_diagnosed_with_its_problem(springs):
     found = fmu.diagnose(trace, problem)
     assert found.fit == fmu.diagnose(trace).fit
     assert [check.of for check in found.fit.checks if check.kind == POPULATION] == ["population of k"]
+
+
+def test_populations_get_most_of_the_level(springs):
+    """Checks of data and of populations together have the level that is stated."""
+    fit = fmu.diagnose(springs[1]).fit
+    (of_population,) = (check for check in fit.checks if check.kind == POPULATION)
+    assert of_population.limit == "p 0.015"
+    assert any("fail at least one of these checks less than 2 % of the time" in note for note in fit.notes)
+    assert {check.kind for check in fit.checks} > {POPULATION}
+    assert level_of([check for check in fit.checks if check.kind != POPULATION]) == 0.01
 
 
 def test_scores_count_as_far_as_the_data_inform_them(springs):
