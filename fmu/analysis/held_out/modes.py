@@ -6,7 +6,6 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
@@ -218,25 +217,28 @@ def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -
     return found
 
 
-def _of_both(other: UpdatingProblem, problem: UpdatingProblem, theta: FloatArray) -> tuple[FloatArray]:
-    return (log_prob_of_all((other, problem), theta),)
-
-
 def _by_runs_of_their_own(problem: UpdatingProblem, modes: Sequence[int]) -> dict[int, HeldOut]:
     """Return a dict of the predictions by draws of the posterior without each mode, as far as they converge."""
-    found: dict[int, HeldOut] = {}
+    found = {}
     with phase("runs without a mode", len(modes)) as under_way:
         for k in modes:
-            other = _without(problem, k)
-            theta = draws_without(other, _SEED)
-            if theta is not None:
-                points = theta.reshape(-1, problem.ndim)
-                solved = at_distinct_rows(partial(_of_both, other, problem), points)[0]
-                draws = Draws(problem, points, solved[:, 2:])
-                row = _by_posterior(k, draws, solved[:, 1] - solved[:, 0], len(theta))
-                found[k] = row._replace(method=REFIT)
+            row = _by_own_run(problem, k)
+            if row is not None:
+                found[k] = row
             under_way.advance()
     return found
+
+
+def _by_own_run(problem: UpdatingProblem, k: int) -> HeldOut | None:
+    """Return the prediction of mode `k` by draws of the posterior without it; None if they do not converge."""
+    other = _without(problem, k)
+    found = draws_without(other, _SEED)
+    if found is None:
+        return None
+    theta = found.reshape(-1, problem.ndim)
+    solved = at_distinct_rows(lambda rows: (log_prob_of_all((other, problem), rows),), theta)[0]
+    draws = Draws(problem, theta, solved[:, 2:])
+    return _by_posterior(k, draws, solved[:, 1] - solved[:, 0], len(found))._replace(method=REFIT)
 
 
 def left_out_warnings(trace: xr.DataTree) -> list[str]:
