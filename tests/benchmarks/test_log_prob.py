@@ -77,16 +77,32 @@ def test_against_the_obvious_thing(load, against, n, budget):
     against(what, lambda: problem.log_prob(point), obvious, budget, at_most=False)
 
 
+def shapes_too(problem):
+    """The frequencies of a case, and its own shapes at five nodes."""
+    nodes = list(problem.model.structure.geometry.row_of)[10:51:10]
+    sensors = tuple((node, direction) for node in nodes for direction in "xyz")
+    shapes = (
+        problem.model.truth.seen_by(sensors).observed(problem.start[None, : len(problem.parameters)]).shapes[0]
+    )
+    data = fmu.ModalData(np.asarray(problem.data.frequencies_hz), sensors=sensors, shapes=shapes)
+    errors = [fmu.FrequencyErrors("relative", sd=0.01), fmu.ShapeErrors(sd=0.05)]
+    return fmu.UpdatingProblem.reduced(problem.model.structure, data, problem.parameters, error=errors), errors
+
+
 @pytest.mark.parametrize("n", [1, 64])
-@pytest.mark.parametrize(("gradient", "budget"), [(False, 2.5), (True, 4.0)])
-def test_embedded_scatter(load, against, gradient, budget, n):
+@pytest.mark.parametrize("of", ["frequencies", "shapes"])
+@pytest.mark.parametrize("gradient", [False, True])
+def test_embedded_scatter(load, against, gradient, of, n):
     """The price of a model that may be wrong: gradients for values, second derivatives for gradients."""
-    plain = load(YOUNG)
+    plain, error = (load(YOUNG), "frequency") if of == "frequencies" else shapes_too(load(YOUNG))
+    budget = 4.0 if gradient else 2.5
     wrong = fmu.UpdatingProblem(
-        plain.model, plain.data, plain.parameters, error="frequency", discrepancy=fmu.Discrepancy()
+        plain.model, plain.data, plain.parameters, error=error, discrepancy=fmu.Discrepancy()
     )
     theta = prior_draws(wrong, n)
     point, point_of_plain = (theta, theta[:, : plain.ndim].copy()) if n > 1 else (theta[0], theta[0, : plain.ndim])
     ours, theirs = (p.log_prob_and_grad if gradient else p.log_prob for p in (wrong, plain))
-    what = f"{'log_prob_and_grad' if gradient else 'log_prob'}, {YOUNG} with embedded scatter, batch of {n}, "
+    what = (
+        f"{'log_prob_and_grad' if gradient else 'log_prob'}, {YOUNG}, {of}, with embedded scatter, batch of {n}, "
+    )
     against(f"{what}against none", lambda: ours(point), lambda: theirs(point_of_plain), budget)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from fmu.analysis.convergence.effective import mcse_mean
-from fmu.analysis.convergence.pareto import pareto_k
+from fmu.analysis.convergence.pareto import GOOD_K, pareto_k
 from fmu.analysis.held_out.own_run import draws_without
 from fmu.analysis.held_out.prediction import NEITHER, Draws, HeldOut, with_mode
 from fmu.analysis.held_out.refit import (
@@ -60,6 +60,8 @@ _ENOUGH, _SHARE, _FREE_S = 400, 0.5, 5.0
 _A_REFIT, _REFITS = 0.5, 3.0
 """Longest refit of one mode with unreliable weights, and of all such modes, as multiples of `_FREE_S`."""
 _TIMED, _SEED = 64, 1
+_BEFORE_A_RUN = 24_000
+"""Largest number of solves of a refit that is followed by a run of its own if it is unreliable."""
 
 
 @check_arguments
@@ -184,10 +186,15 @@ def with_left_out(trace: xr.DataTree, problem: UpdatingProblem, most: float | No
 
 @dataclass
 class _Known:
-    """Cached results of a problem: the prediction and the limit of solves of each mode, and an approximation."""
+    """Cached results of a problem: the prediction and the limit of solves of each mode, and an approximation.
+
+    `is_gaussian` is False if the common candidates did not cover the posterior with all modes. Each mode's own
+    candidates are Gaussians too.
+    """
 
     rows: dict[int, tuple[int, HeldOut]] = field(default_factory=dict)
     approximation: Approximation | None = None
+    is_gaussian: bool = True
 
 
 _KNOWN: WeakKeyDictionary[UpdatingProblem, _Known] = WeakKeyDictionary()
@@ -207,10 +214,13 @@ def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -
             with suppress(np.linalg.LinAlgError):  # a missing number must not stop the run
                 known |= _left_out_together(problem, [k for k in modes if problem.data.use[k] and k not in known])
             under_way.advance(sum(k in known for k in modes))
+            own = MOST_SOLVES if most < np.inf else _BEFORE_A_RUN if _KNOWN[problem].is_gaussian else 0
             for k in modes:
                 is_new = k not in known
+                if is_new and own == 0:
+                    continue
                 with suppress(np.linalg.LinAlgError):
-                    row = _left_out(problem, k, int(min(most, MOST_SOLVES)))
+                    row = _left_out(problem, k, int(min(most, own)))
                     if row.method:
                         found[k] = row
                 under_way.advance(int(is_new))
@@ -291,6 +301,7 @@ def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[i
     found = left_out_together([_without(problem, k) for k in modes], problem, _generator(0))
     shared = {id(one.theta): Draws(problem, one.theta, one.hz) for one in found}  # many modes have the same draws
     rows = zip(modes, found, strict=True)
+    _KNOWN[problem].is_gaussian = min(one.pareto_k[1] for one in found) <= GOOD_K
     return {
         k: (MOST_SOLVES, _row(shared[id(one.theta)], k, one)) for k, one in rows if one.predicts and one.is_known
     }

@@ -17,7 +17,7 @@ from fmu.types import FloatArray
 if TYPE_CHECKING:
     from fmu.posterior.problem import UpdatingProblem
 
-_CHAINS, _WARMUP, _FIRST, _MOST = 4, 1000, 1000, 16_000
+_CHAINS, _WARMUP, _FIRST, _MOST = 4, 1000, 1000, 128_000
 """Number of chains, steps of warm-up, steps before the first judgement, and most steps."""
 
 

@@ -121,7 +121,7 @@ class Block:
             self._apply(own, of.along(theta, d), of_mass)
             for of, of_mass in ((self._K_map, False), (self._M_map, True))
         )
-        turned = self._shape_slopes_along(theta, lam, phi, dK_phi, dM_phi)
+        turned = self._shape_slopes_along(theta, lam, phi, dK_phi[..., None], dM_phi[..., None])[..., 0]
         found = 2.0 * self._K_map.contract(theta, self._forms(own, False, turned))
         found += self._K_map.contract_along(theta, self._forms(own, False), d)
         if self.constant_mass:
@@ -133,6 +133,58 @@ class Block:
         )
         value_slope = np.sum(own * (dK_phi - np.swapaxes(value, 1, 2) * dM_phi), axis=1)[..., None]
         return found - value_slope * self._M_map.contract(theta, forms)
+
+    def shape_curvature(self, theta: FloatArray, lam: FloatArray, phi: FloatArray, left: FloatArray) -> FloatArray:
+        """Return Σ_j left_jᵀ ∂²φ/∂θ_j∂θ of the lowest m modes, shape (n, m, n_parameters).
+
+        With A = K − λM, A_j = ∂A/∂θ_j and φ_j = ∂φ/∂θ_j, the second derivatives solve
+
+        A φ_jk = −(A_j φ_k + A_k φ_j + A_jk φ),
+        φᵀM φ_jk = −(φ_jᵀM φ_k + φᵀ∂_jM φ_k + φᵀ∂_kM φ_j + ½ φᵀ∂_jkM φ).
+
+        One adjoint y_j of each left_j is enough for all k: A y_j = left_j − (φᵀleft_j) Mφ, φᵀM y_j = 0, which is a
+        derivative of a shape with −left_j in place of ∂Kφ. Then left_jᵀφ_jk is −y_jᵀ times the right side of the
+        first equation plus φᵀleft_j times that of the second. As y_jᵀMφ = 0, the second derivatives of λ vanish.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (n, n_parameters)
+        lam, phi : ndarray
+            As in `eigenvalue_curvature`.
+        left : ndarray, shape (n, size, m, n_parameters)
+        """
+        n, size, m, p = left.shape
+        own, value = phi[:, :, :m], lam[:, :m, None]
+        products = [self._products(own, of_mass) for of_mass in (False, True)]
+        maps = (self._K_map, self._M_map)
+        dK, dM = (
+            of.contract(theta, x.reshape(n, -1, size * m)).reshape(n, size, m, p)
+            for of, x in zip(maps, products, strict=True)
+        )
+        slope = np.einsum("nsm,nsmp->nmp", own, dK - value[:, None] * dM)
+        loads = np.concatenate([dK, -left], axis=3), np.concatenate([dM, np.zeros(left.shape)], axis=3)
+        turned, y = np.split(self._shape_slopes_along(theta, lam, phi, *loads), 2, axis=3)
+        along = np.einsum("nsm,nsmp->nmp", own, left)  # the part of each left that changes the length of φ
+        found, traces = np.zeros((n, m, p)), []
+        for of_mass, of in enumerate(maps):
+            # Σ_j y_jᵀ (∂_jX φ_k + ∂_kX φ_j + ∂_jkX φ) with X = K, and X = M times −λ
+            traces.append(self._traces(y, turned, bool(of_mass)))
+            if of_mass and self.constant_mass:
+                continue
+            weights = of.along(theta, y.reshape(n, size * m, p)).reshape(n, -1, size, m)
+            of_terms = self._sum_products(weights, bool(of_mass))
+            total = np.einsum("nsm,nsmp->nmp", of_terms, turned) + of.contract(theta, traces[-1])
+            total += of.contract_twice(theta, np.einsum("nsmp,nksm->nkmp", y, products[of_mass]))
+            found += value * total if of_mass else -total
+        # the terms with ∂λ, and those of the length
+        rest = np.einsum("nmp,nsmp->nsm", slope, y) - np.einsum("nmp,nsmp->nsm", along, turned)
+        masses = self._M_map(theta)
+        pulled = self._sum_products(masses[:, :, None, None] * rest[:, None], True)
+        pulled -= np.einsum("nmp,nsmp->nsm", along, dM)
+        found += np.einsum("nsm,nsmp->nmp", pulled, turned) + np.einsum("nsm,nsmp->nmp", rest, dM)
+        by_slope = np.einsum("nk,nkm->nm", masses, traces[1]) + np.einsum("nsmp,nsmp->nm", y, dM)
+        found += by_slope[..., None] * slope
+        return found - 0.5 * self._M_map.contract_along(theta, np.einsum("nsm,nksm->nkm", own, products[1]), along)
 
     def _forms(self, phi: FloatArray, of_mass: bool, left: FloatArray | None = None) -> FloatArray:
         """Return the products leftᵀ K_k φ, or leftᵀ M_k φ if `of_mass`, of every term, shape (n, n_terms, m).
@@ -148,10 +200,25 @@ class Block:
         """
         raise NotImplementedError
 
+    def _products(self, x: FloatArray, of_mass: bool) -> FloatArray:
+        """Return K_k x, or M_k x if `of_mass`, of every term, (n, n_terms, size, m), for x (n, size, m)."""
+        raise NotImplementedError
+
+    def _sum_products(self, x: FloatArray, of_mass: bool) -> FloatArray:
+        """Return Σ_k K_k x_k, or Σ_k M_k x_k if `of_mass`, (n, size, m), for x (n, n_terms, size, m)."""
+        raise NotImplementedError
+
+    def _traces(self, left: FloatArray, right: FloatArray, of_mass: bool) -> FloatArray:
+        """Return Σ_p left_pᵀ K_k right_p, or of M_k, (n, n_terms, m), for left and right (n, size, m, q)."""
+        raise NotImplementedError
+
     def _shape_slopes_along(
         self, theta: FloatArray, lam: FloatArray, phi: FloatArray, dK_phi: FloatArray, dM_phi: FloatArray
     ) -> FloatArray:
-        """Return the derivatives of shapes along directions, given ∂_dK φ and ∂_dM φ, each (n, size, m)."""
+        """Return the derivatives of shapes along directions d, given ∂_dK φ and ∂_dM φ, each (n, size, m, q).
+
+        Each of the m lowest modes has q directions.
+        """
         raise NotImplementedError
 
     def coarser(self, share: float) -> Self:
@@ -203,13 +270,13 @@ class Block:
             Result of `modes` for `n_required` modes or more, if available.
         """
         lam, phi = solved or self.modes(theta, self.n_required(count, gradient))
-        seen = BlockPrediction(lam[:, :count], self._at(rows, phi[:, :, :count]))
+        seen = BlockPrediction(lam[:, :count], self.at(rows, phi[:, :, :count]))
         if not gradient:
             return seen
         lam_slopes, shape_slopes = self._slopes_seen(theta, count, rows, lam, phi)
         return seen._replace(eigenvalue_slopes=lam_slopes, shape_slopes=shape_slopes)
 
-    def _at(self, rows: Matrix, phi: FloatArray) -> FloatArray:
+    def at(self, rows: Matrix, phi: FloatArray) -> FloatArray:
         """Return the shapes (n, size, m) at the sensors, (n, n_sensors, m)."""
         raise NotImplementedError
 

@@ -263,7 +263,8 @@ class FullBlock(Block):
             self._constant_rank = rank(M)
         return self._constant_rank
 
-    def _at(self, rows: Matrix, phi: FloatArray) -> FloatArray:
+    def at(self, rows: Matrix, phi: FloatArray) -> FloatArray:
+        """Return the shapes (n, size, m) at the sensors, (n, n_sensors, m)."""
         # a sparse matrix multiplies the shapes of one theta at a time
         return np.stack([rows @ of for of in phi]) if len(phi) else np.empty((0, rows.shape[0], phi.shape[2]))
 
@@ -308,6 +309,19 @@ class FullBlock(Block):
                 found[i] += (term.matrix @ shape) * weights[i, k]
         return found
 
+    def _products(self, x: FloatArray, of_mass: bool) -> FloatArray:
+        terms = self.M_terms if of_mass else self.K_terms
+        return np.stack([[term.matrix @ one for term in terms] for one in x])
+
+    def _sum_products(self, x: FloatArray, of_mass: bool) -> FloatArray:
+        terms = self.M_terms if of_mass else self.K_terms
+        return np.stack([sum(t.matrix @ of for t, of in zip(terms, one, strict=True)) for one in x])
+
+    def _traces(self, left: FloatArray, right: FloatArray, of_mass: bool) -> FloatArray:
+        n, size, m, q = left.shape
+        turned = self._products(right.reshape(n, size, m * q), of_mass).reshape(n, -1, size, m, q)
+        return np.einsum("nsmq,nksmq->nkm", left, turned)
+
     def _shape_slopes_along(
         self, theta: FloatArray, lam: FloatArray, phi: FloatArray, dK_phi: FloatArray, dM_phi: FloatArray
     ) -> FloatArray:
@@ -318,15 +332,15 @@ class FullBlock(Block):
             if self.size > _DENSE_SLOPES:
                 K, M = sp.csc_array(K), sp.csc_array(M)
             for k in range(dK_phi.shape[2]):
-                if not (np.any(dK_phi[i, :, k]) or np.any(dM_phi[i, :, k])):
+                one = dK_phi[i, :, k], dM_phi[i, :, k]
+                if not (np.any(one[0]) or np.any(one[1])):
                     slopes[i, :, k] = 0.0  # not a direction: no factorisation
                     continue
                 gap = np.abs(lam[i] - lam[i, k])
                 close = gap <= CLOSE * np.maximum(np.abs(lam[i]), np.abs(lam[i, k]))
                 close[k] = False
                 beside = phi[i][:, close] if np.any(close) else None
-                one = dK_phi[i, :, k, None], dM_phi[i, :, k, None]
-                slopes[i, :, k] = by_bordered_system(K, M, lam[i, k], phi[i, :, k], *one, beside)[0][:, 0]
+                slopes[i, :, k] = by_bordered_system(K, M, lam[i, k], phi[i, :, k], *one, beside)[0]
         return slopes
 
 

@@ -207,13 +207,20 @@ class CoefficientMap:
             return np.einsum("nkj,nmj->nkm", coefficient_gradients(self.terms, theta), d)
         return np.einsum("kj,nmj->nkm", self._slopes, d)
 
-    def contract_along(self, theta: FloatArray, forms: FloatArray, d: FloatArray) -> FloatArray:
-        """Return Σ_k forms[:, k] Σ_j ∂²c_k/∂theta∂theta_j d_j, shape (n, m, n_parameters); see `contract`."""
-        total = np.zeros(d.shape)
+    def contract_twice(self, theta: FloatArray, forms: FloatArray) -> FloatArray:
+        """Return Σ_kj forms[:, k, :, j] ∂²c_k/∂theta∂theta_j, shape (n, m, n_parameters).
+
+        The forms have the shape (n, n_terms, m, n_parameters).
+        """
+        total = np.zeros((forms.shape[0], *forms.shape[2:]))
         if self._general:
             for (k, i, j), value in coefficient_curvatures(self.terms, theta).items():
-                total[..., i] += forms[:, k] * value[:, None] * d[..., j]
+                total[..., i] += forms[:, k, :, j] * value[:, None]
         return total
+
+    def contract_along(self, theta: FloatArray, forms: FloatArray, d: FloatArray) -> FloatArray:
+        """Return Σ_k forms[:, k] Σ_j ∂²c_k/∂theta∂theta_j d_j, shape (n, m, n_parameters); see `contract`."""
+        return self.contract_twice(theta, forms[..., None] * d[:, None]) if self._general else np.zeros(d.shape)
 
 
 def _as_csr(matrix: Any) -> sp.csr_array:

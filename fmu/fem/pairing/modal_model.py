@@ -65,6 +65,8 @@ class ModalModel:
         The blocks of matrices that are solved in full; empty for other kinds of model.
     gives_shapes : bool
         Whether `observed` gives shapes at the sensors.
+    gives_shape_curvature : bool
+        Whether `sensitivities` gives shapes and sums of their second derivatives.
     is_soft : bool
         Whether every measured mode is paired with all candidates, by weights
         (`fmu.fem.pairing.rules.SoftPairing`).
@@ -90,6 +92,7 @@ class ModalModel:
     functions: tuple[BlackBoxModel, ...] = ()
     full_blocks: tuple[FullBlock, ...] = ()
     gives_shapes = False
+    gives_shape_curvature = False
     is_soft = False
     is_uncertain = False
     by_shape = False
@@ -189,7 +192,7 @@ class ModalModel:
         """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters)."""
         raise NotImplementedError
 
-    def sensitivities(self, theta: FloatArray, steps: Steps) -> Sensitivities:
+    def sensitivities(self, theta: FloatArray, steps: Steps, shapes: bool = False) -> Sensitivities:
         """Return frequencies, gradients, and second derivatives along directions that are given later.
 
         ``found.gradient`` is the exact J (n, n_modes, n_parameters); ``found.curvature(d)`` with d of the same
@@ -201,6 +204,8 @@ class ModalModel:
         theta : ndarray, shape (n, n_parameters)
         steps : Steps
             Sizes and bounds of the parameters, which limit differences.
+        shapes : bool
+            Whether shapes at the sensors are asked for too; only if the model `gives_shape_curvature`.
         """
         return SensitivitiesByDifferences(self.frequencies_and_gradient, theta, steps)
 

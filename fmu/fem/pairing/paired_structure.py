@@ -69,6 +69,7 @@ class PairedStructure(ModalModel):
     """
 
     gives_shapes = True
+    gives_shape_curvature = True
 
     def __init__(
         self,
@@ -224,15 +225,16 @@ class PairedStructure(ModalModel):
         """Return frequencies in Hz (n, n_modes) and their exact gradients (n, n_modes, n_parameters)."""
         return frequencies_of(self.modes(theta, gradient=True))
 
-    def sensitivities(self, theta: FloatArray, steps: Steps) -> Sensitivities:
+    def sensitivities(self, theta: FloatArray, steps: Steps, shapes: bool = False) -> Sensitivities:
         """Return the frequencies with exact first and second derivatives; see `ModalModel`."""
         count_solves(len(theta), with_gradients=True)
         with single_thread():
-            return self.solve_sensitivities(theta)
+            return self.solve_sensitivities(theta, shapes)
 
-    def solve_sensitivities(self, theta: FloatArray) -> Sensitivities:
+    def solve_sensitivities(self, theta: FloatArray, shapes: bool) -> Sensitivities:
         """Return `sensitivities` without a count of the solves, on the present number of threads."""
-        return StructureSensitivities(self.blocks, self.solve, self.pairing.counts(self.blocks), theta)
+        counts, sensors = self.pairing.counts(self.blocks), self.see.rows if shapes else None
+        return StructureSensitivities(self.blocks, self.solve, counts, theta, sensors)
 
     def candidates(self, theta: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:
         """Return the eigenvalues of all candidate modes, and of one more mode per block.

@@ -121,11 +121,11 @@ class SensorView:
 
     def __getstate__(self) -> dict[str, object]:
         """Return the state for pickling, without data that are recomputed on demand."""
-        return {name: value for name, value in self.__dict__.items() if name != "_rows"}
+        return {name: value for name, value in self.__dict__.items() if name != "rows"}
 
     @cached_property
-    def _rows(self) -> list[Matrix]:
-        """Sensor rows of each block, computed on demand: many problems have no errors of shapes."""
+    def rows(self) -> list[Matrix]:
+        """List of the sensor rows of each block, computed on demand: many problems have no errors of shapes."""
         return [block.coordinates(self._sensors[:, block.dofs]) for block in self.model.blocks]
 
     def __call__(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
@@ -142,7 +142,7 @@ class SensorView:
             row, column = np.nonzero(block == b)
             ranks = rank[row, column]
             count = int(ranks.max()) + 1
-            found = self.model.blocks[b].seen(theta, count, self._rows[b], gradient, solved.get(int(b)))
+            found = self.model.blocks[b].seen(theta, count, self.rows[b], gradient, solved.get(int(b)))
             seen.eigenvalues[row, column] = found.eigenvalues[row, ranks]
             seen.shapes[row, :, column] = found.shapes[row, :, ranks]
             if gradient:

@@ -2,7 +2,8 @@
 
 With λ = (2πf)² and the second derivatives H^λ of an eigenvalue (`fmu.fem.modes.block.Block.eigenvalue_curvature`),
 the second derivatives of a frequency along d are H d = (H^λ d/(8π²) − ∂f/∂θ (∂f/∂θ·d))/f. They are exact for
-matrices; for other models exact gradients are differenced.
+matrices; for other models exact gradients are differenced. Weighted sums of the second derivatives of shapes
+(`fmu.fem.modes.block.Block.shape_curvature`) are known for matrices only.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ import numpy as np
 
 from fmu.fem.modes.block import Block
 from fmu.fem.modes.modal import BlockModel, frequency_gradient, frequency_hz, single_thread
+from fmu.fem.modes.solver import Matrix
+from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.pairing.rules import PairedSolve
 from fmu.types import BoolArray, FloatArray, IntArray
 
@@ -43,18 +46,31 @@ class Sensitivities:
     ----------
     frequencies : ndarray, shape (n, m), Hz; NaN where a solve failed
     gradient : ndarray, shape (n, m, n_parameters)
+    shapes, shape_slopes : ndarray, shapes (n, q, m) and (n, q, m, n_parameters), or None
+        Shapes at the q sensors and their derivatives, if they were asked for.
     """
 
     frequencies: FloatArray
     gradient: FloatArray
+    shapes: FloatArray | None = None
+    shape_slopes: FloatArray | None = None
 
-    def curvature(self, d: FloatArray) -> FloatArray:
+    @property
+    def prediction(self) -> ModalPrediction:
+        """The prediction of the modes, with derivatives, and with shapes if they were asked for."""
+        n, m = self.frequencies.shape
+        shapes = np.empty((n, 0, m)) if self.shapes is None else self.shapes
+        return ModalPrediction(self.frequencies, shapes, self.gradient, self.shape_slopes)
+
+    def curvature(self, d: FloatArray, of_shapes: FloatArray | None = None) -> FloatArray:
         """Return H_i d_i for the second derivatives H_i of each frequency, shape (n, m, n_parameters).
 
         Parameters
         ----------
         d : ndarray, shape (n, m, n_parameters)
             A direction for each mode at each theta, of any length.
+        of_shapes : ndarray, shape (n, q, m, n_parameters), optional
+            Weights C of second derivatives of shapes: Σ_sj C_sj ∂²φ_s/∂θ_j∂θ of each mode is added.
         """
         raise NotImplementedError
 
@@ -76,7 +92,7 @@ class SensitivitiesByDifferences(Sensitivities):
         self._solve, self._theta, self._steps = solve, theta, steps
         self.frequencies, self.gradient = solve(theta)
 
-    def curvature(self, d: FloatArray) -> FloatArray:
+    def curvature(self, d: FloatArray, of_shapes: FloatArray | None = None) -> FloatArray:
         """Return H_i d_i by 2 m gradients per theta; see `Sensitivities`.
 
         At a bound the middle of the difference is moved inwards by a step, and the relative error is of its order.
@@ -107,14 +123,20 @@ class JoinedSensitivities(Sensitivities):
         self._parts = parts
         self.frequencies = np.empty((n, parts[0][1].frequencies.shape[1]))
         self.gradient = np.empty((n, *parts[0][1].gradient.shape[1:]))
+        first = parts[0][1]
+        if first.shapes is not None and first.shape_slopes is not None:
+            self.shapes = np.empty((n, *first.shapes.shape[1:]))
+            self.shape_slopes = np.empty((n, *first.shape_slopes.shape[1:]))
         for rows, part in parts:
             self.frequencies[rows], self.gradient[rows] = part.frequencies, part.gradient
+            if self.shapes is not None and self.shape_slopes is not None:
+                self.shapes[rows], self.shape_slopes[rows] = part.shapes, part.shape_slopes
 
-    def curvature(self, d: FloatArray) -> FloatArray:
-        """Return H_i d_i; see `Sensitivities`."""
+    def curvature(self, d: FloatArray, of_shapes: FloatArray | None = None) -> FloatArray:
+        """Return H_i d_i and the sums of second derivatives of shapes; see `Sensitivities`."""
         found = np.empty(d.shape)
         for rows, part in self._parts:
-            found[rows] = part.curvature(d[rows])
+            found[rows] = part.curvature(d[rows], None if of_shapes is None else of_shapes[rows])
         return found
 
 
@@ -124,6 +146,8 @@ class _Solved(NamedTuple):
     Attributes
     ----------
     block : Block
+    sensors : array or sparse, shape (q, size), or None
+        Sensor rows of the block, if shapes were asked for.
     lam, phi : ndarray
         From `Block.modes`.
     n_pairable : int
@@ -133,6 +157,7 @@ class _Solved(NamedTuple):
     """
 
     block: Block
+    sensors: Matrix | None
     lam: FloatArray
     phi: FloatArray
     n_pairable: int
@@ -152,34 +177,65 @@ class StructureSensitivities(Sensitivities):
     counts : dict of int to int
         Number of the lowest modes of each block that may be paired.
     theta : ndarray, shape (n, n_parameters)
+    sensors : sequence of matrices, optional
+        Sensor rows of each block, if shapes are asked for.
     """
 
-    def __init__(self, model: BlockModel, solve: PairedSolve, counts: dict[int, int], theta: FloatArray) -> None:
+    def __init__(
+        self,
+        model: BlockModel,
+        solve: PairedSolve,
+        counts: dict[int, int],
+        theta: FloatArray,
+        sensors: Sequence[Matrix] | None = None,
+    ) -> None:
         self._theta = theta
         owner, rank, solved = solve.locate(theta, True)
         eigenvalues = np.full(owner.shape, np.nan)
         slopes = np.full((*owner.shape, model.n_parameters), np.nan)
+        if sensors is not None:
+            (n, m), q = owner.shape, sensors[0].shape[0]
+            self.shapes = np.full((n, q, m), np.nan)
+            self.shape_slopes = np.full((n, q, m, model.n_parameters), np.nan)
         self._parts: list[_Solved] = []
         for b in np.unique(owner[owner >= 0]).tolist():
             block, count = model.blocks[b], counts[b]
             row, column = np.nonzero(owner == b)
             # one mode more, which shows whether the last one is repeated
             lam, phi = solved.get(b) or block.modes(theta, block.n_required(min(count + 1, block.n_modes), True))
-            part = _Solved(block, lam, phi, count, row, column, rank[row, column])
+            rows = None if sensors is None else sensors[b]
+            part = _Solved(block, rows, lam, phi, count, row, column, rank[row, column])
             of_block = block.eigenvalue_gradient(theta, lam[:, :count], phi[:, :, :count])
             eigenvalues[row, column], slopes[row, column] = lam[row, part.rank], of_block[row, part.rank]
+            if rows is not None and self.shapes is not None and self.shape_slopes is not None:
+                seen = block.seen(theta, int(part.rank.max()) + 1, rows, True, (lam, phi))
+                self.shapes[row, :, column] = seen.shapes[row, :, part.rank]
+                self.shape_slopes[row, :, column] = np.asarray(seen.shape_slopes)[row, :, part.rank]
             self._parts.append(part)
         self.frequencies = frequency_hz(eigenvalues)
         self.gradient = frequency_gradient(self.frequencies, slopes)
 
-    def curvature(self, d: FloatArray) -> FloatArray:
-        """Return H_i d_i; see `Sensitivities`."""
+    def curvature(self, d: FloatArray, of_shapes: FloatArray | None = None) -> FloatArray:
+        """Return H_i d_i and the sums of second derivatives of shapes; see `Sensitivities`."""
         found = np.full(d.shape, np.nan)
         with single_thread(), np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            for block, lam, phi, count, row, column, rank in self._parts:
+            for block, _, lam, phi, count, row, column, rank in self._parts:
                 along = np.zeros((len(d), count, d.shape[2]))
                 along[row, rank] = d[row, column]
                 of_block = block.eigenvalue_curvature(self._theta, lam, phi, along)
                 found[row, column] = of_block[row, rank]
             turned = self.gradient * np.einsum("nmk,nmk->nm", self.gradient, d)[..., None]
-            return np.asarray((found / (8.0 * np.pi**2) - turned) / self.frequencies[..., None])
+            found = (found / (8.0 * np.pi**2) - turned) / self.frequencies[..., None]
+            if of_shapes is not None:
+                for part in self._parts:
+                    found[part.row, part.column] += self._of_shapes(part, of_shapes)
+            return np.asarray(found)
+
+    def _of_shapes(self, part: _Solved, weights: FloatArray) -> FloatArray:
+        """Return the sums of second derivatives of the shapes of a block's modes, (k, n_parameters)."""
+        assert part.sensors is not None  # shapes were asked for
+        (n, q, _, p), count = weights.shape, int(part.rank.max()) + 1
+        at_sensors = np.zeros((n, q, count, p))
+        at_sensors[part.row, :, part.rank] = weights[part.row, :, part.column]
+        left = np.asarray(part.block.at(part.sensors.T, at_sensors.reshape(n, q, -1))).reshape(n, -1, count, p)
+        return part.block.shape_curvature(self._theta, part.lam, part.phi, left)[part.row, part.rank]

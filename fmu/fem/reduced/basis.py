@@ -178,7 +178,8 @@ class ReducedBlock(Block):
         """Return rows and references in an orthonormal basis of the shapes that the block can have at `rows`."""
         return compress_rows(rows, reference)
 
-    def _at(self, rows: Any, phi: FloatArray) -> FloatArray:
+    def at(self, rows: Any, phi: FloatArray) -> FloatArray:
+        """Return the shapes (n, size, m) at the sensors, (n, n_sensors, m)."""
         return np.asarray(rows @ phi)
 
     def _slopes_seen(
@@ -238,16 +239,29 @@ class ReducedBlock(Block):
         self._K_rows, self._M_rows = K.reshape(-1, K.shape[-1]), M.reshape(-1, M.shape[-1])
 
     def _forms(self, phi: FloatArray, of_mass: bool, left: FloatArray | None = None) -> FloatArray:
-        products, shapes = self._products(phi, of_mass)
+        products, shapes = self._products_of_shapes(phi, of_mass)
         if left is not None:
             shapes = np.ascontiguousarray(np.swapaxes(left, 1, 2))
         return np.swapaxes((products @ shapes[..., None])[..., 0], 1, 2)
 
     def _apply(self, phi: FloatArray, weights: FloatArray, of_mass: bool) -> FloatArray:
-        products = self._products(phi, of_mass)[0]
+        products = self._products_of_shapes(phi, of_mass)[0]
         return np.swapaxes(np.einsum("nkm,nmkr->nmr", weights, products), 1, 2)
 
-    def _products(self, phi: FloatArray, of_mass: bool) -> tuple[FloatArray, FloatArray]:
+    def _products(self, x: FloatArray, of_mass: bool) -> FloatArray:
+        n, r, m = x.shape
+        return ((self._M_rows if of_mass else self._K_rows) @ x).reshape(n, -1, r, m)
+
+    def _sum_products(self, x: FloatArray, of_mass: bool) -> FloatArray:
+        return np.sum((self._M if of_mass else self._K) @ x, axis=1)
+
+    def _traces(self, left: FloatArray, right: FloatArray, of_mass: bool) -> FloatArray:
+        n, r, m, _ = left.shape
+        rows = (self._M_rows if of_mass else self._K_rows).reshape(-1, r * r)
+        outer = np.moveaxis(left, 2, 1) @ np.moveaxis(right, 2, 1).swapaxes(2, 3)  # (n, m, r, r)
+        return np.swapaxes(outer.reshape(n, m, r * r) @ rows.T, 1, 2)
+
+    def _products_of_shapes(self, phi: FloatArray, of_mass: bool) -> tuple[FloatArray, FloatArray]:
         """Return K_k φ, or M_k φ if `of_mass`, of every term, (n, m, n_terms, r), and the shapes (n, m, r)."""
         n, r, m = phi.shape
         rows = self._M_rows if of_mass else self._K_rows  # the symmetric terms, stacked vertically
@@ -259,10 +273,11 @@ class ReducedBlock(Block):
     ) -> FloatArray:
         count = dK_phi.shape[2]
         if self.massless:
-            one = dK_phi[..., None], dM_phi[..., None]
-            return self._solve_borders(theta, lam[:, :count], phi[:, :, :count], *one)[..., 0]
-        dK, dM = (np.swapaxes(phi, 1, 2) @ product for product in (dK_phi, dM_phi))
-        return by_all_modes(lam, phi, dK[..., None], dM[..., None], count, CLOSE)[..., 0]
+            return self._solve_borders(theta, lam[:, :count], phi[:, :, :count], dK_phi, dM_phi)
+        n, r, _, q = dK_phi.shape
+        modes = np.swapaxes(phi, 1, 2)
+        dK, dM = ((modes @ x.reshape(n, r, count * q)).reshape(n, r, count, q) for x in (dK_phi, dM_phi))
+        return by_all_modes(lam, phi, dK, dM, count, CLOSE)
 
 
 Parts = BlockModel[FullBlock | ReducedBlock]

@@ -145,19 +145,19 @@ class ReducedStructure(Approximation):
         """Return frequencies (n, n_modes) in Hz and their exact gradients (n, n_modes, n_parameters)."""
         return frequencies_of(self.modes(theta, gradient=True))
 
-    def sensitivities(self, theta: FloatArray, steps: Steps) -> Sensitivities:
+    def sensitivities(self, theta: FloatArray, steps: Steps, shapes: bool = False) -> Sensitivities:
         """Return the frequencies with exact first and second derivatives; see `ModalModel`."""
         count_solves(len(theta), with_gradients=True)
         with single_thread():
             within = self.within(theta)
             inside = np.where(within[:, None], theta, self._corner)
             rows = [slice(i, i + self._at_once) for i in range(0, max(1, len(theta)), self._at_once)]
-            parts = [self.cheap.solve_sensitivities(inside[some]) for some in rows]
+            parts = [self.cheap.solve_sensitivities(inside[some], shapes) for some in rows]
             failed = np.concatenate([np.isnan(part.frequencies).any(axis=1) for part in parts]) | ~within
             if len(parts) == 1 and not failed.any():
                 return parts[0]
             self.full_solves += int(np.sum(failed))
-            full = self._truth.solve_sensitivities(theta[failed])
+            full = self._truth.solve_sensitivities(theta[failed], shapes)
             return JoinedSensitivities(len(theta), [*zip(rows, parts, strict=True), (failed, full)])
 
     def candidates(self, theta: FloatArray) -> tuple[FloatArray, IntArray, IntArray]:

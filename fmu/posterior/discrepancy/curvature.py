@@ -1,14 +1,52 @@
-"""Derivatives by the parameters of functions of the slopes of the modes, by differences of exact slopes."""
+"""Derivatives by the parameters of functions of the slopes of the modes: exact, or by differences of slopes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.fem.pairing.sensitivities import Sensitivities
+from fmu.posterior.errors.base import ErrorTerm
 from fmu.types import FloatArray, IntArray
 
 _STEP = 1e-4  # of a parameter; the error of a difference is of the order of its square
+
+
+def by_second_derivatives(
+    terms: Sequence[ErrorTerm],
+    seen: ModalPrediction,
+    exact: Sensitivities,
+    noise: FloatArray,
+    by_slope: FloatArray,
+) -> FloatArray:
+    """Return the derivatives of a function of the slopes of the residuals, (n, m, p).
+
+    Second derivatives are needed in one weighted sum for each mode, which `exact` has.
+
+    Parameters
+    ----------
+    terms : sequence of ErrorTerm
+    seen : ModalPrediction
+        With slopes.
+    exact : Sensitivities
+        Of the same modes.
+    noise : ndarray, shape (n, n_noise)
+    by_slope : ndarray, shape (n, m, k, p)
+        Derivatives of the function by the slopes of all k residuals of a mode, of one error model after the other.
+    """
+    cuts = np.cumsum([len(term.labels([""])) for term in terms])[:-1]
+    d, of_shapes = np.zeros(exact.gradient.shape), None if exact.shape_slopes is None else 0.0 * exact.shape_slopes
+    found = np.zeros(d.shape)
+    for term, by in zip(terms, np.split(by_slope, cuts, axis=2), strict=True):
+        of_frequency, of_shape, direct = term.change_of_slopes(seen, noise, by)
+        found += direct
+        if of_frequency is not None:
+            d += of_frequency
+        if of_shapes is not None and of_shape is not None:
+            of_shapes += of_shape
+    return found + exact.curvature(d, of_shapes)
 
 
 def by_parameters(

@@ -11,7 +11,7 @@ from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.pairing.sensitivities import Sensitivities, Steps
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.discrepancy.curvature import by_parameters
+from fmu.posterior.discrepancy.curvature import by_parameters, by_second_derivatives
 from fmu.posterior.discrepancy.draws import at_distinct_rows
 from fmu.posterior.discrepancy.embedded import Discrepancy, EmbeddedScatter, require_distinct_names
 from fmu.posterior.discrepancy.frequencies import ScatteredFrequencies
@@ -87,7 +87,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         only = self.terms_of[0] if len(self.terms_of) == 1 and self.n_tests == 1 else None
         if isinstance(only, FrequencyTerm) and not self.errors.modes and not self.errors.n_common:
             self._alone = ScatteredFrequencies(only, self.errors.scatters)
-        if self.needs_shapes or model.is_uncertain:  # `by_parameters` differences the slopes
+        if model.is_uncertain or (self.needs_shapes and not model.gives_shape_curvature):  # slopes are differenced
             self.predictions_per_gradient = 1 + 2 * len(layout.structural)
 
     @property
@@ -300,13 +300,14 @@ class DiscrepantLikelihood(ModalLikelihood):
         return self.errors.in_hz(seen.frequency_slopes, self.measured, values, self._noise(theta))
 
     def _observed_with_curvature(self, theta: FloatArray) -> tuple[ModalPrediction, Sensitivities | None]:
-        """Return `observed`, and second derivatives of the frequencies along directions if these are enough."""
-        if self.needs_shapes or self.model.is_uncertain:
+        """Return `observed`, and second derivatives along directions if the model has them."""
+        if self.model.is_uncertain or (self.needs_shapes and not self.model.gives_shape_curvature):
             return self.observed(theta, True), None
         scale = self.errors.scale(self._values(theta)).reshape(len(theta), -1)
         bounds = np.array([self._bounds[0].min(axis=0), self._bounds[1].max(axis=0)])
-        exact = self.model.sensitivities(theta[:, : self.model.n_parameters], Steps(scale, bounds))
-        return without_shapes(exact.frequencies, exact.gradient), exact
+        structural, steps = theta[:, : self.model.n_parameters], Steps(scale, bounds)
+        exact = self.model.sensitivities(structural, steps, self.needs_shapes)
+        return exact.prediction, exact
 
     def _terms_and_slopes(
         self,
@@ -341,20 +342,14 @@ class DiscrepantLikelihood(ModalLikelihood):
     ) -> FloatArray:
         """Return the derivatives by the parameters, (n, m, p), through the residuals and their slopes.
 
-        Of frequencies alone, the second derivatives are needed in one direction a mode only, and `exact` has them.
-        With shapes, or of an uncertain model, the slopes are differenced in every parameter: 2 p solves.
+        Without exact second derivatives, the slopes are differenced in every parameter: 2 p solves.
         """
         values, noise = self._values(theta), self._noise(theta)
         of_residuals = np.einsum("nmk,nmkp->nmp", change.by_residual, rows.slopes)
         if exact is not None:
-            terms = [term for term in self.terms_of if isinstance(term, FrequencyTerm)]
-            of_terms = [term.slope_and_curvature(seen.frequencies, noise) for term in terms]
-            of_hz, of_square = (self.of_used(np.stack(x, axis=2), 1) for x in zip(*of_terms, strict=True))
-            D = self.of_used(exact.gradient, 1)
-            direction = np.zeros(exact.gradient.shape)
-            direction[:, self._used] = np.einsum("nmk,nmkp->nmp", of_hz, change.by_slope)
-            bent = np.einsum("nmk,nmkp,nmp->nm", of_square, change.by_slope, D)
-            return np.asarray(of_residuals + self.of_used(exact.curvature(direction), 1) + bent[..., None] * D)
+            bent = by_second_derivatives(self.terms_of, seen, exact, noise, self._of_all_modes(change.by_slope))
+            bent += self.errors.change_of_units(self.terms_of, seen, noise, self._of_all_modes(change.by_own))
+            return np.asarray(of_residuals + self.of_used(bent, 1))
 
         def contract(points: FloatArray) -> FloatArray:
             k = points.shape[1]
@@ -368,6 +363,12 @@ class DiscrepantLikelihood(ModalLikelihood):
 
         found = by_parameters(contract, values, self.errors.scale(values), self._bounds, self._test)
         return found if self.model.is_uncertain else of_residuals + found
+
+    def _of_all_modes(self, of_used: FloatArray) -> FloatArray:
+        """Return the rows (n, m, …) of the used modes among rows of 0 for the other modes."""
+        found = np.zeros((len(of_used), len(self.group), *of_used.shape[2:]))
+        found[:, self._used] = of_used
+        return found
 
     def _by_sd(self, seen: ModalPrediction, theta: FloatArray, change: Change) -> FloatArray:
         """Return the derivatives by inferred standard deviations of the measurement, (n, m, n_noise)."""

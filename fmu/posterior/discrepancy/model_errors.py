@@ -137,6 +137,15 @@ class ModelErrors:
         own, common = (np.concatenate([none, *x], axis=3) for x in (list(zip(*units, strict=True)) or [(), ()]))
         return Linearised(*(take(x, 1) for x in (r, J, own, common)))
 
+    def change_of_units(
+        self, terms: Sequence[ErrorTerm], seen: ModalPrediction, noise: FloatArray, by_own: FloatArray
+    ) -> FloatArray:
+        """Return the derivatives by the parameters through the units of errors of modes; see `ModeErrors`."""
+        cuts = np.cumsum([one.n_own for one in self.modes])[:-1]
+        parts = np.split(by_own, cuts, axis=3)
+        found = [one.change_of_units(terms, seen, noise, of) for one, of in zip(self.modes, parts, strict=False)]
+        return np.asarray(sum(found, np.zeros(())))
+
     def scale(self, values: FloatArray) -> FloatArray:
         """Return the unit s of the scatter of each parameter at values (…, p), of the same shape."""
         return self.scatters[0].scale(values)

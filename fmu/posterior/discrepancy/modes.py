@@ -99,15 +99,41 @@ class ModeErrors:
                 part[:, :, 0, 0] = unit
                 shared[:, :, 0] = unit[..., None]
             elif isinstance(term, ShapeTerm):
-                root = np.swapaxes(1.0 / np.sqrt(V), 1, 2)
-                largest = np.max(np.abs(term.unit), axis=0)[:, None, None]
-                columns = root[..., None] * (largest * self.root)
-                psi = root * np.swapaxes(seen.shapes, 1, 2)
+                columns, psi, _ = self._of_shapes(term, seen, noise)
                 along = np.sum(psi[..., None] * columns, axis=2) / np.sum(psi**2, axis=2)[..., None]
                 part[..., self.n_own - len(self.root) :] = columns - psi[..., None] * along[:, :, None]
             own.append(part)
             common.append(shared)
         return np.concatenate(own, axis=2), np.concatenate(common, axis=2)
+
+    def change_of_units(
+        self, terms: Sequence[ErrorTerm], seen: ModalPrediction, noise: FloatArray, by_own: FloatArray
+    ) -> FloatArray:
+        """Return the change of a function of the own `units` with the parameters, (n, n_modes, n_parameters).
+
+        Of shapes the units are U = C − ψψᵀC/ψᵀψ, with ψ = φ/σ and a C that does not depend on θ. With the
+        derivatives `by_own` G of the function by them, (n, n_modes, k, n_own), its derivatives by ψ are
+        −(G Cᵀψ + C Gᵀψ)/ψᵀψ + 2 ψ (ψᵀG Cᵀψ)/(ψᵀψ)².
+        """
+        found = np.zeros((*by_own.shape[:2], np.asarray(seen.frequency_slopes).shape[-1]))
+        cuts = np.cumsum([len(term.labels([""])) for term in terms])[:-1]
+        for term, by in zip(terms, np.split(by_own, cuts, axis=2), strict=True):
+            if isinstance(term, ShapeTerm):
+                (C, psi, root), G = self._of_shapes(term, seen, noise), by[..., self.n_own - len(self.root) :]
+                size = np.sum(psi**2, axis=2)[..., None]
+                of_C, of_G = (np.sum(psi[..., None] * x, axis=2) for x in (C, G))
+                by_psi = -np.sum(G * of_C[:, :, None] + C * of_G[:, :, None], axis=3) / size
+                by_psi += 2.0 * psi * np.sum(of_C * of_G, axis=2)[..., None] / size**2
+                found += np.einsum("nms,nsmk->nmk", root * by_psi, np.asarray(seen.shape_slopes))
+        return found
+
+    def _of_shapes(
+        self, term: ShapeTerm, seen: ModalPrediction, noise: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return C, (n, n_modes, q, q), and ψ and 1/σ, (n, n_modes, q), of `change_of_units`."""
+        root = np.swapaxes(1.0 / np.sqrt(term.spread.variance(noise)), 1, 2)
+        largest = np.max(np.abs(term.unit), axis=0)[:, None, None]
+        return root[..., None] * (largest * self.root), root * np.swapaxes(seen.shapes, 1, 2), root
 
     def variances(self, noise: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return the variances of the errors, and the derivatives of their logarithms.

@@ -183,6 +183,30 @@ class ErrorTerm:
         """Return `residuals`, with their derivatives projected onto the space that the residuals can lie in."""
         return self.residuals(seen, noise)
 
+    def change_of_slopes(
+        self, seen: ModalPrediction, noise: FloatArray, by_slope: FloatArray
+    ) -> tuple[FloatArray | None, FloatArray | None, FloatArray]:
+        """Return how a function of the slopes of `residuals_within` changes with the parameters.
+
+        Parameters
+        ----------
+        seen : ModalPrediction
+            With slopes.
+        noise : ndarray, shape (n, n_noise)
+        by_slope : ndarray, shape (n, n_modes, q, n_parameters)
+            Derivatives of the function by the slopes of each residual.
+
+        Returns
+        -------
+        of_frequency : ndarray, shape (n, n_modes, n_parameters), or None
+            Weights of the second derivatives of the frequencies.
+        of_shape : ndarray, shape (n, n_sensors, n_modes, n_parameters), or None
+            Weights of the second derivatives of the shapes.
+        direct : ndarray, shape (n, n_modes, n_parameters)
+            The rest: derivatives of the function with all slopes of frequencies and shapes fixed.
+        """
+        raise NotImplementedError
+
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
         """Return simulated measured frequencies (n, n_modes), Hz, for computed ones; see `of_frequencies`."""
         raise NotImplementedError

@@ -200,6 +200,14 @@ class FrequencyTerm(ErrorTerm):
         bent = 2.0 / self.measured**2 if self.kind == "eigenvalue" else 0.0
         return root * self.errors(frequencies)[1], root * bent
 
+    def change_of_slopes(
+        self, seen: ModalPrediction, noise: FloatArray, by_slope: FloatArray
+    ) -> tuple[FloatArray, None, FloatArray]:
+        """Return how a function of the slopes of the residuals changes; see `ErrorTerm`."""
+        slope, bent = self.slope_and_curvature(seen.frequencies, noise)
+        own, J = by_slope[:, :, 0], np.asarray(seen.frequency_slopes)
+        return slope[..., None] * own, None, (bent * np.sum(own * J, axis=2))[..., None] * J
+
     def simulate(self, rng: np.random.Generator, frequencies: FloatArray, noise: FloatArray) -> FloatArray:
         """Return simulated measured frequencies (n, n_modes), Hz, for computed frequencies."""
         sd = self.sd if self.is_known else np.sqrt(self.spread.variance(noise))

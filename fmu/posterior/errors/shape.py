@@ -131,6 +131,33 @@ class ShapeTerm(ErrorTerm):
         along = np.sum(psi[..., None] * by_shape, axis=2) / np.sum(psi**2, axis=2)[..., None]
         return r._replace(by_shape=by_shape - psi[..., None] * along[:, :, None])
 
+    def change_of_slopes(
+        self, seen: ModalPrediction, noise: FloatArray, by_slope: FloatArray
+    ) -> tuple[None, FloatArray, FloatArray]:
+        """Return how a function of the slopes of the residuals changes; see `ErrorTerm`.
+
+        The slopes are B ∂φ/∂θ with B = −a R (I − φφᵀΛ/φᵀΛφ), R = Λ^½. With the derivatives G of the function by
+        them, the second derivatives of φ have the weights BᵀG. With T = G (∂φ/∂θ)ᵀ fixed, the rest is the change
+        of Σ_ks T_ks B_ks = −a (Σ_k R_k T_kk − φᵀR T Λφ/φᵀΛφ) with φ.
+        """
+        s, J = np.swapaxes(seen.shapes, 1, 2), np.moveaxis(np.asarray(seen.shape_slopes), 2, 1)
+        root = np.swapaxes(1.0 / np.sqrt(self.spread.variance(noise)), 1, 2)
+        Lam, u = root**2, self.unit.T
+        weighted = np.sum(Lam * s**2, axis=2)[..., None]
+        a = np.sum(Lam * u * s, axis=2)[..., None] / weighted
+        pulled = root * s / weighted
+        left = -a[..., None] * root[..., None] * by_slope  # −a (R G − Λφ (φᵀR G)/φᵀΛφ)
+        left += a[..., None] * (Lam * s)[..., None] * np.sum(pulled[..., None] * by_slope, axis=2)[:, :, None]
+        T = by_slope @ np.swapaxes(J, 2, 3)
+        across = (T @ (Lam * s)[..., None])[..., 0], np.sum((root * s)[..., None] * T, axis=2)
+        b = np.sum(root * s * across[0], axis=2)[..., None]
+        trace = np.sum(root * np.diagonal(T, axis1=2, axis2=3), axis=2)[..., None]
+        da = (Lam * u - 2.0 * a * Lam * s) / weighted
+        db = (root * across[0] + Lam * across[1]) / weighted - 2.0 * b * Lam * s / weighted**2
+        by_shape = a * db - da * (trace - b / weighted)
+        direct = np.sum(by_shape[..., None] * J, axis=2)
+        return None, np.swapaxes(left, 1, 2), direct
+
     def labels(self, modes: Sequence[str]) -> list[str]:
         """Return the list of names of the residuals; see `ErrorTerm`."""
         return [f"{mode}, sensor {k + 1}" for mode in modes for k in range(len(self.unit))]

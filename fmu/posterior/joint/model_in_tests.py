@@ -64,6 +64,10 @@ class Configuration:
         """Return the entries of the measured modes, (n, m, …), from all modes, (n · n_distinct, n_modes, …)."""
         return found.reshape(-1, len(self.distinct), *found.shape[1:])[:, self.row, self.mode]
 
+    def pick_shapes(self, found: FloatArray) -> FloatArray:
+        """Return the entries of the measured modes, (n, q, m, …), from (n · n_distinct, q, n_modes, …)."""
+        return np.moveaxis(self.pick(np.moveaxis(found, 1, 2)), 1, 2)
+
 
 class ModelInTests(ModalModel):
     """The modes of a structure in all tests, as a function of the structure's parameters in each test.
@@ -99,6 +103,7 @@ class ModelInTests(ModalModel):
         self.n_parameters = self.n_tests * n_structural
         models = self.parts
         self.gives_shapes = all(model.gives_shapes for model in models)
+        self.gives_shape_curvature = all(model.gives_shape_curvature for model in models)
         self.by_shape = any(model.by_shape for model in models)
         self.solves_per_gradient = max(model.solves_per_gradient for model in models)
         self.solves_per_shape_gradient = max(model.solves_per_shape_gradient for model in models)
@@ -222,7 +227,7 @@ class ModelInTests(ModalModel):
             slopes[:, part.columns[:, None], part.parameters] = part.pick(gradient)
         return frequencies, slopes
 
-    def sensitivities(self, theta: FloatArray, steps: Steps) -> Sensitivities:
+    def sensitivities(self, theta: FloatArray, steps: Steps, shapes: bool = False) -> Sensitivities:
         """Return frequencies and derivatives; see `ModalModel`.
 
         Gradient and directions have n_structural components, as in `frequencies_and_gradient`; so have the bounds
@@ -232,7 +237,7 @@ class ModelInTests(ModalModel):
         parts = []
         for part in self.configurations:
             own = Steps(part.points(sizes), steps.bounds[:, part.parameters])
-            parts.append((part, part.model.sensitivities(part.points(values), own)))
+            parts.append((part, part.model.sensitivities(part.points(values), own, shapes)))
         return _SensitivitiesInTests(parts, (len(theta), self.n_modes, self.n_structural))
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
@@ -245,12 +250,11 @@ class ModelInTests(ModalModel):
         by_frequency, by_shape = np.zeros((n, m, p)), np.zeros((n, q, m, p))
         for part, one in zip(self.configurations, seen, strict=True):
             frequencies[:, part.columns] = part.pick(one.frequencies)
-            shapes[:, :, part.columns] = np.moveaxis(part.pick(np.moveaxis(one.shapes, 1, 2)), 1, 2)
+            shapes[:, :, part.columns] = part.pick_shapes(one.shapes)
             if gradient:
                 columns = part.columns[:, None]
                 by_frequency[:, columns, part.parameters] = part.pick(np.asarray(one.frequency_slopes))
-                moved = part.pick(np.moveaxis(np.asarray(one.shape_slopes), 1, 2))
-                by_shape[:, :, columns, part.parameters] = np.moveaxis(moved, 1, 2)
+                by_shape[:, :, columns, part.parameters] = part.pick_shapes(np.asarray(one.shape_slopes))
         if not gradient:
             return ModalPrediction(frequencies, shapes)
         return ModalPrediction(frequencies, shapes, by_frequency, by_shape)
@@ -277,17 +281,33 @@ class _SensitivitiesInTests(Sensitivities):
         for part, found in parts:
             self.frequencies[:, part.columns] = part.pick(found.frequencies)
             self.gradient[:, part.columns[:, None], part.parameters] = part.pick(found.gradient)
+        first = parts[0][1].shapes
+        if first is None:
+            return
+        (n, m, p), q = shape, first.shape[1]
+        self.shapes, self.shape_slopes = np.empty((n, q, m)), np.zeros((n, q, m, p))
+        for part, found in parts:
+            self.shapes[:, :, part.columns] = part.pick_shapes(np.asarray(found.shapes))
+            moved = part.pick_shapes(np.asarray(found.shape_slopes))
+            self.shape_slopes[:, :, part.columns[:, None], part.parameters] = moved
 
-    def curvature(self, d: FloatArray) -> FloatArray:
-        """Return H_i d_i; see `Sensitivities`."""
+    def curvature(self, d: FloatArray, of_shapes: FloatArray | None = None) -> FloatArray:
+        """Return H_i d_i and the sums of second derivatives of shapes; see `Sensitivities`."""
         found = np.zeros(d.shape)
         for part, model in self._parts:
             own = d[:, part.columns[:, None], part.parameters]
+            weights = None if of_shapes is None else of_shapes[:, :, part.columns[:, None], part.parameters]
             picked = np.empty(own.shape)
             for some in part.without_repetition:  # tests that share a solve have directions of their own
                 along = np.zeros((len(d), len(part.distinct), *model.gradient.shape[1:]))
                 along[:, part.row[some], part.mode[some]] = own[:, some]
-                turned = model.curvature(along.reshape(model.gradient.shape)).reshape(along.shape)
+                of_model = None
+                if weights is not None:
+                    q = weights.shape[1]
+                    spread = np.zeros((len(d), len(part.distinct), q, *model.gradient.shape[1:]))
+                    spread[:, part.row[some], :, part.mode[some]] = np.moveaxis(weights[:, :, some], 2, 0)
+                    of_model = spread.reshape(-1, *spread.shape[2:])
+                turned = model.curvature(along.reshape(model.gradient.shape), of_model).reshape(along.shape)
                 picked[:, some] = turned[:, part.row[some], part.mode[some]]
             found[:, part.columns[:, None], part.parameters] = picked
         return found

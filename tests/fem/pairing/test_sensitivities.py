@@ -1,4 +1,4 @@
-"""Second derivatives of frequencies along a direction per mode, against differences and closed forms."""
+"""Second derivatives of frequencies and of shapes, against differences and closed forms."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def structure(kind):
     massless = where.startswith("massless")
     start = massless_bridge.START if massless else START
     model = massless_bridge.bridge(5) if massless else plate_like()
-    sensors = () if massless else SENSORS
+    sensors = ((2, "z"), (7, "z"), (3, "y"), (6, "ry")) if massless else SENSORS
     paired = PairedStructure.of(model, pairing=pairing, numbers=(1, 2, 3, 4), sensors=sensors, reference=start)
     return (train(paired, 0.8 * start, 1.2 * start, tolerance=1e-8)[0] if "reduced" in where else paired), start
 
@@ -92,17 +92,47 @@ def test_second_derivatives_against_differences_of_the_gradients(model_and_start
     assert_allclose(found.curvature(d) * unit, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
 
 
+def weights_of(model, theta):
+    """Weights of the second derivatives of the shapes at the sensors, of sizes that make all parts matter."""
+    seen = model.observed(theta[:1])
+    shape = (len(theta), *seen.shapes.shape[1:], theta.shape[1])
+    size = np.max(np.abs(seen.shapes), axis=(0, 1))[:, None]
+    return theta[:, None, None] * np.random.default_rng(7).standard_normal(shape) / size
+
+
+def test_second_derivatives_of_shapes_against_differences_of_their_slopes(model_and_start):
+    model, start = model_and_start
+    theta = points(start, 2)
+    found = model.sensitivities(theta, steps_of(theta, start), True)
+    weights, seen = weights_of(model, theta), model.observed(theta, True)
+    assert_allclose(found.shapes, seen.shapes, atol=1e-9 * np.abs(seen.shapes).max())
+    unit = theta[:, None, None]
+    size = np.abs(seen.shape_slopes * unit).max()
+    assert_allclose(found.shape_slopes * unit, seen.shape_slopes * unit, atol=1e-7 * size)
+
+    def slopes(x):
+        there = model.observed(x, True)
+        at = np.linalg.norm(x[:, None] / start - theta / start, axis=2).argmin(axis=1)
+        sign = np.sign(np.sum(there.shapes * seen.shapes[at], axis=1))
+        return np.sum(weights[at] * sign[:, None, :, None] * there.shape_slopes, axis=(1, 3))
+
+    expected = differences(slopes, theta, 1e-3 * start, order=6) * theta[:, None]
+    directions_of_none = np.zeros((2, model.n_modes, len(start)))
+    bent = found.curvature(directions_of_none, weights) * theta[:, None]
+    assert_allclose(bent, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
+
+
 def test_a_row_does_not_depend_on_its_batch(model_and_start):
     model, start = model_and_start
     theta = points(start, 5)
     d = directions(theta, model.n_modes)
-    together = model.sensitivities(theta, steps_of(theta, start))
-    curvature = together.curvature(d)
+    together, weights = model.sensitivities(theta, steps_of(theta, start), True), weights_of(model, theta)
+    curvature = together.curvature(d, weights)
     for i in range(5):
-        alone = model.sensitivities(theta[i : i + 1], steps_of(theta[i : i + 1], start))
+        alone = model.sensitivities(theta[i : i + 1], steps_of(theta[i : i + 1], start), True)
         assert_array_equal(alone.frequencies[0], together.frequencies[i])
         assert_array_equal(alone.gradient[0], together.gradient[i])
-        assert_array_equal(alone.curvature(d[i : i + 1])[0], curvature[i])
+        assert_array_equal(alone.curvature(d[i : i + 1], weights[i : i + 1])[0], curvature[i])
 
 
 def test_beyond_the_trained_box_the_full_model_answers():
