@@ -57,7 +57,8 @@ $(READY_FAST): $(READY)
 # What factorises sparse matrices.
 SOLVED := tests/fem/modes/test_solver.py tests/fem/modes/test_modal.py tests/fem/modes/test_massless.py \
   tests/fem/frame/test_frame_stability.py tests/fem/reduced/test_frequency_bound.py \
-  tests/fem/reduced/test_confirmed_modes.py tests/fem/reduced/test_training.py tests/fem/reduced/test_large_basis.py
+  tests/fem/reduced/test_confirmed_modes.py tests/fem/reduced/test_training.py tests/fem/reduced/test_large_basis.py \
+  tests/posterior/reduction/test_large_structure.py
 
 test-fast: $(READY_FAST)  ## Run the tests of what factorises sparse matrices with PARDISO
 	OPENBLAS_NUM_THREADS=1 .venv/fast/bin/python -m pytest --numprocesses=auto --quiet $(SOLVED)

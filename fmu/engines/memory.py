@@ -1,7 +1,10 @@
-"""The memory of this machine that is free."""
+"""The memory of this machine: all of it, and what is free."""
 
 from __future__ import annotations
 
+import math
+import os
+from contextlib import suppress
 from pathlib import Path
 
 
@@ -20,3 +23,12 @@ def free_memory() -> int | None:
     except (OSError, ValueError):
         return free
     return min(free, max(limit - used, 0))
+
+
+def total_memory() -> float:
+    """Return the bytes of memory of this machine or container; infinite where the system does not tell."""
+    total = math.inf
+    with suppress(AttributeError, OSError, ValueError):
+        total = float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
+        total = min(total, float(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii")))
+    return total

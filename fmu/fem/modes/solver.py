@@ -4,7 +4,9 @@ LAPACK factorises dense matrices, and definite matrices with a narrow band, such
 towers: it takes a tenth to a half of the time of a sparse solver. Other sparse matrices are factorised by PARDISO
 of Intel's MKL if the extra ``fmu[fast]`` is installed (package pypardiso), else by SuperLU, which comes with
 SciPy. PARDISO is meant for 10⁵ degrees of freedom and more. From `LARGE` rows on it factorises on as many threads
-as `n_threads` says; the factors are the same, bit for bit, with any number of threads.
+as `n_threads` says; the factors are the same, bit for bit, with any number of threads. Where they would take more
+than a sixth of the machine's memory, they are made in single precision, and solutions are refined to double
+precision (`fmu.fem.refinement`).
 
 None of the solvers reorders rows to obtain large pivots. The matrices are positive definite or nearly so, and the
 signs of the pivots are then the signs of the eigenvalues (Sylvester's law of inertia).
@@ -15,7 +17,7 @@ from __future__ import annotations
 import os
 import weakref
 from collections.abc import Callable
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from importlib.util import find_spec
 from typing import Any, NamedTuple, Protocol
 
@@ -25,7 +27,8 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from fmu.engines.memory import free_memory
+from fmu.engines.memory import free_memory, total_memory
+from fmu.fem.refinement import RefinedFactor
 from fmu.numbers import significant, whole
 from fmu.types import FloatArray, IntArray
 
@@ -42,6 +45,10 @@ _ANALYSE, _ELIMINATE, _SOLVE, _RELEASE = 11, 22, 33, -1
 _TINY, _OF_PARDISO = 20, 4
 # PARDISO divides its work among at most this many threads, and into the same parts with fewer threads.
 _MOST_THREADS = 8
+# Share of the machine's memory that factors in double precision may take. A run takes four to five times as much:
+# factors of two matrices, copies of the matrices, and vectors. The share does not depend on what is free, so that
+# results do not.
+_SHARE = 1.0 / 6.0
 # Up to this half-width a band was faster than SuperLU to factorise and to solve, for 1000 to 5000 rows.
 _NARROW = 256
 
@@ -55,10 +62,13 @@ class Factor(Protocol):
         Number of eigenvalues of A that are not positive.
     L : ndarray, shape (n, n), or None
         The lower factor of a dense definite matrix, A = L Lᵀ.
+    is_single : bool
+        Whether the factors are in single precision. Solutions are in double precision in any case.
     """
 
     negative: int
     L: FloatArray | None
+    is_single: bool
 
     @property
     def n_entries(self) -> int:
@@ -118,7 +128,7 @@ def factorise(matrix: Matrix, solver: str | None = None, is_definite: bool = Tru
                 return _BandedFactor(matrix, band)
             except np.linalg.LinAlgError:  # indefinite or singular: the other solvers tell which
                 pass
-    return _Pardiso(matrix, is_definite) if (solver or sparse_solver()) == PARDISO else _SuperLU(matrix)
+    return _by_pardiso(matrix, is_definite) if (solver or sparse_solver()) == PARDISO else _SuperLU(matrix)
 
 
 class ScaledFactor:
@@ -137,6 +147,7 @@ class ScaledFactor:
     def __init__(self, scaled: Factor, scale: FloatArray) -> None:
         self.scaled, self.scale = scaled, scale
         self.negative, self.n_entries, self.n_bytes = scaled.negative, scaled.n_entries, scaled.n_bytes
+        self.is_single = scaled.is_single
 
     def solve(self, loads: FloatArray) -> FloatArray:
         """Return A⁻¹ b for b of shape (n,) or (n, m)."""
@@ -172,6 +183,8 @@ class LastFactor:
 
 class DenseFactor:
     """Factors of a dense matrix: Cholesky factors L Lᵀ, or L D Lᵀ if indefinite (Bunch & Kaufman 1977)."""
+
+    is_single = False
 
     def __init__(self, matrix: FloatArray) -> None:
         self.negative, self.n_entries, self.n_bytes = 0, matrix.size, 8 * matrix.size
@@ -239,6 +252,7 @@ class _BandedFactor:
 
     negative = 0
     L: FloatArray | None = None
+    is_single = False
 
     def __init__(self, matrix: sp.csr_array, band: _Band) -> None:
         self._order, n = band.order, matrix.shape[0]
@@ -257,6 +271,7 @@ class _BandedFactor:
 
 class _SuperLU:
     L: FloatArray | None = None
+    is_single = False
 
     def __init__(self, matrix: sp.csr_array) -> None:
         options = {"SymmetricMode": True}
@@ -274,19 +289,37 @@ class _SuperLU:
         return self._lu.solve(loads)
 
 
+class _LargeFactorsError(Exception):
+    """The error for factors that are to be made in single precision."""
+
+
+def _by_pardiso(matrix: sp.csr_array, is_definite: bool) -> Factor:
+    try:
+        return _Pardiso(matrix, is_definite)
+    except _LargeFactorsError:
+        pass  # the exception would keep the analysis in memory
+    return RefinedFactor(matrix, partial(_Pardiso, is_single=True), is_definite)
+
+
 class _Pardiso:
-    """Cholesky factors, or the factors L D Lᵀ of an indefinite matrix, with a diagonal D."""
+    """Cholesky factors, or the factors L D Lᵀ of an indefinite matrix, with a diagonal D.
+
+    LinAlgError if factors in single precision are not definite as expected.
+    """
 
     L: FloatArray | None = None
 
-    def __init__(self, matrix: sp.csr_array, is_definite: bool = True) -> None:
-        self._upper, self.negative = _upper_triangle(matrix), 0
+    def __init__(self, matrix: sp.csr_array, is_definite: bool = True, is_single: bool = False) -> None:
+        self._upper, self.negative, self.is_single = _upper_triangle(matrix), 0, is_single
+        if is_single:
+            self._upper = self._upper.astype(np.float32)
         if is_definite:
             try:
                 self._factorise(_DEFINITE)
                 return
             except np.linalg.LinAlgError:
-                pass
+                if is_single:
+                    raise
         self._factorise(_INDEFINITE)
         self.negative = matrix.shape[0] - int(self._solver.get_iparm(22))
         if self._solver.get_iparm(14):
@@ -307,10 +340,12 @@ class _Pardiso:
         self._solver = _pardiso()(mtype=of)
         weakref.finalize(self, _call, self._solver, self._upper, _RELEASE).atexit = False
         # METIS, and unmodified pivots: PARDISO's own settings would change pivots below 1e-8 of the largest entry
-        for i, value in {1: 1, 2: 2, 10: _TINY, 18: -1, 34: _MOST_THREADS}.items():
+        for i, value in {1: 1, 2: 2, 10: _TINY, 18: -1, 28: self.is_single, 34: _MOST_THREADS}.items():
             self._solver.iparm[i - 1] = value
         _call(self._solver, self._upper, _ANALYSE)
         of_analysis, lasting, of_factors = (1024 * int(self._solver.get_iparm(i)) for i in (15, 16, 17))
+        if not self.is_single and lasting + of_factors > _SHARE * total_memory():
+            raise _LargeFactorsError
         _require_memory(max(of_analysis, lasting + of_factors), self._upper.shape[0])
         _call(self._solver, self._upper, _ELIMINATE)
 
@@ -333,7 +368,8 @@ def _call(solver: Any, upper: sp.csr_array, phase: int, loads: FloatArray | None
     solver.libmkl.MKL_Domain_Set_Num_Threads(n_threads() if phase == _ELIMINATE and n >= LARGE else 1, _OF_PARDISO)
     solver.set_phase(phase)
     try:
-        return solver._call_pardiso(upper, np.zeros(n) if loads is None else np.asfortranarray(loads))
+        loads = np.zeros(n) if loads is None else loads
+        return solver._call_pardiso(upper, np.asfortranarray(loads, dtype=upper.dtype)).astype(float, copy=False)
     except PyPardisoError as error:
         raise np.linalg.LinAlgError(f"PARDISO ended with error {error.value}") from error
 

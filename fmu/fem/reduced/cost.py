@@ -107,7 +107,8 @@ def memory_in_words(model: SeparableModel) -> str:
     beside = (
         f", but only {significant(free / 2**30, 2)} GiB more are free" if is_short and free is not None else ""
     )
+    by = ", in single precision" if any(factor is not None and factor.is_single for factor in kept) else ""
     return (
         f"A run takes about {significant(needed / 2**30, 2)} GiB of memory, of which the factors of one stiffness "
-        f"matrix take {significant(of_factors / 2**30, 2)} GiB{beside}."
+        f"matrix take {significant(of_factors / 2**30, 2)} GiB{by}{beside}."
     )

@@ -116,6 +116,25 @@ def test_factors_that_do_not_fit_are_refused_before_they_are_made(monkeypatch):
         factorise(sp.csr_array(arrow()), PARDISO)
 
 
+@fast
+def test_factors_that_would_take_much_of_the_memory_are_in_single_precision(monkeypatch):
+    loads = np.random.default_rng(4).standard_normal((N, 3))
+    values = 2.0 - 2.0 * np.cos(np.arange(1, N + 1) * np.pi / (N + 1))
+    for below in (0, 17):
+        A = chain(0.5 * values[0] if not below else 0.5 * (values[below - 1] + values[below]))
+        double = factorise(A, PARDISO, is_definite=not below)
+        with monkeypatch.context() as patch:
+            patch.setattr(solver, "total_memory", lambda double=double: 5.9 * double.n_bytes)
+            single = factorise(A, PARDISO, is_definite=not below)
+        assert (double.is_single, single.is_single) == (False, True)
+        assert single.negative == double.negative == below
+        assert single.n_entries == double.n_entries
+        assert_allclose(single.solve(loads), double.solve(loads), rtol=1e-9, atol=1e-9)
+        with monkeypatch.context() as patch:
+            patch.setattr(solver, "total_memory", lambda double=double: 6.1 * double.n_bytes)
+            assert not factorise(A, PARDISO, is_definite=not below).is_single
+
+
 def test_free_memory_is_a_number_or_unknown():
     free = solver.free_memory()
     assert free is None or free > 2**20

@@ -49,6 +49,14 @@ def test_it_says_if_less_is_free(monkeypatch):
     assert "free" not in memory_in_words(model)
 
 
+def test_it_says_if_the_factors_are_in_single_precision(plenty, monkeypatch):
+    model = chain(20_000)
+    assert "single" not in memory_in_words(model)
+    (dofs,) = model.blocks
+    monkeypatch.setattr(model.last_factor(dofs).factor, "is_single", True)
+    assert memory_in_words(model).endswith(" GiB, in single precision.")
+
+
 def test_factors_are_not_pickled_with_the_model():
     import pickle
 

@@ -1,10 +1,13 @@
 """A structure that is solved by sparse factorisations: few of them, and bounds in place of full solves."""
 
+from importlib.util import find_spec
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from fmu.fem.modes import full_block
+import fmu
+from fmu.fem.modes import full_block, solver
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
 from fmu.fem.reduced import anchors, confirming, residuals, shared
 from fmu.posterior.problem import UpdatingProblem
@@ -153,3 +156,22 @@ def test_bounds_from_shared_right_hand_sides_are_those_solved_for_and_those_from
     assert_allclose(read.frequency_bound(theta), bound, rtol=1e-3, atol=5e-11)
     errors = np.abs(trained.frequencies(theta) / trained.truth.frequencies(theta) - 1.0)
     assert np.all(errors <= bound + 1e-10)
+
+
+@pytest.mark.skipif(find_spec("pypardiso") is None, reason="pypardiso, the extra fast, is not installed")
+def test_factors_in_single_precision_certify_the_same_posterior(measured, monkeypatch, certified):
+    for module in (full_block, anchors, shared, confirming, tolerance):
+        monkeypatch.setattr(module, "LARGE", DENSE_LIMIT)
+    monkeypatch.setenv("FMU_CACHE_DIR", "")
+    monkeypatch.setattr(solver, "_SHARE", 0.0)
+    monkeypatch.setattr(solver, "_NARROW", 0)  # no band of LAPACK's
+    solver._band.cache_clear()
+    problem = scale_problem(SIZE, 2, reduction=True)
+    solver._band.cache_clear()
+    (block,) = problem.model.truth.blocks
+    assert block.clear_factor(problem.start).is_single
+    found = problem.model.truth.frequencies(problem.start[None])
+    assert_allclose(found, measured[0].model.truth.frequencies(problem.start[None]), rtol=1e-9)
+    trace = fmu.sample(problem, "mixture", draws=20, warmup=20, chains=2, seed=1)
+    assert trace.attrs["certificate_bound_exceeded"] == 0
+    assert trace.attrs["certificate_log_prob_error"] <= MEASURED.log_prob

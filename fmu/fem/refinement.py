@@ -1,0 +1,200 @@
+"""Solutions of A x = b in double precision from factors of A in single precision, which take half the memory.
+
+Let F be the product of the factors. It differs from A by rounding, so that all but the lowest eigenvalues of
+F⁻¹ A are nearly 1. For a positive definite A, F is the preconditioner of conjugate gradients, in the form that
+allows for the rounding of F⁻¹ (Golub & Ye 1999, *SIAM J. Sci. Comput.* 21, 1305–1320, algorithm 2.1), and few
+steps are enough. For an indefinite A it serves iterative refinement, x ← x + F⁻¹ (b − A x), whose error is
+multiplied by I − F⁻¹ A in each step (Higham 2002, *Accuracy and Stability of Numerical Algorithms*, chapter 12).
+
+If the spectral radius of I − F⁻¹ A is below 1, F and A have equally many negative eigenvalues: with A = F + E, no
+F + t E, t in 0..1, is singular. The radius is estimated by power iteration from a random vector. The number of
+negative eigenvalues is thus checked, not proven.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse as sp
+
+from fmu.numbers import significant, whole
+from fmu.types import FloatArray
+
+
+class SingleFactor(Protocol):
+    """The factors of a matrix in single precision; see `fmu.fem.modes.solver.Factor`."""
+
+    negative: int
+
+    @property
+    def n_entries(self) -> int:
+        """Number of entries in the factors."""
+        ...
+
+    @property
+    def n_bytes(self) -> int:
+        """Memory of the factors."""
+        ...
+
+    def solve(self, loads: FloatArray) -> FloatArray:
+        """Return F⁻¹ b for b (n, m)."""
+        ...
+
+
+type Solve = Callable[[FloatArray], FloatArray]
+"""The map from b (n, m) to F⁻¹ b."""
+
+# Relative error in the energy norm at which conjugate gradients end, and relative change at which refinement ends.
+_CONVERGED = 1e-12
+# Steps of conjugate gradients, of refinement, and of power iteration. A step of refinement that leaves a larger
+# share of the error than _SLOW is too slow.
+_STEPS, _REFINED, _POWER, _SLOW = 100, 60, 10, 0.5
+# Shares of the diagonal that are added to a definite matrix until its factors in single precision exist.
+_ADDED = (0.0, 3e-8, 3e-7)
+
+
+class StalledError(MemoryError):
+    """The error for factors in single precision that are too inaccurate; those in double precision need memory."""
+
+    def __init__(self, why: str) -> None:
+        super().__init__(
+            f"factors in double precision do not fit, and those in single precision are too inaccurate: {why}; "
+            "hold the structure if it is free, and coarsen or condense the model"
+        )
+
+
+class RefinedFactor:
+    """The factors of a matrix A in single precision, whose solutions are as accurate as in double precision.
+
+    Parameters
+    ----------
+    matrix : sparse array, shape (n, n)
+    make : callable
+        Returns the factors in single precision of a matrix that is expected to be positive definite, or not to be;
+        LinAlgError if it is not as expected.
+    is_definite : bool
+
+    Raises
+    ------
+    StalledError
+        If the factors are too inaccurate.
+    """
+
+    L: FloatArray | None = None
+    is_single = True
+
+    def __init__(
+        self, matrix: sp.csr_array, make: Callable[[sp.csr_array, bool], SingleFactor], is_definite: bool
+    ) -> None:
+        self._matrix, self.negative = sp.csr_array(matrix), 0
+        definite = self._definite_factor(make) if is_definite else None
+        self._is_definite = definite is not None
+        self._factor = definite or make(self._matrix, False)
+        if not self._is_definite:
+            require_same_inertia(self._matrix, self._factor.solve)
+            self.negative = self._factor.negative
+
+    @property
+    def n_entries(self) -> int:
+        """Number of entries in the factors."""
+        return self._factor.n_entries
+
+    @property
+    def n_bytes(self) -> int:
+        """Memory of the factors and of the matrix."""
+        return self._factor.n_bytes + 12 * self._matrix.nnz
+
+    def solve(self, loads: FloatArray) -> FloatArray:
+        """Return A⁻¹ b for b of shape (n,) or (n, m); StalledError if the iterations do not converge."""
+        by = conjugate_gradients if self._is_definite else refine
+        return by(self._matrix, self._factor.solve, loads.reshape(len(loads), -1)).reshape(loads.shape)
+
+    def _definite_factor(self, make: Callable[[sp.csr_array, bool], SingleFactor]) -> SingleFactor | None:
+        """Return factors with which conjugate gradients converge for a random b; None if there are none."""
+        probe = np.random.default_rng(0).standard_normal((self._matrix.shape[0], 1))
+        for share in _ADDED:
+            factor = None  # before the next factors take memory
+            added = sp.diags_array(share * self._matrix.diagonal())
+            try:
+                factor = make(sp.csr_array(self._matrix + added) if share else self._matrix, True)
+                conjugate_gradients(self._matrix, factor.solve, probe)
+            except (np.linalg.LinAlgError, StalledError):
+                continue
+            return factor
+        return None
+
+
+def conjugate_gradients(A: sp.csr_array, solve: Solve, loads: FloatArray) -> FloatArray:
+    """Return A⁻¹ b (n, m) for b (n, m) and a positive definite A; every column is iterated by itself.
+
+    Raises
+    ------
+    StalledError
+        If a column has not converged after 100 steps, or A is not positive definite.
+    """
+    x, r = np.zeros_like(loads), np.array(loads, dtype=float)
+    z = _scaled(solve, r)
+    p, gamma, energy = z.copy(), np.sum(r * z, axis=0), np.zeros(loads.shape[1])
+    (of,) = np.nonzero(np.any(loads != 0.0, axis=0))  # the columns that have not converged
+    for _ in range(_STEPS):
+        if not len(of):
+            return x
+        Ap = A @ p[:, of]
+        curvature = np.sum(p[:, of] * Ap, axis=0)
+        if not (np.all(curvature > 0.0) and np.all(gamma[of] > 0.0)):
+            raise StalledError("the matrix or its factors in single precision are not positive definite")
+        alpha = gamma[of] / curvature
+        x[:, of] += alpha * p[:, of]
+        before, r[:, of] = r[:, of], r[:, of] - alpha * Ap
+        energy[of] += alpha * gamma[of]  # of x, xᵀ A x
+        z[:, of] = _scaled(solve, r[:, of])
+        changed, gamma_before = np.sum((r[:, of] - before) * z[:, of], axis=0), gamma[of]
+        gamma[of] = np.sum(r[:, of] * z[:, of], axis=0)
+        p[:, of] = z[:, of] + changed / gamma_before * p[:, of]
+        of = of[np.abs(gamma[of]) > _CONVERGED**2 * energy[of]]
+    raise StalledError(f"{whole(len(of))} solutions have not converged after {whole(_STEPS)} steps")
+
+
+def refine(A: sp.csr_array, solve: Solve, loads: FloatArray) -> FloatArray:
+    """Return A⁻¹ b (n, m) for b (n, m), by iterative refinement of every column until rounding remains.
+
+    Raises
+    ------
+    StalledError
+        If the corrections of a column do not become small.
+    """
+    x = _scaled(solve, loads)
+    (of,) = np.nonzero(np.any(loads != 0.0, axis=0))
+    last = np.full(loads.shape[1], np.inf)
+    for _ in range(_REFINED):
+        if not len(of):
+            return x
+        change = _scaled(solve, loads[:, of] - A @ x[:, of])
+        size = np.linalg.norm(change, axis=0) / np.linalg.norm(x[:, of] + change, axis=0)
+        is_better = size < last[of]  # not when only rounding remains
+        x[:, of] += np.where(is_better, change, 0.0)
+        is_done = (size <= _CONVERGED) | (~is_better & (last[of] <= np.sqrt(_CONVERGED)))
+        last[of] = size
+        of = of[~is_done]
+    raise StalledError(f"{whole(len(of))} solutions have not converged after {whole(_REFINED)} steps")
+
+
+def require_same_inertia(A: sp.csr_array, solve: Solve) -> None:
+    """Raise StalledError unless refinement converges; A and F then have equally many negative eigenvalues."""
+    x = np.random.default_rng(0).standard_normal((A.shape[0], 1))
+    kept = np.inf
+    for _ in range(_POWER):
+        x /= np.linalg.norm(x)
+        x = x - _scaled(solve, A @ x)
+        kept = float(np.linalg.norm(x))
+    if not kept <= _SLOW:
+        raise StalledError(f"a step of refinement leaves {significant(kept, 2)} of the error")
+
+
+def _scaled(solve: Solve, loads: FloatArray) -> FloatArray:
+    """Return F⁻¹ b for columns b that are first scaled to 1, within the range of single precision."""
+    size = np.max(np.abs(loads), axis=0)
+    size = np.where(size > 0.0, size, 1.0)
+    return solve(loads / size) * size
