@@ -4,7 +4,8 @@
 
 A building of six equal storeys has one parameter, the stiffness. For each kind of discrepancy, the stiffness and
 the numbers of the discrepancy are drawn from their priors, and six frequencies from the model with errors: the
-scatter of the stiffness over the modes, or relative errors of the frequencies with a correlation. The frequencies
+scatter of the stiffness over the modes, independent or with an inferred correlation, or relative errors of the
+frequencies with a correlation. The frequencies
 are those of a closed form, and NumPy draws the errors. The posterior is integrated by the midpoint rule, so that
 no sampler is involved. The posterior probability below the true value is then uniform between 0 and 1 (Talts,
 Betancourt, Simpson, Vehtari & Gelman 2018, arXiv:1804.06788). Written to hyper-parameters.md in the directory OUT.
@@ -32,10 +33,15 @@ PRIOR_SD, STIFFNESS = 0.05, (1.0, 0.1)
 """Standard deviation of the priors of τ and σ; mean and standard deviation of the prior of the stiffness."""
 KINDS = {
     "embedded": fmu.Discrepancy(prior_sd=PRIOR_SD),
+    "correlated": fmu.Discrepancy(prior_sd=PRIOR_SD, correlation="inferred"),
     "modes": fmu.Discrepancy("modes", prior_sd=PRIOR_SD),
 }
-SYMBOLS = {"embedded": ("stiffness", "τ"), "modes": ("stiffness", "σ", "ρ")}
-GRID = {"embedded": (80, 60), "modes": (60, 40, 24)}
+SYMBOLS = {
+    "embedded": ("stiffness", "τ"),
+    "correlated": ("stiffness", "τ", "ρ"),
+    "modes": ("stiffness", "σ", "ρ"),
+}
+GRID = {"embedded": (80, 60), "correlated": (60, 40, 24), "modes": (60, 40, 24)}
 LEVEL = 1e-3
 """Probability of a false alarm of all tests together."""
 
@@ -56,6 +62,8 @@ def simulate(rng: np.random.Generator, kind: str) -> tuple[FloatArray, FloatArra
         return np.array([k, size]), f + 0.5 * f * size * z + noise
     rho = rng.uniform()
     error = size * (np.sqrt(rho) * rng.standard_normal() + np.sqrt(1.0 - rho) * z)
+    if kind == "correlated":
+        return np.array([k, size, rho]), f + 0.5 * f * error + noise
     return np.array([k, size, rho]), f * (1.0 + error) + noise
 
 

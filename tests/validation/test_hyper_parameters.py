@@ -1,5 +1,7 @@
 """The calibration of τ, σ and ρ: the simulated building is that of the model, and a wrong density is rejected."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -21,9 +23,9 @@ def test_probabilities_are_uniform_and_those_of_another_prior_are_not(kind, monk
         rng = np.random.default_rng(5)
         return np.array([study.probabilities_below(kind, *study.simulate(rng, kind)) for _ in range(24)])
 
-    coarse = {"embedded": (24, 20), "modes": (16, 16, 6)}
+    coarse = {"embedded": (24, 20), "correlated": (16, 16, 6), "modes": (16, 16, 6)}
     monkeypatch.setattr(study, "GRID", coarse)
     assert all(stats.kstest(one, "uniform").pvalue > 1e-4 for one in values().T)
-    too_small = fmu.Discrepancy(kind, prior_sd=study.PRIOR_SD / 5.0)
+    too_small = dataclasses.replace(study.KINDS[kind], prior_sd=study.PRIOR_SD / 5.0)
     monkeypatch.setitem(study.KINDS, kind, too_small)
     assert stats.kstest(values()[:, 1], "uniform").pvalue < 1e-4
