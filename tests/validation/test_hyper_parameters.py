@@ -7,7 +7,6 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-import fmu
 from tests.shear_building import frequencies_hz, shear_building
 from tests.validation import hyper_parameters as study
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fmu.analysis.fit.reweighting import estimated_scatter
+from fmu.analysis.information import PRIOR, information
 from fmu.analysis.trace.reading import problem_of
 from fmu.numbers import fixed, names_in_words, significant
 
@@ -23,6 +24,7 @@ REMEDY_OF_FRFS = (
     '(Python: discrepancy=fmu.Discrepancy("modes", sd=0.02, correlation=0.0)) allows for a model whose modes are '
     "wrong, and widens the posterior and every prediction; model_sd for errors at single lines"
 )
+LEFT_TO_PRIOR = ": the data do not inform it and it keeps its prior, as if there are no more data than parameters"
 
 
 def scatter_sentences(trace: xr.DataTree) -> tuple[str, ...]:
@@ -30,13 +32,16 @@ def scatter_sentences(trace: xr.DataTree) -> tuple[str, ...]:
     problem = problem_of(trace)
     likelihood: Mapping[str, Any] = problem["likelihood"]
     noise, said = list(likelihood.get("noise", ())), []
+    told = information(trace) if likelihood.get("discrepancy") else None
+    left = {n for n, by in zip(told.names, told.basis, strict=True) if by == PRIOR} if told else set[str]()
     for one in likelihood.get("discrepancy", ()):
         if one["kind"] == "modes":
             said += _describe_modes(trace, one, noise)
             continue
         for number in dict.fromkeys(k for k in one["inferred"] if k >= 0):
             mine = [name for name, k in zip(one["names"], one["inferred"], strict=True) if k == number]
-            said.append(_describe_inferred(trace, noise[number], mine, problem["parameters"]))
+            sentence = _describe_inferred(trace, noise[number], mine, problem["parameters"])
+            said.append(f"{sentence}{LEFT_TO_PRIOR if noise[number] in left else ''}")
         for tau in dict.fromkeys(tau for tau in one["tau"] if tau > 0):
             mine = [name for name, other in zip(one["names"], one["tau"], strict=True) if other == tau]
             size = significant(100.0 * tau, 2)
