@@ -25,6 +25,11 @@ NOMINAL = {"E": 2.1e11, "rho": 7850.0, "m": 3.0}
 STEPS = [{"E": 2.4e11}, {"rho": 7000.0}, {"m": 4.0}]
 NEW = {"E": 1.83e11, "rho": 8123.0, "m": 1.7}
 AXES = "1.,1.,0.,-1.,1.,0."
+COUPLED = "*COUPLING,REF NODE=900,SURFACE=S,CONSTRAINT NAME=C1\n*KINEMATIC\n"
+SURFACE = f"*SURFACE,NAME=S,TYPE=NODE\nTIP\n{COUPLED}"
+SECOND = (
+    "*SURFACE,NAME=S2,TYPE=NODE\n3\n11\n19\n*COUPLING,REF NODE=901,SURFACE=S2,CONSTRAINT NAME=C2\n*KINEMATIC\n1,3"
+)
 KINDS = {
     "equation": (
         f"*EQUATION\n2\n900,1,1.,{A},1,-1.\n3\n900,2,2.,{A},2,-1.,{B},2,-1.\n5\n900,3,-3.,{A},3,.5,{B},3,-.2,{C},1,.1,\n"
@@ -36,6 +41,24 @@ KINDS = {
         {900, A, C},
     ),
     "rigid body": ("*RIGID BODY,NSET=TIP,REF NODE=900,ROT NODE=901", set(TIP)),
+    "rigid body without a node for its rotation": ("*RIGID BODY,NSET=TIP,REF NODE=900", set(TIP)),
+    "coupling": (f"{SURFACE}1,3", set(TIP)),
+    "coupling held about two axes": (
+        f"{SURFACE}1,3\n*BOUNDARY\n900,4,5", set(TIP),
+    ),
+    "coupling of the faces of solids, in two lines": (
+        f"*SURFACE,NAME=S\nLAST,S4\n{COUPLED}1,2\n3,3", set(TIP),
+    ),
+    "a coupling after a rigid body": (f"*RIGID BODY,NSET=TIP,REF NODE=900\n{SECOND}", {3, 11, 19, *TIP}),
+    "a rigid body after a coupling": (f"{SECOND}\n*RIGID BODY,NSET=TIP,REF NODE=900", {3, 11, 19, *TIP}),
+    "two rigid bodies": (
+        "*RIGID BODY,NSET=TIP,REF NODE=900\n*NSET,NSET=MID\n3,11,19,901\n*RIGID BODY,NSET=MID,REF NODE=901",
+        {3, 11, 19, *TIP},
+    ),
+    "a rigid body after one with a node for its rotation": (
+        "*NODE\n950,.35,.05,.2\n*RIGID BODY,NSET=TIP,REF NODE=900,ROT NODE=950\n*NSET,NSET=MID\n3,11,19\n"
+        "*RIGID BODY,NSET=MID,REF NODE=901", {3, 11, 19, *TIP},
+    ),
     "equations along turned axes": (
         f"*TRANSFORM,NSET=TIP\n{AXES}\n*EQUATION\n2\n900,1,1.,{A},1,-1.\n3\n{B},2,1.,{C},2,-1.,{A},1,.3\n*BOUNDARY\n900,2,3",
         {900, B},

@@ -6,11 +6,14 @@ the dependent one. Ansys, *Mechanical APDL command reference*, CE::
     CE,R5.0,DEFI,       3,       1,  0.00000000
     CE,R5.0,NODE,      12,UX  ,  1.00000000    ,      40,UX  , -1.00000000
     CE,R5.0,NODE,      40,ROTZ,  0.50000000
+
+Coupled sets are read as the command has them, ``CP,1,UX,12,13,14``: all nodes move as the first does. No public
+archive shows how ``CDWRITE`` writes them (``CP,R5.0,…``); these lines are not read, and a note says so.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from fmu.formats.constraints.equations import Equation, explicit_equation
 from fmu.formats.matrices.limits import MOST_DOFS, DofName, RefusedError
@@ -30,7 +33,8 @@ def equations_of(lines: Iterable[str]) -> tuple[list[Equation], list[str]]:
         If an equation is malformed, cut short, or does not determine its first degree of freedom.
     """
     found: list[Equation] = []
-    couplings = 0
+    coupled = _CoupledSets()
+    unread = 0
     terms: list[tuple[DofName, float]] = []
     missing = 0
     for line in lines:
@@ -38,7 +42,10 @@ def equations_of(lines: Iterable[str]) -> tuple[list[Equation], list[str]]:
             continue
         words = [word.strip().upper() for word in line.split(",")]
         if words[0] == "CP":
-            couplings += len(words) > 2 and words[2] == "DEFI"
+            if len(words) > 2 and words[1][:1] == "R":  # the release, as R5.0
+                unread += words[2] == "DEFI"
+            else:
+                coupled.add([*words[1:], "", ""])
             continue
         source = f"CE {len(found) + 1}"
         if len(words) > 3 and words[2] == "DEFI":
@@ -63,7 +70,42 @@ def equations_of(lines: Iterable[str]) -> tuple[list[Equation], list[str]]:
                 raise ValueError(f"{source} must have the terms that it begins with (it has more)")
     if missing:
         raise ValueError(f"CE {len(found) + 1} must have {missing} more terms")
-    return found, [f"{couplings} couplings (CP) are not read."] if couplings else []
+    found += coupled.equations()
+    how = "write each as CP,number,direction,nodes"
+    return found, [f"{unread} couplings (CP,R5.0,DEFI) are not read: {how}."] if unread else []
+
+
+class _CoupledSets:
+    """The sets of ``CP,NSET,Lab,NODE1,…,NODE17``: all nodes move as the first. Ansys, *Command reference*, CP."""
+
+    def __init__(self) -> None:
+        self.sets: dict[int, tuple[str, dict[int, None]]] = {}
+        self.highest = 0
+        self.n_nodes = 0
+
+    def add(self, words: Sequence[str]) -> None:
+        """Add the nodes of a line to a set, a new one or one that has nodes already."""
+        highest = self.highest
+        which = {"": max(highest, 1), "HIGH": max(highest, 1), "NEXT": highest + 1}.get(words[0])
+        which = _whole(words[0], "CP: the number of a set") if which is None else which
+        label, nodes = words[1], [_whole(word, f"CP {which}: a node") for word in words[2:] if word]
+        before, members = self.sets.get(which, ("", {}))
+        direction = _DIRECTION.get(label, "" if label else before)
+        if not direction or not nodes:
+            got = f"got {quote(label)}, {len(nodes)} nodes"
+            raise ValueError(f"CP {which} must have a direction of {', '.join(_DIRECTION)} and nodes ({got})")
+        members.update(dict.fromkeys(nodes))
+        self.sets[which], self.highest = (direction, members), max(highest, which)
+        self.n_nodes += len(nodes)
+        if self.n_nodes > MOST_DOFS:
+            raise RefusedError(f"must have coupled sets of at most {MOST_DOFS} nodes in all")
+
+    def equations(self) -> list[Equation]:
+        """Return the equations of all nodes but the first of each set."""
+        found: list[Equation] = []
+        for which, (direction, (first, *others)) in self.sets.items():
+            found += [Equation((node, direction), {(first, direction): 1.0}, f"CP {which}") for node in others]
+        return found
 
 
 def _name(node: str, label: str, source: str) -> DofName:

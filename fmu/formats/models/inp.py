@@ -6,11 +6,13 @@ meshio's reader of these files follows ``*INCLUDE`` to any path, has no size lim
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from fmu.formats.constraints.calculix import Constraints, constraints_of
+from fmu.formats.constraints.calculix import constraints_of
+from fmu.formats.constraints.calculix_keywords import Constraints
 from fmu.formats.matrices.limits import RefusedError, text_lines
+from fmu.formats.models.edges import SOLID_EDGES
 from fmu.formats.models.exported import MOST_ELEMENTS, MOST_NODES, Mesh, MeshFormat, mesh_of
 from fmu.formats.shown import quote
 
@@ -28,6 +30,12 @@ _TYPES = (
     (r"SPRINGA|SPRING2|DASHPOT[A2]|CONN3D2|GAPUNI|ITSCYL", _LINES),
     (r"SPRING1|DASHPOT1|MASS|ROTARYI|HEATCAP", _POINTS),
 )
+_FACES_OF = {
+    "tetra": ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)),
+    "wedge": ((0, 1, 2), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
+    "hexahedron": ((0, 1, 2, 3), (4, 7, 6, 5), (0, 4, 5, 1), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 4, 0)),
+}
+"""Indices of the corners of the faces S1, S2 … of CalculiX and Abaqus."""
 _REFUSED = {
     "INCLUDE": "the files that *INCLUDE names are not followed: put their lines in its place",
     "PART": "it has parts and instances, whose nodes have other numbers in the matrices: write a deck without "
@@ -56,12 +64,13 @@ def parse(lines: Iterator[str]) -> Mesh:
     nodes: dict[int, tuple[float, float, float]] = {}
     constraints = Constraints()
     numbered: dict[int, tuple[int, ...]] = {}
+    kind_of_element: dict[int, str] = {}
     node_set: list[int] = []
     element_set: list[int] = []
     elements: list[tuple[int, ...]] = []
     kinds: list[str] = []
     unknown: dict[str, None] = {}
-    is_transformed = False
+    is_transformed = is_stored = False
     reading, kind, needed = "", "", 0
     ahead: list[int] = []
     begun = ""
@@ -79,6 +88,7 @@ def parse(lines: Iterator[str]) -> Mesh:
             if reading in _REFUSED:
                 raise RefusedError(f"line {number}: {_REFUSED[reading]}")
             is_transformed |= reading == "TRANSFORM"
+            is_stored |= options.get("SOLVER") == "MATRIXSTORAGE"
             constraints.begin(reading, options, number)
             if reading in ("NODE", "ELEMENT") and "INPUT" in options:
                 raise RefusedError(f"line {number}: {_REFUSED['INCLUDE'].replace('INCLUDE', 'INPUT')}")
@@ -108,7 +118,7 @@ def parse(lines: Iterator[str]) -> Mesh:
                 ends = ahead[1 : needed + 1]
                 elements.append((ends[0], ends[2], ends[1]) if kind == "line3" else tuple(ends))
                 kinds.append(kind)
-                numbered[ahead[0]] = elements[-1]
+                numbered[ahead[0]], kind_of_element[ahead[0]] = elements[-1], kind
                 element_set.append(ahead[0])
                 ahead = []
                 if len(elements) > MOST_ELEMENTS:
@@ -120,12 +130,29 @@ def parse(lines: Iterator[str]) -> Mesh:
     notes = [f"Elements of the unknown type {quote(one)} are left out of the mesh." for one in unknown]
     if is_transformed:
         notes.append(TRANSFORMED)
-    equations, held, of_constraints = constraints_of(constraints, nodes, numbered)
+    is_numbered = is_stored and not unknown and set(kinds) <= {"vertex", *_SOLIDS.values()}
+
+    def face(element: int, name: str) -> list[int]:
+        return nodes_of_face(kind_of_element.get(element, ""), numbered.get(element, ()), name)
+
+    equations, held, of_constraints = constraints_of(constraints, nodes, numbered, face, is_numbered)
     mesh = mesh_of(nodes, elements, kinds, [*notes, *of_constraints])
     return mesh._replace(equations=tuple(equations), held=frozenset(held))
 
 
 TRANSFORMED = "The deck has *TRANSFORM: degrees of freedom are along global axes, as CalculiX writes them."
+
+
+def nodes_of_face(kind: str, nodes: Sequence[int], name: str) -> list[int]:
+    """Return the nodes of the face S1, S2 … of a solid element, midside nodes included; empty if it has none."""
+    shape = kind.rstrip("0123456789")
+    at = int(name[1:]) - 1 if re.fullmatch("S[1-6]", name) else 6
+    if at >= len(_FACES_OF.get(shape, ())):
+        return []
+    corners, edges = _FACES_OF[shape][at], SOLID_EDGES[shape]
+    n_corners = 1 + max(max(edge) for edge in edges)
+    middles = [node for edge, node in zip(edges, nodes[n_corners:], strict=False) if set(edge) <= set(corners)]
+    return [*(nodes[k] for k in corners), *middles]
 
 
 def kind_of(name: str) -> tuple[str, int]:

@@ -22,7 +22,41 @@ def test_equations_of_two_terms_a_line():
     assert [one.dependent for one in equations] == [(12, "x"), (13, "ry")]
     assert equations[0].weights == {(40, "x"): 0.5, (40, "rz"): -0.25}
     assert equations[1].weights == {(40, "ry"): 1.0}
-    assert notes == ["1 couplings (CP) are not read."]
+    assert notes == ["1 couplings (CP,R5.0,DEFI) are not read: write each as CP,number,direction,nodes."]
+
+
+def test_coupled_sets_follow_their_first_node():
+    """As the command has them: HIGH adds to the highest set, NEXT begins one, a set may go on."""
+    lines = ["CP,4,UX,12,13,14", "CP,4,,15,12", "CP,HIGH,UX,16", "cp,next,rotz,7,8", "CP,1,UY,12,13"]
+    equations, notes = equations_of(lines)
+    found = {one.dependent: dict(one.weights) for one in equations}
+    assert found == {
+        **{(node, "x"): {(12, "x"): 1.0} for node in (13, 14, 15, 16)},
+        (8, "rz"): {(7, "rz"): 1.0},
+        (13, "y"): {(12, "y"): 1.0},
+    }
+    assert not notes
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("CP,1,TEMP,12,13", r"CP 1 must have a direction of UX.*got 'TEMP'"),
+        ("CP,1,UX", r"and nodes \(got 'UX', 0 nodes"),
+        ("CP,1,,12", r"must have a direction"),
+        ("CP,1,ALL,12,13", r"got 'ALL'"),
+        ("CP,one,UX,12", r"number of a set must be a whole number \(got 'ONE'"),
+        ("CP,1,UX,12,-13", r"CP 1: a node must be a whole number \(got '-13'"),
+        ("CP", None),
+        ("CP,", r"must have a direction"),
+    ],
+)
+def test_broken_sets_are_refused(line, message):
+    if message is None:
+        assert equations_of([line]) == ([], [])
+        return
+    with pytest.raises(ValueError, match=message):
+        equations_of([line])
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import fmu
+from fmu.formats.models.inp import nodes_of_face
 
 DECK = """\
 *NODE, NSET=ALL
@@ -60,13 +61,74 @@ def test_cylindrical_axes(tmp_path):
 
 
 def test_what_is_not_read_is_told(tmp_path):
-    text = "*MPC\nBEAM, 1, 2\n*RIGID BODY, NSET=CORNERS, REF NODE=5\n*COUPLING, REF NODE=5, SURFACE=S\n"
+    text = "*MPC\nBEAM, 1, 2\n*RIGID BODY, NSET=CORNERS, REF NODE=5\n"
+    text += "*COUPLING, REF NODE=5, SURFACE=S\n*DISTRIBUTING\n1,3\n"
     notes = " ".join(read(tmp_path, text).notes)
     assert "*MPC in line" in notes
     assert "no ROT NODE: no sensors can be" in notes
-    assert "*COUPLING in line" in notes
+    assert "*COUPLING in line 15 with *DISTRIBUTING is not read." in notes
+    assert "*KINEMATICCOUPLING in line 13 is not read." in " ".join(
+        read(tmp_path, "*MPC\n*KINEMATIC COUPLING\n").notes
+    )
 
 
+CUBE = """\
+*NODE
+1, 0., 0., 0.
+2, 1., 0., 0.
+3, 1., 1., 0.
+4, 0., 1., 0.
+5, 0., 0., 1.
+6, 1., 0., 1.
+7, 1., 1., 1.
+8, 0., 1., 1.
+9, 3., 0., 0.
+*ELEMENT, TYPE=C3D8, ELSET=CUBE
+1, 1, 2, 3, 4, 5, 6, 7, 8
+"""
+STORED = "*STEP\n*FREQUENCY, SOLVER=MATRIXSTORAGE\n4\n*END STEP\n"
+COUPLING = "*SURFACE, NAME=S\nCUBE, S4\n*COUPLING, REF NODE=9, SURFACE=S, CONSTRAINT NAME=C\n*KINEMATIC\n1, 3\n"
+
+
+def test_a_coupling_of_a_face(tmp_path):
+    """The added node that rotates has the number 10; a rotation of the reference node is its displacement."""
+    (tmp_path / "job.inp").write_text(f"{CUBE}{COUPLING}*BOUNDARY\n9, 5\n{STORED}")
+    mesh = fmu.read_mesh(tmp_path / "job.inp")
+    found = {one.dependent: dict(one.weights) for one in mesh.equations}
+    assert {node for node, _ in found} == {2, 3, 6, 7, 9}
+    # r = (-2, 1, 1) for node 7
+    assert found[7, "x"] == pytest.approx({(9, "x"): 1.0, (10, "y"): 1.0, (10, "z"): -1.0})
+    assert found[9, "rx"] == {(10, "x"): 1.0}
+    assert mesh.held == {(10, "y")}
+
+
+def test_a_coupling_without_known_numbers_is_told(tmp_path):
+    (tmp_path / "job.inp").write_text(CUBE + COUPLING)
+    mesh = fmu.read_mesh(tmp_path / "job.inp")
+    assert not mesh.equations
+    assert "no sensors can be at its nodes" in mesh.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "nodes", "found"),
+    [
+        ("S6", "hexahedron", range(1, 9), {4, 8, 5, 1}),
+        ("S2", "hexahedron20", range(1, 21), {5, 8, 7, 6, 13, 14, 15, 16}),
+        ("S4", "hexahedron20", range(1, 21), {2, 6, 7, 3, 10, 14, 18, 19}),
+        ("S3", "tetra10", range(1, 11), {2, 4, 3, 9, 10, 6}),
+        ("S5", "wedge15", range(1, 16), {3, 1, 4, 6, 9, 13, 12, 15}),
+        ("S6", "wedge", range(1, 7), set()),
+        ("SPOS", "hexahedron", range(1, 9), set()),
+        ("S1", "quad", range(1, 5), set()),
+    ],
+)
+def test_nodes_of_faces(name, kind, nodes, found):
+    """As in CalculiX's manual, of *DLOAD."""
+    assert set(nodes_of_face(kind, list(nodes), name)) == found
+
+
+COUPLED = "*COUPLING, REF NODE=5, SURFACE=S\n*KINEMATIC\n1,3\n"
+ON_NODE = f"*SURFACE, NAME=S, TYPE=NODE\n1\n{COUPLED}".removesuffix("1,3\n")
 REFUSED = {
     "no factor": ("*EQUATION\n2\n1,1,0.,2,1,1.\n", r"the factor of node 1 x is zero"),
     "terms cut short": ("*EQUATION\n3\n1,1,1.,2,1,1.\n", r"must have 3 terms .*\(got 6 words\)"),
@@ -81,6 +143,34 @@ REFUSED = {
     "no reference": ("*RIGID BODY, NSET=CORNERS, ROT NODE=6\n", r"REF NODE must be a whole number"),
     "no body": ("*RIGID BODY, REF NODE=5, ROT NODE=6\n", r"its body has none"),
     "unknown body": ("*RIGID BODY, NSET=NONE, REF NODE=5, ROT NODE=6\n", r"a node or a node set"),
+    "no surface": (COUPLED, r"must name a surface \(got 'S'"),
+    "unknown set of a surface": (
+        f"*SURFACE, NAME=S\nNONE, S1\n{COUPLED}", r"an element set \(got 'NONE'",
+    ),
+    "face of a shell": (
+        f"*SURFACE, NAME=S\nPLATE, S1\n{COUPLED}", r"faces of solids .*no 'S1'",
+    ),
+    "surface without faces": (
+        f"*SURFACE, NAME=S\nPLATE\n{COUPLED}", r"a face in each line",
+    ),
+    "node of no surface": (
+        f"*SURFACE, NAME=S, TYPE=NODE\n77\n{COUPLED}", r"no node 77",
+    ),
+    "empty surface": (
+        f"*SURFACE, NAME=S, TYPE=NODE\n{COUPLED}", r"its body has none",
+    ),
+    "no reference of a coupling": (
+        "*SURFACE, NAME=S, TYPE=NODE\n1\n*COUPLING, SURFACE=S\n*KINEMATIC\n1,3\n", r"REF NODE must be a whole",
+    ),
+    "directions from last to first": (
+        f"{ON_NODE}3,1\n", r"directions must be 1 to 6",
+    ),
+    "rotations alone": (
+        f"{ON_NODE}4,6\n", r"directions 1 to 3",
+    ),
+    "no number of a direction": (
+        f"{ON_NODE}X\n", r"a direction must be a whole",
+    ),
     "axes on a line": ("*TRANSFORM, NSET=CORNERS\n1.,0.,0.,2.,0.,0.\n", r"axes of three directions"),
     "half the axes": ("*TRANSFORM, NSET=CORNERS\n1.,0.,0.\n", r"six coordinates \(got 3\)"),
     "node on the axis": (

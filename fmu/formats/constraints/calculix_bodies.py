@@ -1,0 +1,197 @@
+"""Rigid bodies in decks of CalculiX: *RIGID BODY, and *COUPLING with *KINEMATIC.
+
+The nodes of a body move as u = u_ref + u_rot × r. The rotation u_rot is the displacement of a node: of the
+ROT NODE, or of one that CalculiX adds and gives a number above all others. Couplings come first, then bodies, each
+in the order of the deck. A body takes a number for each of its nodes too, a coupling for each node and line of
+*KINEMATIC. These numbers are not documented: they are what CalculiX 2.20 writes of two bodies, which the tests
+repeat. Other decks, and those of shells and beams, which CalculiX expands, may have others.
+
+*COUPLING with *DISTRIBUTING spreads loads of a reference node that itself does not move: masses and springs on
+it do not act in CalculiX.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from fmu.formats.constraints.calculix_keywords import Constraints, Keyword, nodes_of, require_node, whole
+from fmu.formats.constraints.equations import Equation, equations_of
+from fmu.formats.constraints.rigid import Point, rigid_motion
+from fmu.formats.matrices.limits import MOST_DOFS, DofName, RefusedError
+from fmu.formats.shown import quote
+from fmu.types import DIRECTIONS
+
+_SHIFTS, _TURNS = DIRECTIONS[:3], DIRECTIONS[3:]
+
+
+class _Body(NamedTuple):
+    """A reference node, the node whose displacement is the rotation, if it is not added, and the dependents."""
+
+    reference: int
+    rotation: int | None
+    nodes: Sequence[int]
+    components: Sequence[int]
+    n_added: int
+    source: str
+
+
+def bodies_of(
+    found: Constraints,
+    places: Mapping[int, tuple[float, float, float]],
+    elements: Mapping[int, tuple[int, ...]],
+    face: Callable[[int, str], Sequence[int]],
+    is_numbered: bool,
+    held: set[DofName],
+) -> tuple[list[Equation], list[str]]:
+    """Return the equations of the bodies of a deck, and notes on constraints that are not read.
+
+    Parameters
+    ----------
+    found : Constraints
+    places : mapping of int to (float, float, float)
+        Coordinates of the nodes.
+    elements : mapping of int to tuple of int
+        Nodes of the elements.
+    face : callable
+        ``face(element, "S3")`` returns the nodes of a face of a solid element.
+    is_numbered : bool
+        Whether the numbers of added nodes are known: the deck makes CalculiX store matrices, and has solids only.
+    held : set of (node, direction)
+        What supports hold. Of rotations that are the displacements of added nodes, the latter are put in their
+        place.
+
+    Raises
+    ------
+    RefusedError, ValueError
+        If a keyword is malformed, or names an unknown node, set or surface.
+    """
+    surfaces = {one.options.get("NAME", ""): one for one in found.keywords if one.name == "SURFACE"}
+    notes: list[str] = []
+    bodies = [*_couplings(found, places, surfaces, face, notes), *_rigid_bodies(found, places, elements)]
+    equations: list[Equation] = []
+    last = max(places, default=0)
+    for body in bodies:
+        rotation = body.rotation
+        if rotation is None and (not is_numbered or notes):
+            notes.append(
+                f"{body.source} has no ROT NODE: no sensors can be at its nodes, except in decks of solids for "
+                "CalculiX with SOLVER=MATRIXSTORAGE."
+            )
+            continue
+        if rotation is None:
+            rotation = last + 1
+            for turn, shift in zip(_TURNS, _SHIFTS, strict=True):
+                if (body.reference, turn) in held:
+                    held.remove((body.reference, turn))
+                    held.add((rotation, shift))
+                else:
+                    equations.append(Equation((body.reference, turn), {(rotation, shift): 1.0}, body.source))
+        last += body.n_added + (body.rotation is None)
+        names = [*((body.reference, d) for d in _SHIFTS), *((rotation, d) for d in _SHIFTS)]
+        centre = Point(body.reference, np.array(places[body.reference]), np.eye(3))
+        for node in body.nodes:
+            S = rigid_motion(Point(node, np.array(places[node]), np.eye(3)), centre)[list(body.components)]
+            dependents = [(node, DIRECTIONS[k]) for k in body.components]
+            equations += equations_of(dependents, names, S, body.source)
+        if len(equations) > 3 * MOST_DOFS:
+            raise RefusedError(f"must have rigid bodies with at most {MOST_DOFS} nodes in all")
+    return equations, notes
+
+
+def _rigid_bodies(
+    found: Constraints, places: Mapping[int, tuple[float, float, float]], elements: Mapping[int, tuple[int, ...]]
+) -> Iterator[_Body]:
+    for one in found.keywords:
+        if one.name != "RIGIDBODY":
+            continue
+        reference = whole(one.options.get("REFNODE", "?"), f"{one.source}: REF NODE")
+        rotation = whole(one.options["ROTNODE"], f"{one.source}: ROT NODE") if "ROTNODE" in one.options else None
+        if "NSET" in one.options:
+            nodes = nodes_of(found, one.options["NSET"], one.source)
+        else:
+            which = found.elements_of.get(one.options.get("ELSET", ""), [])
+            nodes = [node for element in which for node in elements.get(element, ())]
+        if rotation is not None:
+            require_node(rotation, places, one.source)
+        yield _body(reference, rotation, nodes, (0, 1, 2), 1, places, one)
+
+
+def _couplings(
+    found: Constraints,
+    places: Mapping[int, tuple[float, float, float]],
+    surfaces: Mapping[str, Keyword],
+    face: Callable[[int, str], Sequence[int]],
+    notes: list[str],
+) -> Iterator[_Body]:
+    """Yield the kinematic couplings, and add a note on each coupling that is not read."""
+    for one, kind in zip(found.keywords, [*found.keywords[1:], Keyword("", {}, 0)], strict=True):
+        if one.name != "COUPLING":
+            continue
+        if kind.name != "KINEMATIC" or "ORIENTATION" in one.options:
+            why = (
+                "with ORIENTATION" if "ORIENTATION" in one.options else f"with *{kind.name or 'nothing after it'}"
+            )
+            notes.append(f"{one.source} {why} is not read.")
+            continue
+        reference = whole(one.options.get("REFNODE", "?"), f"{one.source}: REF NODE")
+        name = one.options.get("SURFACE", "")
+        if name not in surfaces:
+            raise RefusedError(f"{one.source} must name a surface (got {quote(name)})")
+        nodes = list(dict.fromkeys(_nodes_of_surface(found, surfaces[name], face)))
+        components: dict[int, None] = {}
+        lines = 0
+        for words in kind.rows():
+            first = whole(words[0], f"{kind.source}: a direction")
+            last = whole(words[1], f"{kind.source}: a direction") if len(words) > 1 and words[1] else first
+            if not 1 <= first <= last <= 6:
+                raise ValueError(f"{kind.source}: directions must be 1 to 6 (got {quote(words)})")
+            components |= dict.fromkeys(range(first - 1, min(last, 3)))
+            lines += 1
+        if not components:
+            raise ValueError(f"{kind.source} must have directions 1 to 3 (it has none)")
+        yield _body(reference, None, nodes, tuple(components), lines, places, one)
+
+
+def _body(
+    reference: int,
+    rotation: int | None,
+    nodes: Sequence[int],
+    components: Sequence[int],
+    n_lines: int,
+    places: Mapping[int, tuple[float, float, float]],
+    one: Keyword,
+) -> _Body:
+    for node in (reference, *nodes):
+        require_node(node, places, one.source)
+    if not nodes:
+        raise RefusedError(f"must have the nodes of all constraints (its body has none, of {one.source})")
+    own = [node for node in dict.fromkeys(nodes) if node not in (reference, rotation)]
+    return _Body(reference, rotation, own, components, n_lines * len(own), one.source)
+
+
+def _nodes_of_surface(
+    found: Constraints, one: Keyword, face: Callable[[int, str], Sequence[int]]
+) -> Iterator[int]:
+    for words in one.rows():
+        if one.options.get("TYPE", "ELEMENT") == "NODE":
+            nodes = nodes_of(found, words[0], one.source)
+            found.count(len(nodes), one.source)
+            yield from nodes
+            continue
+        if len(words) < 2:
+            raise ValueError(f"{one.source} must have an element or a set and a face in each line")
+        which = (
+            [int(words[0])] if words[0].isdecimal() and len(words[0]) <= 10 else found.elements_of.get(words[0])
+        )
+        if which is None:
+            raise RefusedError(f"{one.source} must name an element or an element set (got {quote(words[0])})")
+        found.count(20 * len(which), one.source)
+        for element in which:
+            of_face = face(element, words[1])
+            if not of_face:
+                where = f"element {element} has no {quote(words[1])}"
+                raise RefusedError(f"{one.source} must have faces of solids ({where})")
+            yield from of_face

@@ -1,0 +1,135 @@
+"""Keywords of decks of CalculiX and Abaqus with sets and constraints, and what their lines name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from fmu.formats.matrices.limits import MOST_ENTRIES, RefusedError
+from fmu.formats.shown import quote
+
+KEYWORDS = (
+    "EQUATION",
+    "RIGIDBODY",
+    "BOUNDARY",
+    "TRANSFORM",
+    "NSET",
+    "ELSET",
+    "SURFACE",
+    "COUPLING",
+    "KINEMATIC",
+    "DISTRIBUTING",
+    "MPC",
+)
+UNREAD = ("MPC", "KINEMATICCOUPLING", "DISTRIBUTINGCOUPLING", "EMBEDDEDELEMENT")
+"""Keywords of constraints that are not read, without blanks."""
+MOST_CHARACTERS = 2**28
+"""Largest number of characters of sets and constraints."""
+
+
+@dataclass(eq=False)
+class Keyword:
+    """A keyword with its options and its lines.
+
+    Attributes
+    ----------
+    name : str
+    options : mapping of str to str
+    line : int
+        Number of its line, for messages.
+    lines : list of str
+    """
+
+    name: str
+    options: Mapping[str, str]
+    line: int
+    lines: list[str] = field(default_factory=list)
+
+    def rows(self) -> Iterator[list[str]]:
+        """Yield the words of each line, in upper case."""
+        for line in self.lines:
+            yield [word.strip().upper() for word in line.rstrip(",").split(",")]
+
+    @property
+    def source(self) -> str:
+        """The words that name the keyword in messages."""
+        name = self.name.replace("RIGIDBODY", "RIGID BODY")
+        return f"*{name} in line {self.line}"
+
+
+@dataclass(eq=False)
+class Constraints:
+    """The constraints and sets of a deck, in its order.
+
+    Attributes
+    ----------
+    nodes_of : dict of str to list of int
+        Node sets, by name.
+    elements_of : dict of str to list of int
+        Element sets, by name.
+    """
+
+    nodes_of: dict[str, list[int]] = field(default_factory=dict)
+    elements_of: dict[str, list[int]] = field(default_factory=dict)
+    keywords: list[Keyword] = field(default_factory=list)
+    n_characters: int = 0
+    n_members: int = 0
+
+    def begin(self, name: str, options: Mapping[str, str], line: int) -> None:
+        """Begin a keyword; its name and options are in upper case and without blanks."""
+        if name in KEYWORDS or name in UNREAD:
+            self.keywords.append(Keyword(name, options, line))
+
+    def add(self, name: str, line: str) -> None:
+        """Add a line to the last keyword, if its name is `name`."""
+        if not self.keywords or self.keywords[-1].name != name:
+            return
+        self.n_characters += len(line)
+        if self.n_characters > MOST_CHARACTERS:
+            raise RefusedError(f"must have sets and constraints of at most {MOST_CHARACTERS} characters")
+        self.keywords[-1].lines.append(line)
+
+    def count(self, n_members: int, source: str) -> None:
+        """Raise RefusedError if sets have too many members in all."""
+        self.n_members += n_members
+        if self.n_members > MOST_ENTRIES:
+            raise RefusedError(f"must have sets of at most {MOST_ENTRIES} members in all ({source} has more)")
+
+
+def add_set(found: Constraints, one: Keyword) -> None:
+    """Add the members of a set, each once; a set may name sets before it."""
+    kind = found.nodes_of if one.name == "NSET" else found.elements_of
+    into = dict.fromkeys(kind.get(one.options.get(one.name, ""), []))
+    for words in one.rows():
+        if "GENERATE" in one.options:
+            first, last, step = (*(whole(word, one.source) for word in words[:3] if word), 1)[:3]
+            found.count(max(last - first, 0) // max(step, 1), one.source)
+            into |= dict.fromkeys(range(first, last + 1, max(step, 1)))
+            continue
+        for word in filter(None, words):
+            members = [int(word)] if word.isdecimal() and len(word) <= 10 else kind.get(word, [])
+            found.count(len(members), one.source)
+            into |= dict.fromkeys(members)
+    kind[one.options.get(one.name, "")] = list(into)
+
+
+def nodes_of(found: Constraints, word: str, source: str) -> list[int]:
+    """Return the node of a number, or the nodes of a set; RefusedError if there is no such set."""
+    if word.isdecimal() and len(word) <= 10:
+        return [int(word)]
+    if word not in found.nodes_of:
+        raise RefusedError(f"{source} must name a node or a node set (got {quote(word)})")
+    return found.nodes_of[word]
+
+
+def require_node(node: int, places: Mapping[int, tuple[float, float, float]], source: str) -> None:
+    """Raise RefusedError if there is no node of this number."""
+    if node not in places:
+        raise RefusedError(f"must have the nodes of all constraints (there is no node {node}, of {source})")
+
+
+def whole(word: str, what: str) -> int:
+    """Return a whole number; ValueError, with the words `what`, if it is not one."""
+    if not (word.isdecimal() and len(word) <= 10):
+        raise ValueError(f"{what} must be a whole number (got {quote(word)})")
+    return int(word)
