@@ -72,7 +72,8 @@ def limits(rows: Mapping[str, Mapping[str, Any]]) -> str:
     return (
         f"{' and '.join(words).capitalize()} would fill {significant(ALLOWED_GIB)} GiB: computed from the peaks "
         "above, with all memory growing as the factors by nested dissection do, as n^(4/3) in solids and as "
-        "n log n in shells. Beyond that a run is refused before its factors are made.\n"
+        "n log n in shells. Factors that do not fit in the memory of a machine are kept in files, which takes "
+        "longer.\n"
     )
 
 

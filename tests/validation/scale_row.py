@@ -19,6 +19,9 @@ from typing import Any
 import numpy as np
 
 from fmu.fem.modes import full_block, solver
+from fmu.fem.modes.factors.banded import BandedFactor
+from fmu.fem.modes.factors.pardiso import Pardiso
+from fmu.fem.modes.factors.superlu import SuperLU
 from fmu.fem.reduced.basis import ReducedBlock
 from fmu.posterior.reduction import train_reduced as focus
 from tests.validation.scale_model import Size, scale_problem
@@ -102,7 +105,7 @@ def measured(row: Row) -> dict[str, Any]:
     if solver.sparse_solver() != row.solver:
         raise RuntimeError(f"row {row.name} is of {row.solver} (here: {solver.sparse_solver()})")
     full = Stopwatch(full_block, "eigen")
-    kinds = (solver._BandedFactor, solver._SuperLU, solver._Pardiso)
+    kinds = (BandedFactor, SuperLU, Pardiso)
     factors = [Stopwatch(kind, "__init__") for kind in kinds]
     loads = [Stopwatch(kind, "solve", lambda _, b: 1 if b.ndim == 1 else b.shape[1]) for kind in kinds]
     began, busy = time.perf_counter(), time.process_time()

@@ -7,8 +7,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import fmu
-from fmu.fem.modes import full_block, solver
+from fmu.fem.modes import full_block
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
+from fmu.fem.modes.factors import banded, pardiso
 from fmu.fem.reduced import anchors, confirming, residuals, shared
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.reduction import tolerance, train_reduced
@@ -163,11 +164,11 @@ def test_factors_in_single_precision_certify_the_same_posterior(measured, monkey
     for module in (full_block, anchors, shared, confirming, tolerance):
         monkeypatch.setattr(module, "LARGE", DENSE_LIMIT)
     monkeypatch.setenv("FMU_CACHE_DIR", "")
-    monkeypatch.setattr(solver, "_SHARE", 0.0)
-    monkeypatch.setattr(solver, "_NARROW", 0)  # no band of LAPACK's
-    solver._band.cache_clear()
+    monkeypatch.setattr(pardiso, "_SHARE", 0.0)
+    monkeypatch.setattr(banded, "_NARROW", 0)  # no band of LAPACK's
+    banded.find_band.cache_clear()
     problem = scale_problem(SIZE, 2, reduction=True)
-    solver._band.cache_clear()
+    banded.find_band.cache_clear()
     (block,) = problem.model.truth.blocks
     assert block.clear_factor(problem.start).is_single
     found = problem.model.truth.frequencies(problem.start[None])

@@ -1,0 +1,39 @@
+"""Which matrices are large, and whether their factors fit in the memory that is free."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from fmu.engines.memory import free_memory
+from fmu.numbers import significant, whole
+from fmu.progress.phases import tell_fact
+
+LARGE = 20_000
+"""Degrees of freedom of a block from which on a factorisation is dear: factors are kept and used again."""
+
+
+def require_memory(needed: int, n_dof: int, advice: str = "coarsen or condense the model") -> None:
+    """Raise MemoryError if factors of `n_dof` rows need more bytes than are free; otherwise log what they need."""
+    free = free_memory()
+    if free is not None and needed > free:
+        beside = f"and {significant(free / 2**30, 3)} GiB of memory are free"
+        raise MemoryError(f"{needed_in_words(needed, n_dof)}, {beside}; {advice}")
+    if n_dof >= LARGE:
+        _tell_once(n_dof, significant(needed / 2**30, 2))
+
+
+def is_short(needed: int) -> bool:
+    """Return True if so many bytes are not free, as far as that is known."""
+    free = free_memory()
+    return free is not None and needed > free
+
+
+def needed_in_words(needed: int, n_dof: int) -> str:
+    """Return a clause on the bytes that factors of `n_dof` rows need."""
+    return f"the factors of {whole(n_dof)} degrees of freedom need {significant(needed / 2**30, 3)} GiB"
+
+
+@cache
+def _tell_once(n_dof: int, gib: str) -> None:
+    """Log the memory of factors, once for each size."""
+    tell_fact(f"The factors of {whole(n_dof)} degrees of freedom will take {gib} GiB of memory.")

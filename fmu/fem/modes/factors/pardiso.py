@@ -1,0 +1,198 @@
+"""Factors by PARDISO of Intel's MKL (package pypardiso)."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+import warnings
+import weakref
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from fmu.engines.memory import free_memory, total_memory
+from fmu.fem.modes.factors.memory import LARGE, is_short, needed_in_words, require_memory
+from fmu.fem.refinement import RefinedFactor
+from fmu.numbers import whole
+from fmu.types import FloatArray
+
+# From PARDISO's manual: types of matrices, phases of a solution, the smallest pivot as a negative power of ten,
+# and the number of its domain.
+_DEFINITE, _INDEFINITE = 2, -2
+_ANALYSE, _ELIMINATE, _SOLVE, _RELEASE = 11, 22, 33, -1
+_TINY, _OF_PARDISO = 20, 4
+# PARDISO divides its work among at most this many threads, and into the same parts with fewer threads.
+_MOST_THREADS = 8
+# Share of the machine's memory that factors in double precision may take. A run takes four to five times as much:
+# factors of two matrices, copies of the matrices, and vectors. The share does not depend on what is free, so that
+# results do not.
+_SHARE = 1.0 / 6.0
+# Parameters of PARDISO: to count the entries of the factors, and to keep factors in files. Environment variables
+# that it reads at the analysis: the folder of the files, and the megabytes of factors in memory.
+_COUNT, _IN_FILES = -1, 2
+_PATH, _CORE = "MKL_PARDISO_OOC_PATH", "MKL_PARDISO_OOC_MAX_CORE_SIZE"
+_USERS_FOLDER = os.environ.get(_PATH)
+# Errors of PARDISO: without memory, and with files that cannot be opened, read or written.
+_WITHOUT_MEMORY, _WITHOUT_FILES = (-2, -9), (-10, -11)
+
+
+def n_threads() -> int:
+    """Return the number of threads on which PARDISO factorises, at most 8.
+
+    It is the environment variable ``MKL_NUM_THREADS`` or, without it, ``OMP_NUM_THREADS``; fmu's engines and Dask
+    set both to 1 in their workers. Without both it is the number of processors that this process may use.
+    """
+    given = os.environ.get("MKL_NUM_THREADS") or os.environ.get("OMP_NUM_THREADS") or ""
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(max(int(given) if given.isdecimal() else usable, 1), _MOST_THREADS)
+
+
+class _LargeFactorsError(Exception):
+    """The error for factors that are to be made in single precision."""
+
+
+def by_pardiso(matrix: sp.csr_array, is_definite: bool) -> Pardiso | RefinedFactor:
+    """Return the factors of a symmetric matrix, in single precision if they would take much of the memory."""
+    try:
+        return Pardiso(matrix, is_definite)
+    except _LargeFactorsError:
+        pass  # the exception would keep the analysis in memory
+    return RefinedFactor(matrix, partial(Pardiso, is_single=True), is_definite)
+
+
+class Pardiso:
+    """Cholesky factors, or the factors L D Lᵀ of an indefinite matrix, with a diagonal D.
+
+    If the factors do not fit in the memory that is free, they are kept in files, of which PARDISO holds a part in
+    memory. Factors in files and factors in memory differ by rounding.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the matrix is singular, or if factors in single precision are not definite as expected.
+    MemoryError
+        If the factors fit neither in memory nor on disk.
+    OSError
+        If the files cannot be written.
+
+    Warns
+    -----
+    UserWarning
+        If the factors are kept in files.
+    """
+
+    L: FloatArray | None = None
+
+    def __init__(self, matrix: sp.csr_array, is_definite: bool = True, is_single: bool = False) -> None:
+        self._upper, self.negative, self.is_single = _upper_triangle(matrix), 0, is_single
+        if is_single:
+            self._upper = self._upper.astype(np.float32)
+        self._in_memory: int | None = None  # bytes of factors in files that PARDISO may hold in memory
+        if is_definite:
+            try:
+                self._factorise(_DEFINITE)
+                return
+            except np.linalg.LinAlgError:
+                if is_single:
+                    raise
+        self._factorise(_INDEFINITE)
+        self.negative = matrix.shape[0] - int(self._solver.get_iparm(22))
+        if self._solver.get_iparm(14):
+            raise np.linalg.LinAlgError("the matrix is singular")
+
+    @property
+    def n_entries(self) -> int:
+        """Number of entries of L and its transpose."""
+        return 2 * int(self._solver.get_iparm(18))
+
+    @property
+    def n_bytes(self) -> int:
+        """Memory of the factors, or of the part of them that may be in memory."""
+        n_bytes = sum(1024 * int(self._solver.get_iparm(i)) for i in (16, 17))
+        return n_bytes if self._in_memory is None else min(n_bytes, self._in_memory)
+
+    def solve(self, loads: FloatArray) -> FloatArray:
+        """Return A⁻¹ b for b of shape (n,) or (n, m)."""
+        return _call(self._solver, self._upper, _SOLVE, loads)
+
+    def _factorise(self, of: int) -> None:
+        self._analyse(of)
+        of_analysis, lasting, of_factors = (1024 * int(self._solver.get_iparm(i)) for i in (15, 16, 17))
+        needed, n = max(of_analysis, lasting + of_factors), self._upper.shape[0]
+        if not self.is_single and lasting + of_factors > _SHARE * total_memory():
+            raise _LargeFactorsError
+        half = (free_memory() or 0) // 2  # other factors and vectors need memory too
+        if is_short(needed) and lasting < half and (folder := _folder_for(needed)):
+            kept = f"they are kept in files in {Path(folder).parent}, which takes longer"
+            warnings.warn(f"{needed_in_words(needed, n)}, more than are free; {kept}", stacklevel=2)
+            self._in_memory = half
+            os.environ |= {_PATH: folder, _CORE: str(half // 2**20)}
+            weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)  # after PARDISO has let go of it
+            self._analyse(of, _IN_FILES)
+        else:
+            require_memory(needed, n)
+        _call(self._solver, self._upper, _ELIMINATE)
+
+    def _analyse(self, of: int, where: int = 0) -> None:
+        self._solver = _pardiso()(mtype=of)
+        weakref.finalize(self, _call, self._solver, self._upper, _RELEASE).atexit = False
+        # METIS, unmodified pivots, as PARDISO's own settings would change pivots below 1e-8 of the largest entry,
+        # and a count of the entries
+        parameters = {1: 1, 2: 2, 10: _TINY, 18: _COUNT, 28: self.is_single, 34: _MOST_THREADS, 60: where}
+        for i, value in parameters.items():
+            self._solver.iparm[i - 1] = value
+        _call(self._solver, self._upper, _ANALYSE)
+
+
+def _folder_for(n_bytes: int) -> str | None:
+    """Return a new folder on a disk that has room for so many bytes, None without room.
+
+    It is in the folder that the environment variable ``MKL_PARDISO_OOC_PATH`` names, or else in that for temporary
+    files.
+    """
+    folder = tempfile.mkdtemp(prefix="fmu-factors-", dir=_USERS_FOLDER)
+    if shutil.disk_usage(folder).free > n_bytes:
+        return folder
+    os.rmdir(folder)
+    return None
+
+
+def _call(solver: Any, upper: sp.csr_array, phase: int, loads: FloatArray | None = None) -> FloatArray:
+    from pypardiso.pardiso_wrapper import PyPardisoError
+
+    n = upper.shape[0]
+    # the solution of several right-hand sides on several threads would depend on their number
+    solver.libmkl.MKL_Domain_Set_Num_Threads(n_threads() if phase == _ELIMINATE and n >= LARGE else 1, _OF_PARDISO)
+    solver.set_phase(phase)
+    try:
+        loads = np.zeros(n) if loads is None else loads
+        return solver._call_pardiso(upper, np.asfortranarray(loads, dtype=upper.dtype)).astype(float, copy=False)
+    except PyPardisoError as error:
+        if error.value in _WITHOUT_MEMORY:
+            raise MemoryError(f"the factors of {whole(n)} degrees of freedom do not fit in memory") from error
+        if error.value in _WITHOUT_FILES:
+            raise OSError(f"the factors of {whole(n)} degrees of freedom could not be kept in files") from error
+        raise np.linalg.LinAlgError(f"PARDISO ended with error {error.value}") from error
+
+
+def _upper_triangle(matrix: sp.csr_array) -> sp.csr_array:
+    """Return the upper triangle with every diagonal entry stored, even if it is zero."""
+    entries = sp.triu(matrix, format="coo")
+    n = matrix.shape[0]
+    rows, columns = (np.concatenate([of, np.arange(n)]) for of in entries.coords)
+    upper = sp.csr_array((np.concatenate([entries.data, np.zeros(n)]), (rows, columns)), shape=matrix.shape)
+    upper.sum_duplicates()
+    return upper
+
+
+@cache
+def _pardiso() -> Any:
+    from pypardiso import PyPardisoSolver
+
+    # each new solver would look for the library in all directories, which takes a second
+    os.environ.setdefault("PYPARDISO_MKL_RT", PyPardisoSolver().libmkl._name)
+    return PyPardisoSolver
