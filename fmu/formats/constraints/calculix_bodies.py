@@ -13,6 +13,7 @@ it do not act in CalculiX.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -127,7 +128,7 @@ def _couplings(
     notes: list[str],
 ) -> Iterator[_Body]:
     """Yield the kinematic couplings, and add a note on each coupling that is not read."""
-    for one, kind in zip(found.keywords, [*found.keywords[1:], Keyword("", {}, 0)], strict=True):
+    for one, kind in pairwise([*found.keywords, Keyword("", {}, 0)]):
         if one.name != "COUPLING":
             continue
         if kind.name != "KINEMATIC" or "ORIENTATION" in one.options:
