@@ -51,6 +51,8 @@ _CONVERGED = 1e-12
 # Steps of conjugate gradients, of refinement, and of power iteration. A step of refinement that leaves a larger
 # share of the error than _SLOW is too slow.
 _STEPS, _REFINED, _POWER, _SLOW = 100, 60, 10, 0.5
+# Right-hand sides that are solved for together, because each takes several vectors.
+_TOGETHER = 8
 # Shares of the diagonal that are added to a definite matrix until its factors in single precision exist.
 _ADDED = (0.0, 3e-8, 3e-7)
 
@@ -109,7 +111,10 @@ class RefinedFactor:
     def solve(self, loads: FloatArray) -> FloatArray:
         """Return A⁻¹ b for b of shape (n,) or (n, m); StalledError if the iterations do not converge."""
         by = conjugate_gradients if self._is_definite else refine
-        return by(self._matrix, self._factor.solve, loads.reshape(len(loads), -1)).reshape(loads.shape)
+        columns = loads.reshape(len(loads), -1)
+        strips = (columns[:, first : first + _TOGETHER] for first in range(0, columns.shape[1], _TOGETHER))
+        found = [by(self._matrix, self._factor.solve, strip) for strip in strips]
+        return np.concatenate(found, axis=1).reshape(loads.shape) if found else np.zeros_like(loads)
 
     def _definite_factor(self, make: Callable[[sp.csr_array, bool], SingleFactor]) -> SingleFactor | None:
         """Return factors with which conjugate gradients converge for a random b; None if there are none."""

@@ -1,4 +1,4 @@
-"""Large structures as files of ``fmu run``: frames, plates of hexahedra by scikit-fem, wing boxes of shells."""
+"""Large structures as files of ``fmu run``: frames, space frames, plates of hexahedra, wing boxes of shells."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from scipy.io import mmwrite
 from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.modes.modal import frequency_hz
 from fmu.types import FloatArray
-from tests.validation import wing_box
+from tests.validation import space_frame, wing_box
 from tests.validation.scale_model import BOUND, NOISE, SD, Size, frame_model, measured_by
 from tests.validation.scale_model import E as CONCRETE
 
@@ -52,6 +52,15 @@ def write_wing(folder: Path, cells: tuple[int, int, int]) -> Path:
     for name, matrix in _named(list(stiffness.values()), mass):
         sp.save_npz(folder / f"{name}.npz", sp.csr_matrix(matrix), compressed=False)
     return _problem(folder, "wing", ".npz", len(stiffness), wing_box.E, measured)
+
+
+def write_space_frame(folder: Path, bays: tuple[int, int]) -> Path:
+    """Write the problem of a space frame, its matrices as .npz files; return the problem file."""
+    stiffness, mass = space_frame.matrices(bays)
+    measured = _measured(stiffness, mass, space_frame.STEEL.E, WING_MODES)
+    for name, matrix in _named(stiffness, mass):
+        sp.save_npz(folder / f"{name}.npz", sp.csr_matrix(matrix), compressed=False)
+    return _problem(folder, "space-frame", ".npz", len(stiffness), space_frame.STEEL.E, measured)
 
 
 def _measured(stiffness: Sequence[Any], mass: Any, modulus: float, n_modes: int) -> FloatArray:

@@ -20,7 +20,7 @@ from typing import Any, Literal
 
 import fmu
 from fmu.fem.modes.solver import PARDISO
-from tests.validation.large_files import write_frame, write_plate, write_wing
+from tests.validation.large_files import write_frame, write_plate, write_space_frame, write_wing
 from tests.validation.scale_model import Size
 from tests.validation.scale_row import peak_gib
 
@@ -29,9 +29,9 @@ CHAINS = 4
 
 @dataclass(frozen=True)
 class WholeRun:
-    """What is run: a frame by its size, a plate or a wing box by its cells."""
+    """What is run: a frame by its size, a plate or a wing box by its cells, a space frame by its bays and one."""
 
-    kind: Literal["frame", "plate", "wing"]
+    kind: Literal["frame", "plate", "wing", "space-frame"]
     size: tuple[int, int, int]
     parameters: int
     solver: str = PARDISO
@@ -45,6 +45,8 @@ class WholeRun:
         """Write the problem and its matrices."""
         if self.kind == "frame":
             return write_frame(folder, Size(*self.size), self.parameters)
+        if self.kind == "space-frame":
+            return write_space_frame(folder, self.size[:2])
         return (write_plate if self.kind == "plate" else write_wing)(folder, self.size)
 
 
