@@ -51,6 +51,8 @@ class Allowance(NamedTuple):
         The τ if it is known.
     correlation : float or None
         The correlation of the scatter of each over the modes; None if it is inferred, one for each.
+    twice : bool
+        Whether each has two scatters, an independent one and one in common, each with a τ of its own.
     """
 
     words: str
@@ -59,12 +61,14 @@ class Allowance(NamedTuple):
     wider: float = 1.0
     tau: float | None = None
     correlation: float | None = 0.0
+    twice: bool = False
 
 
 EVERY = (
     Allowance("nothing"),
     Allowance("scatter of all three", HELD),
     Allowance("scatter of all three, correlations inferred", HELD, correlation=None),
+    Allowance("two scatters of all three, independent and in common", HELD, twice=True),
 )
 ROWS = (
     *((kind, allowance) for kind in ("right", "joint", "thickness", "mass") for allowance in EVERY),
@@ -114,25 +118,32 @@ def measured(rng: np.random.Generator, kind: str, E: FloatArray, S: FloatArray) 
 
 
 def _scatters(allowance: Allowance) -> tuple[FloatArray, FloatArray]:
-    """Return points of the priors of τ and of the correlation ρ of each value that scatters, (k, q) each."""
+    """Return points of the priors of the independent scatter of each value and of that in common, (k, q) each.
+
+    With one scatter τ of the correlation ρ they are √(1 − ρ) τ and √ρ τ.
+    """
     q = len(allowance.scattered)
     if not q:
         return np.zeros((1, 0)), np.zeros((1, 0))
     inferred = allowance.correlation is None
-    u = qmc.Sobol(q * (1 + inferred), rng=np.random.default_rng(SEED)).random_base2(POINTS + 2 * inferred)
-    tau = allowance.wider * np.array([SIZES[name] for name in allowance.scattered]) * halfnorm.ppf(u[:, :q])
-    tau = tau if allowance.tau is None else np.array([[allowance.tau]])
-    return tau, u[:, q:] if inferred else np.full(tau.shape, allowance.correlation)
+    more = inferred or allowance.twice
+    u = qmc.Sobol(q * (1 + more), rng=np.random.default_rng(SEED)).random_base2(POINTS + 2 * more)
+    sizes = allowance.wider * np.array([SIZES[name] for name in allowance.scattered])
+    tau = sizes * halfnorm.ppf(u[:, :q]) if allowance.tau is None else np.array([[allowance.tau]])
+    if allowance.twice:
+        return tau, sizes * halfnorm.ppf(u[:, q:])
+    rho = u[:, q:] if inferred else np.full(tau.shape, allowance.correlation)
+    return np.sqrt(1.0 - rho) * tau, np.sqrt(rho) * tau
 
 
 def updated(kind: str, allowance: Allowance) -> Row:
     """Return what the intervals of moduli of structures with an error of the model of this kind did."""
     rng, (E, S) = np.random.default_rng(SEED), slopes()
     scattered, new = ([HELD.index(name) for name in names] for names in (allowance.scattered, allowance.updated))
-    tau, rho = _scatters(allowance)
-    own = ((1.0 - rho) * tau**2) @ S[:, scattered].T ** 2
+    independent, common = _scatters(allowance)
+    tau, own = np.hypot(independent, common), independent**2 @ S[:, scattered].T ** 2
     fixed_columns = np.broadcast_to(np.hstack([E, S[:, new]]), (len(tau), MODES, 2 + len(new)))
-    A = np.concatenate([fixed_columns, S[:, scattered] * (np.sqrt(rho) * tau)[:, None]], axis=2)
+    A = np.concatenate([fixed_columns, S[:, scattered] * common[:, None]], axis=2)
     precision = np.diag(
         1.0 / np.array([PRIOR_SD, PRIOR_SD, *(SIZES[HELD[k]] for k in new), *np.ones(len(scattered))]) ** 2
     )
@@ -199,6 +210,9 @@ linear in all values, with τ integrated out and no chains.
   removes: only a τ of four times the error holds 90 %, and nothing in the data asks for it.
 - Scatter whose correlation over the modes is inferred (`correlation = "inferred"`), or that all modes have in
   common (`correlation = 1.0`), removes the error. So does a mass that is a parameter, one for all modes.
+- Two scatters of each value, an independent one and one in common (`correlation = 1.0`), hold as many as an
+  inferred correlation. Both τ have priors without an edge where they vanish, and no number is undetermined there.
+  The table has √(τ₁² + τ₂²).
 
 The price of each is the standard deviation where the model is right.
 

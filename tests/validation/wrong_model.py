@@ -103,9 +103,9 @@ PAGE = f"""# Built-in models that may be wrong
 Written by `python -m tests.validation.wrong_model results`.
 
 The models are as they are, and with `[[discrepancy]]` of `kind = "embedded"`: parameters scatter from mode to mode
-by an inferred τ. `cantilever-frf` has FRFs in place of modes, and no discrepancy. {HOW_TO_READ} The cases of several
-tests have too many modes for that: draws of the posterior with all modes are weighted. A mode whose weights or refit
-are unreliable has no prediction (–), and is not counted.
+by an inferred τ. `cantilever-frf` has FRFs in place of modes, and no discrepancy. {HOW_TO_READ} The cases of
+several tests have too many modes for that: draws of the posterior with all modes are weighted. A mode whose
+weights or refit are unreliable has no prediction (–), and is not counted.
 """
 
 if __name__ == "__main__":

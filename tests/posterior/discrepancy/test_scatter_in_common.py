@@ -18,6 +18,7 @@ KINDS = {
         fmu.Discrepancy(tau=0.05, groups=("lower",), name="other"),
     ),
     "inferred": fmu.Discrepancy(correlation="inferred"),
+    "both parts": (fmu.Discrepancy(), fmu.Discrepancy(correlation=1.0, name="in common")),
     "beside errors of modes": (fmu.Discrepancy(tau=0.06, correlation="inferred"), fmu.Discrepancy(kind="modes")),
 }
 
