@@ -68,11 +68,12 @@ def test_modes_left_out_are_those_of_the_paper_with_a_model_that_may_be_wrong(re
     shifted = (RESULTS / "forgotten-mass.md").read_text(encoding="utf-8")
     said_of = re.search(
         r"held (\d+) % of the moduli with independent scatter, (\d+) % with scatter in common, (\d+) % with an "
-        r"inferred correlation, and (\d+) % with an updated mass",
+        r"inferred correlation, (\d+) % with two scatters, and (\d+) % with an updated mass",
         plain(read_guide("contradicted")),
     ).groups()
     scatter = ("", ", in common", ", correlations inferred")
-    rows = [*(f"scatter of all three{kind}" for kind in scatter), "an updated mass"]
+    twice = "two scatters of all three, independent and in common"
+    rows = [*(f"scatter of all three{kind}" for kind in scatter), twice, "an updated mass"]
     for words, said in zip(rows, said_of, strict=True):
         held = re.search(rf"\| mass \| {words} \| (\S+) % \|", shifted)[1]
         assert float(said) == round(float(held))
