@@ -27,6 +27,17 @@ from fmu.formats.matrices.limits import MOST_DOFS, DofName, RefusedError
 from fmu.formats.shown import quote
 from fmu.types import DIRECTIONS, FloatArray
 
+_SUPPORTS = {
+    "ENCASTRE": (1, 2, 3, 4, 5, 6),
+    "PINNED": (1, 2, 3),
+    "XSYMM": (1, 5, 6),
+    "YSYMM": (2, 4, 6),
+    "ZSYMM": (3, 4, 5),
+    "XASYMM": (2, 3, 4),
+    "YASYMM": (1, 3, 5),
+    "ZASYMM": (1, 2, 6),
+}
+"""Directions that Abaqus' names of supports hold; *Keywords reference guide*, ``*BOUNDARY``."""
 _LEAST = 1e-5
 """Smallest component of a local axis along the direction that CalculiX makes dependent."""
 
@@ -153,7 +164,11 @@ def _find_held(found: Constraints, one: Keyword) -> Iterator[tuple[int, int]]:
     """Yield the node and the direction, from 0, that *BOUNDARY holds."""
     for words in one.rows():
         if len(words) < 2 or not words[1].isdecimal():
-            continue  # Abaqus' names of supports, such as ENCASTRE, and temperatures
+            for node in (
+                nodes_of(found, words[0], one.source) if words[-1] in _SUPPORTS and len(words) == 2 else ()
+            ):
+                yield from ((node, k - 1) for k in _SUPPORTS[words[1]])
+            continue
         first = int(words[1][:4])
         last = int(words[2][:4]) if len(words) > 2 and words[2].isdecimal() else first
         for node in nodes_of(found, words[0], one.source):

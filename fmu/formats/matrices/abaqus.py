@@ -1,4 +1,4 @@
-"""Reader of the global matrices that Abaqus writes as text to ``.mtx`` files.
+"""Reader of the global matrices, and of the matrices of elements, that Abaqus writes as text to ``.mtx`` files.
 
 A separate step in the input deck::
 
@@ -10,16 +10,36 @@ A separate step in the input deck::
 gives ``job_STIF1.mtx`` and ``job_MASS1.mtx``, with lines of row node, row degree of freedom, column node, column
 degree of freedom, entry; a symmetric matrix may have only one entry of each pair. ``FORMAT=COORDINATE`` gives
 lines of row, column, entry, without the names of the degrees of freedom.
+
+In a step of any kind, the matrices of the elements of a set are written to ``left.mtx`` by::
+
+    *ELEMENT MATRIX OUTPUT, ELSET=LEFT, STIFFNESS=YES, MASS=YES, OUTPUT FILE=USER DEFINED, FILE NAME=left
+
+Their sum is read: the stiffness or mass of one property group, without supports and constraints. Each element has
+its nodes in comments, its degrees of freedom as ``*USER ELEMENT`` has them (those of the first node; further lines
+begin with the position of the node from which others hold), and the lower triangle of each matrix, row by row.
+Abaqus, *Keywords reference guide*, ``*ELEMENT MATRIX OUTPUT``, ``*USER ELEMENT``, ``*MATRIX``.
 """
 
 from __future__ import annotations
 
-from typing import BinaryIO
+from collections.abc import Iterable, Iterator
+from itertools import chain
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 
-from fmu.formats.matrices.limits import entries_within, rows_within, tables
+from fmu.formats.matrices.limits import (
+    Labelled,
+    RefusedError,
+    choose_variable,
+    entries_within,
+    rows_within,
+    tables,
+    text_lines,
+)
+from fmu.formats.shown import quote
 from fmu.types import DIRECTIONS, FloatArray, IntArray
 
 LARGEST_NUMBER = 10**9
@@ -70,6 +90,140 @@ def parse(file: BinaryIO) -> tuple[sp.csr_array, tuple[tuple[int, str], ...] | N
         matrix = matrix + half.T
     dofs = tuple((int(dof) // 8, DIRECTIONS[int(dof) % 8 - 1]) for dof in known)
     return sp.csr_array(matrix), dofs
+
+
+OF_ELEMENTS = b"*USER ELEMENT"
+"""Keyword of each element in a file of their matrices."""
+_KINDS = ("stiffness", "mass")
+_MOST_NODES = 100
+"""Largest number of nodes of an element."""
+
+
+class _Element(NamedTuple):
+    """One matrix of an element: its kind, its degrees of freedom (8 × node + direction) and its lower triangle."""
+
+    number: str
+    kind: str
+    codes: list[int]
+    words: list[str]
+
+
+def parse_elements(file: BinaryIO, variable: str | None) -> Labelled:
+    """Return the sum of the matrices of elements, with the names of its rows.
+
+    Parameters
+    ----------
+    file : binary file
+    variable : str, optional
+        ``"stiffness"`` or ``"mass"``, if the file has both.
+
+    Raises
+    ------
+    ValueError
+        If an element is malformed: numbers of nodes, directions, or entries.
+    RefusedError
+        If there is no matrix of this name, or there are too many entries.
+    """
+    codes, entries, n, kinds, seen = [], [], 0, dict[str, None](), set[tuple[str, str]]()
+    for one in _elements(text_lines(file)):
+        kinds[one.kind] = None
+        if one.number and (one.kind, one.number) in seen:
+            raise RefusedError(
+                f"must have each element once (element {one.number} is there twice: write it in one increment, "
+                "FREQUENCY=0 in other steps)"
+            )
+        seen.add((one.kind, one.number))
+        if one.kind != (variable or _KINDS[0]):
+            continue
+        size = len(one.codes)
+        n += size**2
+        entries_within(n)
+        own = np.array(one.codes, dtype=np.int64)
+        row, column = np.tril_indices(size)
+        if len(one.words) != len(row):
+            raise ValueError(
+                f"an element of {size} degrees of freedom must have {len(row)} entries (got {len(one.words)})"
+            )
+        entry = np.array(one.words, dtype=float)
+        off = row != column
+        codes.append(np.array([own[np.append(row, column[off])], own[np.append(column, row[off])]]))
+        entries.append(np.append(entry, entry[off]))
+    name = choose_variable([kind for kind in _KINDS if kind in kinds], variable)
+    if not entries:
+        raise RefusedError(f"must hold the {name} of elements (it has none)")
+    known, index = np.unique(np.concatenate(codes, axis=1), return_inverse=True)
+    rows_within(len(known))
+    row, column = index.reshape(2, -1)
+    matrix = sp.csr_array((np.concatenate(entries), (row, column)), shape=(len(known),) * 2)
+    return Labelled(
+        matrix, tuple((int(code) // 8, DIRECTIONS[int(code) % 8 - 1]) for code in known), is_whole=True
+    )
+
+
+def _elements(lines: Iterable[str]) -> Iterator[_Element]:
+    """Yield the matrices of the elements of a file, one by one."""
+    nodes: list[int] = []
+    of_node: dict[int, list[int]] = {}
+    n_nodes, reading, kind, number, owner = 0, "", "", "", ""
+    words: list[str] = []
+    for line in chain(lines, ["*END"]):  # with which the last matrix ends
+        text = line.strip().upper()
+        if text.startswith("**"):
+            if "ELEMENT NUMBER" in text:
+                number = (text.partition("ELEMENT NUMBER")[2].split() or [""])[0]
+            if "ELEMENT NODES" in text:
+                reading, nodes = "nodes", []
+            elif reading == "nodes":
+                nodes += [_whole(word) for word in text[2:].replace(",", " ").split()]
+            continue
+        if text.startswith("*"):
+            if kind:
+                yield _Element(owner, kind, _codes(nodes, of_node, n_nodes), words)
+            keyword = text.replace(" ", "").split(",")
+            kind, words = "", []
+            if keyword[0] == "*USERELEMENT":
+                if "UNSYMM" in keyword:
+                    raise RefusedError("must have symmetric matrices of elements (it has UNSYMM)")
+                counts = [option[6:] for option in keyword if option.startswith("NODES=")]
+                n_nodes, of_node, nodes = _whole(counts[0] if counts else ""), {}, []
+                reading = "element"
+            elif keyword[0] == "*MATRIX":
+                kind = next((own for own in _KINDS if f"TYPE={own.upper()}" in keyword), "")
+                if not kind:
+                    raise RefusedError(f"must have matrices of the types STIFFNESS and MASS (got {quote(text)})")
+                reading, owner = "matrix", number
+            continue
+        values = text.replace(",", " ").split()
+        if reading == "matrix":
+            words += values
+            if len(words) > (6 * _MOST_NODES + 1) ** 2:
+                raise RefusedError(f"must have elements of at most {_MOST_NODES} nodes")
+        elif values:  # the degrees of freedom: the first line of all nodes, others from one node on
+            numbers = [_whole(word) for word in values]
+            at, own = (numbers[0], numbers[1:]) if of_node else (1, numbers)
+            of_node[at] = own
+
+
+def _codes(nodes: list[int], of_node: dict[int, list[int]], n_nodes: int) -> list[int]:
+    """Return the degrees of freedom of an element, node by node."""
+    if not 1 <= n_nodes <= _MOST_NODES or len(nodes) != n_nodes:
+        raise ValueError(f"an element must have the nodes that it names (got {len(nodes)} of {n_nodes})")
+    codes: list[int] = []
+    own: list[int] = []
+    for at, node in enumerate(nodes, 1):
+        own = of_node.get(at, own)
+        if not own or not set(own) <= {1, 2, 3, 4, 5, 6}:
+            raise ValueError(f"degrees of freedom must be 1 to 6, displacements and rotations (got {quote(own)})")
+        codes += [8 * node + k for k in own]
+    return codes
+
+
+def _whole(word: str) -> int:
+    if not (word.isdecimal() and len(word) <= 10 and 1 <= int(word) <= LARGEST_NUMBER):
+        raise ValueError(
+            f"nodes and degrees of freedom must be whole numbers from 1 to {LARGEST_NUMBER} (got {quote(word)})"
+        )
+    return int(word)
 
 
 def _without_keywords(text: str) -> str:

@@ -52,6 +52,8 @@ class Labelled(NamedTuple):
         One sentence for each triangle that was filled in.
     in_input_order : bool
         Whether rows without names are in the order in which the deck defines the nodes, as MYSTRAN has them.
+    is_whole : bool
+        Whether the matrix is known to have neither supports nor constraints, as a sum of elements.
     """
 
     matrix: Matrix
@@ -60,6 +62,7 @@ class Labelled(NamedTuple):
     fill: bool = False
     notes: tuple[str, ...] = ()
     in_input_order: bool = False
+    is_whole: bool = False
 
 
 @dataclass(frozen=True)

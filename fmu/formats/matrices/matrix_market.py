@@ -38,9 +38,15 @@ def _read(path: Path, variable: str | None) -> Labelled:
     """Return the matrix in a Matrix Market file, or in a text file that Abaqus wrote with the suffix ``.mtx``."""
     is_compressed = path.suffix.lower() == ".gz"
     with gzip.open(path) if is_compressed else open(path, "rb") as file:
-        start = file.read(len(BANNER))
+        start = file.read(LONGEST_LINE)
         file.seek(0)
-        if start.lower() != BANNER:
+        if abaqus.OF_ELEMENTS in start.upper():
+            return abaqus.parse_elements(file, variable)  # type: ignore[arg-type]
+        if variable is not None:
+            raise RefusedError(
+                f"a {path.suffix} file has one matrix, without a name (got {variable!r})", "variable"
+            )
+        if start[: len(BANNER)].lower() != BANNER:
             return Labelled(*abaqus.parse(file))  # type: ignore[arg-type]
         return Labelled(parse(file, None if is_compressed else path.stat().st_size))  # type: ignore[arg-type]
 
@@ -164,4 +170,4 @@ def _full(values: FloatArray, rows: int, columns: int, sign: float) -> FloatArra
     return matrix
 
 
-FORMAT = MatrixFormat((".mtx", ".mtx.gz"), _read)
+FORMAT = MatrixFormat((".mtx", ".mtx.gz"), _read, has_names=True)

@@ -77,8 +77,9 @@ def assemble(
         for one, names in zip(read, named, strict=True)
     ]
     means = {name: weights for one in read for name, weights in one.motions.items()}
+    is_whole = "g" in assumed.values() or any(one.is_whole for one in read)
     try:
-        within = constrain(matrices, dofs, mesh, means, is_whole="g" in assumed.values())
+        within = constrain(matrices, dofs, mesh, means, is_whole=is_whole)
     except RefusedError as error:
         raise ArgumentError("mesh", str(error)) from error
     matrices, dofs = within.matrices, within.dofs
