@@ -30,7 +30,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
 
-from fmu.fem.modes.solver import Factor, Matrix, ScaledFactor, factorise
+from fmu.fem.modes.solver import LARGE, Factor, Matrix, ScaledFactor, factorise
 from fmu.fem.modes.stacks import WIDE, rayleigh_quotients
 from fmu.types import BoolArray, FloatArray
 
@@ -55,7 +55,15 @@ class SingularMassError(ValueError):
 
 
 def clear_factor(S: Matrix, scale: FloatArray) -> ScaledFactor | None:
-    """Return the factors of A from `unit_diagonal`; None if A is not positive definite by more than rounding."""
+    """Return the factors of A from `unit_diagonal`; None if A is not positive definite by more than rounding.
+
+    Entries of a large matrix that are stored, but zero, are left out: its factors are kept and used again, and no
+    bit of them may depend on the way in which the matrix was summed.
+    """
+    if sp.issparse(S) and S.shape[0] >= LARGE:
+        S = sp.csr_array(S, copy=True)
+        S.eliminate_zeros()
+        S.sort_indices()
     try:
         factor = _definite(S)
     except np.linalg.LinAlgError:

@@ -36,6 +36,7 @@ _SHARE = 1.0 / 6.0
 _COUNT, _IN_FILES = -1, 2
 _PATH, _CORE = "MKL_PARDISO_OOC_PATH", "MKL_PARDISO_OOC_MAX_CORE_SIZE"
 _USERS_FOLDER = os.environ.get(_PATH)
+_PACKAGE = (f"{Path(__file__).parents[3]}{os.sep}",)  # a warning points at the line outside it
 # Errors of PARDISO: without memory, and with files that cannot be opened, read or written.
 _WITHOUT_MEMORY, _WITHOUT_FILES = (-2, -9), (-10, -11)
 
@@ -128,7 +129,7 @@ class Pardiso:
         half = (free_memory() or 0) // 2  # other factors and vectors need memory too
         if is_short(needed) and lasting < half and (folder := _folder_for(needed)):
             kept = f"they are kept in files in {Path(folder).parent}, which takes longer"
-            warnings.warn(f"{needed_in_words(needed, n)}, more than are free; {kept}", stacklevel=2)
+            warnings.warn(f"{needed_in_words(needed, n)}, more than are free; {kept}", skip_file_prefixes=_PACKAGE)
             self._in_memory = half
             os.environ |= {_PATH: folder, _CORE: str(half // 2**20)}
             weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)  # after PARDISO has let go of it
