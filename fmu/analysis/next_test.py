@@ -44,6 +44,9 @@ def predict_tests(
 ) -> pd.DataFrame:
     r"""Compare new tests of a structure with the posterior prediction of the next test.
 
+    Each new test is compared with the earlier tests alone. Where values are correlated in time, it is at its time
+    in the covariates; in the order of the tests it is the one after the last.
+
     The next test is simulated at n draws of the posterior: its scores are drawn from the populations, it has the
     covariates and the group of the new test, and measurement errors are added. The statistic is the squared
     Mahalanobis distance D² = (y − ȳ)ᵀ S⁻¹ (y − ȳ) of the frequencies that the new test has. The mean ȳ and the
@@ -112,8 +115,8 @@ def predict_tests(
     seed, simulated = int(trace.attrs.get("seed", 0)), dict[object, NextTest]()
     rows = []
     for test, t in zip(tests, wanted, strict=True):
-        slopes = {role.where for role in problem.roles if role.kind == "slope"}
-        covariates = {name: x for name in sorted(slopes) if (x := test.known_covariate(name)) is not None}
+        needed = {role.where for role in problem.roles if role.kind == "slope"} | _times(problem)
+        covariates = {name: x for name in sorted(needed) if (x := test.known_covariate(name)) is not None}
         key = (t, *covariates.values())
         if key not in simulated:
             simulated[key] = _without_failures(
@@ -150,6 +153,10 @@ def _find_like(problem: UpdatingProblem, test: Test, like: str | None) -> int:
             found.append(
                 f"covariates.{role.where}: must be a number in a further test (got a value to be inferred)"
             )
+    for name in sorted(_times(problem)):
+        if test.known_covariate(name) is None:
+            rule = f"must have {name} as a number, as values are correlated in time"
+            found.append(f"covariates: {rule} (got none)")
     if like is not None and like not in names:
         found.append(f"like: must be one of {names_shown(names)} (got {like!r})")
     by_group = bool(problem.layout.by_state) or any(
@@ -184,6 +191,11 @@ def _find_like(problem: UpdatingProblem, test: Test, like: str | None) -> int:
             [f"labels: must be modes that one of the earlier tests has all (got {modes}); leave one out"]
         )
     return fitting[0]
+
+
+def _times(problem: UpdatingProblem) -> set[str]:
+    """Return the covariates that are the times of values correlated in time."""
+    return set() if problem.layout.in_time is None else problem.layout.in_time.times
 
 
 def _without_failures(drawn: NextTest) -> NextTest:

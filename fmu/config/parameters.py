@@ -92,6 +92,10 @@ class Uncertain(TomlTable):
 PriorTable = Annotated[Declared, OneOf("distribution", PRIORS)]
 
 
+def _kind_of_time(value: object) -> str:
+    return "<table>" if isinstance(value, dict | Declared) else "<word>" if isinstance(value, str) else "<number>"
+
+
 class PopulationTable(TomlTable):
     """The distribution of a parameter over several tests, which is inferred."""
 
@@ -103,11 +107,25 @@ class PopulationTable(TomlTable):
     """Prior of the relative standard deviation between groups of tests, in addition to that within them."""
     sd_by_group: bool = False
     """Whether each group of tests has a standard deviation of its own."""
+    correlation_time: (
+        Annotated[
+            Annotated[Literal["inferred"], Tag("<word>")]
+            | Annotated[Positive, Tag("<number>")]
+            | Annotated[Declared, OneOf("distribution", PRIORS), Tag("<table>")],
+            Discriminator(_kind_of_time),
+        ]
+        | None
+    ) = None
+    """Time over which values are correlated; "inferred", or a prior with which it is inferred."""
+    by: Name | None = None
+    """The covariate that is the time, different in each test; the order of the tests if not given."""
 
     def build(self) -> Population:
         """Return the population that the table describes."""
         sd, between = (None if prior is None else prior.build() for prior in (self.sd, self.between))
-        return Population(self.distribution, sd, between, self.sd_by_group)
+        time = self.correlation_time
+        how = time.build() if isinstance(time, Declared) else time
+        return Population(self.distribution, sd, between, self.sd_by_group, how, self.by or "")
 
 
 class OutliersTable(TomlTable):

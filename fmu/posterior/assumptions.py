@@ -130,6 +130,9 @@ def _between_tests(problem: Mapping[str, Any]) -> list[str]:
             f"The values of {', '.join(populations)} in the tests are draws from a {' or '.join(kinds)} "
             f"distribution each, cut off at the bounds; they are {together}."
         )
+        in_time = [name for name, one in populations.items() if "correlation_time" in one]
+        if in_time:
+            said.append(f"The values of {', '.join(in_time)} are correlated in time, by exp(−Δt/T) for Δt apart.")
     return said
 
 

@@ -11,7 +11,11 @@ the rest of the step is conditional on that. It consists of
    are computed to second order (`ScoresGivenMain`), another solve of all tests; the proposal of each test is
    accepted or rejected by itself, as the tests are independent given the main parameters;
 3. candidates for the populations given the values in the tests, which need no solve (`PopulationsGivenValues`);
-4. where standard deviations of errors are inferred, a random walk of each of them given the predicted modes, which
+4. where values are correlated in time, random walks of each correlation time given the scores, and together with
+   its population given the values (`fmu.posterior.joint.conditional.in_time`); the scores move in parts of tests
+   that are independent given all others, each with a solve, and the density of the scores in time, which the
+   approximations leave out, is in the ratios by which steps are accepted;
+5. where standard deviations of errors are inferred, a random walk of each of them given the predicted modes, which
    are solved for once more.
 
 The first part mixes well whether the tests are precise or not (Osmundsen, Kleppe & Liesenfeld 2021, *J. Comput.
@@ -32,9 +36,10 @@ from fmu.arguments import check_arguments
 from fmu.box import find_inside
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.joint.conditional.both import Conditionals, conditionals
+from fmu.posterior.joint.conditional.in_time import move_in_time
 from fmu.posterior.joint.conditional.marginal import MarginalOfMain
 from fmu.posterior.joint.conditional.scores import REGULAR, Linear
-from fmu.posterior.joint.layout import sum_by_test
+from fmu.posterior.joint.varies.base import sum_by_test
 from fmu.posterior.problem import UpdatingProblem
 from fmu.posterior.scaled import ScaledDensity
 from fmu.samplers.adaptation import DualAveraging
@@ -42,7 +47,7 @@ from fmu.samplers.kernel import Index, Info, Sampler, State, Tree
 from fmu.samplers.local import accept
 from fmu.samplers.settings import positive_number
 from fmu.samplers.trajectory import ExactGradient, HamiltonianKernel, Metric
-from fmu.types import AnyArray, FloatArray, LogDensity, Positive
+from fmu.types import AnyArray, BoolArray, FloatArray, IntArray, LogDensity, Positive
 
 _FIRST_STEP = 0.5
 _LENGTHS, _MOST_STEPS = (1.2, 2.4), 16
@@ -184,12 +189,11 @@ class GibbsKernel:
         theta = self.problem.layout.standardise_scores(self.scaled.to_theta(state.position))
         theta, scales = self._draw_scales(rng, theta)
         theta, terms, linear, extra = self._move_main(rng, theta, state.extra["terms"], scales)
-        theta, terms, moved = self._move_scores(rng, theta, terms, linear, scales)
+        theta, terms, moved, solves = self._move_all_scores(rng, theta, terms, linear, scales)
         populations = self.conditionals.populations
         if populations.n_blocks:
             found = populations.propose(rng, theta)
             theta = populations.move(theta, found, accept(rng, found.log_ratio))
-        solves = np.full(len(theta), 2, dtype=np.int64)
         if len(self.conditionals.noise):
             theta, terms = self._move_noise(rng, theta, terms)
             solves += 1
@@ -243,6 +247,10 @@ class GibbsKernel:
             given.log_prior(at, scales) - one.log_det_factor - marginal.log_evidence(one)
             for at, one in zip((theta, candidate), linear, strict=True)
         ]
+        in_time = self.problem.layout.in_time
+        if in_time is not None:
+            now, new = (in_time.log_density(at, given.scores.take(at))[0] for at in (theta, candidate))
+            error[1] = error[1] + new - now
         with np.errstate(invalid="ignore"):
             ratio = gain + (new_terms - terms).sum(axis=1) + (error[1] - error[0]).sum(axis=1)
         accepted = accept(rng, ratio)
@@ -253,6 +261,26 @@ class GibbsKernel:
         chosen, last = accepted[:, None], linear[1].select(accepted, first)
         return np.where(chosen, candidate, theta), np.where(chosen, new_terms, terms), last, statistics
 
+    def _move_all_scores(
+        self, rng: np.random.Generator, theta: FloatArray, terms: FloatArray, linear: Linear, scales: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
+        """Return theta and terms with new scores, the shares of tests that moved, and the numbers of solves.
+
+        Correlation times move too, and their populations given the values. The solve of the main parameters' step
+        is counted here.
+        """
+        in_time, ones = self.problem.layout.in_time, np.ones(len(theta), dtype=np.int64)
+        if in_time is None:
+            return *self._move_scores(rng, theta, terms, linear, scales), 2 * ones
+        moved = np.zeros(len(theta))
+        for part in in_time.parts:
+            theta, terms, of_part = self._move_scores(rng, theta, terms, linear, scales, part)
+            moved += of_part
+        z = self.conditionals.scores.scores.take(theta)
+        theta = in_time.draw_times(rng, theta, z, self.problem.parameters)
+        theta = move_in_time(rng, theta, self.conditionals.scores.layout, self.problem.parameters)
+        return theta, terms, moved, (1 + len(in_time.parts)) * ones
+
     def _move_scores(
         self,
         rng: np.random.Generator,
@@ -260,8 +288,9 @@ class GibbsKernel:
         terms: FloatArray,
         linear: Linear,
         scales: FloatArray = REGULAR,
+        part: BoolArray | None = None,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return theta and terms with new scores, and the shares of tests that moved, (chains,)."""
+        """Return theta and terms with new scores of a `part` of the tests, and the shares of tests that moved."""
         of, test = self.conditionals.scores, self.problem.likelihood.test_of_terms
         z, normal = of.scores.take(theta), of.normal_of(linear)
         walks = rng.random(z.shape[:2]) < _WALKS
@@ -270,17 +299,26 @@ class GibbsKernel:
         step = normal.scatter(size[..., None] * rng.standard_normal(z.shape))
         now = normal.straighten(z)
         new = np.where(walks[..., None], now, normal.mean) + step
-        candidate = of.scores.put(theta, normal.bend(new))
+        bent = normal.bend(new) if part is None else np.where(part[:, None], normal.bend(new), z)
+        candidate = of.scores.put(theta, bent)
         new_terms = self._terms(candidate)
         n_tests = z.shape[1]
         with np.errstate(invalid="ignore"):
             gain = sum_by_test(new_terms - terms, test, n_tests)
             gain = gain + of.log_prior(candidate, scales) - of.log_prior(theta, scales)
+            if part is not None:
+                gain = gain + self._in_time_of_each(candidate) - self._in_time_of_each(theta)
             ratio = gain + np.where(walks, 0.0, normal.log_density(now, _NU) - normal.log_density(new, _NU))
-        accepted = accept(rng, ratio)
+        accepted = accept(rng, ratio) if part is None else accept(rng, ratio) & part
         chosen = np.where(accepted[..., None], of.scores.take(candidate), z)
         terms = np.where(accepted[:, test], new_terms, terms)
         return of.scores.put(theta, chosen), terms, accepted.mean(axis=1)
+
+    def _in_time_of_each(self, theta: FloatArray) -> FloatArray:
+        """Return the parts of the log-density in time that contain the scores of each test, (chains, n_tests)."""
+        in_time = self.problem.layout.in_time
+        assert in_time is not None
+        return in_time.of_each(theta, self.conditionals.scores.scores.take(theta))
 
     def _terms(self, theta: FloatArray) -> FloatArray:
         """Return the log-likelihood of each datum, (chains, n_terms), at theta with standard normal scores."""

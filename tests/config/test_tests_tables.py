@@ -1,5 +1,6 @@
 """``[[tests]]``: problem files with several tests of one structure, from the file to the run."""
 
+import json
 import tomllib
 
 import numpy as np
@@ -8,8 +9,10 @@ from click.testing import CliRunner
 from numpy.testing import assert_allclose
 
 import fmu
+from fmu.analysis.trace.provenance import canonical_json
 from fmu.cli import main
 from fmu.config.mistakes import ConfigurationError
+from fmu.posterior.assumptions import assumptions
 
 HEAD = """
 name = "two storeys"
@@ -121,6 +124,31 @@ def test_an_sd_in_each_group(tmp_path):
     assert mistakes(written(tmp_path, K1 + scatters, K2, *tests[:3])) == [
         "parameters.0.varies: has an sd in each group, and needs two tests or more in it (got 1 in 'b')"
     ]
+
+
+def test_values_that_are_correlated_in_time(tmp_path):
+    tests = [PLAIN.replace("plain", f"t{t}") + f"covariates = {{ day = {t}.0 }}\n" for t in range(4)]
+    scatters = 'varies = "population"\npopulation = { correlation_time = HOW, by = "day" }\n'
+    inferred = {
+        '"inferred"': None,
+        '{ distribution = "log-normal", median = 3.0, sigma = 0.5 }': fmu.LogNormal(3.0, 0.5),
+    }
+    for how, prior in inferred.items():
+        problem = fmu.load(written(tmp_path, K1 + scatters.replace("HOW", how), K2, *tests))
+        assert problem.names[:3] == ("k1 mean", "k1 sd", "k1 correlation time")
+        assert problem.roles[2] == ("correlation time", 0, "day")
+        assert prior in (None, problem.parameters[2].prior)
+        configuration = json.loads(canonical_json(problem.configuration()))
+        said = " ".join(assumptions(configuration, None, None).sentences)
+        assert "The values of k1 are correlated in time" in said
+    problem = fmu.load(written(tmp_path, K1 + scatters.replace("HOW", "2.5"), K2, *tests))
+    assert problem.layout.in_time.every[0].correlation_time == 2.5
+    assert mistakes(written(tmp_path, K1 + scatters.replace("HOW", "-1"), K2, *tests)) == [
+        "parameters.0.population.correlation_time: must be greater than 0 (got -1)"
+    ]
+    assert mistakes(written(tmp_path, K1 + scatters.replace('HOW, by = "day"', '2.5, by = "hour"'), K2, *tests))[
+        0
+    ] == ("tests.0.covariates: must have hour as a number, as values of k1 are correlated in time (got None)")
 
 
 def test_tests_that_may_be_outliers(tmp_path):

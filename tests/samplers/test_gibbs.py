@@ -7,7 +7,7 @@ from scipy.special import logsumexp
 
 import fmu
 from fmu.analysis.convergence.rank_statistics import chain_ess
-from fmu.posterior.joint.layout import sum_by_test
+from fmu.posterior.joint.varies.base import sum_by_test
 from tests.posterior.joint.conditional.test_conditional_densities import campaign
 from tests.shear_building import frequencies_hz, shear_building, two_frequencies_hz
 

@@ -3,8 +3,10 @@
 The score of a test in a population is the distance of its value from the population mean, in population standard
 deviations. If the model is correct, the scores are independent standard normal draws, whatever the order of the
 tests, their groups and their covariates. The posterior mean m of a score then has the variance 1 − s², where s is
-the posterior standard deviation of the score. The checks use m/√(1 − s²). A parameter that does not scatter has
-scores from the residuals (`fmu.analysis.fit.residual_scores`). The checks are
+the posterior standard deviation of the score. The checks use m/√(1 − s²). Where values are correlated in time,
+they use the innovations at one posterior draw, which are standard normal and independent if the model is correct;
+their posterior means would not be independent. A parameter that does not scatter has scores from the residuals
+(`fmu.analysis.fit.residual_scores`). The checks are
 
 - permutation tests of the causes in `fmu.analysis.fit.causes`;
 - for a population a test of the score farthest from the mean (Grubbs 1950, *Ann. Math. Statist.* 21, 27–58;
@@ -61,8 +63,9 @@ def population_group(
 ) -> xr.Dataset:
     """Return the trace group with the posterior means and standard deviations of the scores, and the correlations.
 
-    Where tests may be outliers, ``outlier`` is the probability that a test is one, and ``outlier_of`` that its
-    score in a population is that of an outlier.
+    Where a population is correlated in time, ``innovation`` has its innovations at the last draw
+    (`fmu.posterior.joint.varies.autocorrelation`). Where tests may be outliers, ``outlier`` is the probability
+    that a test is one, and ``outlier_of`` that its score in a population is that of an outlier.
 
     Parameters
     ----------
@@ -81,6 +84,11 @@ def population_group(
         scores[:, k, one.scored] = z.mean(axis=0), z.std(axis=0)
     dims = ("population", "test")
     variables: dict[str, Any] = {"score": (dims, scores[0]), "score_sd": (dims, scores[1])}
+    if layout.in_time is not None:
+        last = theta[-1:]
+        e = layout.in_time.innovations(last, layout.population_scores(last))[0].T
+        is_in_time = np.array([[one.in_time is not None] for one in layout.drawn])
+        variables["innovation"] = dims, np.where(is_in_time & ~np.isnan(scores[0]), e, np.nan)
     if layout.outliers is not None:
         z = np.stack([one.population_scores(theta)[0] for one in layout.drawn], axis=2)
         outlier, of_each = layout.outliers.outlying(theta, z)
@@ -227,7 +235,11 @@ def standard_scores(group: xr.Dataset) -> FloatArray:
     if "outlier" in group:
         informed = np.where(group["outlier"].to_numpy()[:, None] > _OUTLIER, 0.0, informed)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(informed > _INFORMED, mean / np.sqrt(informed), np.nan)
+        found = np.where(informed > _INFORMED, mean / np.sqrt(informed), np.nan)
+    if "innovation" not in group:
+        return found
+    e = group["innovation"].transpose("test", "population").to_numpy()
+    return np.where(np.isnan(e), found, e)
 
 
 def effective_parameters(trace: xr.DataTree) -> int:

@@ -11,6 +11,7 @@ from fmu.posterior.joint.correlation import Correlation, correlations
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.outliers import ContaminatedScores, Outliers
+from fmu.posterior.joint.varies.autocorrelation import ScoresInTime
 from fmu.posterior.joint.varies.base import Theta, Varies
 from fmu.posterior.joint.varies.taken import Held
 from fmu.posterior.joint.varies.trend import Slopes, Trends, as_dicts
@@ -52,11 +53,14 @@ def build_layout(
         tuple(p.name for p in structural if varies[p.name].by_group),
         None,
         None,
+        None,
         (*theta.roles, *theta.roles_of_scores),
         reference,
         as_dicts(slopes),
         {p.name: by for p in structural if (by := varies[p.name].by_date) is not None},
     )
+    if any(one.in_time for one in layout.drawn):
+        return replace(layout, in_time=ScoresInTime(tuple(one.in_time for one in layout.drawn), len(tests)))
     if eta is None and outliers is None:
         return layout
     scored = np.stack([one.scored for one in layout.drawn], axis=1)

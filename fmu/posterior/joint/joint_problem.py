@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -142,7 +143,10 @@ def JointProblem(  # capitalised because it constructs a problem
         problem = UpdatingProblem(joint, data, parameters, discrepancy=discrepancy, **common)
     problem.tolerance = tolerance
     # the scores are centred by what each test says alone, and a discrepancy couples the tests
-    return problem.with_layout(centre_scores(plain)) if problem.is_hierarchical else problem
+    if not problem.is_hierarchical:
+        return problem
+    centred = centre_scores(plain.with_layout(layout.without_time()))
+    return problem.with_layout(replace(centred, in_time=layout.in_time))
 
 
 def simulate_next_test(
@@ -213,8 +217,12 @@ def draw_next_test(
 ) -> NextTest:
     """Return draws of one further test like test number `t`; see `simulate_next_test`."""
     structural = theta[:, : problem.n_structural]
-    scores = problem.layout.draw_scores(structural, rng, 1)[:, 0]
-    values = problem.layout.of_next_test(structural, rng, scores, t, covariates)
+    layout = problem.layout
+    scores = layout.draw_scores(structural, rng, 1)[:, 0]
+    if layout.in_time is not None:
+        of_tests = layout.population_scores(structural)
+        scores = layout.in_time.next_scores(structural, of_tests, scores, covariates)
+    values = layout.of_next_test(structural, rng, scores, t, covariates)
     computed = problem.model.frequencies_of_test(t, values)
     columns = problem.model.test_of_modes == t
     every = np.tile(np.asarray(problem.data.frequencies_hz), (len(theta), 1))
@@ -272,6 +280,11 @@ def find_mistakes(
     if outliers is not None and not n:
         rule = "needs a parameter with a population, of which a test may be an outlier"
         found.append(f"outliers: {rule} (got none)")
+    together = {"correlation": correlation is not None, "outliers": outliers is not None}
+    in_time = ", ".join(name for name in names if varies[name].is_in_time)
+    if in_time:
+        rule = "must not be given with populations that are correlated in time"
+        found += [f"{key}: {rule} (got {in_time})" for key, is_given in together.items() if is_given]
     if correlation is not None:
         if n < 2:
             found.append(f"correlation: needs two parameters or more with a population (got {n})")

@@ -13,7 +13,8 @@ from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.joint.correlation import Correlation
 from fmu.posterior.joint.modal_test import Test
 from fmu.posterior.joint.outliers import ContaminatedScores
-from fmu.posterior.joint.varies.base import Future, InTests, Role, Slope, Varies
+from fmu.posterior.joint.varies.autocorrelation import ScoresInTime
+from fmu.posterior.joint.varies.base import Future, InTests, Role, Slope, Varies, add_by_column, sum_by_test
 from fmu.posterior.joint.varies.drawn import Drawn
 from fmu.posterior.joint.varies.taken import SHARED, Held, Taken
 from fmu.posterior.parameters import Parameter, box
@@ -44,6 +45,8 @@ class Layout:
         Correlation of the populations. If it is None, the populations are independent.
     outliers : ContaminatedScores, optional
         The density of the scores where tests may be outliers. If it is None, there are no outliers.
+    in_time : ScoresInTime, optional
+        The density of the scores where some are correlated in time. If it is None, tests are independent.
     roles : tuple of Role
         The meaning of each parameter in `parameters`.
     reference : str
@@ -63,6 +66,7 @@ class Layout:
     by_state: tuple[str, ...] = ()
     correlation: Correlation | None = None
     outliers: ContaminatedScores | None = None
+    in_time: ScoresInTime | None = None
     roles: tuple[Role, ...] = ()
     reference: str = ""
     slopes: Mapping[str, Plain] = field(default_factory=dict)
@@ -173,21 +177,25 @@ class Layout:
         return sorted([*found, *(self.density_of_scores.columns if self.density_of_scores else ())])
 
     @property
-    def density_of_scores(self) -> Correlation | ContaminatedScores | None:
+    def density_of_scores(self) -> Correlation | ContaminatedScores | ScoresInTime | None:
         """The density of the scores of each test; None if they are independent and standard normal."""
-        return self.correlation if self.outliers is None else self.outliers
+        return self.in_time or self.outliers or self.correlation
 
     def precision_of_scores(self, theta: FloatArray, z: FloatArray) -> FloatArray:
         """Return the precision matrices of the scores z minus I, (n, n_tests, p, p)."""
         if self.outliers is not None:
             return self.outliers.precision(theta, z)
-        none = np.zeros((*z.shape, z.shape[2]))
-        return none if self.correlation is None else self.correlation.precision(theta)
+        known = self.in_time or self.correlation
+        return np.zeros((*z.shape, z.shape[2])) if known is None else known.precision(theta)
 
     def remove_centring(self) -> Layout:
         """Return the layout in the non-centred form, with a centring of zero for all scores."""
         references = {one.centre: (np.zeros_like(one.centring), one.reference) for one in self.drawn}
         return replace(self, values_of=tuple(one.refer_to(references) for one in self.values_of))
+
+    def without_time(self) -> Layout:
+        """Return the layout with scores that are independent in time."""
+        return replace(self, in_time=None)
 
     def values(self, theta: FloatArray) -> FloatArray:
         """Return the structural parameters in all tests, (n, n_tests, n_structural), at theta (n, n_parameters).
@@ -241,7 +249,7 @@ class Layout:
         return np.stack([value_of.next_test(theta, like, future) for value_of in self.values_of], axis=1)
 
     def draw_scores(self, theta: FloatArray, rng: np.random.Generator, n_tests: int) -> FloatArray:
-        """Return draws of the scores of every population, shape (n, n_tests, n_populations)."""
+        """Return draws of scores that are independent in time, shape (n, n_tests, n_populations)."""
         return self.correlate(theta, rng.standard_normal((len(theta), n_tests, len(self.drawn))))
 
     def correlate(self, theta: FloatArray, z: FloatArray) -> FloatArray:
@@ -310,10 +318,11 @@ class Layout:
         for one in self._centred:
             value = value + np.einsum("nt->n", one.log_prior(theta)[0])
         if self.density_of_scores is not None:
-            value = value + np.einsum("nt->n", self.density_of_scores.log_density(theta, self._scores(theta))[0])
+            z = self.population_scores(theta)
+            value = value + np.einsum("nt->n", self.density_of_scores.log_density(theta, z)[0])
         return value
 
-    def _scores(self, theta: FloatArray) -> FloatArray:
+    def population_scores(self, theta: FloatArray) -> FloatArray:
         """Return the scores relative to the populations, (n, n_tests, n_populations)."""
         return np.stack([one.population_scores(theta)[0] for one in self.drawn], axis=2)
 
@@ -348,7 +357,7 @@ class Layout:
             columns = one.columns[one.scored]
             curvature[:, columns, columns] = one.curvature(theta)[:, one.scored] * scale[columns] ** 2
         if self.density_of_scores is not None:
-            precision = self.precision_of_scores(theta, self._scores(theta))
+            precision = self.precision_of_scores(theta, self.population_scores(theta))
             slopes = [np.sqrt(one.curvature(theta)) for one in self.drawn]
             for i, of_rows in enumerate(self.drawn):
                 for j, of_columns in enumerate(self.drawn):
@@ -356,6 +365,8 @@ class Layout:
                     rows, columns = of_rows.columns[here], of_columns.columns[here]
                     of_both = precision[:, here, i, j] * slopes[i][:, here] * slopes[j][:, here]
                     curvature[:, rows, columns] += of_both * scale[rows] * scale[columns]
+        for one in self.drawn if self.in_time else ():
+            one.add_curvature_in_time(theta, curvature, scale)
         return curvature
 
     def draw_from_prior(self, theta: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -363,6 +374,7 @@ class Layout:
         if self.density_of_scores is not None:
             z = self.draw_scores(theta, rng, len(self.tests))
             z = z if self.outliers is None else z * self.outliers.draw_from_prior(rng, theta)
+            z = z if self.in_time is None else self.in_time.correlate(theta, z)
             for j, one in enumerate(self.drawn):
                 theta[:, one.columns[one.scored]] = z[:, one.scored, j]
         return self.restore_scores(theta)
@@ -383,18 +395,3 @@ class Layout:
     @cached_property
     def _centred(self) -> list[Drawn]:
         return [one for one in self.drawn if np.any(one.centring > 0.0)]
-
-
-def add_by_column(gradient: FloatArray, slope: Slope) -> None:
-    """Add derivatives of terms of the tests to a gradient (n, ndim), in which tests may have the same columns."""
-    for column in np.unique(slope.columns):
-        gradient[:, column] += np.einsum("nt->n", slope.values[:, slope.columns == column])
-
-
-def sum_by_test(terms: FloatArray, test: IntArray, n_tests: int) -> FloatArray:
-    """Return the sums over the terms (n, m, …) of each test, shape (n, n_tests, …); `test` has shape (m,)."""
-    found = np.zeros((len(terms), n_tests, *terms.shape[2:]))
-    order = np.argsort(test, kind="stable")
-    first = np.flatnonzero(np.diff(test[order], prepend=-1))
-    found[:, test[order][first]] = np.add.reduceat(terms[:, order], first, axis=1)
-    return found

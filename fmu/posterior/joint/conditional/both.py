@@ -35,6 +35,8 @@ _CLIMBED = 0.01
 class Conditionals(NamedTuple):
     """The densities of scores and of main parameters of a hierarchical problem, with standard normal scores.
 
+    They are those of scores that are independent in time.
+
     Attributes
     ----------
     scores : ScoresGivenMain
@@ -85,6 +87,9 @@ def scatter_about_typical(
     known = conditionals(problem)
     marginal, given = known.marginal, known.scores
     centre = np.repeat(known.typical, n, axis=0)
+    for k in problem.layout.in_time.columns if problem.layout.in_time else ():
+        one = problem.parameters[k]
+        centre[:, k] = one.prior.draw(rng, n, one.lower, one.upper)
     step = dispersion * rng.standard_normal((n, len(known.normal.mean))) @ known.normal.factor.T
     of_scores = dispersion * rng.standard_normal((n, *given.scores.scored.shape))
     of_noise = dispersion * known.noise * rng.standard_normal((n, len(known.noise)))
@@ -115,6 +120,7 @@ def scatter_about_typical(
 
 def _compute(problem: UpdatingProblem) -> Conditionals:
     assert isinstance(problem.likelihood, OfTests)  # of several tests
+    problem = problem.with_layout(problem.layout.without_time())
     plain = problem.with_layout(problem.layout.remove_centring())
     own = ScaledDensity(problem).to_theta(typical_point(problem))[None]
     first = problem.layout.standardise_scores(own)

@@ -9,7 +9,8 @@ import numpy as np
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.errors.noise import Spread
 from fmu.posterior.frf.likelihood import FRFLikelihood
-from fmu.posterior.joint.layout import Layout, sum_by_test
+from fmu.posterior.joint.layout import Layout
+from fmu.posterior.joint.varies.base import sum_by_test
 from fmu.types import FloatArray, IntArray
 
 OfTests = ModalLikelihood | FRFLikelihood

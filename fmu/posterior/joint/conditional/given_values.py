@@ -173,14 +173,18 @@ def inverse_wishart_factors(rng: np.random.Generator, scatter: FloatArray, nu: F
 def _blocks(layout: Layout) -> list[list[Drawn]]:
     """Return the populations that candidates can be found for, in blocks of equal sizes.
 
-    Each has one standard deviation, and no test may be an outlier. Candidates of correlated populations need
-    scores in all tests.
+    Each has one standard deviation and values that are independent in time, and no test may be an outlier.
+    Candidates of correlated populations need scores in all tests.
     """
     drawn, correlated = layout.drawn, layout.correlation is not None
     if layout.outliers is not None:
         return []
     is_possible = [
-        one.has_one_width and one.scored.sum() > _FEWEST and (one.scored.all() or not correlated) for one in drawn
+        one.has_one_width
+        and one.in_time is None
+        and one.scored.sum() > _FEWEST
+        and (one.scored.all() or not correlated)
+        for one in drawn
     ]
     if correlated:
         return [drawn] if all(is_possible) and len(layout.tests) >= _TESTS * len(drawn) else []

@@ -45,7 +45,7 @@ class MarginalOfMain:
     Attributes
     ----------
     columns : ndarray of int, shape (d,)
-        Indices of the main parameters in theta, without the share of outliers.
+        Indices of the main parameters in theta, without the share of outliers and correlation times.
     lower, upper : ndarray, shape (d,)
         Bounds of w.
     """
@@ -53,7 +53,9 @@ class MarginalOfMain:
     def __init__(self, problem: UpdatingProblem, scores: ScoresGivenMain, theta: FloatArray) -> None:
         self.layout, self.given, of = problem.layout, scores, scores.scores
         outliers = self.layout.outliers
+        times = [one.drawn.in_time.column() for one in of.every if one.drawn.in_time is not None]
         others = [*of.columns[of.scored].tolist(), *(outliers.of_share if outliers else ())]
+        others += [column for column in times if column is not None]
         self.columns: IntArray = np.setdiff1d(np.arange(problem.n_structural), others)
         self.prior = JointPrior([problem.parameters[k] for k in self.columns])
         scaled = ScaledDensity(problem)

@@ -30,7 +30,8 @@ class Role(NamedTuple):
         ``"shared"``, ``"test"`` or ``"group"``: the value in all tests, in one test or in a group of tests;
         ``"mean"`` or ``"sd"``: the mean or a standard deviation of a population; ``"score"``: the score of a test
         in a population; ``"effect"``: the effect of a group on a population; ``"loss"``: the relative loss of a
-        group, or since an event; ``"date"``: the date of an event; ``"slope"`` or ``"kink"``: the slope with a
+        group, or since an event; ``"correlation time"``: of a population, with the covariate that is the time;
+        ``"date"``: the date of an event; ``"slope"`` or ``"kink"``: the slope with a
         covariate, or the place where it changes; ``"covariate"``: the value of a covariate in a test;
         ``"correlation"``: a partial correlation of two populations; ``"share"``: the probability that a test is an
         outlier; ``"noise"``: an inferred standard deviation of the errors.
@@ -59,6 +60,21 @@ class Slope(NamedTuple):
 
     columns: IntArray
     values: FloatArray
+
+
+def add_by_column(gradient: FloatArray, slope: Slope) -> None:
+    """Add derivatives of terms of the tests to a gradient (n, ndim), in which tests may have the same columns."""
+    for column in np.unique(slope.columns):
+        gradient[:, column] += np.einsum("nt->n", slope.values[:, slope.columns == column])
+
+
+def sum_by_test(terms: FloatArray, test: IntArray, n_tests: int) -> FloatArray:
+    """Return the sums over the terms (n, m, …) of each test, shape (n, n_tests, …); `test` has shape (m,)."""
+    found = np.zeros((len(terms), n_tests, *terms.shape[2:]))
+    order = np.argsort(test, kind="stable")
+    first = np.flatnonzero(np.diff(test[order], prepend=-1))
+    found[:, test[order][first]] = np.add.reduceat(terms[:, order], first, axis=1)
+    return found
 
 
 class Factor(NamedTuple):
@@ -259,6 +275,11 @@ class Varies:
     def by_date(self) -> str | None:
         """The covariate that is the time of a loss at an unknown date, empty for the order; None without one."""
         return None
+
+    @property
+    def is_in_time(self) -> bool:
+        """Whether the values of its population are correlated in time."""
+        return self.population is not None and self.population is not self and self.population.is_in_time
 
     @property
     def population(self) -> Varies | None:

@@ -20,6 +20,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from fmu.posterior.joint.varies.autocorrelation import InTime
 from fmu.posterior.joint.varies.base import Future, InTests, Reference, Slope
 from fmu.posterior.joint.varies.truncated_normal import Normals, Slopes, TruncatedFamily
 from fmu.types import BoolArray, FloatArray, IntArray
@@ -66,6 +67,8 @@ class Drawn(InTests):
         The weight w of the module docstring: 0 for standard normal scores, 1 for the values in other units.
     reference : tuple of float and ndarray, shape (n_tests,)
         The reference centre μ₀ and the reference width σ₀ of each test.
+    in_time : InTime, optional
+        The scores in time, if they are correlated in time.
     last : LastTheta
         Cache of the values at the last theta, which both the likelihood and the prior need.
     """
@@ -77,6 +80,7 @@ class Drawn(InTests):
     scored: BoolArray
     centring: FloatArray
     reference: Reference
+    in_time: InTime | None = None
     last: LastTheta = field(default_factory=LastTheta, init=False, repr=False)
 
     def __call__(self, theta: FloatArray) -> tuple[FloatArray, list[Slope]]:
@@ -100,6 +104,16 @@ class Drawn(InTests):
         """Return minus the second derivative of each score's log-density, (n, n_tests), for distant bounds."""
         value, (_, width), (_, blend), _ = self._at(theta)
         return np.broadcast_to((blend / width) ** 2, value.shape)
+
+    def add_curvature_in_time(self, theta: FloatArray, curvature: FloatArray, scale: FloatArray) -> None:
+        """Add −∂² log-density by two scores that follow each other in time to `curvature`, in units of `scale`."""
+        if self.in_time is None:
+            return
+        slopes, order = np.sqrt(self.curvature(theta)), self.in_time.order
+        rows, columns = self.columns[order[1:]], self.columns[order[:-1]]
+        of_both = self.in_time.precision(theta)[1] * slopes[:, order[1:]] * slopes[:, order[:-1]]
+        for one, other in ((rows, columns), (columns, rows)):
+            curvature[:, one, other] += of_both * scale[rows] * scale[columns]
 
     def population_scores(self, theta: FloatArray) -> tuple[FloatArray, Slopes]:
         """Return the scores relative to the population, (n, n_tests), and their derivatives.

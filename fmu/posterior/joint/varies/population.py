@@ -8,8 +8,9 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from fmu.arguments import check_arguments
+from fmu.arguments import ArgumentError, check_arguments
 from fmu.posterior.joint.modal_test import Test
+from fmu.posterior.joint.varies.autocorrelation import InTime, find_mistakes_of_times
 from fmu.posterior.joint.varies.base import InTests, Theta, Varies
 from fmu.posterior.joint.varies.drawn import Drawn
 from fmu.posterior.joint.varies.nested import Nested, find_mistakes_of_groups, find_mistakes_of_sds
@@ -17,7 +18,7 @@ from fmu.posterior.joint.varies.truncated_normal import TruncatedFamily
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.base import Normal, Prior
 from fmu.posterior.priors.one_sided import HalfNormal
-from fmu.types import Plain
+from fmu.types import Plain, Positive
 
 _SCATTER = 0.2
 """Scale of the default half-normal prior of a population's standard deviation, relative to the start value."""
@@ -44,27 +45,44 @@ class Population(Varies):
     sd_by_group : bool
         Whether each group of tests has a standard deviation of its own, with the prior `sd`, about the common mean
         or median. By default all tests have the same.
+    correlation_time : float, Prior or "inferred", optional
+        Correlation time T of the values: two tests a time Δt apart have scores with the correlation exp(−Δt/T)
+        (`fmu.posterior.joint.varies.autocorrelation`). With a prior it is inferred. The prior of ``"inferred"`` is
+        log-normal, with 5 % below a third of the median time between tests, and 5 % above the time from the first
+        test to the last. By default tests are independent.
+    by : str
+        The covariate that is the time of a test, such as ``"day"``, different in every test. By default the tests
+        were made at times 1, 2, … in their order.
 
     Raises
     ------
     ValueError
-        If the distribution is unknown.
+        If the distribution is unknown, or `by` is given without a correlation time.
     """
 
     distribution: Literal["normal", "log-normal"] = "normal"
     sd: Prior | None = None
     between: Prior | None = None
     sd_by_group: bool = False
+    correlation_time: Positive | Prior | Literal["inferred"] | None = None
+    by: str = ""
     by_test: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if self.distribution not in ("normal", "log-normal"):
             raise ValueError(f"distribution: must be normal or log-normal (got {self.distribution!r})")
+        if self.by and self.correlation_time is None:
+            raise ArgumentError("by", "must be given with a correlation_time", repr(self.by))
 
     @property
     def population(self) -> Population:
         """The population itself."""
         return self
+
+    @property
+    def is_in_time(self) -> bool:
+        """Whether the values are correlated in time."""
+        return self.correlation_time is not None
 
     @property
     def of_logarithm(self) -> bool:
@@ -78,6 +96,8 @@ class Population(Varies):
             found += find_mistakes_of_groups(name, tests)
         if self.sd_by_group:
             found += find_mistakes_of_sds(name, tests)
+        if self.correlation_time is not None:
+            found += find_mistakes_of_times(name, self.by, tests)
         return list(dict.fromkeys(found))
 
     def in_tests(self, p: Parameter, of: int, theta: Theta, here: Sequence[int]) -> InTests:
@@ -101,8 +121,10 @@ class Population(Varies):
             name = theta.tests[t].name
             columns[t] = theta.add_score(Parameter(f"{p.name} score [{name}]", 0.0, prior=Normal(1.0)), of, name)
         scored, start = np.isin(range(n), here), (mean.start, np.full(n, sd.start))
-        family = TruncatedFamily(self.of_logarithm, p.lower, p.upper)
-        return Drawn(family, centre, widths, columns, scored, np.zeros(n), start)
+        family, how, in_time = TruncatedFamily(self.of_logarithm, p.lower, p.upper), self.correlation_time, None
+        if how is not None:
+            in_time = InTime.of_tests(how, self.by, p, of, theta, here)
+        return Drawn(family, centre, widths, columns, scored, np.zeros(n), start, in_time)
 
     def parameters(self, of: Parameter) -> tuple[Parameter, Parameter]:
         """Return the two inferred parameters of the distribution: centre and width.
@@ -127,9 +149,12 @@ class Population(Varies):
 
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of the settings, in plain Python types."""
+        how = self.correlation_time
         return {
             "distribution": self.distribution,
             "sd": None if self.sd is None else self.sd.as_dict(),
             **({} if self.between is None else {"between": self.between.as_dict()}),
             **({"sd_by_group": True} if self.sd_by_group else {}),
+            **({} if how is None else {"correlation_time": how.as_dict() if isinstance(how, Prior) else how}),
+            **({"by": self.by} if self.by else {}),
         }

@@ -208,10 +208,10 @@ class TruncatedFamily:
             Derivatives of the two log-densities with respect to value, centre and standard deviation.
             ``by_other`` has to be subtracted.
         """
-        (p, by_p), (q, by_q) = (self._log_pdf(value, *of) for of in (one, other))
+        (p, by_p), (q, by_q) = (self.log_pdf(value, *of) for of in (one, other))
         return p - q, by_p, by_q
 
-    def _log_pdf(self, value: FloatArray, centre: FloatArray, sd: FloatArray) -> tuple[FloatArray, Slopes]:
+    def log_pdf(self, value: FloatArray, centre: FloatArray, sd: FloatArray) -> tuple[FloatArray, Slopes]:
         """Return the log-density of the value (of its logarithm for a log-normal population), with derivatives."""
         if not self.of_logarithm:
             return truncated_normal_log_pdf(value, centre, sd, self.lower, self.upper)

@@ -11,8 +11,8 @@ from scipy.stats import multivariate_t
 import fmu
 from fmu.posterior.joint.conditional.both import conditionals
 from fmu.posterior.joint.conditional.expansion import expand
-from fmu.posterior.joint.layout import sum_by_test
 from fmu.posterior.joint.typical import typical_point
+from fmu.posterior.joint.varies.base import sum_by_test
 from fmu.posterior.scaled import ScaledDensity
 from tests.gradients import assert_gradient
 from tests.shear_building import frequencies_hz, shear_building

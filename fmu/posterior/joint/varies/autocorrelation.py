@@ -1,0 +1,331 @@
+"""Scores of a population that are correlated in time: AR(1) for tests at even intervals.
+
+The scores z_t of the tests, at the times x_1 < x_2 < …, are a stationary Ornstein–Uhlenbeck process (Uhlenbeck &
+Ornstein 1930, *Phys. Rev.* 36, 823–841). Each is standard normal, and the correlation of two of them is
+exp(−|x_i − x_j|/T), where T is the correlation time. With ρ_t = exp(−(x_t − x_(t−1))/T),
+
+    z_1 ~ N(0, 1),    z_t | z_(t−1) ~ N(ρ_t z_(t−1), 1 − ρ_t²).
+
+A score depends on the scores before it by the last of them alone, so the density takes O(n) operations. The values
+of each test follow from its own scores. The innovations e_t = (z_t − ρ_t z_(t−1)) / √(1 − ρ_t²) are independent
+and standard normal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from fmu.posterior.joint.modal_test import Test
+from fmu.posterior.joint.varies.base import Theta
+from fmu.posterior.parameters import Parameter
+from fmu.posterior.priors.base import Prior
+from fmu.posterior.priors.one_sided import LogNormal
+from fmu.types import BoolArray, FloatArray, IntArray
+
+_SHORT = 3.0
+"""The default prior has 5 % below the usual time between tests divided by this: a correlation of 0.05."""
+_LEAST = 1e-3
+"""Smallest T, relative to the shortest time between tests: the correlation is exp(−1000)."""
+_QUANTILE = 1.6448536269514722  # of the standard normal distribution at 95 %
+
+
+def times_of(by: str, tests: Sequence[Test]) -> FloatArray:
+    """Return the times of the tests, (n_tests,): the covariate `by`, or 1, 2, … in their order if it is empty."""
+    if not by:
+        return np.arange(1.0, len(tests) + 1.0)
+    return np.array([test.covariates[by] for test in tests], dtype=float)
+
+
+def default_prior(times: FloatArray) -> LogNormal:
+    """Return the default prior of T for tests at ascending times: log-normal.
+
+    5 % of it are below a third of the median time between tests, where scores are nearly independent, and 5 %
+    above the time from the first test to the last, where the data cannot tell a slow change from the mean.
+    """
+    low, high = np.median(np.diff(times)) / _SHORT, times[-1] - times[0]
+    return LogNormal(float(np.sqrt(low * high)), float(np.log(high / low) / (2.0 * _QUANTILE)))
+
+
+def find_mistakes_of_times(name: str, by: str, tests: Sequence[Test]) -> list[str]:
+    """Return a list of messages that say why the tests have no times for the scores of the parameter `name`."""
+    if not by:
+        return []
+    here = [t for t, test in enumerate(tests) if name not in test.known]
+    given = {t: tests[t].covariates.get(by) for t in here}
+    rule = f"must have {by} as a number, as values of {name} are correlated in time"
+    wrong = [t for t, x in given.items() if x is None or isinstance(x, Prior)]
+    if wrong:
+        return [f"tests.{t}.covariates: {rule} (got {given[t]})" for t in wrong]
+    found, seen = [], dict[object, int]()
+    for t, x in given.items():
+        if x in seen:
+            rule = f"must differ from that of {tests[seen[x]].name!r}, as values of {name} are correlated in time"
+            found.append(f"tests.{t}.covariates.{by}: {rule} (got {x} in both)")
+        seen.setdefault(x, t)
+    return found
+
+
+N_STEPS, _LARGEST, _SMALLEST = 3, 2.0, 0.05
+"""Number of steps of the random walk of log T, the largest standard deviation of one, and the smallest over it."""
+
+
+@dataclass(frozen=True, eq=False)
+class InTime:
+    """The scores of one population in time.
+
+    Attributes
+    ----------
+    correlation_time : float or int
+        T, if it is a float; or its index in theta.
+    by : str
+        The covariate that is the time; empty for the order of the tests.
+    order : ndarray of int, shape (m,)
+        The tests with a score, in ascending order of time.
+    times : ndarray, shape (m,)
+        Their times.
+    """
+
+    correlation_time: float | int
+    by: str
+    order: IntArray
+    times: FloatArray
+
+    @classmethod
+    def of_tests(
+        cls, how: float | str | Prior, by: str, p: Parameter, of: int, theta: Theta, here: Sequence[int]
+    ) -> InTime:
+        """Add T to theta if it is inferred; return the scores in time. The arguments are as in `Population`."""
+        times = times_of(by, theta.tests)[list(here)]
+        order = np.argsort(times, kind="stable")
+        times = times[order]
+        if isinstance(how, str | Prior):
+            prior = default_prior(times) if isinstance(how, str) else how
+            start, least = prior.median_within(*prior.support), max(0.0, prior.support[0])
+            parameter = Parameter(f"{p.name} correlation time", start, least, prior=prior)
+            return cls(theta.add(parameter, "correlation time", of, by), by, np.array(here)[order], times)
+        return cls(float(how), by, np.array(here)[order], times)
+
+    def column(self) -> int | None:
+        """Return the index of T in theta; None if it is known."""
+        return None if isinstance(self.correlation_time, float) else self.correlation_time
+
+    def correlation_times(self, theta: FloatArray) -> FloatArray:
+        """Return T, (n, 1), at theta (n, n_parameters); not below a value at which scores are independent."""
+        column = self.column()
+        found = np.full((len(theta), 1), self.correlation_time) if column is None else theta[:, [column]]
+        return np.maximum(found, _LEAST * np.diff(self.times).min())
+
+    def propose_time(
+        self, rng: np.random.Generator, theta: FloatArray, parameters: Sequence[Parameter]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return theta with T after a step of a random walk of log T, and the log-ratio of its priors, (n,).
+
+        The ratio has the Jacobian of log T. The sizes of the steps are random, as T is known more or less well.
+        """
+        column, n = self.column(), len(theta)
+        if column is None:
+            return theta, np.zeros(n)
+        p, found = parameters[column], theta.copy()
+        step = _LARGEST * _SMALLEST ** rng.random(n) * rng.standard_normal(n)
+        found[:, column] *= np.exp(step)
+        inside = (found[:, column] > p.lower) & (found[:, column] < p.upper)
+        found[~inside] = theta[~inside]
+        now, new = (p.prior.log_pdf(at[:, column]) for at in (theta, found))
+        return found, np.where(inside, new - now + step, -np.inf)
+
+    def correlations(self, theta: FloatArray, gaps: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return ρ and 1 − ρ², (n, k), of scores with the `gaps` (k,) between their times."""
+        exponent = -gaps / self.correlation_times(theta)
+        return np.exp(exponent), -np.expm1(2.0 * exponent)
+
+    def between(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return ρ and 1 − ρ², (n, m − 1), of each score and the score before it."""
+        return self.correlations(theta, np.diff(self.times))
+
+    def log_density(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return log p(z) minus the log-density of independent scores, for scores z (n, m), and its derivatives.
+
+        Returns
+        -------
+        value : ndarray, shape (n, m)
+            The density of each score given the one before it.
+        by_score : ndarray, shape (n, m)
+            The derivatives of the sum.
+        by_time : ndarray, shape (n,)
+            The derivative of the sum with respect to T.
+        """
+        rho, left = self.between(theta)
+        value, by_score = np.zeros_like(z), np.zeros_like(z)
+        last, now = z[:, :-1], z[:, 1:]
+        off = now - rho * last
+        value[:, 1:] = -0.5 * (np.log(left) + off**2 / left - now**2)
+        by_score[:, 1:] = now - off / left
+        by_score[:, :-1] += rho * off / left
+        by_rho = (rho + off * last - rho * off**2 / left) / left
+        by_time = by_rho * rho * np.diff(self.times) / self.correlation_times(theta) ** 2
+        return value, by_score, by_time.sum(axis=1)
+
+    def precision(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the diagonal (n, m) of the tridiagonal precision matrix, and the one beside it, (n, m − 1)."""
+        rho, left = self.between(theta)
+        diagonal = np.ones((len(theta), len(self.order)))
+        diagonal[:, 1:] += rho**2 / left
+        diagonal[:, :-1] += rho**2 / left
+        return diagonal, -rho / left
+
+    def correlate(self, theta: FloatArray, e: FloatArray) -> FloatArray:
+        """Return the scores (n, m) with the innovations e (n, m)."""
+        rho, left = self.between(theta)
+        z = e.copy()
+        for t in range(1, z.shape[1]):
+            z[:, t] = rho[:, t - 1] * z[:, t - 1] + np.sqrt(left[:, t - 1]) * e[:, t]
+        return z
+
+    def innovations(self, theta: FloatArray, z: FloatArray) -> FloatArray:
+        """Return the innovations (n, m) of scores z (n, m)."""
+        rho, left = self.between(theta)
+        return np.concatenate([z[:, :1], (z[:, 1:] - rho * z[:, :-1]) / np.sqrt(left)], axis=1)
+
+    def next_scores(
+        self, theta: FloatArray, z: FloatArray, e: FloatArray, covariates: Mapping[str, float]
+    ) -> FloatArray:
+        """Return the score (n,) of a further test, with the innovation e (n,), given the scores z (n, m).
+
+        Its time is in `covariates`, or follows the last test after the median time between tests. A further test
+        between two others depends on both.
+        """
+        time = covariates.get(self.by, float(self.times[-1] + np.median(np.diff(self.times))))
+        k = int(np.searchsorted(self.times, time))
+        before = (self.times[k - 1], z[:, k - 1]) if k else (-np.inf, 0.0)
+        after = (self.times[k], z[:, k]) if k < len(self.times) else (np.inf, 0.0)
+        gaps = np.array([time - before[0], after[0] - time])
+        (rho, other), (left, of_other) = (one.T for one in self.correlations(theta, gaps))
+        whole = left + of_other * rho**2  # 1 − (ρ ρ')², zero only where the times are equal
+        if not gaps.all():
+            return np.array(after[1])
+        mean = (rho * of_other * before[1] + other * left * after[1]) / whole
+        return np.asarray(mean + np.sqrt(left * of_other / whole) * e)
+
+
+@dataclass(frozen=True)
+class ScoresInTime:
+    """The density of the scores of populations, of which some are correlated in time.
+
+    Attributes
+    ----------
+    every : tuple of InTime or None
+        The scores of each population in time; None if they are independent.
+    n_tests : int
+    """
+
+    every: tuple[InTime | None, ...]
+    n_tests: int
+
+    @property
+    def _each(self) -> list[tuple[int, InTime]]:
+        return [(k, one) for k, one in enumerate(self.every) if one is not None]
+
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """Indices in theta of the correlation times that are inferred."""
+        return tuple(column for _, one in self._each if (column := one.column()) is not None)
+
+    @property
+    def times(self) -> set[str]:
+        """The covariates that are the times."""
+        return {one.by for _, one in self._each} - {""}
+
+    def log_density(self, theta: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return log p(z) minus the log-density of independent scores in each test, and its derivatives.
+
+        Parameters
+        ----------
+        theta : ndarray, shape (n, n_parameters)
+        z : ndarray, shape (n, n_tests, p)
+
+        Returns
+        -------
+        value : ndarray, shape (n, n_tests)
+        by_score : ndarray, shape (n, n_tests, p)
+            Derivatives of the sum over the tests.
+        by_columns : ndarray, shape (n, n_columns)
+            Derivatives of the sum with respect to the parameters in `columns`.
+        """
+        value, by_score, by_columns = np.zeros(z.shape[:2]), np.zeros_like(z), []
+        for k, one in self._each:
+            of_one, by_score[:, one.order, k], by_time = one.log_density(theta, z[:, one.order, k])
+            value[:, one.order] += of_one
+            by_columns += [] if one.column() is None else [by_time]
+        return value, by_score, np.stack(by_columns, axis=1) if by_columns else np.zeros((len(z), 0))
+
+    def precision(self, theta: FloatArray) -> FloatArray:
+        """Return the precisions of the scores of each test given the others, minus I, (n, n_tests, p, p)."""
+        found = np.zeros((len(theta), self.n_tests, len(self.every), len(self.every)))
+        for k, one in self._each:
+            found[:, one.order, k, k] = one.precision(theta)[0] - 1.0
+        return found
+
+    def of_each(self, theta: FloatArray, z: FloatArray) -> FloatArray:
+        """Return the sums (n, n_tests) of the terms of `log_density` that contain a score of each test."""
+        found = np.zeros(z.shape[:2])
+        for k, one in self._each:
+            terms = one.log_density(theta, z[:, one.order, k])[0]
+            found[:, one.order] += terms
+            found[:, one.order[:-1]] += terms[:, 1:]
+        return found
+
+    @cached_property
+    def parts(self) -> list[BoolArray]:
+        """Masks of tests, (n_tests,) each; scores of one part are independent given all other scores."""
+        beside: list[set[int]] = [set() for _ in range(self.n_tests)]
+        for _, one in self._each:
+            for a, b in pairwise(one.order.tolist()):
+                beside[a].add(b)
+                beside[b].add(a)
+        part = np.full(self.n_tests, -1)
+        for t, others in enumerate(beside):
+            part[t] = next(k for k in range(self.n_tests) if k not in part[list(others)])
+        return [part == k for k in range(part.max() + 1)]
+
+    def draw_times(
+        self, rng: np.random.Generator, theta: FloatArray, z: FloatArray, parameters: Sequence[Parameter]
+    ) -> FloatArray:
+        """Return a copy of theta after random walks of log T given the scores z, (n, n_tests, p)."""
+        for k, one in self._each:
+            for _ in range(N_STEPS):
+                candidate, ratio = one.propose_time(rng, theta, parameters)
+                now, new = (one.log_density(at, z[:, one.order, k])[0] for at in (theta, candidate))
+                ratio = ratio + np.einsum("nt->n", new - now)
+                theta = np.where((np.log(rng.random(len(z))) < ratio)[:, None], candidate, theta)
+        return theta
+
+    def correlate(self, theta: FloatArray, e: FloatArray) -> FloatArray:
+        """Return the scores with the innovations e, (n, n_tests, p) each."""
+        z = e.copy()
+        for k, one in self._each:
+            z[:, one.order, k] = one.correlate(theta, e[:, one.order, k])
+        return z
+
+    def innovations(self, theta: FloatArray, z: FloatArray) -> FloatArray:
+        """Return the innovations of the scores z, (n, n_tests, p) each; independent scores are their own."""
+        e = z.copy()
+        for k, one in self._each:
+            e[:, one.order, k] = one.innovations(theta, z[:, one.order, k])
+        return e
+
+    def next_scores(
+        self, theta: FloatArray, z: FloatArray, e: FloatArray, covariates: Mapping[str, float]
+    ) -> FloatArray:
+        """Return the scores (n, p) of a further test, with the innovations e (n, p), given the scores z of others.
+
+        `covariates` are as in `InTime.next_scores`.
+        """
+        found = e.copy()
+        for k, one in self._each:
+            found[:, k] = one.next_scores(theta, z[:, one.order, k], e[:, k], covariates)
+        return found
