@@ -32,6 +32,10 @@ upper = 2.0
 GRIDS = "".join(f"GRID,{node},,{x}.,{y}.,{z}.\n" for node, (x, y, z) in NODES.items())
 LINES = "*NODE, NSET=ALL\n" + "".join(f"{node}, {x}., {y}., {z}.\n" for node, (x, y, z) in NODES.items())
 
+STORED = "*STEP\n*FREQUENCY, SOLVER=MATRIXSTORAGE\n4\n*END STEP\n"
+ON_NODES = "*SURFACE, NAME=S, TYPE=NODE\nALL\n"
+COUPLING = "*COUPLING, REF NODE=5, SURFACE={}, CONSTRAINT NAME=C\n*KINEMATIC\n"
+
 
 def _diagonal() -> bytes:
     """Return the rows of a diagonal matrix, one row per degree of freedom of the nodes."""
@@ -120,6 +124,47 @@ def input_decks() -> dict[str, str]:
         "body of its reference": LINES + "*RIGID BODY, NSET=ALL, REF NODE=5, ROT NODE=5\n",
         "body without numbers": LINES + "*RIGID BODY, NSET=ALL, REF NODE=, ROT NODE=x\n",
         "two bodies of the same nodes": LINES + "*RIGID BODY, NSET=ALL, REF NODE=5, ROT NODE=4\n" * 2,
+        "coupling of no surface": LINES + COUPLING.format("S2") + "1,3\n" + STORED,
+        "coupling of faces of shells": LINES
+        + "*ELEMENT, TYPE=S4, ELSET=E\n1,1,2,3,4\n*SURFACE, NAME=S\nE, S1\n"
+        + COUPLING.format("S")
+        + "1,3\n"
+        + STORED,
+        "coupling of faces that are not there": LINES
+        + "*SURFACE, NAME=S\n9, S77\n"
+        + COUPLING.format("S")
+        + "1,3\n"
+        + STORED,
+        "coupling of faces of a set that is not there": LINES
+        + "*SURFACE, NAME=S\nNONE, S1\n"
+        + COUPLING.format("S")
+        + "1,3\n"
+        + STORED,
+        "coupling of no directions": LINES + ON_NODES + COUPLING.format("S") + STORED,
+        "coupling of directions backwards": LINES + ON_NODES + COUPLING.format("S") + "3,1\n" + STORED,
+        "coupling of a ninth direction": LINES + ON_NODES + COUPLING.format("S") + "1,9\n" + STORED,
+        "coupling of nodes that are not there": LINES
+        + ON_NODES.replace("ALL", "77")
+        + COUPLING.format("S")
+        + "1,3\n"
+        + STORED,
+        "coupling without a reference": LINES
+        + ON_NODES
+        + COUPLING.format("S").replace("REF NODE=5, ", "")
+        + "1,3\n"
+        + STORED,
+        "two couplings of the same nodes": LINES + ON_NODES + (COUPLING.format("S") + "1,3\n") * 2 + STORED,
+        "surface in a huge set, often": LINES
+        + "*NSET, NSET=A, GENERATE\n1, 4000000, 1\n*SURFACE, NAME=S, TYPE=NODE\n"
+        + "A\n" * 50
+        + COUPLING.format("S")
+        + "1,3\n"
+        + STORED,
+        "coupling that is held": LINES
+        + ON_NODES
+        + COUPLING.format("S")
+        + "1,3\n*BOUNDARY\nALL, ENCASTRE\n"
+        + STORED,
         "axes of zero": LINES + "*TRANSFORM, NSET=ALL\n0.,0.,0.,0.,0.,0.\n",
         "axes of NaN": LINES + "*TRANSFORM, NSET=ALL\nnan,0.,0.,0.,nan,0.\n",
         "sets within sets": LINES + nested + "*RIGID BODY, NSET=S59, REF NODE=5, ROT NODE=4\n",

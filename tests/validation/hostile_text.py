@@ -9,6 +9,19 @@ from pathlib import Path
 HUGE = 2**30
 MARKET = "%%MatrixMarket matrix "
 
+USER = """\
+** ELEMENT NUMBER 1 STEP NUMBER 1 INCREMENT NUMBER 1
+*USER ELEMENT, NODES= 2, LINEAR
+** ELEMENT NODES
+** 4, 9
+1, 2
+*MATRIX,TYPE=STIFFNESS
+3.0
+1.0, 4.0
+0.0, 1.0, 5.0
+0.0, 0.0, 1.0, 6.0
+"""
+
 Writer = Callable[[Path], object]
 
 
@@ -94,6 +107,16 @@ def text_cases() -> dict[str, Writer]:
         "absurd node.abaqus.mtx": of("1e300,1,1,1,1.0\n"),
         "absurd row of three.abaqus.mtx": of("999999999999 1 1.0\n"),
         "stars.abaqus.mtx": of("*\n" * 1_000_000),
+        "elements without nodes.abaqus.mtx": of(USER.replace("** 4, 9\n", "")),
+        "elements of an absurd number of nodes.abaqus.mtx": of(USER.replace("NODES= 2", "NODES= 999999999999")),
+        "elements of direction 9.abaqus.mtx": of(USER.replace("\n1, 2\n", "\n1, 9\n")),
+        "elements cut short.abaqus.mtx": of(USER[:-12]),
+        "elements of words.abaqus.mtx": of(USER.replace("3.0", "three")),
+        "elements that are NaN.abaqus.mtx": of(USER.replace("3.0", "nan")),
+        "elements twice.abaqus.mtx": of(USER * 2),
+        "elements of many entries.abaqus.mtx": of(USER + "1.0, 1.0, 1.0, 1.0\n" * 500_000),
+        "many elements.abaqus.mtx": of("".join(USER.replace("NUMBER 1 ", f"NUMBER {k} ").replace("4, 9", f"{k}, {k + 1}") for k in range(1, 60_000))),
+        "elements without a type.abaqus.mtx": of(USER.replace(",TYPE=STIFFNESS", "")),
         "binary.mtx": of(bytes(range(256)) * 1000),
         "not compressed.mtx.gz": of(head + "1 1 1\n1 1 1.0\n"),
         "cut short.mtx.gz": of(gzip.compress((head + "5 5 1\n1 1 1.0\n").encode(), mtime=0)[:-9]),

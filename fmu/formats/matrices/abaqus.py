@@ -95,6 +95,8 @@ def parse(file: BinaryIO) -> tuple[sp.csr_array, tuple[tuple[int, str], ...] | N
 OF_ELEMENTS = b"*USER ELEMENT"
 """Keyword of each element in a file of their matrices."""
 _KINDS = ("stiffness", "mass")
+_AT_A_TIME = 2**20
+"""Number of entries after which those of further elements are added to the sum."""
 _MOST_NODES = 100
 """Largest number of nodes of an element."""
 
@@ -124,7 +126,9 @@ def parse_elements(file: BinaryIO, variable: str | None) -> Labelled:
     RefusedError
         If there is no matrix of this name, or there are too many entries.
     """
-    codes, entries, n, kinds, seen = [], [], 0, dict[str, None](), set[tuple[str, str]]()
+    places, entries, n, held = list[IntArray](), list[FloatArray](), 0, 0
+    kinds, seen, index = dict[str, None](), set[tuple[str, str]](), dict[int, int]()
+    total = sp.csr_array((0, 0))
     for one in _elements(text_lines(file)):
         kinds[one.kind] = None
         if one.number and (one.kind, one.number) in seen:
@@ -138,26 +142,39 @@ def parse_elements(file: BinaryIO, variable: str | None) -> Labelled:
         size = len(one.codes)
         n += size**2
         entries_within(n)
-        own = np.array(one.codes, dtype=np.int64)
+        own = np.array([index.setdefault(code, len(index)) for code in one.codes], dtype=np.int32)
         row, column = np.tril_indices(size)
         if len(one.words) != len(row):
-            raise ValueError(
-                f"an element of {size} degrees of freedom must have {len(row)} entries (got {len(one.words)})"
-            )
+            got = f"got {len(one.words)}"
+            raise ValueError(f"an element of {size} degrees of freedom must have {len(row)} entries ({got})")
         entry = np.array(one.words, dtype=float)
         off = row != column
-        codes.append(np.array([own[np.append(row, column[off])], own[np.append(column, row[off])]]))
+        places.append(np.array([own[np.append(row, column[off])], own[np.append(column, row[off])]]))
         entries.append(np.append(entry, entry[off]))
+        held += len(entries[-1])
+        if held > _AT_A_TIME:
+            total = _add_entries(total, places, entries, len(index))
+            places, entries, held = [], [], 0
     name = choose_variable([kind for kind in _KINDS if kind in kinds], variable)
-    if not entries:
+    if not index:
         raise RefusedError(f"must hold the {name} of elements (it has none)")
-    known, index = np.unique(np.concatenate(codes, axis=1), return_inverse=True)
-    rows_within(len(known))
-    row, column = index.reshape(2, -1)
-    matrix = sp.csr_array((np.concatenate(entries), (row, column)), shape=(len(known),) * 2)
-    return Labelled(
-        matrix, tuple((int(code) // 8, DIRECTIONS[int(code) % 8 - 1]) for code in known), is_whole=True
-    )
+    rows_within(len(index))
+    total = _add_entries(total, places, entries, len(index))
+    codes = np.array(list(index))
+    order = np.argsort(codes)
+    names = tuple((int(code) // 8, DIRECTIONS[int(code) % 8 - 1]) for code in codes[order])
+    return Labelled(total[order][:, order], names, is_whole=True)
+
+
+def _add_entries(
+    total: sp.csr_array, places: list[IntArray], entries: list[FloatArray], size: int
+) -> sp.csr_array:
+    """Return a matrix with entries added at places (2, n), with as many rows as there are names by now."""
+    total.resize((size, size))
+    if not entries:
+        return total
+    row, column = np.concatenate(places, axis=1)
+    return sp.csr_array(total + sp.csr_array((np.concatenate(entries), (row, column)), shape=(size, size)))
 
 
 def _elements(lines: Iterable[str]) -> Iterator[_Element]:
