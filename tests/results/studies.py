@@ -112,7 +112,7 @@ STUDIES = (
     _study("damage-intervals", 12),
     _study("starts", 12),
     _study("kills", 12, also=("tests.validation.kills_run",)),
-    _study("hyper-parameters", 14),
+    _study("hyper-parameters", 10),
     _study("replicates", 10),
     _study("bound", 10),
     Study("compare", 8, "tests.results.compare", ("compare/README.md",), ("compare",), COMPARISON,
