@@ -5,7 +5,8 @@ on the pattern of the matrix alone, and an incomplete factorisation that drops e
 fraction of the time. The entries of L then follow row by row: those of row i are the nodes of the row subtree, the
 paths of the elimination tree from each k with a_ik ≠ 0 up to i (Liu 1990, *SIAM J. Matrix Anal. Appl.* 11,
 134–172). Rows next to each other in that order with the same pattern are one node, such as the degrees of freedom
-of one point of a mesh. The count of solids and frames was that of SuperLU to 1e-4.
+of one point of a mesh. For solids and frames of 17 000 to 100 000 degrees of freedom the count was that of
+SuperLU to 0.3 %.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ from fmu.fem.modes.factors.memory import LARGE, require_memory
 from fmu.types import FloatArray, IntArray
 
 _OPTIONS = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-# Bytes for an entry of L and of U: measured with solids, including the copy that tells the signs of the pivots.
-_AN_ENTRY = 20
+# Bytes for an entry of L and of U, including the copy that tells the signs of the pivots: 19.6 to 21.9 were measured
+# with solids and frames.
+_AN_ENTRY = 22
 _counted: dict[bytes, int] = {}  # by the digest of a pattern: a model's matrices have one at every theta
 
 
