@@ -21,8 +21,8 @@ from fmu.fem.modes.factors.memory import LARGE, require_memory
 from fmu.types import FloatArray, IntArray
 
 _OPTIONS = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-# Bytes for an entry of L and of U, including the copy that tells the signs of the pivots: 19.6 to 21.9 were measured
-# with solids and frames.
+# Bytes for an entry of L and of U, including the copy that tells the signs of the pivots: 19.6 to 21.9 were
+# measured with solids and frames.
 _AN_ENTRY = 22
 _counted: dict[bytes, int] = {}  # by the digest of a pattern: a model's matrices have one at every theta
 
