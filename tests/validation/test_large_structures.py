@@ -8,7 +8,7 @@ import pytest
 import fmu
 from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.modes.modal import frequency_hz
-from tests.validation.large_files import RHO, SIDES, STEEL, plate, write_plate, write_wing
+from tests.validation.large_files import RHO, SIDES, STEEL, plate, write_plate, write_space_frame, write_wing
 from tests.validation.large_run import phases
 from tests.validation.large_structures import RUNS, page
 
@@ -80,7 +80,11 @@ def test_the_plate_converges_as_trilinear_elements_do():
 @pytest.mark.validate
 @pytest.mark.parametrize(
     ("write", "cells", "parameters", "n_dof"),
-    [(write_plate, (12, 3, 1), 6, 3 * 12 * 4 * 2), (write_wing, (48, 6, 2), 5, 6 * (48 * 16 + 16 * 5))],
+    [
+        (write_plate, (12, 3, 1), 6, 3 * 12 * 4 * 2),
+        (write_wing, (48, 6, 2), 5, 6 * (48 * 16 + 16 * 5)),
+        (write_space_frame, (6, 4), 4, 6 * (7 * 5 + 6 * 4) - 3 * 20),
+    ],
 )
 def test_the_structures_are_problems_that_can_be_loaded(write, cells, parameters, n_dof, tmp_path, monkeypatch):
     monkeypatch.setenv("FMU_CACHE_DIR", "")
