@@ -58,8 +58,9 @@ class UndatedDamage(Varies):
         time and the event, or ``"test of damage"`` in the order of the tests.
     scatter : Population, optional
         Population of the undamaged values in the tests. By default all tests have the same undamaged value. With a
-        population the chains often stay at different dates, so that the run does not converge: then divide the
-        tests into groups before and after the date that is found without it, and use `Damage`.
+        population the chains find the date, but move slowly along the ridge of undamaged value and loss, so that a
+        default run does not converge: then divide the tests into groups before and after the date, and use
+        `Damage`.
 
     Raises
     ------

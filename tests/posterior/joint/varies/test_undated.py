@@ -7,6 +7,8 @@ from numpy.testing import assert_allclose
 import fmu
 from tests.gradients import assert_gradient
 from tests.shear_building import frequencies_hz, shear_building
+from tests.validation.campaigns import parameters, simulated_tests
+from tests.validation.several_tests import building as storeys
 
 NAMES = ("k1", "k2")
 DAYS = (0.0, 1.0, 3.0, 4.0, 8.0, 9.0, 11.0, 12.0)
@@ -156,3 +158,25 @@ def test_a_check_before_the_run_doubts_neither_dates_nor_covariates(building):
     assert list(found.parameters.index) == list(problem.names)
     assert fmu.identifiability(problem).names == ("k1", "k1 loss", *pieces, "k2")
     assert "carry no information on" not in str(found)
+
+
+@pytest.mark.validate
+def test_a_run_with_scatter_finds_the_date():
+    """Of three campaigns; the R-hat of loss and date are printed, as default runs of them do not converge."""
+    for seed in (1, 2, 3):
+        rng = np.random.default_rng((seed, 9))
+        first = int(rng.integers(10, 30))
+        values = np.ones((40, 4))
+        values[:, 1] *= np.exp(0.02 * rng.standard_normal(40))
+        values[first:, 1] *= 0.92
+        scatter = fmu.Population("log-normal", sd=fmu.HalfNormal(0.05))
+        problem = fmu.JointProblem(
+            storeys(4),
+            simulated_tests(rng, values),
+            parameters(),
+            varies={"k2": fmu.UndatedDamage(scatter=scatter)},
+            pairing="index",
+        )
+        table = fmu.summary(fmu.sample(problem, seed=seed, progress=False))
+        print(table.loc[["k2 loss", "test of damage"], ["mean", "sd", "rhat"]])
+        assert table.loc["test of damage", "mean"] == pytest.approx(first + 0.5, abs=1.0)
