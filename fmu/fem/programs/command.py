@@ -110,7 +110,7 @@ class CommandModel(BlackBoxModel):
         self.names, self.command = tuple(names), tuple(command)
         self.found, self.reader, self.result = frequencies, reader, result
         self.retries, self.keep = retries, keep
-        self.run, wrong = DeckRun.of(self.names, template, command, inputs, timeout, self.folder)
+        self.run, wrong = DeckRun.of(self.names, template, self.command, inputs, timeout, self.folder)
         wrong = self._of_options() + wrong
         if wrong:
             raise CommandError(wrong)
