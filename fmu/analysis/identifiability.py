@@ -36,7 +36,7 @@ GROUP = "identifiability"
 INFORMED = 1.0
 """Singular value above which the data constrain a direction more than the prior does."""
 _INTEGRATED = ("score", "effect", "covariate")
-_OMITTED = ("sd", "correlation", "date", "kink")
+_OMITTED = ("sd", "correlation", "correlation time", "share", "date", "kink")
 """Kinds of parameters (`fmu.posterior.joint.varies.base.Role`) that are integrated out, and that are omitted."""
 _NODES = 256
 NAMED = 0.25
@@ -174,8 +174,9 @@ def identifiability(problem: UpdatingProblem, theta: ArrayLike | None = None) ->
     problem : UpdatingProblem
         A problem with an error model of modes. Inferred standard deviations of errors are held fixed. The scores
         of tests in a population, effects of groups, and covariates that are not known are integrated out. The
-        standard deviation of the population is omitted, because it changes no mode of a test at the population
-        mean; so are dates of damage and kinks, which change no mode at a loss or a slope of zero.
+        standard deviation, the correlations and the correlation time of a population and the share of outliers are
+        omitted, because they change no mode of a test at the population mean; so are dates of damage and kinks,
+        which change no mode at a loss or a slope of zero.
     theta : array_like, shape (ndim,), optional
         Point of linearisation, SI units, within the bounds; the start if not given.
 

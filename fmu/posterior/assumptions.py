@@ -126,9 +126,10 @@ def _between_tests(problem: Mapping[str, Any]) -> list[str]:
     if populations:
         kinds = dict.fromkeys(str(one["distribution"]) for one in populations.values())
         together = "correlated, with a prior LKJ" if problem.get("correlated") else "independent of each other"
+        of_each, and_others = (" each", f"; the populations are {together}") if len(populations) > 1 else ("", "")
         said.append(
             f"The values of {', '.join(populations)} in the tests are draws from a {' or '.join(kinds)} "
-            f"distribution each, cut off at the bounds; they are {together}."
+            f"distribution{of_each}, cut off at the bounds{and_others}."
         )
         in_time = [name for name, one in populations.items() if "correlation_time" in one]
         if in_time:

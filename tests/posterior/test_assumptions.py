@@ -160,6 +160,6 @@ def test_several_tests():
     assert "A parameter has one value in all tests, unless it is named for one of them or for a group." in said
     (drawn,) = (one for one in said if one.startswith("The values of k1, k2, k3, k4 in the tests are draws"))
     assert drawn.endswith(
-        "from a normal distribution each, cut off at the bounds; they are independent of each other."
+        "from a normal distribution each, cut off at the bounds; the populations are independent of each other."
     )
     assert "Modes are paired by number in the sorted spectrum: 1, 2, 3, 4." in said

@@ -230,3 +230,9 @@ def test_intervals_hold_truths_drawn_from_the_prior():
     counts = np.sum(inside, axis=0)
     print(counts.tolist())
     assert np.all((counts >= binom.ppf(1e-3, 40, 0.9)) & (counts <= binom.ppf(1.0 - 1e-3, 40, 0.9)))
+
+
+def test_data_are_not_said_to_leave_the_correlation_time_unknown():
+    tests = spring_tests(DAYS, np.linspace(0.9, 1.1, 6))
+    population = fmu.Population(correlation_time="inferred", by="day")
+    assert fmu.identifiability(spring_problem(tests, population)).names == ("k mean",)
