@@ -1,8 +1,8 @@
-"""Types for annotations: arrays by the type of their entries, numbers in a range, and a log-density."""
+"""Types for annotations: arrays by the type of their entries, numbers in a range, the chain rule, a density."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Annotated, Any, Literal, Protocol, get_args, runtime_checkable
 
 import numpy as np
@@ -27,6 +27,14 @@ Dof = tuple[Hashable, str]
 """A degree of freedom or a sensor: its place (a node, or a name that is not a node) and its direction."""
 type Plain = bool | int | float | str | Sequence[Plain] | Mapping[str, Plain] | None
 """Data of plain Python types, as in a JSON file."""
+
+
+type Chain = Callable[[FloatArray, IntArray], FloatArray]
+"""A function that applies the chain rule to derivatives of m quantities, each of which belongs to one test.
+
+It takes the derivatives by the parameters of the structure in that test, (n, m, n_structural), and the index of
+the test of each quantity, (m,); it returns the derivatives by the parameters of all tests, (n, m, n_parameters).
+"""
 
 
 @runtime_checkable

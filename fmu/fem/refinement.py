@@ -140,7 +140,7 @@ def conjugate_gradients(A: sp.csr_array, solve: Solve, loads: FloatArray) -> Flo
         If a column has not converged after 100 steps, or A is not positive definite.
     """
     x, r = np.zeros_like(loads), np.array(loads, dtype=float)
-    z = _scaled(solve, r)
+    z = _solve_scaled(solve, r)
     p, gamma, energy = z.copy(), np.sum(r * z, axis=0), np.zeros(loads.shape[1])
     (of,) = np.nonzero(np.any(loads != 0.0, axis=0))  # the columns that have not converged
     for _ in range(_STEPS):
@@ -154,7 +154,7 @@ def conjugate_gradients(A: sp.csr_array, solve: Solve, loads: FloatArray) -> Flo
         x[:, of] += alpha * p[:, of]
         before, r[:, of] = r[:, of], r[:, of] - alpha * Ap
         energy[of] += alpha * gamma[of]  # of x, xᵀ A x
-        z[:, of] = _scaled(solve, r[:, of])
+        z[:, of] = _solve_scaled(solve, r[:, of])
         changed, gamma_before = np.sum((r[:, of] - before) * z[:, of], axis=0), gamma[of]
         gamma[of] = np.sum(r[:, of] * z[:, of], axis=0)
         p[:, of] = z[:, of] + changed / gamma_before * p[:, of]
@@ -170,13 +170,13 @@ def refine(A: sp.csr_array, solve: Solve, loads: FloatArray) -> FloatArray:
     StalledError
         If the corrections of a column do not become small.
     """
-    x = _scaled(solve, loads)
+    x = _solve_scaled(solve, loads)
     (of,) = np.nonzero(np.any(loads != 0.0, axis=0))
     last = np.full(loads.shape[1], np.inf)
     for _ in range(_REFINED):
         if not len(of):
             return x
-        change = _scaled(solve, loads[:, of] - A @ x[:, of])
+        change = _solve_scaled(solve, loads[:, of] - A @ x[:, of])
         size = np.linalg.norm(change, axis=0) / np.linalg.norm(x[:, of] + change, axis=0)
         is_better = size < last[of]  # not when only rounding remains
         x[:, of] += np.where(is_better, change, 0.0)
@@ -192,13 +192,13 @@ def require_same_inertia(A: sp.csr_array, solve: Solve) -> None:
     kept = np.inf
     for _ in range(_POWER):
         x /= np.linalg.norm(x)
-        x = x - _scaled(solve, A @ x)
+        x = x - _solve_scaled(solve, A @ x)
         kept = float(np.linalg.norm(x))
     if not kept <= _SLOW:
         raise StalledError(f"a step of refinement leaves {significant(kept, 2)} of the error")
 
 
-def _scaled(solve: Solve, loads: FloatArray) -> FloatArray:
+def _solve_scaled(solve: Solve, loads: FloatArray) -> FloatArray:
     """Return F⁻¹ b for columns b that are first scaled to 1, within the range of single precision."""
     size = np.max(np.abs(loads), axis=0)
     size = np.where(size > 0.0, size, 1.0)

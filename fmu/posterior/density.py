@@ -13,7 +13,7 @@ from fmu.arguments import Numbers, require
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.pairing.modal_model import ModalModel
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.errors.base import Chain, Likelihood
+from fmu.posterior.errors.base import Likelihood
 from fmu.posterior.failures import Failure, FailureRecord
 from fmu.posterior.joint.layout import Layout
 from fmu.posterior.joint.modal_test import Test
@@ -21,7 +21,7 @@ from fmu.posterior.joint.varies.base import Role
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.joint import JointPrior
 from fmu.posterior.reduction.tolerance import MEASURED, Tolerance
-from fmu.types import BoolArray, ComplexArray, FloatArray, Plain
+from fmu.types import BoolArray, Chain, ComplexArray, FloatArray, Plain
 
 
 class Posterior:

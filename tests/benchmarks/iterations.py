@@ -20,9 +20,9 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
 
-from fmu.fem.modes.eigensolver import eigen, unit_diagonal
+from fmu.fem.modes.eigensolver import eigen
 from fmu.fem.modes.factors import pardiso
-from fmu.fem.modes.solver import PARDISO, factorise
+from fmu.fem.modes.solver import PARDISO, factorise, unit_diagonal
 from fmu.numbers import significant, whole
 from fmu.tables import markdown_table
 from fmu.types import FloatArray

@@ -18,11 +18,9 @@ from fmu.fem.modes.eigensolver import (
     clear_factor,
     is_semidefinite,
     lowest,
-    scale_matrix,
-    unit_diagonal,
 )
 from fmu.fem.modes.separable import RigidArm, SeparableModel
-from fmu.fem.modes.solver import LARGE
+from fmu.fem.modes.solver import LARGE, scale_matrix, unit_diagonal
 from fmu.numbers import listed, names_in_words
 from fmu.types import FloatArray
 

@@ -30,7 +30,7 @@ import scipy.linalg as sl
 import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
 
-from fmu.fem.modes.solver import LARGE, Factor, Matrix, ScaledFactor, factorise
+from fmu.fem.modes.solver import LARGE, Factor, Matrix, ScaledFactor, factorise, scale_matrix, unit_diagonal
 from fmu.fem.modes.stacks import WIDE, rayleigh_quotients
 from fmu.types import BoolArray, FloatArray
 
@@ -288,22 +288,6 @@ def _dense(matrix: Any) -> FloatArray:
 # Whether a symmetric matrix is singular or negative shows in its lowest eigenvalues at a unit diagonal. With that
 # scaling metres and radians, and stiff and soft parts, count equally, and an eigenvalue that should be zero is of
 # the order of 1e-16, whatever the units and the mesh.
-
-
-def unit_diagonal(matrix: Matrix) -> tuple[Matrix, FloatArray]:
-    """Return S = D A D with a diagonal of ones (or zeros), and the diagonal of D, for a dense or sparse A."""
-    diagonal = np.abs(matrix.diagonal())
-    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-    return scale_matrix(matrix, scale), scale
-
-
-def scale_matrix(matrix: Matrix, scale: FloatArray) -> Matrix:
-    """Return D A D for a matrix A and the diagonal `scale` of D."""
-    if not sp.issparse(matrix):
-        return scale[:, None] * matrix * scale
-    matrix = sp.csr_array(matrix, copy=True)
-    matrix.data *= scale[np.repeat(np.arange(len(scale)), np.diff(matrix.indptr))] * scale[matrix.indices]
-    return matrix
 
 
 def lowest(S: Matrix) -> tuple[FloatArray, FloatArray]:

@@ -14,10 +14,10 @@ import scipy.sparse as sp
 from fmu.engines.base import Engine, Work
 from fmu.fem.modes.block import Block, Mapped, Observation, Picked
 from fmu.fem.modes.derivatives import CLOSE, by_bordered_system
-from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, clear_factor, eigen, rank, unit_diagonal
+from fmu.fem.modes.eigensolver import DENSE_LIMIT, SingularMassError, clear_factor, eigen, rank
 from fmu.fem.modes.modal import BlockModel, single_thread
 from fmu.fem.modes.separable import SeparableModel
-from fmu.fem.modes.solver import LARGE, Matrix, ScaledFactor
+from fmu.fem.modes.solver import LARGE, Matrix, ScaledFactor, unit_diagonal
 from fmu.fem.modes.stacks import SMALL, assemble, lowest_modes
 from fmu.fem.modes.terms import Term, WeightedSum, coefficient_gradients, weighted_sum
 from fmu.types import BoolArray, FloatArray, IntArray

@@ -175,3 +175,19 @@ class DenseFactor:
         if self.L is not None:
             return sl.lapack.dpotrs(self.L, loads, lower=1)[0]
         return sl.lapack.dsytrs(self._ldl, self._pivots, loads, lower=1)[0]
+
+
+def unit_diagonal(matrix: Matrix) -> tuple[Matrix, FloatArray]:
+    """Return S = D A D with a diagonal of ones (or zeros), and the diagonal of D, for a dense or sparse A."""
+    diagonal = np.abs(matrix.diagonal())
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    return scale_matrix(matrix, scale), scale
+
+
+def scale_matrix(matrix: Matrix, scale: FloatArray) -> Matrix:
+    """Return D A D for a matrix A and the diagonal `scale` of D."""
+    if not sp.issparse(matrix):
+        return scale[:, None] * matrix * scale
+    matrix = sp.csr_array(matrix, copy=True)
+    matrix.data *= scale[np.repeat(np.arange(len(scale)), np.diff(matrix.indptr))] * scale[matrix.indices]
+    return matrix

@@ -19,10 +19,10 @@ import numpy as np
 import scipy.linalg as sl
 
 from fmu.engines.base import Work
-from fmu.fem.modes.eigensolver import is_clearly_definite, is_semidefinite, unit_diagonal
+from fmu.fem.modes.eigensolver import is_clearly_definite, is_semidefinite
 from fmu.fem.modes.full_block import FullBlock
 from fmu.fem.modes.modal import is_rigid
-from fmu.fem.modes.solver import LARGE, Factor, Matrix, factorise
+from fmu.fem.modes.solver import LARGE, Factor, Matrix, factorise, unit_diagonal
 from fmu.fem.modes.terms import Term, coefficients
 from fmu.fem.reduced.space import Space
 from fmu.types import FloatArray, IntArray

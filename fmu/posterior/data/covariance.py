@@ -53,3 +53,13 @@ def checked_covariance(covariance: ArrayLike, n: int, name: str = "covariance_hz
     matrix = 0.5 * (matrix + matrix.T)
     matrix.flags.writeable = False
     return matrix
+
+
+def mode_weights(weights: ArrayLike | None, n: int) -> FloatArray:
+    """Return the weights of `n` modes, shape (n,), 1 by default; ValueError if a weight is not positive."""
+    if weights is None:
+        return np.ones(n)
+    given = np.asarray(weights, dtype=float)
+    if given.shape != (n,) or not np.all(np.isfinite(given) & (given > 0)):
+        raise ArgumentError("weights", f"must be {n} positive numbers, one per mode", given.tolist())
+    return given

@@ -18,7 +18,7 @@ from fmu.posterior.discrepancy.frequencies import ScatteredFrequencies
 from fmu.posterior.discrepancy.latent import LatentErrors
 from fmu.posterior.discrepancy.model_errors import Change, Linearised, ModelErrors
 from fmu.posterior.discrepancy.modes import ModeErrors
-from fmu.posterior.errors.base import Chain, ErrorModel, ErrorTerm
+from fmu.posterior.errors.base import ErrorModel, ErrorTerm
 from fmu.posterior.errors.frequency import FrequencyTerm
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.errors.noise import numbering
@@ -26,7 +26,7 @@ from fmu.posterior.errors.quantities import QuantityTerm
 from fmu.posterior.errors.shape import ShapeTerm
 from fmu.posterior.errors.slopes import chain_prediction, residuals_of_term, without_shapes
 from fmu.posterior.joint.layout import Layout
-from fmu.types import FloatArray, IntArray, Plain
+from fmu.types import Chain, FloatArray, IntArray, Plain
 
 _COMPLEX_STEP = 1e-30  # relative; a complex step subtracts nothing, so it may be as small as numbers allow
 

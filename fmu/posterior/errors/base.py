@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from typing import Any, ClassVar, NamedTuple, Protocol, Self
 
@@ -15,16 +15,9 @@ from fmu.posterior.data.modal_data import ModalData
 from fmu.posterior.data.repeated import RepeatedTests
 from fmu.posterior.errors.noise import NoiseIndex, Spread
 from fmu.posterior.parameters import Parameter
-from fmu.types import FloatArray, IntArray, Plain
+from fmu.types import Chain, FloatArray, IntArray, Plain
 
 LOG_2PI = float(np.log(2.0 * np.pi))
-
-type Chain = Callable[[FloatArray, IntArray], FloatArray]
-"""A function that applies the chain rule to derivatives of m quantities, each of which belongs to one test.
-
-It takes the derivatives by the parameters of the structure in that test, (n, m, n_structural), and the index of
-the test of each quantity, (m,); it returns the derivatives by the parameters of all tests, (n, m, n_parameters).
-"""
 
 
 class ErrorModel(Protocol):
@@ -106,10 +99,8 @@ class ErrorTerm:
     ----------
     spread : Spread
         Variances of the errors.
-    needs_shapes : bool
-        Whether the errors are those of mode shapes.
-    of_frequencies : bool
-        Whether the errors are those of frequencies, which `simulate` can add.
+    needs_shapes, of_frequencies : bool
+        Whether the errors are of mode shapes, and whether of frequencies, which `simulate` can add.
     is_least_squares : bool
         Whether the log-density is −½ Σ r² plus a term that depends on the standard deviations alone.
     is_chi_square : bool
@@ -146,8 +137,7 @@ class ErrorTerm:
     def among(self, used: IntArray | None) -> ErrorTerm:
         """Return the error model in which the terms of the `used` modes (indices) sum to their joint log-density.
 
-        The caller drops the terms of the other modes. A subclass overrides this method if the term of a mode
-        depends on the measurements of other modes.
+        The caller drops the other terms. Subclasses in which a term depends on other measured modes override this.
         """
         return self
 
@@ -190,18 +180,15 @@ class ErrorTerm:
 
         Parameters
         ----------
-        seen : ModalPrediction
-            With slopes.
+        seen : ModalPrediction, with slopes
         noise : ndarray, shape (n, n_noise)
         by_slope : ndarray, shape (n, n_modes, q, n_parameters)
             Derivatives of the function by the slopes of each residual.
 
         Returns
         -------
-        of_frequency : ndarray, shape (n, n_modes, n_parameters), or None
-            Weights of the second derivatives of the frequencies.
-        of_shape : ndarray, shape (n, n_sensors, n_modes, n_parameters), or None
-            Weights of the second derivatives of the shapes.
+        of_frequency, of_shape : ndarray, (n, n_modes, n_parameters) and (n, n_sensors, n_modes, n_parameters)
+            Weights of the second derivatives of the frequencies and of the shapes; None without an effect.
         direct : ndarray, shape (n, n_modes, n_parameters)
             The rest: derivatives of the function with all slopes of frequencies and shapes fixed.
         """
@@ -218,10 +205,7 @@ class ErrorTerm:
         return frequencies
 
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the mean and standard deviation of each measured frequency given the others, (n, n_modes), Hz.
-
-        The computed frequencies are of shape (n, n_modes); see `of_frequencies`.
-        """
+        """Return mean and sd of each measured frequency given the others, (n, n_modes); see `of_frequencies`."""
         raise NotImplementedError
 
     def labels(self, modes: Sequence[str]) -> list[str]:
@@ -412,13 +396,3 @@ class Likelihood:
     def as_dict(self) -> dict[str, Plain]:
         """Return a dict of names and settings in plain Python types."""
         raise NotImplementedError
-
-
-def mode_weights(weights: ArrayLike | None, n: int) -> FloatArray:
-    """Return the weights of `n` modes, shape (n,), 1 by default; ValueError if a weight is not positive."""
-    if weights is None:
-        return np.ones(n)
-    given = np.asarray(weights, dtype=float)
-    if given.shape != (n,) or not np.all(np.isfinite(given) & (given > 0)):
-        raise ArgumentError("weights", f"must be {n} positive numbers, one per mode", given.tolist())
-    return given

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 
 from fmu.arguments import ArgumentError, check_arguments, takes_old_names
 from fmu.fem.pairing.prediction import ModalPrediction
-from fmu.posterior.data.covariance import checked_covariance
+from fmu.posterior.data.covariance import checked_covariance, mode_weights
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals, mode_weights
+from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals
 from fmu.posterior.errors.noise import OLD_NAMES, NoiseIndex, Spread, checked_beta, require_sizes, spread
 from fmu.posterior.parameters import Parameter
 from fmu.types import FloatArray, IntArray, Plain
@@ -328,11 +328,8 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
     def project(self, seen: ModalPrediction) -> ModalPrediction:
         """Return the prediction with z in place of the frequencies, and L⁻¹ times their derivatives."""
-        slopes, variance, by_variance = (
-            seen.frequency_slopes,
-            seen.frequency_variance,
-            seen.frequency_variance_slopes,
-        )
+        slopes, variance = seen.frequency_slopes, seen.frequency_variance
+        by_variance = seen.frequency_variance_slopes
         squares = self._inverse_root**2  # the model's own errors of z are correlated; only variances are used
         return replace(
             seen,

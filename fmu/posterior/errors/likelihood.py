@@ -13,14 +13,14 @@ from fmu.fem.pairing.modal_model import ModalModel
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.numbers import names_in_words
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.errors.base import Chain, ErrorModel, Evaluated, Likelihood
+from fmu.posterior.errors.base import ErrorModel, Evaluated, Likelihood
 from fmu.posterior.errors.frequency import BetaFrequencyErrors, CorrelatedFrequencyTerm, FrequencyTerm
 from fmu.posterior.errors.noise import numbering
 from fmu.posterior.errors.quantities import QuantityTerm
 from fmu.posterior.errors.slopes import chain_prediction, gradient_of_terms, residuals_of_term, without_shapes
 from fmu.posterior.errors.surrogate_variance import evaluated_with_variance, sensitivity_to_model
 from fmu.posterior.parameters import Parameter
-from fmu.types import FloatArray, IntArray, Plain
+from fmu.types import Chain, FloatArray, IntArray, Plain
 
 
 class ModalLikelihood(Likelihood):

@@ -12,8 +12,9 @@ from scipy.special import erf
 
 from fmu.arguments import ArgumentError, check_arguments
 from fmu.fem.pairing.prediction import ModalPrediction
+from fmu.posterior.data.covariance import mode_weights
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals, mode_weights
+from fmu.posterior.errors.base import LOG_2PI, ErrorTerm, Evaluated, Residuals
 from fmu.posterior.errors.noise import NoiseIndex, Spread, require_sizes, spread
 from fmu.posterior.errors.shape import unit_shapes
 from fmu.posterior.parameters import Parameter

@@ -11,9 +11,9 @@ from fmu.arguments import ArgumentError
 from fmu.fem.pairing.paired_structure import PairedStructure
 from fmu.fem.pairing.prediction import Candidates, ModalPrediction
 from fmu.posterior.data.modal_data import ModalData
-from fmu.posterior.errors.base import Chain, ErrorModel, Evaluated, Likelihood
+from fmu.posterior.errors.base import ErrorModel, Evaluated, Likelihood
 from fmu.posterior.errors.likelihood import ModalLikelihood
-from fmu.types import FloatArray, IntArray, Plain
+from fmu.types import Chain, FloatArray, IntArray, Plain
 
 
 class _Pairs(NamedTuple):

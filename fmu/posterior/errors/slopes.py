@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from fmu.fem.pairing.prediction import ModalPrediction
-from fmu.posterior.errors.base import Chain, ErrorTerm, Evaluated
+from fmu.posterior.errors.base import ErrorTerm, Evaluated
 from fmu.posterior.errors.surrogate_variance import residuals_with_variance
-from fmu.types import FloatArray, IntArray
+from fmu.types import Chain, FloatArray, IntArray
 
 
 def chain_prediction(seen: ModalPrediction, chain: Chain, test: IntArray) -> ModalPrediction:

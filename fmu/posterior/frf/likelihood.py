@@ -9,11 +9,11 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from fmu.fem.pairing.prediction import ModalPrediction
-from fmu.posterior.errors.base import Chain, ErrorTerm, Likelihood
+from fmu.posterior.errors.base import ErrorTerm, Likelihood
 from fmu.posterior.errors.likelihood import ModalLikelihood
 from fmu.posterior.frf.term import FRFTerm
 from fmu.posterior.parameters import Parameter
-from fmu.types import FloatArray, IntArray, Plain
+from fmu.types import Chain, FloatArray, IntArray, Plain
 
 _WIDER = (1.0, 0.3, 0.1, 0.03, 0.01)
 """Relative errors of the FRFs in the successive searches for maxima, before the search with the errors given."""

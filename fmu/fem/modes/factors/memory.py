@@ -13,7 +13,7 @@ LARGE = 20_000
 
 
 def require_memory(needed: int, n_dof: int, advice: str = "coarsen or condense the model") -> None:
-    """Raise MemoryError if factors of `n_dof` rows need more bytes than are free; otherwise log what they need."""
+    """Raise MemoryError if factors of `n_dof` rows need more bytes than are free; otherwise log their memory."""
     free = free_memory()
     if free is not None and needed > free:
         beside = f"and {significant(free / 2**30, 3)} GiB of memory are free"
