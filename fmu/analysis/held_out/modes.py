@@ -301,7 +301,7 @@ def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[i
     found = left_out_together([_without(problem, k) for k in modes], problem, _generator(0))
     shared = {id(one.theta): Draws(problem, one.theta, one.hz) for one in found}  # many modes have the same draws
     rows = zip(modes, found, strict=True)
-    _KNOWN[problem].is_gaussian = min(one.pareto_k[1] for one in found) <= GOOD_K
+    _KNOWN.setdefault(problem, _Known()).is_gaussian = min(one.pareto_k[1] for one in found) <= GOOD_K
     return {
         k: (MOST_SOLVES, _row(shared[id(one.theta)], k, one)) for k, one in rows if one.predicts and one.is_known
     }
