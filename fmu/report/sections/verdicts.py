@@ -16,6 +16,7 @@ from fmu.analysis.trace.reading import LOSSES, constant, has, is_loss, mode_name
 from fmu.numbers import change, decimals, fixed, given, interval, names_in_words, share, with_sd
 from fmu.report.document import Verdict
 from fmu.report.plots.frequencies import frequencies_before
+from fmu.report.plots.parameters import inferred_deviations
 from fmu.report.run import ReportedRun
 from fmu.report.sections.fit import model_fit
 from fmu.report.sections.tests import lost
@@ -46,9 +47,12 @@ def of_the_model(run: ReportedRun) -> tuple[Verdict, ...]:
 
 
 def _most_changed(run: ReportedRun) -> tuple[str, ...]:
-    """Return the names of the parameters that the data informed, except losses, with the largest change first."""
+    """Return the names of the model's parameters that the data informed, with the largest change first.
+
+    Losses have a line of their own, and inferred standard deviations of errors are no parameters of the model.
+    """
     found = information(run.trace)
-    left = () if found is None else found.not_informed
+    left = inferred_deviations(run.trace) | set(() if found is None else found.not_informed)
     names = [name for name in run.names if name not in left and not is_loss(run.trace, name)]
     return tuple(sorted(names, key=lambda name: -abs(_change(run, name))))
 
