@@ -200,6 +200,10 @@ class _Known:
 _KNOWN: WeakKeyDictionary[UpdatingProblem, _Known] = WeakKeyDictionary()
 
 
+def _known_of(problem: UpdatingProblem) -> _Known:
+    return _KNOWN.setdefault(problem, _Known())
+
+
 def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -> dict[int, HeldOut]:
     """Return a dict of the predictions after updating without each mode, by index, as far as the solves suffice.
 
@@ -209,12 +213,12 @@ def _left_out_all(problem: UpdatingProblem, modes: Sequence[int], most: float) -
     """
     found: dict[int, HeldOut] = {}
     if modes and most >= SOLVES:
-        known = _KNOWN.setdefault(problem, _Known()).rows
+        known = _known_of(problem).rows
         with phase("leaving modes out", len(modes)) as under_way:
             with suppress(np.linalg.LinAlgError):  # a missing number must not stop the run
                 known |= _left_out_together(problem, [k for k in modes if problem.data.use[k] and k not in known])
             under_way.advance(sum(k in known for k in modes))
-            own = MOST_SOLVES if most < np.inf else _BEFORE_A_RUN if _KNOWN[problem].is_gaussian else 0
+            own = MOST_SOLVES if most < np.inf else _BEFORE_A_RUN if _known_of(problem).is_gaussian else 0
             for k in modes:
                 is_new = k not in known
                 if is_new and own == 0:
@@ -301,7 +305,7 @@ def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[i
     found = left_out_together([_without(problem, k) for k in modes], problem, _generator(0))
     shared = {id(one.theta): Draws(problem, one.theta, one.hz) for one in found}  # many modes have the same draws
     rows = zip(modes, found, strict=True)
-    _KNOWN.setdefault(problem, _Known()).is_gaussian = min(one.pareto_k[1] for one in found) <= GOOD_K
+    _known_of(problem).is_gaussian = min(one.pareto_k[1] for one in found) <= GOOD_K
     return {
         k: (MOST_SOLVES, _row(shared[id(one.theta)], k, one)) for k, one in rows if one.predicts and one.is_known
     }
@@ -309,7 +313,7 @@ def _left_out_together(problem: UpdatingProblem, modes: Sequence[int]) -> dict[i
 
 def _left_out(problem: UpdatingProblem, k: int, most: int) -> HeldOut:
     """Return the prediction of mode `k` from updating with and without this mode, or the cached prediction."""
-    known = _KNOWN.setdefault(problem, _Known())
+    known = _known_of(problem)
     if k in known.rows and (known.rows[k][1].mcse_elpd <= ACCEPTED or known.rows[k][0] >= most):
         return known.rows[k][1]
     if known.approximation is None:

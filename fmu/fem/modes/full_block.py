@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property, partial
 from itertools import islice
@@ -203,10 +203,8 @@ class FullBlock(Block):
         free = engine.free_memory()
         if free is None or self.size < LARGE:
             return engine.workers
-        terms = (*self.K_terms, *self.M_terms)
-        stored, stiffness = (sum(12 * term.matrix.nnz for term in of) for of in (terms, self.K_terms))
-        needed = LIBRARIES + stored + COPIES * stiffness + of_factors + 8 * self.size * _VECTORS
-        return min(engine.workers, free // needed)
+        _, needed = memory_of_terms(self.K_terms, self.M_terms)
+        return min(engine.workers, free // (needed + of_factors + 8 * self.size * _VECTORS))
 
     def _solve_all(self, theta: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Return eigenvalues (n, count) and shapes (n, size, count); each theta of a large block is a task."""
@@ -346,6 +344,12 @@ class FullBlock(Block):
 
 def _solve_there(block: FullBlock, task: tuple[FloatArray, int], _: object) -> tuple[FloatArray, FloatArray]:
     return block._solve_each(*task)
+
+
+def memory_of_terms(K_terms: Sequence[Term], M_terms: Sequence[Term]) -> tuple[int, int]:
+    """Return the bytes of a process that has the terms, and that factorises a stiffness, without the factors."""
+    stored, stiffness = (sum(12 * term.matrix.nnz for term in of) for of in ((*K_terms, *M_terms), K_terms))
+    return LIBRARIES + stored, LIBRARIES + stored + COPIES * stiffness
 
 
 def _rank_of_all(M_terms: tuple[Term, ...]) -> int | None:

@@ -192,6 +192,10 @@ class ModalModel:
         """Return frequencies (n, n_modes) and their gradients (n, n_modes, n_parameters)."""
         raise NotImplementedError
 
+    def gives_curvature(self, shapes: bool) -> bool:
+        """Return True if `sensitivities` has second derivatives of frequencies, and of shapes if `shapes`."""
+        return not self.is_uncertain and (self.gives_shape_curvature or not shapes)
+
     def sensitivities(self, theta: FloatArray, steps: Steps, shapes: bool = False) -> Sensitivities:
         """Return frequencies, gradients, and second derivatives along directions that are given later.
 

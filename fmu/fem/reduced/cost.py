@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from fmu.engines.memory import free_memory
 from fmu.fem.modes.eigensolver import DENSE_LIMIT
-from fmu.fem.modes.full_block import COPIES, LIBRARIES, FullBlock
+from fmu.fem.modes.full_block import FullBlock, memory_of_terms
 from fmu.fem.modes.separable import SeparableModel
 from fmu.fem.modes.solver import LARGE, Factor
 from fmu.fem.reduced.shared import MEMORY
@@ -98,12 +98,11 @@ def memory_in_words(model: SeparableModel) -> str:
     if not of_factors:
         return ""
     terms = (*model.K_terms, *model.M_terms)
-    stored, stiffness = (sum(12 * term.matrix.nnz for term in of) for of in (terms, model.K_terms))
+    held, needed = memory_of_terms(model.K_terms, model.M_terms)
     vector = 8 * model.n_dof * _VECTORS
-    needed = LIBRARIES + stored + COPIES * stiffness + _FACTORS * of_factors
-    needed += vector + min(vector * len(terms), MEMORY)
+    needed += _FACTORS * of_factors + vector + min(vector * len(terms), MEMORY)
     free = free_memory()
-    is_short = free is not None and needed > LIBRARIES + stored + of_factors + free
+    is_short = free is not None and needed > held + of_factors + free
     beside = (
         f", but only {significant(free / 2**30, 2)} GiB more are free" if is_short and free is not None else ""
     )

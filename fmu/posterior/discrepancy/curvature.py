@@ -9,6 +9,7 @@ import numpy as np
 from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.fem.pairing.sensitivities import Sensitivities
 from fmu.posterior.errors.base import ErrorTerm
+from fmu.posterior.errors.slopes import split_by_term
 from fmu.types import FloatArray, IntArray
 
 _STEP = 1e-4  # of a parameter; the error of a difference is of the order of its square
@@ -36,10 +37,9 @@ def by_second_derivatives(
     by_slope : ndarray, shape (n, m, k, p)
         Derivatives of the function by the slopes of all k residuals of a mode, of one error model after the other.
     """
-    cuts = np.cumsum([len(term.labels([""])) for term in terms])[:-1]
     d, of_shapes = np.zeros(exact.gradient.shape), None if exact.shape_slopes is None else 0.0 * exact.shape_slopes
     found = np.zeros(d.shape)
-    for term, by in zip(terms, np.split(by_slope, cuts, axis=2), strict=True):
+    for term, by in zip(terms, split_by_term(terms, by_slope), strict=True):
         of_frequency, of_shape, direct = term.change_of_slopes(seen, noise, by)
         found += direct
         if of_frequency is not None:

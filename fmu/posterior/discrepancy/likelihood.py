@@ -87,7 +87,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         only = self.terms_of[0] if len(self.terms_of) == 1 and self.n_tests == 1 else None
         if isinstance(only, FrequencyTerm) and not self.errors.modes and not self.errors.n_common:
             self._alone = ScatteredFrequencies(only, self.errors.scatters)
-        if model.is_uncertain or (self.needs_shapes and not model.gives_shape_curvature):  # slopes are differenced
+        if not model.gives_curvature(self.needs_shapes):  # slopes are differenced
             self.predictions_per_gradient = 1 + 2 * len(layout.structural)
 
     @property
@@ -301,7 +301,7 @@ class DiscrepantLikelihood(ModalLikelihood):
 
     def _observed_with_curvature(self, theta: FloatArray) -> tuple[ModalPrediction, Sensitivities | None]:
         """Return `observed`, and second derivatives along directions if the model has them."""
-        if self.model.is_uncertain or (self.needs_shapes and not self.model.gives_shape_curvature):
+        if not self.model.gives_curvature(self.needs_shapes):
             return self.observed(theta, True), None
         scale = self.errors.scale(self._values(theta)).reshape(len(theta), -1)
         bounds = np.array([self._bounds[0].min(axis=0), self._bounds[1].max(axis=0)])

@@ -20,6 +20,7 @@ from fmu.posterior.errors.base import ErrorTerm
 from fmu.posterior.errors.frequency import FrequencyTerm
 from fmu.posterior.errors.noise import NoiseIndex
 from fmu.posterior.errors.shape import ShapeTerm
+from fmu.posterior.errors.slopes import split_by_term
 from fmu.posterior.parameters import Parameter
 from fmu.posterior.priors.one_sided import HalfNormal
 from fmu.types import Dof, FloatArray, Plain
@@ -116,8 +117,7 @@ class ModeErrors:
         −(G Cᵀψ + C Gᵀψ)/ψᵀψ + 2 ψ (ψᵀG Cᵀψ)/(ψᵀψ)².
         """
         found = np.zeros((*by_own.shape[:2], np.asarray(seen.frequency_slopes).shape[-1]))
-        cuts = np.cumsum([len(term.labels([""])) for term in terms])[:-1]
-        for term, by in zip(terms, np.split(by_own, cuts, axis=2), strict=True):
+        for term, by in zip(terms, split_by_term(terms, by_own), strict=True):
             if isinstance(term, ShapeTerm):
                 (C, psi, root), G = self._of_shapes(term, seen, noise), by[..., self.n_own - len(self.root) :]
                 size = np.sum(psi**2, axis=2)[..., None]

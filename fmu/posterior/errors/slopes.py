@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,11 @@ from fmu.fem.pairing.prediction import ModalPrediction
 from fmu.posterior.errors.base import ErrorTerm, Evaluated
 from fmu.posterior.errors.surrogate_variance import residuals_with_variance
 from fmu.types import Chain, FloatArray, IntArray
+
+
+def split_by_term(terms: Sequence[ErrorTerm], of_residuals: FloatArray) -> list[FloatArray]:
+    """Return the parts of an array (n, n_modes, k, …) over all k residuals of a mode, one for each error model."""
+    return np.split(of_residuals, np.cumsum([len(term.labels([""])) for term in terms])[:-1], axis=2)
 
 
 def chain_prediction(seen: ModalPrediction, chain: Chain, test: IntArray) -> ModalPrediction:

@@ -10,7 +10,7 @@ from fmu.analysis.certificate import exact_in_words
 from fmu.analysis.convergence.diagnostics import RHAT_LIMIT
 from fmu.analysis.convergence.remedies import required_ess
 from fmu.analysis.fit.model_fit import CONTRADICTED
-from fmu.analysis.information import DATA, information
+from fmu.analysis.information import DATA, information, not_informed
 from fmu.analysis.prediction import at_bounds, pinned_parameters
 from fmu.analysis.trace.reading import LOSSES, constant, has, is_loss, mode_names
 from fmu.numbers import change, decimals, fixed, given, interval, names_in_words, share, with_sd
@@ -51,8 +51,7 @@ def _most_changed(run: ReportedRun) -> tuple[str, ...]:
 
     Losses have a line of their own, and inferred standard deviations of errors are no parameters of the model.
     """
-    found = information(run.trace)
-    left = inferred_deviations(run.trace) | set(() if found is None else found.not_informed)
+    left = inferred_deviations(run.trace).union(not_informed(run.trace))
     names = [name for name in run.names if name not in left and not is_loss(run.trace, name)]
     return tuple(sorted(names, key=lambda name: -abs(_change(run, name))))
 

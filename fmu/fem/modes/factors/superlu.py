@@ -11,12 +11,11 @@ SuperLU to 0.3 %.
 
 from __future__ import annotations
 
-import hashlib
-
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as ssl
 
+from fmu.durable_files import digest
 from fmu.fem.modes.factors.memory import LARGE, require_memory
 from fmu.types import FloatArray, IntArray
 
@@ -24,7 +23,7 @@ _OPTIONS = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": 
 # Bytes for an entry of L and of U, including the copy that tells the signs of the pivots: 19.6 to 21.9 were
 # measured with solids and frames.
 _AN_ENTRY = 22
-_counted: dict[bytes, int] = {}  # by the digest of a pattern: a model's matrices have one at every theta
+_counted: dict[str, int] = {}  # by the digest of a pattern: a model's matrices have one at every theta
 
 
 class SuperLU:
@@ -58,11 +57,10 @@ class SuperLU:
 
 def count_entries(matrix: sp.csc_array) -> int:
     """Return the number of entries of L and U that SuperLU will make of a symmetric matrix."""
-    digest = hashlib.blake2b(matrix.indptr.tobytes())
-    digest.update(matrix.indices.tobytes())
-    if digest.digest() not in _counted:
-        _counted[digest.digest()] = _count(matrix)
-    return _counted[digest.digest()]
+    pattern = digest(matrix.indptr.tobytes()) + digest(matrix.indices.tobytes())
+    if pattern not in _counted:
+        _counted[pattern] = _count(matrix)
+    return _counted[pattern]
 
 
 def _count(matrix: sp.csc_array) -> int:
