@@ -21,6 +21,9 @@ import numpy as np
 
 from fmu.types import FloatArray, IntArray
 
+_MOST_SQUARES = 1e14
+"""Largest sum of squared residuals of a row, in standard deviations, that leaves the density an error of 0.01."""
+
 
 class Slopes(NamedTuple):
     """Derivatives of a log-density of residuals.
@@ -79,13 +82,18 @@ class LatentErrors:
         """Return log-densities of rows given the rows before, relative to independent residuals, (n, m).
 
         The terms are log N(r; 0, S) − log N(r; 0, I) in sum. If all groups have one row and C is 0, each term is
-        the one of its row alone.
+        the one of its row alone. They are −∞ where the residuals are so many standard deviations that rounding
+        of their squares, which cancel, would be larger than a hundredth.
         """
+        squares = np.einsum("nmk,nmk->nm", self.residuals, self.residuals)
+        with np.errstate(invalid="ignore"):  # of the rows without a density
+            return np.where(squares > _MOST_SQUARES, -np.inf, self._terms(squares))
+
+    def _terms(self, squares: FloatArray) -> FloatArray:
         if self._is_single and not self.common.shape[-1]:
             S, r = self._variance, self.residuals[..., 0]
             return np.asarray(0.5 * (r**2 * (1.0 - 1.0 / S) - np.log(S)))
         quadratic, log_det = self._grown(self._groups.quadratic), self._grown(self._groups.log_det)
-        squares = np.einsum("nmk,nmk->nm", self.residuals, self.residuals)
         if not self.common.shape[-1]:
             return np.asarray(0.5 * (squares - quadratic[..., 0, 0] - log_det))
         so_far = self._integrate_common(np.cumsum(quadratic, axis=1))

@@ -142,3 +142,12 @@ def test_loads_that_drown_the_unit_matrix_give_no_number_and_no_exception():
     assert np.all(np.isnan(terms[0]))
     assert np.all(np.isfinite(terms[1]))
     assert np.all(np.isfinite(by_residual[1]))
+
+
+@pytest.mark.parametrize("common", [0, 1])
+def test_no_density_is_told_where_rounding_of_squares_would_drown_it(common):
+    """With an inferred standard deviation near 0 the squares that cancel are large."""
+    r = np.full((1, 2, 2), 1e8)
+    loads, shared = np.repeat(r[..., None], 2, axis=3), np.ones((1, 2, 2, common))
+    assert np.all(LatentErrors(r, loads, shared, np.array([0, 1])).terms() == -np.inf)
+    assert np.all(np.isfinite(LatentErrors(1e-4 * r, 1e-4 * loads, shared, np.array([0, 1])).terms()))
