@@ -49,24 +49,26 @@ class ErrorModel(Protocol):
         ...
 
     def data_give_sd(self, data: ModalData) -> bool:
-        """Return True if `data` supply the standard deviation of these errors, which `sd` would replace."""
+        """Return True if `data` supply a standard deviation of these errors, which `sd` would override."""
         ...
 
 
 class Evaluated(NamedTuple):
-    """Log-densities of an error model at n parameter vectors, and their derivatives.
+    """Log-densities of the modes under one error model, at n parameter vectors, and their derivatives.
 
     Attributes
     ----------
     terms : ndarray, shape (n, n_modes)
+        The log-density of each mode.
     by_frequency : ndarray, shape (n, n_modes), or None
-        Derivative of each term with respect to the frequency of its mode, 1/Hz.
+        Derivative of each log-density with respect to the frequency of its mode, 1/Hz.
     by_shape : ndarray, shape (n, n_sensors, n_modes), or None
-        Derivative of each term with respect to the components of the shape of its mode.
+        Derivative of each log-density with respect to the components of the shape of its mode.
     by_noise : mapping of int to ndarray, shape (n, n_modes), or None
-        Derivative of each term with respect to each inferred standard deviation, by the index of the latter.
+        Derivative of each log-density with respect to each inferred standard deviation; the keys are the indices
+        of the standard deviations.
     by_frequency_variance, by_shape_variance : ndarray, of the shapes of by_frequency and by_shape, or None
-        Derivatives of each term with respect to the variances of the model's own errors.
+        Derivatives of each log-density with respect to the variances of the model's own errors.
     """
 
     terms: FloatArray
@@ -93,22 +95,23 @@ class Residuals(NamedTuple):
 
 
 class ErrorTerm:
-    """An error model bound to data.
+    """An error model bound to data. Its terms are the log-densities of the measured modes.
 
     Attributes
     ----------
     spread : Spread
         Variances of the errors.
     needs_shapes, of_frequencies : bool
-        Whether the errors are of mode shapes, and whether of frequencies, which `simulate` can add.
+        Whether these are errors of mode shapes, and whether they are errors of frequencies, which `simulate` can
+        add.
     is_least_squares : bool
         Whether the log-density is −½ Σ r² plus a term that depends on the standard deviations alone.
     is_chi_square : bool
-        Whether the squared residuals of a mode sum to a chi-square variable of `n_data` degrees of freedom.
+        Whether the squared residuals of a mode sum to a chi-square variable with `n_data` degrees of freedom.
     quantity : str
         Name of the quantities that have these errors, in the plural.
     tests : RepeatedTests or None
-        The tests whose scatter alone gives the standard deviations.
+        The tests, if the standard deviations come from their scatter alone.
     """
 
     spread: Spread
@@ -121,7 +124,7 @@ class ErrorTerm:
 
     @property
     def n_data(self) -> int:
-        """Number of independent values measured of each mode; by default, the number of its residuals."""
+        """Number of independent measured values per mode; by default, the number of residuals of a mode."""
         return len(self.labels([""]))
 
     @property
@@ -131,18 +134,19 @@ class ErrorTerm:
 
     @property
     def couples_modes(self) -> bool:
-        """Whether the term of a mode depends on other modes too."""
+        """Whether the term of a mode also depends on other modes."""
         return False
 
     def among(self, used: IntArray | None) -> ErrorTerm:
-        """Return the error model in which the terms of the `used` modes (indices) sum to their joint log-density.
+        """Return the error model for the `used` modes (indices), whose terms sum to their joint log-density.
 
-        The caller drops the other terms. Subclasses in which a term depends on other measured modes override this.
+        The caller drops the terms of the other modes. Subclasses in which a term depends on other measured modes
+        override this method.
         """
         return self
 
     def normal_scores(self, z: FloatArray, mode: int | None = None) -> FloatArray:
-        """Return errors divided by their standard deviations, (..., n_modes) or of one mode, as normal scores.
+        """Return the normal scores of errors divided by their standard deviations, (..., n_modes) or of one mode.
 
         Gaussian errors are returned unchanged, unless the standard deviations were estimated from a few tests.
         """
@@ -170,27 +174,29 @@ class ErrorTerm:
         raise NotImplementedError
 
     def residuals_within(self, seen: ModalPrediction, noise: FloatArray) -> Residuals:
-        """Return `residuals`, with their derivatives projected onto the space that the residuals can lie in."""
+        """Return `residuals`, with their derivatives projected onto the space in which the residuals lie."""
         return self.residuals(seen, noise)
 
     def change_of_slopes(
         self, seen: ModalPrediction, noise: FloatArray, by_slope: FloatArray
     ) -> tuple[FloatArray | None, FloatArray | None, FloatArray]:
-        """Return how a function of the slopes of `residuals_within` changes with the parameters.
+        """Return the derivatives of a function of the residuals' slopes with respect to the parameters.
+
+        The slopes are the derivatives of `residuals_within`.
 
         Parameters
         ----------
         seen : ModalPrediction, with slopes
         noise : ndarray, shape (n, n_noise)
         by_slope : ndarray, shape (n, n_modes, q, n_parameters)
-            Derivatives of the function by the slopes of each residual.
+            Derivatives of the function with respect to the slopes of each residual.
 
         Returns
         -------
         of_frequency, of_shape : ndarray, (n, n_modes, n_parameters) and (n, n_sensors, n_modes, n_parameters)
-            Weights of the second derivatives of the frequencies and of the shapes; None without an effect.
+            Weights of the second derivatives of the frequencies and of the shapes; None if they have no effect.
         direct : ndarray, shape (n, n_modes, n_parameters)
-            The rest: derivatives of the function with all slopes of frequencies and shapes fixed.
+            The remainder: derivatives of the function with the slopes of all frequencies and shapes held fixed.
         """
         raise NotImplementedError
 
@@ -317,11 +323,11 @@ class Likelihood:
 
     @property
     def by_frequencies(self) -> bool:
-        """Whether the frequencies of the model are enough for the terms."""
+        """Whether the terms depend on the frequencies of the model alone."""
         return False
 
     def terms_of_frequencies(self, frequencies: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return the terms at theta, given the frequencies of the model there, (n, n_modes), Hz.
+        """Return the terms at theta, given the computed frequencies there, (n, n_modes), Hz.
 
         The model is solved again only if the terms need more than the frequencies.
         """
@@ -330,16 +336,16 @@ class Likelihood:
     def terms_and_misfit(
         self, theta: FloatArray, frequencies: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the terms of the modes, and the squared residuals by the models of `chi_square`.
+        """Return the terms of the modes, and the squared residuals under each error model of `chi_square`.
 
-        The terms have the shape (n, n_used), the squared residuals (n, n_kinds, n_used). If the frequencies of the
-        model, (n, n_modes) in Hz, are given and the terms need nothing else, the model is not solved again.
+        The terms have the shape (n, n_used), the squared residuals (n, n_kinds, n_used). If the computed
+        frequencies, (n, n_modes) in Hz, are given and the terms need nothing else, the model is not solved again.
         """
         terms = self.terms(theta)
         return terms, np.empty((len(terms), 0, terms.shape[1]))
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the terms and their gradients, shape (n, n_used, ndim)."""
+        """Return the log-likelihood of each used mode, (n, n_used), and its gradient, (n, n_used, ndim)."""
         raise NotImplementedError
 
     def quadratic(
@@ -358,11 +364,11 @@ class Likelihood:
         raise NotImplementedError
 
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the names of the residuals, in the order of `residuals_and_slopes`, given the labels of modes."""
+        """Return the names of the residuals, in the order of `residuals_and_slopes`, given the modes' names."""
         raise NotImplementedError
 
     def in_standard_deviations(self, frequencies: FloatArray, error: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return errors of computed frequencies, (n_modes,) in Hz, in standard deviations of their measurement."""
+        """Return errors of computed frequencies, (n_modes,) in Hz, in standard deviations of the measurement."""
         raise NotImplementedError
 
     def simulate(
@@ -386,7 +392,7 @@ class Likelihood:
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies with the model's errors at theta added, if it has any: anew, or given the data."""
+        """Return frequencies with the model's errors at theta, if it has any, added: new draws, or given the data."""
         return frequencies
 
     def why_not_finite(self, theta: FloatArray) -> str | None:

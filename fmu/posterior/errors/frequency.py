@@ -33,8 +33,8 @@ class FrequencyErrors:
         ε = f − f^m in Hz, ε = (f − f^m)/f^m, or ε = (f/f^m)² − 1, the relative error of the eigenvalue. The first
         two are normalised as densities of f^m in Hz, the last as a density of ε.
     sd : float, array_like of shape (n_modes,), or Parameter, optional
-        Standard deviation of ε: known, or to be inferred with a prior of its own. By default the standard
-        deviation of the data; if the data have a covariance, absolute errors are correlated.
+        Standard deviation of ε: known, or inferred with its own prior. By default the standard deviation of the
+        data; if the data have a covariance, absolute errors are correlated.
     weights : array_like, shape (n_modes,), optional
         Weights w_i of the modes: the variance of ε_i is sd²/w_i.
     model_sd : Parameter, optional
@@ -43,11 +43,11 @@ class FrequencyErrors:
 
     Notes
     -----
-    Model errors are rarely independent: a mass that was not modelled shifts many frequencies at once, and the
-    parameters compensate for the shift by more than their standard deviations indicate. If the prior of a
+    Model errors are rarely independent. A mass that was not modelled shifts many frequencies at once, and the
+    parameters compensate for the shift by more than their standard deviations indicate. If the prior of
     model_sd reaches zero (half-normal), the posterior may be hard to sample; a log-normal prior excludes zero.
-    With as many parameters as frequencies, a standard deviation of zero fits best: inferring a standard deviation
-    requires more data, or an informative prior.
+    With as many parameters as frequencies, a standard deviation of zero fits best. Inferring a standard deviation
+    therefore requires more data than parameters, or an informative prior.
     """
 
     kind: Kind = "relative"
@@ -95,13 +95,13 @@ class FrequencyErrors:
 
 @dataclass(frozen=True)
 class BetaFrequencyErrors:
-    """The paper's error model: absolute errors with trust β in the data, or with the uncertainty of the data.
+    """The paper's error model: absolute errors with a trust β in the data, or with the uncertainty of the data.
 
     Attributes
     ----------
     beta : float or array_like, shape (n_modes,), optional
-        β = 1/(2σ²), 1/Hz². If not given, the uncertainty of the data is used; if the data have no uncertainty,
-        β = 1, as in the paper.
+        β = 1/(2σ²), 1/Hz². Defaults to the uncertainty of the data or, if the data have none, to β = 1 as in the
+        paper.
     """
 
     beta: ArrayLike | None = None
@@ -203,7 +203,7 @@ class FrequencyTerm(ErrorTerm):
     def change_of_slopes(
         self, seen: ModalPrediction, noise: FloatArray, by_slope: FloatArray
     ) -> tuple[FloatArray, None, FloatArray]:
-        """Return how a function of the slopes of the residuals changes; see `ErrorTerm`."""
+        """Return the derivatives of a function of the residuals' slopes; see `ErrorTerm`."""
         slope, bent = self.slope_and_curvature(seen.frequencies, noise)
         own, J = by_slope[:, :, 0], np.asarray(seen.frequency_slopes)
         return slope[..., None] * own, None, (bent * np.sum(own * J, axis=2))[..., None] * J
@@ -220,8 +220,8 @@ class FrequencyTerm(ErrorTerm):
     def given_others(self, frequencies: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the mean and standard deviation of each measured frequency; see `ErrorTerm`.
 
-        Errors of eigenvalues, ε = (f/f^m)² − 1, are not Gaussian in f^m. Their standard deviation is converted to
-        Hz such that (f − f^m) divided by it equals ε divided by the standard deviation of ε.
+        Eigenvalue errors ε = (f/f^m)² − 1 are not Gaussian in f^m. Their standard deviation is converted to Hz
+        such that (f − f^m) divided by it equals ε divided by the standard deviation of ε.
         """
         sd = self.sd[None] if self.is_known else np.sqrt(self.spread.variance(noise))
         if self.kind == "eigenvalue":
@@ -314,7 +314,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
     @property
     def couples_modes(self) -> bool:
-        """Whether the term of a mode depends on other modes: it does."""
+        """Return True: the term of a mode also depends on other modes."""
         return True
 
     @property
@@ -389,7 +389,7 @@ class CorrelatedFrequencyTerm(ErrorTerm):
 
 
 def _times(A: FloatArray, x: FloatArray, axis: int = -1) -> FloatArray:
-    """Return A x along an axis of `x`, in C order, with each sum in the same order whatever the batch size."""
+    """Return A x along an axis of `x`, in C order; every sum has the same order for any batch size."""
     total = np.zeros(x.shape)
     along = (slice(None),) * (axis % x.ndim)
     columns = A.T.reshape(len(A), -1, *(1,) * (x.ndim - 1 - axis % x.ndim))

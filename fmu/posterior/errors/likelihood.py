@@ -24,7 +24,7 @@ from fmu.types import Chain, FloatArray, IntArray, Plain
 
 
 class ModalLikelihood(Likelihood):
-    """The log-likelihood as the sum of the log-densities of error models that are independent of each other.
+    """The log-likelihood as the sum of the log-densities of independent error models.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class ModalLikelihood(Likelihood):
     ------
     ValueError
         If there is no error model, an error model does not fit the data, the model does not compute the shapes
-        that are needed, or different parameters share a name.
+        that are needed, or two different parameters share a name.
     """
 
     of_modes = True
@@ -91,7 +91,7 @@ class ModalLikelihood(Likelihood):
         return other
 
     def _choose_fast_path(self) -> FrequencyTerm | CorrelatedFrequencyTerm | None:
-        """Return `error` for an evaluation that saves µs at a single theta; None for an uncertain model."""
+        """Return `error` if it allows a faster evaluation at a single theta; None for an uncertain model."""
         return None if self.model.is_uncertain else self.error
 
     @property
@@ -113,7 +113,7 @@ class ModalLikelihood(Likelihood):
 
     @property
     def by_frequencies(self) -> bool:
-        """Whether the frequencies of the model are enough for the terms."""
+        """Whether the terms depend on the frequencies of the model alone."""
         return not (self.needs_shapes or self.model.is_uncertain)
 
     def terms_and_misfit(
@@ -126,7 +126,7 @@ class ModalLikelihood(Likelihood):
         return self.terms_of_observed(seen, theta)[:, : squares.shape[-1]], squares
 
     def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return the sums of squared residuals by model of `chi_square` and used mode, (n, n_kinds, n_used)."""
+        """Return the sums of squared residuals of each model of `chi_square` and used mode, (n, n_kinds, n_used)."""
         noise, found = theta[:, self.n_structural :], np.empty((len(theta), 0, seen.frequencies.shape[1]))
         for term in self.chi_square:
             r = np.moveaxis(term.residuals(term.project(seen), noise).values, 1, 2)
@@ -135,7 +135,7 @@ class ModalLikelihood(Likelihood):
         return self.of_used(found)
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the terms and their gradients, shape (n, n_used, ndim)."""
+        """Return the log-likelihood of each used mode and quantity, and its gradient, (n, n_terms, ndim)."""
         seen = self.observed(theta, True)
         if self._fast is None:
             return self._terms_and_gradient(seen, theta)
@@ -146,7 +146,7 @@ class ModalLikelihood(Likelihood):
         return self._with_quantities_and_slopes(self.of_used(part.terms), self.of_used(slopes, 1), theta)
 
     def terms_of_frequencies(self, frequencies: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return the terms at theta, given the frequencies of the model there; see `Likelihood`."""
+        """Return the terms at theta, given the computed frequencies there; see `Likelihood`."""
         if not self.by_frequencies:
             return self.terms(theta)
         return self.terms_of_observed(without_shapes(frequencies), theta)
@@ -167,7 +167,7 @@ class ModalLikelihood(Likelihood):
         return of_frequency, of_shape
 
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals, which are all errors divided by their standard deviations, and their derivatives.
+        """Return all errors divided by their standard deviations (the residuals), and their derivatives.
 
         The residuals have the shape (n, n_residuals), the derivatives (n, n_residuals, n_structural). Gauss–Newton
         steps and the linearised information of the data are computed from them. Inferred standard deviations are
@@ -176,7 +176,7 @@ class ModalLikelihood(Likelihood):
         return self._all_residuals_and_slopes(self._observed_slopes(theta, chain), theta, chain)
 
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the names of the residuals, in the order of `residuals_and_slopes`, given the labels of modes."""
+        """Return the names of the residuals, in the order of `residuals_and_slopes`, given the modes' names."""
         modes = tuple(map(str, self.of_used(np.array(modes))))
         others = tuple(label for term in self.quantities for label in term.labels)
         if self.error is not None:
@@ -184,7 +184,7 @@ class ModalLikelihood(Likelihood):
         return tuple(label for term in self.terms_of for label in term.labels(modes)) + others
 
     def in_standard_deviations(self, frequencies: FloatArray, error: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return errors of computed frequencies, (n_modes,) in Hz, in standard deviations of their measurement.
+        """Return errors of computed frequencies, (n_modes,) in Hz, in standard deviations of the measurement.
 
         Parameters
         ----------
@@ -312,7 +312,7 @@ class ModalLikelihood(Likelihood):
         return views, parts
 
     def _observed_slopes(self, theta: FloatArray, chain: Chain | None) -> ModalPrediction:
-        """Return the predicted modes with derivatives: by theta with a `chain`, else by each test's parameters."""
+        """Return the predicted modes with slopes: over theta with a `chain`, else over the parameters of each test."""
         seen = self.observed(theta, True)
         return seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
 
@@ -353,7 +353,7 @@ class ModalLikelihood(Likelihood):
     def _with_quantities_and_slopes(
         self, terms: FloatArray, slopes: FloatArray, theta: FloatArray, chain: Chain | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the terms and their gradients, of the modes (n, n_used, ndim) and then of the quantities."""
+        """Return the terms of the modes and then of the quantities, with their gradients (n, n_terms, ndim)."""
         if not self.quantities:
             return terms, slopes
         parts = [slopes]

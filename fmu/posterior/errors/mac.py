@@ -124,7 +124,7 @@ class MACTerm(ErrorTerm):
         return {"error": "MAC", "spread": self.spread.as_dict(), **together}
 
     def _errors(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return 1 − MAC, (n, n_modes), and its derivatives by the shape components, (n, n_sensors, n_modes)."""
+        """Return 1 − MAC, (n, n_modes), and its derivatives with respect to shapes, (n, n_sensors, n_modes)."""
         cross, size = np.sum(self.unit * s, axis=1), np.sum(s**2, axis=1)
         a = (cross / size)[:, None]
         return 1.0 - cross**2 / size, -2.0 * a * (self.unit - a * s)

@@ -211,5 +211,5 @@ def _log_sum_exp(x: FloatArray) -> FloatArray:
 
 
 def _multiply(share: FloatArray, slope: FloatArray) -> FloatArray:
-    """Return share · slope, and 0 where the share is 0, since the slope of a distant candidate may not exist."""
+    """Return share · slope, and 0 where the share is 0, because the slope of a distant candidate may not exist."""
     return np.multiply(share, slope, out=np.zeros(slope.shape), where=np.broadcast_to(share != 0.0, slope.shape))

@@ -23,7 +23,7 @@ OLD_NAMES = {"discrepancy": "model_sd"}
 
 
 def numbering(noise: list[Parameter]) -> NoiseIndex:
-    """Return a function that returns the index of a parameter in `noise`, and appends the parameter if missing."""
+    """Return a function that gives the index of a parameter in `noise`, and appends it if it is missing."""
 
     def index(parameter: Parameter) -> int:
         if parameter not in noise:
@@ -58,7 +58,7 @@ class Spread:
         return np.asarray(value)
 
     def slopes(self, noise: FloatArray) -> dict[int, FloatArray]:
-        """Return a dict of ∂V/∂noise_k, shape (n, *shape), by the index k of the inferred standard deviation."""
+        """Return a dict from the index k of each inferred standard deviation to ∂V/∂noise_k, shape (n, *shape)."""
         return {k: 2.0 * _column(noise, k, size.ndim) * size**2 for k, size in self.sizes.items()}
 
     def information(self, noise: FloatArray, used: IntArray | None = None) -> FloatArray:
@@ -104,7 +104,7 @@ def spread(
     model_sd : Parameter, optional
         A further standard deviation to be inferred, in units of `size`.
     size : ndarray
-        Factor for each error by which standard deviations are multiplied.
+        Factor for each error, by which the standard deviations are multiplied.
     index : NoiseIndex
 
     Raises

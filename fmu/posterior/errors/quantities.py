@@ -34,8 +34,8 @@ class QuantityTerm(NamedTuple):
     labels, units : tuple of str
     measured, sd : ndarray, shape (q,)
     computed : callable
-        Returns the computed values (n, q) at the model's parameters (n, n_structural) and, if the second argument
-        is true, their derivatives.
+        Returns the computed values (n, q) for model parameters (n, n_structural) and, if the second argument is
+        true, their derivatives.
     test : int
         Index of the test in which the quantities were measured.
     """

@@ -82,7 +82,7 @@ class ModalResidual(Likelihood):
         return self.of_used(np.stack([self._one(point[None], gradient=False)[0] for point in theta]))
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the terms and their gradients, shape (n, n_used, n_parameters)."""
+        """Return the pseudo-log-likelihood of each used mode and its gradient, (n, n_used, n_parameters)."""
         results = [self._one(point[None]) for point in theta]
         terms, slopes = (np.stack(parts) for parts in zip(*results, strict=True))
         return self.of_used(terms), self.of_used(slopes, 1)

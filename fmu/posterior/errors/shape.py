@@ -87,7 +87,7 @@ class ShapeTerm(ErrorTerm):
 
     @property
     def n_data(self) -> int:
-        """Number of independent values measured of each mode: the number of sensors less one, for the scale.
+        """Number of independent measured values per mode: one fewer than the sensors, because of the free scale.
 
         With u = φ/‖φ‖ + ση the residuals are the component of η orthogonal to φ, to first order in σ. Therefore
         εᵀΛε is chi-square distributed with q − 1 degrees of freedom at q sensors. For large errors εᵀΛε is
@@ -135,11 +135,11 @@ class ShapeTerm(ErrorTerm):
     def change_of_slopes(
         self, seen: ModalPrediction, noise: FloatArray, by_slope: FloatArray
     ) -> tuple[None, FloatArray, FloatArray]:
-        """Return how a function of the slopes of the residuals changes; see `ErrorTerm`.
+        """Return the derivatives of a function of the residuals' slopes; see `ErrorTerm`.
 
-        The slopes are B ∂φ/∂θ with B = −a R (I − φφᵀΛ/φᵀΛφ), R = Λ^½. With the derivatives G of the function by
-        them, the second derivatives of φ have the weights BᵀG. With T = G (∂φ/∂θ)ᵀ fixed, the rest is the change
-        of Σ_ks T_ks B_ks = −a (Σ_k R_k T_kk − φᵀR T Λφ/φᵀΛφ) with φ.
+        The slopes are B ∂φ/∂θ with B = −a R (I − φφᵀΛ/φᵀΛφ), R = Λ^½. With the derivatives G of the function with
+        respect to the slopes, the second derivatives of φ have the weights BᵀG. With T = G (∂φ/∂θ)ᵀ fixed, the
+        remainder is the derivative of Σ_ks T_ks B_ks = −a (Σ_k R_k T_kk − φᵀR T Λφ/φᵀΛφ) with respect to φ.
         """
         s, J = np.swapaxes(seen.shapes, 1, 2), np.moveaxis(np.asarray(seen.shape_slopes), 2, 1)
         root = np.swapaxes(1.0 / np.sqrt(self.spread.variance(noise)), 1, 2)
@@ -173,7 +173,7 @@ class ShapeTerm(ErrorTerm):
 
 
 def unit_shapes(data: ModalData, name: str) -> FloatArray:
-    """Return the measured shapes scaled to unit length, (n_sensors, n_modes); ValueError without two sensors."""
+    """Return the measured shapes of unit length, (n_sensors, n_modes); ValueError for fewer than two sensors."""
     if data.shapes is None:
         raise ArgumentError(name, "need measured shapes at the sensors", "none")
     shapes = np.asarray(data.shapes)

@@ -1,4 +1,4 @@
-"""The chain rule of error models, from derivatives by frequencies and shapes to derivatives by parameters."""
+"""The chain rule of error models, from derivatives of modes to derivatives with respect to parameters."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ def split_by_term(terms: Sequence[ErrorTerm], of_residuals: FloatArray) -> list[
 
 
 def chain_prediction(seen: ModalPrediction, chain: Chain, test: IntArray) -> ModalPrediction:
-    """Return a prediction with derivatives by the parameters of all tests; `test` has the test of each mode."""
+    """Return a prediction whose derivatives are with respect to the parameters of all tests.
+
+    The array `test` has the index of the test of each mode.
+    """
     by_shape = seen.shape_slopes
     if by_shape is not None:
         by_shape = np.stack([chain(by_shape[:, s], test) for s in range(by_shape.shape[1])], axis=1)
@@ -27,7 +30,7 @@ def chain_prediction(seen: ModalPrediction, chain: Chain, test: IntArray) -> Mod
 
 
 def gradient_of_terms(part: Evaluated, seen: ModalPrediction, n_structural: int, n_noise: int) -> FloatArray:
-    """Return the gradient of an error model's terms by all parameters, shape (n, n_modes, n_structural + n_noise).
+    """Return the gradient of an error model's terms, shape (n, n_modes, n_structural + n_noise).
 
     If the prediction has slopes, the number of their parameters replaces n_structural.
     """
@@ -51,10 +54,11 @@ def gradient_of_terms(part: Evaluated, seen: ModalPrediction, n_structural: int,
 def residuals_of_term(
     term: ErrorTerm, seen: ModalPrediction, noise: FloatArray, within: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the residuals of an error model, (n, n_modes, q), and their derivatives by the model's parameters.
+    """Return the residuals of an error model, (n, n_modes, q), and their derivatives.
 
-    The derivatives have the shape (n, n_modes, q, n_structural); with `within` they are those of
-    `ErrorTerm.residuals_within`. The inferred standard deviations `noise`, (n, n_noise), are held fixed.
+    The derivatives are with respect to the model's parameters, (n, n_modes, q, n_structural). If `within` is true,
+    they are the derivatives of `ErrorTerm.residuals_within`. The inferred standard deviations `noise`, (n,
+    n_noise), are held fixed.
     """
     view = term.project(seen)
     r = term.residuals_within(view, noise) if within else term.residuals(view, noise)
@@ -69,5 +73,5 @@ def residuals_of_term(
 
 
 def without_shapes(frequencies: FloatArray, slopes: FloatArray | None = None) -> ModalPrediction:
-    """Return a prediction of frequencies alone, (n, n_modes), with their derivatives if there are any."""
+    """Return a prediction of frequencies alone, (n, n_modes), with their derivatives if `slopes` has them."""
     return ModalPrediction(frequencies, np.empty((len(frequencies), 0, frequencies.shape[1])), slopes)

@@ -1,4 +1,4 @@
-"""Errors of frequencies with heavy tails, so that a mode that contradicts the other modes has little weight."""
+"""Heavy-tailed errors of frequencies, which give little weight to a mode that contradicts the other modes."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ LEAST_FREEDOM = 1.0
 class StudentErrors(FrequencyErrors):
     """Independent errors of the frequencies with Student's distribution in place of a Gaussian.
 
-    An error of many σ, as of a misidentified mode, is then improbable but possible, and has little influence on
-    the parameters (Lange, Little & Taylor 1989, *J. Am. Stat. Assoc.* 84, 881–896). Correctly measured modes lose
-    some weight too: their information is (ν + 1)/(ν + 3) of that with Gaussian errors.
+    An error of many σ, for example of a misidentified mode, is then improbable but possible, and has little
+    influence on the parameters (Lange, Little & Taylor 1989, *J. Am. Stat. Assoc.* 84, 881–896). Correctly
+    measured modes lose some weight too: their information is (ν + 1)/(ν + 3) of its value with Gaussian errors.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class StudentTerm(FrequencyTerm):
         return False
 
     def normal_scores(self, z: FloatArray, mode: int | None = None) -> FloatArray:
-        """Return errors divided by their scales as normal scores: Φ⁻¹ of Student's distribution function."""
+        """Return the normal scores of errors divided by their scales: Φ⁻¹ of Student's distribution function."""
         return np.asarray(-np.sign(z) * ndtri(stdtr(self._freedom, -np.abs(z))))
 
     def evaluate(self, seen: ModalPrediction, noise: FloatArray, gradient: bool) -> Evaluated:

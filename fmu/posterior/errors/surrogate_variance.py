@@ -1,8 +1,8 @@
 """The errors of a surrogate in the likelihood, as the mean of the density over the surrogate's distribution.
 
-Let t(x) be the log-density of an error model as a function of the frequency and the shape components x of a mode,
-for which the surrogate predicts the expectation and the variances v_j. With g = ∂t/∂x and h_j = Σ_r (∂r/∂x_j)² of
-the residuals r, both at the expectation,
+Let t(x) be the log-density of an error model as a function of the frequency and the shape components x of a mode.
+The surrogate predicts their expectations and their variances v_j. With g = ∂t/∂x and h_j = Σ_r (∂r/∂x_j)² of the
+residuals r, both at the expectation,
 
 log E[exp t] ≈ t + Σ_j [½ g_j² v_j/(1 + h_j v_j) − ½ log(1 + h_j v_j)].
 
@@ -29,9 +29,9 @@ def evaluated_with_variance(
 ) -> Evaluated:
     """Return the terms of an error model for a prediction with variances; see `ErrorTerm.evaluate`.
 
-    The derivatives by the predicted frequencies and shapes use ∂g/∂x = −(∂r/∂x)ᵀ(∂r/∂x) and a constant h
-    (Gauss–Newton). For the derivatives by inferred standard deviations, the correction is differentiated by
-    central differences.
+    The derivatives with respect to the predicted frequencies and shapes use ∂g/∂x = −(∂r/∂x)ᵀ(∂r/∂x) and a
+    constant h (Gauss–Newton). Those with respect to inferred standard deviations are central differences of the
+    correction.
     """
     part, residuals = term.evaluate(seen, noise, True), term.residuals(seen, noise)
     terms = part.terms + _correction(part, residuals, seen)
@@ -129,7 +129,7 @@ def _by_variance(g: FloatArray, h: FloatArray, v: Any) -> FloatArray:
 
 
 def _by_noise(term: ErrorTerm, seen: ModalPrediction, noise: FloatArray, k: int) -> FloatArray:
-    """Return the derivative of the correction by an inferred standard deviation, (n, n_modes)."""
+    """Return the derivative of the correction with respect to an inferred standard deviation, (n, n_modes)."""
     step = _STEP * noise[:, k]
     values = []
     for sign in (1.0, -1.0):
