@@ -135,7 +135,7 @@ def ascend(
 
 
 def adjust_damping(damping: ArrayLike, ratio: ArrayLike) -> tuple[BoolArray, FloatArray]:
-    """Return whether steps are accepted, and the damping of the next steps.
+    """Return whether the last steps are accepted, and the damping of the next steps.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def find_pressed(u: FloatArray, g: FloatArray, lower: FloatArray, upper: FloatAr
 
 
 def decrement(u: FloatArray, g: FloatArray, H: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return the predicted decrease of V in an undamped step, (n,); coordinates of `find_pressed` are held."""
+    """Return the predicted decrease of V in an undamped step, (n,), with coordinates of `find_pressed` fixed."""
     held = find_pressed(u, g, lower, upper)
     s = _newton(g, _invertible(H), held, np.zeros_like(u))
     return -0.5 * np.sum(np.where(held, 0.0, g) * s, axis=1)

@@ -222,7 +222,7 @@ def frequency_sd(
 ) -> FloatArray | None:
     """Return the standard deviation of the frequency error of each mode, (n_modes,), Hz; None if it is unknown.
 
-    An inferred standard deviation has its posterior mean or, before a run, its start value.
+    An inferred standard deviation is represented by its posterior mean or, before a run, by its starting value.
     """
     named = list(likelihood.get("noise", ()))
     start = {p["name"]: float(p["start"]) for p in parameters}

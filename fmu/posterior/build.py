@@ -143,7 +143,7 @@ def likelihood_of(
     beta : float or array_like, optional
         β of errors that are given by their name.
     model, paired : SeparableModel, BlackBoxModel or ModalModel
-        The model as the user gave it, and the same model paired with the data.
+        The user's model, and the same model paired with the data.
     data : ModalData
     parameters : sequence of Parameter
         Parameters of the model.
@@ -160,8 +160,8 @@ def likelihood_of(
     -----
     Errors of a mass or a displacement are added to the errors of the modes. If only errors of masses or
     displacements are given, the frequencies have their default errors. If only errors of frequency response
-    functions are given, the modes take no part in the likelihood: they are paired, and begin the search for
-    maxima.
+    functions are given, the modes are not part of the likelihood: they are still paired, and the search for maxima
+    begins with them.
     """
     given: Sequence[Any] = error if isinstance(error, Sequence) and not isinstance(error, str) else [error]
     if any(isinstance(one, FRFErrors) for one in given):

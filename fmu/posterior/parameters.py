@@ -1,4 +1,4 @@
-"""Updating parameters, each with its name, unit, bounds, start value and prior."""
+"""Updating parameters, each with its name, unit, bounds, starting value and prior."""
 
 from __future__ import annotations
 
@@ -87,13 +87,13 @@ class Parameter:
 
     @property
     def lowest(self) -> float:
-        """Lowest value of positive prior density: `lower`, or the float above if the density is zero there."""
+        """Smallest value with a positive prior density: `lower`, or the next float above it if its density is 0."""
         ends = not np.isfinite(self.lower) or self._has_density(self.lower)
         return self.lower if ends else float(np.nextafter(self.lower, np.inf))
 
     @property
     def highest(self) -> float:
-        """Highest value of positive prior density: `upper`, or the float below if the density is zero there."""
+        """Largest value with a positive prior density: `upper`, or the next float below it if its density is 0."""
         ends = not np.isfinite(self.upper) or self._has_density(self.upper)
         return self.upper if ends else float(np.nextafter(self.upper, -np.inf))
 

@@ -392,7 +392,7 @@ class Likelihood:
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies with the model's errors at theta, if it has any, added: new draws, or given the data."""
+        """Return frequencies with any errors of the model at theta added: new draws, or draws given the data."""
         return frequencies
 
     def why_not_finite(self, theta: FloatArray) -> str | None:

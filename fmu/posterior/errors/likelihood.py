@@ -126,7 +126,7 @@ class ModalLikelihood(Likelihood):
         return self.terms_of_observed(seen, theta)[:, : squares.shape[-1]], squares
 
     def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
-        """Return the sums of squared residuals of each model of `chi_square` and used mode, (n, n_kinds, n_used)."""
+        """Return the sums of squared residuals by model of `chi_square` and used mode, (n, n_kinds, n_used)."""
         noise, found = theta[:, self.n_structural :], np.empty((len(theta), 0, seen.frequencies.shape[1]))
         for term in self.chi_square:
             r = np.moveaxis(term.residuals(term.project(seen), noise).values, 1, 2)
@@ -312,7 +312,7 @@ class ModalLikelihood(Likelihood):
         return views, parts
 
     def _observed_slopes(self, theta: FloatArray, chain: Chain | None) -> ModalPrediction:
-        """Return the predicted modes with slopes: over theta with a `chain`, else over the parameters of each test."""
+        """Return the predicted modes with derivatives over theta, or over each test's parameters without a `chain`."""
         seen = self.observed(theta, True)
         return seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
 

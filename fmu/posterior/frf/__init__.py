@@ -1,1 +1,1 @@
-"""Errors of measured frequency response functions, the damping that they need, and their likelihood."""
+"""Measured frequency response functions: their errors, the damping that they require, and their likelihood."""

@@ -1,4 +1,4 @@
-"""The assumptions on frequency response functions and on damping, in words."""
+"""Sentences on the assumptions about frequency response functions and damping."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def _of_model(sd: float | str) -> str:
 
 
 def _of_modes(one: Mapping[str, Any]) -> str:
-    """Return a sentence on the errors of the modes of the model."""
+    """Return a sentence on the errors in the modes of the model."""
     sd, shapes = significant(100.0 * one["sd"]), one["shape_sd"]
     size = f"is inferred, {shapes}" if isinstance(shapes, str) else f"is {significant(100.0 * shapes)} %"
     return (
@@ -64,7 +64,7 @@ def _of_modes(one: Mapping[str, Any]) -> str:
 
 
 def _damping(one: Mapping[str, Any]) -> str:
-    """Return a damping model and its values or parameters in words."""
+    """Return a description of a damping model, with its values or parameters."""
     match one["damping"]:
         case "ModalDamping":
             ratios = one["ratios"]

@@ -1,4 +1,4 @@
-"""Errors of measurement channels: gains, which are integrated out or inferred, and delays, which are inferred."""
+"""Errors of measurement channels: gain errors, integrated out or inferred, and delays, which are inferred."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ class Channels:
     ----------
     names : tuple of (place, direction)
     of_frf : ndarray of int, shape (n_frfs,)
-        Channel of each FRF.
+        Index of the channel of each FRF.
     gain_sd : ndarray, shape (n_channels,)
-        Standard deviation of each gain that is integrated out; 0 for none.
+        Standard deviation of each gain error that is integrated out; 0 if the gain is known.
     gain, delay : ndarray of int, shape (n_channels,)
-        Index in theta of each gain and delay that is inferred; −1 for none.
+        Index in theta of each inferred gain error and delay; −1 if it is not inferred.
     parameters : list of Parameter
-        The gains and delays that are inferred, in the order of theta.
+        The inferred gain errors and delays, in the order of theta.
     """
 
     names: tuple[Any, ...]
@@ -61,11 +61,11 @@ class Channels:
         gains, delays : mapping of (place, direction) to float
             Standard deviations of the relative error of a gain, and of a delay in s.
         first : int
-            Index in theta of the first parameter of the channels.
+            Index in theta of the first channel parameter.
         integrates : bool
-            Whether gains are integrated out, which needs Gaussian errors.
+            Whether gain errors are integrated out, which requires Gaussian errors.
         of_test : str
-            What the names of channels in those of parameters begin with.
+            Prefix of the channel names in the names of parameters.
         """
         names = tuple(dict.fromkeys(data.responses))
         parameters: list[Parameter] = []
@@ -87,7 +87,7 @@ class Channels:
         return cls(names, of_frf, integrated, gain, delay, parameters)
 
     def factors(self, theta: FloatArray, omega: FloatArray) -> ComplexArray:
-        """Return (1 + γ) exp(−iωτ) of each FRF by the inferred errors, shape (n, n_frfs, n_lines) or (1, 1, 1)."""
+        """Return the inferred errors (1 + γ) exp(−iωτ) of each FRF, shape (n, n_frfs, n_lines) or (1, 1, 1)."""
         if np.all(self.gain < 0) and np.all(self.delay < 0):
             return np.ones((1, 1, 1), dtype=complex)
         found = np.ones((len(theta), len(self.names), len(omega)), dtype=complex)

@@ -28,8 +28,8 @@ class ModalDamping:
     Attributes
     ----------
     ratios : float, Parameter, or sequence of them
-        Damping ratio ζ of all modes, or of each elastic mode in ascending order of frequency; the last one is that
-        of all higher modes. The modes are those of the parts of the structure in which there are drives and
+        Damping ratio ζ of all modes, or of each elastic mode in ascending order of frequency; the last ratio
+        applies to all higher modes too. The modes are those of the parts of the structure that have drives and
         responses.
     """
 
@@ -39,7 +39,7 @@ class ModalDamping:
 @check_arguments
 @dataclass(frozen=True)
 class RayleighDamping:
-    """Damping in proportion to mass and stiffness: C = α M + β K.
+    """Damping proportional to mass and stiffness: C = α M + β K.
 
     Attributes
     ----------
@@ -54,15 +54,15 @@ class RayleighDamping:
 @check_arguments
 @dataclass(frozen=True)
 class StructuralDamping:
-    """Loss factors: K (1 + i η), of the whole structure or of the stiffness that a parameter sets.
+    """Loss factors: K (1 + i η), for the whole structure or for the stiffness that a parameter scales.
 
     Attributes
     ----------
     loss : float or Parameter
         Loss factor η of all stiffness that `of` does not name.
     of : mapping of str to float or Parameter
-        Loss factor of the stiffness that a parameter of the model sets, by the name of the parameter. The modes of
-        the undamped structure are then coupled.
+        Loss factor of the stiffness that a parameter of the model scales, by the name of the parameter. The modes
+        of the undamped structure are then coupled.
     """
 
     loss: NotNegative | Parameter = 0.0
@@ -124,7 +124,7 @@ DampingModel = ModalDamping | RayleighDamping | StructuralDamping | Dashpot | Da
 
 
 def inferred_in(given: DampingModel | Sequence[DampingModel]) -> list[Parameter]:
-    """Return the list of the parameters of damping models, each once."""
+    """Return a list of the inferred parameters of damping models, each listed once."""
     found: list[Parameter] = []
     for one in given if isinstance(given, Sequence) else [given]:
         for value in vars(one).values():
@@ -140,14 +140,14 @@ def bind_damping(
     names: Sequence[str],
     places: Mapping[str, Any],
 ) -> Damping:
-    """Return the damping of a model, whose damping parameters are those of `inferred_in`.
+    """Return the damping of a model; its parameters are those that `inferred_in` lists.
 
     Parameters
     ----------
     given : damping model or sequence of damping models
     model : SeparableModel
     names : sequence of str
-        Parameters of the model.
+        Names of the model's parameters.
     places : mapping of str to node
         Nodes of the model for names of places.
 
@@ -210,7 +210,7 @@ def bind_damping(
 
 
 def damping_as_dict(given: DampingModel) -> dict[str, Plain]:
-    """Return a dict of a damping model in plain Python types; a parameter is given by its name."""
+    """Return a dict of a damping model in plain Python types, in which a parameter is replaced by its name."""
     found: dict[str, Plain] = {"damping": type(given).__name__}
     for key, value in vars(given).items():
         if key == "matrix":

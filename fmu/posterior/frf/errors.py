@@ -1,4 +1,4 @@
-"""Errors of measured frequency response functions, on H or on log H, with errors of channels."""
+"""Errors of measured frequency response functions, either of H or of log H, with errors of the channels."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ class FRFErrors(QuantityErrors):
     """Errors of measured frequency response functions (FRFs), independent at each line.
 
     The measured FRF of response j and drive k is d = (1 + γ_j) exp(−iωτ_j) H_jk + e. The real and the imaginary
-    part of the error e have the variance V = s² + σ² |H|² each, with the standard deviation s of the data and a
+    part of the error e each have the variance V = s² + σ² |H|², with the standard deviation s of the data and a
     relative error σ of the model.
 
-    If few hits or averages gave s, with ν degrees of freedom (`FRFData.freedom`), the errors of a single line have
-    Student's distribution with ν. In parameters that many lines determine together its curvature is larger than
-    the variance of its slope, so that intervals would be too narrow, by 11 % for five hits. The density taken is
-    that of Student's distribution with ν − 2 of the variance V ν/(ν − 2), (1 + |e|²/(ν V))^(−ν/2), of which both
-    are equal (Godambe 1960, *Ann. Math. Statist.* 31, 1208–1211). Its slope is that of Student's distribution with
-    ν but for a factor.
+    If s was estimated from few hits or averages, with ν degrees of freedom (`FRFData.freedom`), the error at a
+    single line has Student's distribution with ν degrees of freedom. For parameters that many lines determine
+    together, the curvature of this log-density is larger than the variance of its slope. Intervals would be too
+    narrow, by 11 % for five hits. The density used is therefore (1 + |e|²/(ν V))^(−ν/2), which is Student's with ν
+    − 2 degrees of freedom and the variance V ν/(ν − 2). Its curvature equals the variance of its slope (Godambe
+    1960, *Ann. Math. Statist.* 31, 1208–1211), and its slope is proportional to the slope of Student's with ν.
 
     Attributes
     ----------
@@ -50,27 +50,28 @@ class FRFErrors(QuantityErrors):
     damping : damping model, or sequence of damping models that are added up
         `fmu.ModalDamping`, `fmu.RayleighDamping`, `fmu.StructuralDamping`, `fmu.Dashpot`, `fmu.DampingMatrix`.
     scale : {"linear", "log"}
-        ``"linear"``: errors of H. ``"log"``: errors of log H, that is of log amplitude and phase, with the
-        variance V = s²/|d|² + σ²; resonances then weigh less.
+        ``"linear"``: errors of H. ``"log"``: errors of log H, that is, of log amplitude and phase, with the
+        variance V = s²/|d|² + σ²; resonances then have less weight.
     model_sd : float or Parameter
         σ, the error of the model relative to |H|, known or inferred; 0 by default.
     gain_sd : float, or mapping of (place, direction) to float
-        Standard deviation of the relative error γ_j of the gain of each response channel, or of those named.
-        Gaussian errors: the gains are integrated out exactly.
+        Standard deviation of the relative gain error γ_j of each response channel, or of the named channels. If
+        the errors are Gaussian, the gain errors are integrated out exactly.
     delay_sd : float, or mapping of (place, direction) to float, s
-        Standard deviation of the delay τ_j of each response channel, or of those named. Each is inferred.
+        Standard deviation of the delay τ_j of each response channel, or of the named channels. Delays are
+        inferred.
     test : str, optional
-        With `fmu.JointProblem`: the test in which the FRFs were measured, whose parameters the structure has.
-        Damping parameters, and an inferred `model_sd`, of the same name are the same in several tests; gains and
-        delays belong to their test.
+        With `fmu.JointProblem`, the test in which the FRFs were measured, whose parameters the structure has.
+        Damping parameters and an inferred `model_sd` that have the same name in several tests are the same
+        quantity. Gain errors and delays belong to their test.
     places : mapping of str to node, optional
         Nodes of the model for names of places in the data, the damping and the channels.
 
     Raises
     ------
     ValueError
-        If the FRFs have no standard deviations and `model_sd` is 0, a channel is named that has no FRF, or fewer
-        than three hits gave the standard deviations.
+        If the FRFs have no standard deviations and `model_sd` is 0, a named channel has no FRF, or the standard
+        deviations were estimated from fewer than three hits.
     """
 
     data: FRFData
@@ -92,7 +93,7 @@ class FRFErrors(QuantityErrors):
             raise ArgumentError(f"model_sd.{self.model_sd.name}.lower", "must be at least 0", self.model_sd.lower)
 
     def at_places(self, places: Mapping[str, Any]) -> Self:
-        """Return the same settings with nodes of the model for names of places, which stay in all labels."""
+        """Return the same settings with names of places replaced by nodes of the model; labels keep the names."""
         return replace(self, places={**places, **self.places})
 
     def _nodes(self, points: Sequence[Dof]) -> list[Dof]:
@@ -101,7 +102,7 @@ class FRFErrors(QuantityErrors):
     def bind_frfs(
         self, model: SeparableModel, parameters: Sequence[Parameter], discrepancy: Discrepancy | None = None
     ) -> FRFTerm:
-        """Return the errors bound to a structure; a reduced model of its FRFs is trained.
+        """Return the errors bound to a structure, after training a reduced model of its FRFs.
 
         Parameters
         ----------
@@ -114,8 +115,8 @@ class FRFErrors(QuantityErrors):
         Raises
         ------
         ValueError
-            If a drive or a response sees no free degree of freedom, as for the damping, or the errors are not
-            those that a discrepancy needs.
+            If a drive or a response sees no free degree of freedom, the damping does not fit the model (see
+            `bind_damping`), or a discrepancy cannot be combined with these errors.
         """
         data = self.data
         if discrepancy is not None:
@@ -178,7 +179,7 @@ class FRFErrors(QuantityErrors):
         return FRFTerm(data, of, channels, tuple(inferred), is_log, own, self.as_dict(), of_test)
 
     def _check_discrepancy(self, discrepancy: Discrepancy) -> None:
-        """Raise ArgumentError unless the errors are Gaussian and linear in H, with known channels."""
+        """Raise ArgumentError unless the errors are Gaussian errors of H and no channel has an error."""
         rule = 'of frequency response functions must be of kind "modes": errors of frequencies and residues'
         if discrepancy.kind != "modes" or discrepancy.length is not None:
             raise ArgumentError("discrepancy", rule, discrepancy.kind if discrepancy.length is None else "length")
@@ -221,7 +222,7 @@ class FRFErrors(QuantityErrors):
 
 
 def _by_channel(key: str, given: float | Mapping[Any, float], data: FRFData) -> dict[Any, float]:
-    """Return the standard deviation of each named response channel, or of all."""
+    """Return a dict with the standard deviation of each named response channel, or of all channels."""
     channels = list(dict.fromkeys(data.responses))
     if not isinstance(given, Mapping):
         return dict.fromkeys(channels, float(given)) if given else {}

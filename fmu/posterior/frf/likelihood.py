@@ -24,7 +24,7 @@ FRFS = "FRFs"
 
 
 class FRFsOfTest(NamedTuple):
-    """The FRFs of a test, as functions of the parameters in all tests.
+    """The FRFs of a test as functions of the parameters in all tests.
 
     Attributes
     ----------
@@ -32,11 +32,13 @@ class FRFsOfTest(NamedTuple):
     test : int
         Index of the test.
     structural : ndarray of int, shape (s,)
-        The index of each of the first s parameters of `term` among the structural parameters; the others are
-        inferred beside the structure.
-    columns, slopes : ndarray of int, shape (n_own,)
-        The index of each parameter of `term` in theta of the likelihood, and among the derivatives of a value in
-        the test, which are by the structural parameters in the test and by the inferred parameters.
+        Index of each of the first s parameters of `term` among the structural parameters. The remaining parameters
+        of `term` are inferred in addition to the structure.
+    columns : ndarray of int, shape (n_own,)
+        Index of each parameter of `term` in theta of the likelihood.
+    slopes : ndarray of int, shape (n_own,)
+        Index of each parameter of `term` among the parameters that values in the test are differentiated with
+        respect to: the structural parameters in the test, and then the inferred parameters.
     """
 
     term: FRFTerm
@@ -47,7 +49,7 @@ class FRFsOfTest(NamedTuple):
 
     @property
     def further(self) -> tuple[Parameter, ...]:
-        """The parameters of `term` that are inferred beside the structure."""
+        """The parameters of `term` that are inferred in addition to the structure."""
         return self.term.inferred[len(self.structural) - self.term.model.full.n_parameters :]
 
     def own(self, theta: FloatArray) -> FloatArray:
@@ -57,9 +59,9 @@ class FRFsOfTest(NamedTuple):
         return theta.take(self.columns, axis=1)
 
     def by_structural(self, n: int, n_structural: int, chain: Chain | None) -> FloatArray:
-        """Return the derivatives of the first s parameters of `term` by the parameters of the problem, (n, s, N).
+        """Return the derivatives of the first s parameters of `term` with respect to the problem's N, (n, s, N).
 
-        These N are without those inferred beside the structure, which has `n_structural` parameters in a test.
+        These N parameters exclude those inferred in addition to the structure, which has `n_structural` in a test.
         """
         s = len(self.structural)
         found = np.zeros((n, s, n_structural))
@@ -68,12 +70,12 @@ class FRFsOfTest(NamedTuple):
 
 
 class FRFLikelihood(Likelihood):
-    """The sum of the log-likelihood of the modes and of the log-densities of FRFs.
+    """The sum of the log-likelihood of the modes and the log-densities of the FRFs.
 
     Parameters
     ----------
     modal : ModalLikelihood
-        The likelihood of the modes; of no mode where the FRFs are the only data.
+        The likelihood of the modes; it uses no mode if the FRFs are the only data.
     every : sequence of FRFsOfTest
     n_structural : int
         Number of parameters of the structure in a test.
@@ -90,8 +92,8 @@ class FRFLikelihood(Likelihood):
 
     Notes
     -----
-    The parameters that are inferred for the FRFs beside those of the structure follow those of the errors of the
-    modes. What is not said here is as in the likelihood of the modes.
+    The further parameters inferred for the FRFs follow those of the errors of the modes. Everything else is as in
+    the likelihood of the modes.
     """
 
     of_modes = True
@@ -117,7 +119,7 @@ class FRFLikelihood(Likelihood):
         self._adopt()
 
     def _adopt(self) -> None:
-        """Take over what the likelihood of the modes says of the modes."""
+        """Copy the attributes that describe the modes from the likelihood of the modes."""
         modal, self.responses = self.modal, tuple(one.term for one in self.every)
         self.model = modal.model
         self.needs_shapes, self.simulates, self.has_discrepancy, self.predictions_per_gradient = (
@@ -168,8 +170,9 @@ class FRFLikelihood(Likelihood):
     def easier(self) -> list[Likelihood]:
         """Return likelihoods of the same parameters with fewer maxima, the easiest first.
 
-        The first is of all modes alone. In the others the FRFs have a further relative error, which decreases.
-        Narrow resonances that do not overlap tell nothing of the way to each other; wide errors let them overlap.
+        The first is the likelihood of all modes alone. In the others the FRFs have an additional relative error,
+        which decreases from one to the next. Narrow resonances of model and data that do not overlap give no
+        direction towards each other; with large errors they overlap.
         """
         noise = min(term.relative_noise for term in self.responses)
         wider = [relative for relative in _WIDER if relative > _WORTHWHILE * noise]
@@ -184,7 +187,7 @@ class FRFLikelihood(Likelihood):
         return theta[:, : self._n_modal]
 
     def terms(self, theta: FloatArray) -> FloatArray:
-        """Return the log-likelihood of each used mode, and of the FRFs of each test, (n, n_terms)."""
+        """Return the log-likelihood of each used mode and of the FRFs of each test, (n, n_terms)."""
         return self._with_responses(self._modal_terms(theta), theta)
 
     def _modal_terms(self, theta: FloatArray) -> FloatArray:
@@ -197,7 +200,7 @@ class FRFLikelihood(Likelihood):
         return np.concatenate([terms, *found], axis=1)
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the terms and their gradients, shape (n, n_terms, ndim)."""
+        """Return the log-likelihood of each used mode and of each test's FRFs, and its gradient, (n, n_terms, ndim)."""
         values, slopes = [], []
         N = self.n_structural + len(self.noise)
         if not self._has_no_terms_of_modes:
@@ -217,7 +220,7 @@ class FRFLikelihood(Likelihood):
         return self.modal.observed(self._of_modes(theta), gradient)
 
     def terms_of_frequencies(self, frequencies: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return the terms at theta, given the frequencies of the model there; see `Likelihood`."""
+        """Return the terms at theta, given the computed frequencies there; see `Likelihood`."""
         return self._with_responses(self.modal.terms_of_frequencies(frequencies, self._of_modes(theta)), theta)
 
     def terms_and_misfit(
@@ -230,7 +233,7 @@ class FRFLikelihood(Likelihood):
 
     @property
     def by_frequencies(self) -> bool:
-        """Whether the frequencies of the model are enough for the terms of the modes."""
+        """Whether the terms of the modes depend on the frequencies of the model alone."""
         return self.is_of_frfs_alone or self.modal.by_frequencies
 
     def quadratic(
@@ -259,9 +262,9 @@ class FRFLikelihood(Likelihood):
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
         """Return residuals (n, n_residuals) and their derivatives (n, n_residuals, n_structural).
 
-        The FRFs of a test have as many residuals as parameters of the structure: with J the square root of their
-        information on these parameters, given the best values of all others for this test, the residuals are −J⁻ᵀ
-        times the gradient.
+        The FRFs of a test are represented by as many residuals as the structure has parameters. With J the square
+        root of the information on these parameters, given the best values of all others for this test, the
+        residuals are −J⁻ᵀ times the gradient.
         """
         values, slopes = [], []
         if not self._has_no_terms_of_modes:
@@ -289,12 +292,12 @@ class FRFLikelihood(Likelihood):
         return np.concatenate([*found, *(np.full(len(one.structural), one.test) for one in self.every)])
 
     def labels(self, modes: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the names of the residuals, in the order of `residuals_and_slopes`, given the labels of modes."""
+        """Return the names of the residuals, in the order of `residuals_and_slopes`, given the modes' names."""
         of_modes = () if self._has_no_terms_of_modes else self.modal.labels(modes)
         return of_modes + (FRFS,) * sum(len(one.structural) for one in self.every)
 
     def in_standard_deviations(self, frequencies: FloatArray, error: FloatArray, theta: FloatArray) -> FloatArray:
-        """Return errors of computed frequencies, (n_modes,) in Hz, in standard deviations of their measurement."""
+        """Return errors of computed frequencies, (n_modes,) in Hz, in standard deviations of the measurement."""
         if self.is_of_frfs_alone:
             return np.zeros(len(frequencies))
         return self.modal.in_standard_deviations(frequencies, error, theta[: self._n_modal])
@@ -314,7 +317,7 @@ class FRFLikelihood(Likelihood):
     def with_discrepancy(
         self, rng: np.random.Generator, frequencies: FloatArray, theta: FloatArray | None, given_data: bool = False
     ) -> FloatArray:
-        """Return frequencies with the model's errors at theta added, if it has any: anew, or given the data."""
+        """Return frequencies with any errors of the model at theta added: new draws, or draws given the data."""
         return self.modal.with_discrepancy(rng, frequencies, theta, given_data)
 
     def why_not_finite(self, theta: FloatArray) -> str | None:
@@ -334,7 +337,7 @@ class FRFLikelihood(Likelihood):
 
 
 def _whiten(gradient: FloatArray, information: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
-    """Return n residuals and their derivatives by n parameters, given the best values of the other parameters."""
+    """Return n residuals and their derivatives with respect to n parameters, at the best values of the others."""
     other = information[n:, n:]
     if len(other):
         gain = np.linalg.lstsq(other, information[n:, :n], rcond=None)[0]

@@ -1,4 +1,4 @@
-"""Records of the log-density of frequency response functions: of the lines, and of the gains."""
+"""Records of the log-density of frequency response functions at the lines, and of the gain errors."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ class Misfit(NamedTuple):
     Attributes
     ----------
     terms : ndarray, shape (n, n_frfs, n_lines)
-        Without the parts that no parameter changes.
+        Log-densities, without the parts that depend on no parameter.
     weights : ndarray of complex, shape (n, n_frfs, n_lines), or None
-        w with d(terms) = Re(w dH).
+        w such that d(terms) = Re(w dH).
     by_sd : ndarray, shape (n, n_frfs, n_lines), or None
-        Derivative by the relative error σ of the model.
+        Derivative with respect to the relative error σ of the model.
     """
 
     terms: FloatArray
@@ -28,7 +28,7 @@ class Misfit(NamedTuple):
 
 
 class Gains(NamedTuple):
-    """The gains that are integrated out, at n parameter vectors.
+    """The gain errors that are integrated out, at n parameter vectors.
 
     The density of the data given the relative error γ of a gain is exp(−½ A (γ − γ̂)²) times its maximum.
 
@@ -37,9 +37,9 @@ class Gains(NamedTuple):
     best : ndarray, shape (n, n_channels)
         γ̂, the most probable value; 0 for a channel whose gain is known.
     precision : ndarray, shape (n, n_channels)
-        A, with the precision of the prior; infinite for a channel whose gain is known.
+        A, which includes the precision of the prior; infinite for a channel whose gain is known.
     log_density : ndarray, shape (n,)
-        The terms of the integral beside those of the lines.
+        Contribution of the integrals to the log-density, in addition to the terms of the lines.
     """
 
     best: FloatArray

@@ -1,15 +1,15 @@
-"""FRFs of a model whose modes err: each mode of the band has a frequency of its own, and its residues scatter.
+"""FRFs of a model with wrong modes: each mode of the band has a frequency of its own, and its residues scatter.
 
-The measured receptance of an FRF is Σ_r (A_r(θ) + σ_s a_r ε_r) g_r(f_r) + e. The frequencies f_r of the modes of
+The measured receptance of an FRF is Σ_r (A_r(θ) + σ_s a_r ε_r) g_r(f_r) + e. The frequencies f_r of the modes in
 the band are inferred; ln f_r − ln f_r(θ) is normal with the standard deviation σ and the correlation ρ between
-modes. The errors ε_r of the residues of each FRF are standard normal and independent, with the root mean square
-a_r of the residues of the mode over the FRFs as unit. They are linear, and integrated out exactly: the errors of
-an FRF have the covariance S = I + C Cᵀ in standard deviations of the measurement, C_r = σ_s a_r g_r, with
-Woodbury's identity as in `fmu.posterior.discrepancy.latent`.
+modes. The errors ε_r of the residues of each FRF are standard normal and independent. Their unit a_r is the root
+mean square of the mode's residues over the FRFs. These errors are linear and are integrated out exactly. In
+standard deviations of the measurement, the errors of an FRF have the covariance S = I + C Cᵀ with the columns
+C_r = σ_s a_r g_r; S is inverted by Woodbury's identity as in `fmu.posterior.discrepancy.latent`.
 
-The errors of the frequencies must not be linearised. A resonance with the damping ratio ζ moves out of the range
-of its tangent where the relative error of its frequency exceeds about ζ/2, and models err by more than that. σ
-and ρ must be given: a band has too few modes to infer them, and their density with f_r is unbounded at σ = 0.
+The errors of the frequencies must not be linearised. A resonance with the damping ratio ζ leaves the range of its
+tangent if the relative error of its frequency exceeds about ζ/2, and errors of models are larger than that. σ and
+ρ must be given: a band has too few modes to infer them, and their joint density with f_r is unbounded at σ = 0.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ _RANGE = 0.3
 
 @dataclass(frozen=True, eq=False)
 class ModeScatter:
-    """The errors of the m modes of the band, and the parameters that are inferred for them.
+    """The errors of the m modes in the band, and the parameters that are inferred for them.
 
     Attributes
     ----------
     first : int
-        Number of the first of these modes, from 0.
+        Index of the first of these modes, from 0.
     parameters : tuple of Parameter
         The m frequencies, and σ_s if it is inferred.
     sd, correlation : float
@@ -88,10 +88,10 @@ class ModeScatter:
         return np.asarray((np.eye(m) - rho / (1.0 + (m - 1) * rho)) / ((1.0 - rho) * self.sd**2))
 
     def log_density(self, f: FloatArray, lam: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the log-density of the frequencies (n, m), given the eigenvalues (n, m) of the model.
+        """Return the log-density of the frequencies (n, m) given the model's eigenvalues (n, m), and its slopes.
 
-        It is (n,), and stands in place of the uniform density between the bounds. Its derivatives by frequencies
-        and eigenvalues follow, (n, m) each.
+        The log-density, (n,), replaces the uniform density between the bounds. The slopes are its derivatives with
+        respect to the frequencies and to the eigenvalues, (n, m) each.
         """
         x = np.log(2.0 * np.pi * f) - 0.5 * np.log(lam)
         turned = np.einsum("gh,nh->ng", self.precision, x)
@@ -107,10 +107,12 @@ class ModeScatter:
 
 
 class _At(NamedTuple):
-    """What a term computes at n parameter vectors: modes, resonances, whitened errors E and loads B, and ε.
+    """The quantities that a term computes at n parameter vectors.
 
-    E has the shape (n, n_frfs, 2 L), B (n, n_frfs, m, 2 L), with the real parts of all lines before the imaginary
-    parts; `mean` and `precision` of ε given the data, (n, n_frfs, m) and (n, n_frfs, m, m).
+    They are the modes, the resonances, the whitened errors E, the loadings B of the residue errors ε, and the
+    distribution of ε. E has the shape (n, n_frfs, 2 L) and B (n, n_frfs, m, 2 L), with the real parts of all lines
+    before the imaginary parts. The `mean` and `precision` of ε given the data have the shapes (n, n_frfs, m) and
+    (n, n_frfs, m, m).
     """
 
     modes: Residues
@@ -124,7 +126,7 @@ class _At(NamedTuple):
 
 
 class ScatteredTerm(FRFTerm):
-    """Measured FRFs bound to a structure whose modes err; see the description of the module.
+    """Measured FRFs bound to a structure with wrong modes; see the description of the module.
 
     The parameters of `scatter` follow those of the damping.
     """
@@ -149,23 +151,23 @@ class ScatteredTerm(FRFTerm):
 
     @property
     def roles(self) -> tuple[str, ...]:
-        """What each of `inferred` is, in words."""
+        """A description of each parameter of `inferred`, in words."""
         return ("damping",) * self.model.n_values + ("error of the model",) * len(self.scatter.parameters)
 
     def with_use(self, use: BoolArray) -> ScatteredTerm:
-        """Return the term of other values, with use (n_frfs, n_lines), of the same data."""
+        """Return the same term with another selection `use` (n_frfs, n_lines) of the measured values."""
         data, n = replace(self.data, use=use, band=None), self.model.n_values
         return ScatteredTerm(data, self.model, self.channels, self.inferred[:n], self._settings, self.scatter)
 
     def without_lines(self) -> ScatteredTerm:
-        """Return the term of the errors of the modes alone, for a search that begins with the modes."""
+        """Return the term with the errors of the modes alone, for a search that begins with the modes."""
         other = self.widen(0.0)
         assert isinstance(other, ScatteredTerm)
         other._is_silent = True
         return other
 
     def _weights(self) -> FloatArray:
-        """Return one over the standard deviations of the used values, (n_frfs, L), and 0 for the others."""
+        """Return the reciprocal standard deviations of the used values, (n_frfs, L), and 0 for the other values."""
         if self._is_silent:
             return np.zeros(self._used.shape)
         return np.asarray(self._used / np.sqrt(self._variance + self._wider**2 * square(self._measured)))
@@ -258,7 +260,7 @@ class ScatteredTerm(FRFTerm):
         return np.asarray(at.modes.amplitudes @ at.resonances.g * self._power)
 
     def drawn_frfs(self, every: FRFTerm, theta: FloatArray, rng: np.random.Generator) -> ComplexArray:
-        """Return FRFs of the term `every` of other values, with residues drawn given the data of this term."""
+        """Return the FRFs at the values that the term `every` uses, with residues drawn given this term's data."""
         assert isinstance(every, ScatteredTerm)
         epsilon, there = self._draw(self._at(theta), rng), every._at(theta)
         size = self._shape_sd(theta) * there.unit

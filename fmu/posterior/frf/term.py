@@ -31,7 +31,7 @@ _LOG_2PI = float(np.log(2.0 * np.pi))
 class FRFTerm:
     """Measured FRFs bound to a structure.
 
-    Here theta has the term's own parameters: those of the structure, followed by `inferred`.
+    Here theta consists of the term's own parameters: those of the structure, followed by `inferred`.
 
     Attributes
     ----------
@@ -39,18 +39,21 @@ class FRFTerm:
     model : FRFModel
     channels : Channels
     inferred : tuple of Parameter
-        Those of the damping, of the channels, and the relative error of the model, as far as they are inferred.
+        The inferred parameters of the damping and of the channels, and the relative error of the model if it is
+        inferred.
     n_data : int
         Number of measured real numbers that are used.
 
     Parameters
     ----------
     is_log : bool
-        Whether the errors are those of log H.
+        Whether these are errors of log H.
     model_sd : float or None
         The relative error σ of the model; None if it is inferred.
-    settings, of_test : dict and str
-        The result of `as_dict`; the test and a colon, with which the names of FRFs begin, or nothing for one test.
+    settings : dict
+        The result of `as_dict`.
+    of_test : str
+        Prefix of the names of FRFs: the name of the test and a colon; empty for a single test.
     """
 
     has_discrepancy = False  # errors of the modes
@@ -92,21 +95,21 @@ class FRFTerm:
         self._sd_column = self._first + len(inferred) - 1 if model_sd is None else None
 
     def widen(self, relative: float) -> FRFTerm:
-        """Return the same term with a further relative error of the model, for a search that begins far away."""
+        """Return the same term with an additional relative error of the model, for a search from far away."""
         other = copy(self)
         other._wider = relative
         return other
 
     @property
     def roles(self) -> tuple[str, ...]:
-        """What each of `inferred` is, in words."""
+        """A description of each parameter of `inferred`, in words."""
         of_channels = ("response channel",) * len(self.channels.parameters)
         of_model = ("error of the model",) * (self._model_sd is None)
         return ("damping",) * self.model.n_values + of_channels + of_model
 
     @property
     def relative_noise(self) -> float:
-        """Median over the lines of the standard deviation of the data relative to |H|."""
+        """Median over the lines of the standard deviation of the data divided by |H|."""
         size = 1.0 if self._is_log else np.abs(self._measured)
         return float(np.median((np.sqrt(self._variance) / size)[self._used]))
 
@@ -124,7 +127,7 @@ class FRFTerm:
         return np.concatenate(parts) if parts else np.empty((0, *self._used.shape), dtype=complex)
 
     def drawn_frfs(self, every: FRFTerm, theta: FloatArray, rng: np.random.Generator) -> ComplexArray:
-        """Return the FRFs of the term `every` of other values; errors of the model are drawn, given these data."""
+        """Return the FRFs at the values that the term `every` uses, with errors of the model drawn given these data."""
         return every.frfs(theta)
 
     def split(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -142,15 +145,15 @@ class FRFTerm:
         return self._evaluate(theta, gradient=True)
 
     def with_use(self, use: BoolArray) -> FRFTerm:
-        """Return the term of other values, with use (n_frfs, n_lines), of the same data."""
+        """Return the same term with another selection `use` (n_frfs, n_lines) of the measured values."""
         data, own = replace(self.data, use=use, band=None), (self._is_log, self._model_sd, self._settings)
         return FRFTerm(data, self.model, self.channels, self.inferred, *own, self.of_test)
 
     def squares(self, theta: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return Σ r² over the used lines of each FRF, (n, n_frfs), at theta (n, ndim).
 
-        It is chi-square with twice as many degrees of freedom as lines if the model is correct. Gains that are
-        integrated out are drawn. An error with Student's distribution counts by its normal score.
+        If the model is correct, it is chi-square distributed with two degrees of freedom per line. Gain errors
+        that are integrated out are drawn. An error with Student's distribution is replaced by its normal score.
         """
         solved = self._solve(theta)
         found = self._integrate_gains(theta, solved)
@@ -165,12 +168,12 @@ class FRFTerm:
         return total
 
     def error_sd(self, frfs: ComplexArray, theta: FloatArray) -> FloatArray:
-        """Return standard deviations of the errors of H or log H, (n, n_frfs, n_lines), for FRFs at theta."""
+        """Return the standard deviations of the errors of H or log H, (n, n_frfs, n_lines), for FRFs at theta."""
         sd = np.sqrt(self._variances(frfs / self._power, theta, slice(None))[0])
         return np.broadcast_to(sd if self._is_log else sd * np.abs(self._power), frfs.shape)
 
     def distance(self, frfs: ComplexArray, theta: FloatArray) -> ComplexArray:
-        """Return errors of the data, or of their logarithms, in standard deviations; see `error_sd`."""
+        """Return the errors of the data, or of their logarithms, in standard deviations; see `error_sd`."""
         measured = self._measured * self._power
         error = measured - frfs
         if self._is_log:
@@ -180,9 +183,10 @@ class FRFTerm:
     def simulate(
         self, frfs: ComplexArray, theta: FloatArray, rng: np.random.Generator, gain: FloatArray | None = None
     ) -> ComplexArray:
-        """Return simulated measured FRFs, (n, n_frfs, n_lines), for computed ones at theta (n, ndim).
+        """Return simulated measurements, (n, n_frfs, n_lines), of the computed `frfs` at theta (n, ndim).
 
-        Gain errors that are integrated out are `gain` (n, n_channels), or drawn from their prior.
+        Gain errors and noise are added. Gain errors that are integrated out are taken from `gain` (n, n_channels)
+        or, if it is None, drawn from their prior.
         """
         noise = rng.standard_normal(frfs.shape) + 1j * rng.standard_normal(frfs.shape)
         error = self.error_sd(frfs, theta) * noise
@@ -199,7 +203,7 @@ class FRFTerm:
         return np.asarray(frfs * (np.exp(of_frf) if self._is_log else 1.0 + of_frf))
 
     def gains(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return mean and standard deviation of the gain errors that are integrated out, (n, n_channels) each."""
+        """Return the mean and sd of the gain errors that are integrated out, (n, n_channels) each."""
         found = self._integrate_gains(theta, self._solve(theta))
         return found.best, 1.0 / np.sqrt(found.precision)
 
@@ -281,7 +285,7 @@ class FRFTerm:
         return Misfit(terms, weights, by_sd)
 
     def _integrate_gains(self, theta: FloatArray, solved: ModalResponses | GeneralResponses) -> Gains:
-        """Return the gains that are integrated out, from one pass over all lines."""
+        """Return the gain errors that are integrated out, computed in one pass over all lines."""
         sd, n = self.channels.gain_sd, len(theta)
         known = sd == 0.0
         if known.all():
@@ -337,7 +341,7 @@ class FRFTerm:
     def _add_channels(
         self, slope: FloatArray, theta: FloatArray, products: ComplexArray, omega: FloatArray
     ) -> None:
-        """Add the derivatives by the inferred gains and delays, given w H of a block of lines."""
+        """Add the derivatives with respect to inferred gain errors and delays, given w H of a block of lines."""
         channels = self.channels
         for j in range(len(channels.names)):
             own = products[:, channels.of_frf == j]
@@ -350,7 +354,7 @@ class FRFTerm:
     def information(self, theta: FloatArray) -> FloatArray:
         """Return Fisher's information of the data, shape (n, ndim, ndim), at theta (n, ndim).
 
-        Gains that are integrated out are projected out of it.
+        Gain errors that are integrated out are eliminated from it.
         """
         found = np.zeros((len(theta), theta.shape[1], theta.shape[1]))
         with single_thread(), np.errstate(all="ignore"):
