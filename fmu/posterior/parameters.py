@@ -87,13 +87,13 @@ class Parameter:
 
     @property
     def lowest(self) -> float:
-        """Smallest value with a positive prior density: `lower`, or the next float above it if its density is 0."""
+        """Smallest value with a positive prior density: `lower`, or the next float above if its density is 0."""
         ends = not np.isfinite(self.lower) or self._has_density(self.lower)
         return self.lower if ends else float(np.nextafter(self.lower, np.inf))
 
     @property
     def highest(self) -> float:
-        """Largest value with a positive prior density: `upper`, or the next float below it if its density is 0."""
+        """Largest value with a positive prior density: `upper`, or the next float below if its density is 0."""
         ends = not np.isfinite(self.upper) or self._has_density(self.upper)
         return self.upper if ends else float(np.nextafter(self.upper, -np.inf))
 

@@ -312,7 +312,7 @@ class ModalLikelihood(Likelihood):
         return views, parts
 
     def _observed_slopes(self, theta: FloatArray, chain: Chain | None) -> ModalPrediction:
-        """Return the predicted modes with derivatives over theta, or over each test's parameters without a `chain`."""
+        """Return the predicted modes with slopes over theta, or without a `chain` over each test's parameters."""
         seen = self.observed(theta, True)
         return seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
 

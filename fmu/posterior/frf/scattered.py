@@ -167,7 +167,7 @@ class ScatteredTerm(FRFTerm):
         return other
 
     def _weights(self) -> FloatArray:
-        """Return the reciprocal standard deviations of the used values, (n_frfs, L), and 0 for the other values."""
+        """Return the reciprocal standard deviations of the used values, (n_frfs, L), and 0 for the others."""
         if self._is_silent:
             return np.zeros(self._used.shape)
         return np.asarray(self._used / np.sqrt(self._variance + self._wider**2 * square(self._measured)))

@@ -127,7 +127,7 @@ class FRFTerm:
         return np.concatenate(parts) if parts else np.empty((0, *self._used.shape), dtype=complex)
 
     def drawn_frfs(self, every: FRFTerm, theta: FloatArray, rng: np.random.Generator) -> ComplexArray:
-        """Return the FRFs at the values that the term `every` uses, with errors of the model drawn given these data."""
+        """Return the FRFs at the values that `every` uses; errors of the model are drawn given these data."""
         return every.frfs(theta)
 
     def split(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
