@@ -1,4 +1,4 @@
-"""Errors of a model that is wrong, beside the errors of the measurement.
+"""Errors of a wrong model, in addition to the errors of the measurement.
 
 Reading order: embedded, modes, latent, model_errors, likelihood; curvature, draws and frequencies serve the last.
 """

@@ -1,4 +1,7 @@
-"""Derivatives by the parameters of functions of the slopes of the modes: exact, or by differences of slopes."""
+"""Derivatives, with respect to the parameters, of functions of the slopes of the modes.
+
+They are exact if the model has second derivatives, and otherwise differences of slopes.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ def by_second_derivatives(
 ) -> FloatArray:
     """Return the derivatives of a function of the slopes of the residuals, (n, m, p).
 
-    Second derivatives are needed in one weighted sum for each mode, which `exact` has.
+    For each mode one weighted sum of second derivatives is needed; `exact` computes it.
 
     Parameters
     ----------
@@ -32,10 +35,11 @@ def by_second_derivatives(
     seen : ModalPrediction
         With slopes.
     exact : Sensitivities
-        Of the same modes.
+        Sensitivities of the same modes.
     noise : ndarray, shape (n, n_noise)
     by_slope : ndarray, shape (n, m, k, p)
-        Derivatives of the function by the slopes of all k residuals of a mode, of one error model after the other.
+        Derivatives of the function with respect to the slopes of all k residuals of a mode, one error model after
+        the other.
     """
     d, of_shapes = np.zeros(exact.gradient.shape), None if exact.shape_slopes is None else 0.0 * exact.shape_slopes
     found = np.zeros(d.shape)
@@ -56,9 +60,9 @@ def by_parameters(
     bounds: FloatArray,
     test: IntArray,
 ) -> FloatArray:
-    """Return the derivatives of m functions by the parameters of their own tests, shape (n, m, p).
+    """Return the derivatives of m functions with respect to the parameters of their own tests, shape (n, m, p).
 
-    They are central differences, for which each parameter moves in all tests at once: 2 p calls of a model.
+    They are central differences. Each parameter moves in all tests at once, which takes 2 p calls of the function.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Quantities at the draws of a run, of which many are equal: a rejected step repeats the draw before."""
+"""Quantities at the draws of a run, computed once for equal draws: a rejected step repeats the last draw."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def distinct_rows(theta: FloatArray) -> tuple[FloatArray, IntArray]:
 def at_distinct_rows(
     function: Callable[[FloatArray], Sequence[FloatArray]], theta: FloatArray
 ) -> tuple[FloatArray, ...]:
-    """Return the arrays that a function gives at theta, (n, ndim), called with each distinct row once.
+    """Return the arrays that a function gives at theta, (n, ndim), by calling it once with the distinct rows.
 
     Parameters
     ----------
     function : callable
-        Maps some rows (m, ndim) to arrays (m, …).
+        Maps rows (m, ndim) to arrays (m, …).
     theta : ndarray, shape (n, ndim)
     """
     distinct, index = distinct_rows(theta)

@@ -1,14 +1,14 @@
 """Scatter of the parameters over the modes: each mode sees parameters of its own.
 
-A wrong model has no parameters that fit all modes. Let mode i see the parameters θ_k + s_k τ_k z_ik with
-independent standard normal z_ik, where s_k is |θ_k| (relative scatter) or a constant (absolute). To first order
-the frequencies then have, beside the errors of their measurement, independent Gaussian errors with the variances
+No parameter values of a wrong model fit all modes. Let mode i see the parameters θ_k + s_k τ_k z_ik with
+independent standard normal z_ik, where s_k is |θ_k| (relative scatter) or a constant (absolute scatter). To first
+order, the frequencies then have independent Gaussian errors, in addition to measurement errors, with the variances
 
 v_i = Σ_k (∂f_i/∂θ_k)² s_k² τ_k².
 
-With a correlation ρ > 0 the numbers are √(1 − ρ_k) z_ik + √ρ_k w_k, with one w_k for all modes. Two frequencies
-then have the covariance Σ_k ρ_k (∂f_i/∂θ_k) (∂f_j/∂θ_k) s_k² τ_k². A value that is wrong in the same way for all
-modes, such as a mass that was forgotten, has ρ = 1.
+With a correlation ρ > 0, z_ik is replaced by √(1 − ρ_k) z_ik + √ρ_k w_k, where w_k is the same for all modes. Two
+frequencies then have the covariance Σ_k ρ_k (∂f_i/∂θ_k) (∂f_j/∂θ_k) s_k² τ_k². A value that is wrong in the same
+way for all modes, such as a forgotten mass, has ρ = 1.
 
 The idea is the embedded model error of Sargsyan, Najm & Ghanem 2015, *Int. J. Chem. Kinet.* 47, 246–276.
 """
@@ -33,13 +33,13 @@ _START, _MOST_CORRELATED = 0.3, 0.999
 
 
 class Setting(NamedTuple):
-    """A number that is known, or the index of an inferred one among the inferred standard deviations."""
+    """A known number, or the index of an inferred one among the inferred standard deviations."""
 
     fixed: float
     number: int = -1
 
     def at(self, noise: FloatArray) -> FloatArray:
-        """Return the values (n,) at inferred standard deviations (n, n_noise)."""
+        """Return the values (n,) for inferred standard deviations (n, n_noise)."""
         return noise[:, self.number] if self.number >= 0 else np.full(len(noise), self.fixed)
 
     def as_dict(self) -> dict[str, Plain]:
@@ -224,7 +224,7 @@ class EmbeddedScatter:
 
     @classmethod
     def none(cls, p: int) -> EmbeddedScatter:
-        """Return the scatter of p parameters that do not scatter."""
+        """Return an object for p parameters, none of which scatters."""
         return cls(("",) * p, np.zeros(p, dtype=bool), np.ones(p), np.zeros(p), np.full(p, -1))
 
     def scale(self, values: FloatArray) -> FloatArray:
@@ -242,9 +242,10 @@ class EmbeddedScatter:
         Returns
         -------
         own, common : ndarray, shape (n, p)
-            (1 − ρ) τ² of each mode's own part, and ρ τ² of the part that all modes have in common.
+            (1 − ρ) τ² of the part that differs from mode to mode, and ρ τ² of the part that all modes have in
+            common.
         by_own, by_common : ndarray, shape (n, n_noise, p)
-            Derivatives by the inferred standard deviations `noise`, (n, n_noise).
+            Derivatives with respect to the inferred standard deviations `noise`, (n, n_noise).
         """
         n, inferred = len(noise), np.flatnonzero(self.number >= 0)
         tau = np.broadcast_to(self.fixed, (n, len(self.fixed)))

@@ -1,11 +1,11 @@
-"""Frequencies of one test whose errors the modes do not share: their density without matrices.
+"""The density of the frequencies of one test if the modes have no errors in common, computed without matrices.
 
 If only frequencies have errors, in one test, a mode has one residual and its scatter is one number. The density
 of `fmu.posterior.discrepancy.latent` is then log N(ε_i; 0, V_i) with
 
-V_i = σ_i² + (∂ε_i/∂f_i)² v_i,   v_i = Σ_k (∂f_i/∂θ_k)² s_k² τ_k²,
+V_i = σ_i² + (∂ε_i/∂f_i)² v_i,   v_i = Σ_k (∂f_i/∂θ_k)² s_k² τ_k².
 
-which takes a third of the time at a single theta.
+It takes a third of the time at a single theta.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class ScatteredFrequencies:
         ----------
         f : ndarray, shape (n, n_modes), Hz
         J : ndarray, shape (n, n_modes, p)
-            Gradients of the frequencies by the parameters of the structure.
+            Gradients of the frequencies with respect to the parameters of the structure.
         values : ndarray, shape (n, p)
             Parameters of the structure.
         noise : ndarray, shape (n, n_noise)
@@ -63,7 +63,7 @@ class ScatteredFrequencies:
     def terms_and_slopes(
         self, exact: Sensitivities, values: FloatArray, noise: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return `terms` and their derivatives by the parameters and by noise, shape (n, n_modes, p + n_noise).
+        """Return `terms` and their derivatives with respect to parameters and noise, (n, n_modes, p + n_noise).
 
         With the second derivatives H_i of f_i, ∂v_i/∂θ = 2 H_i d_i + (∂f_i/∂θ)² τ² ∂s²/∂θ, d_i = s² τ² ∂f_i/∂θ.
         """

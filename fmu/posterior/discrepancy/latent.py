@@ -1,13 +1,14 @@
 """Gaussian residuals that have errors in common: their joint density, its derivatives, and predictions.
 
-Row i of the residuals, the k residuals of a mode in a test, is
+Row i has the k residuals of a mode in a test,
 
 r_i = A_i z_g(i) + a_i w + e_i,
 
 with independent standard normal z_g (P numbers for each group g of rows), w (C numbers for all rows) and e_i (k
-numbers). Groups are independent of each other given w. All sizes that are factorised are P, k or C, whatever the
-number of rows: with M_g = I + Σ_i A_iᵀA_i (Woodbury's identity), the quadratic form of X = (r, a) in a group is
-Σ_i X_iᵀX_i − BᵀM_g⁻¹B, B = Σ_i A_iᵀX_i, and w is integrated out of the sum over the groups in the same way.
+numbers). These z and w are the latent errors, and A and a are their loadings. Groups are independent of each other
+given w. All matrices that are factorised have the size P, k or C, whatever the number of rows. With
+M_g = I + Σ_i A_iᵀA_i (Woodbury's identity), the quadratic form of X = (r, a) in a group is Σ_i X_iᵀX_i − BᵀM_g⁻¹B,
+B = Σ_i A_iᵀX_i. Then w is integrated out of the sum over the groups in the same way.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ _MOST_SQUARES = 1e14
 
 
 class Slopes(NamedTuple):
-    """Derivatives of a log-density of residuals.
+    """Derivatives of a log-density of residuals with respect to the residuals and the loadings.
 
     Attributes
     ----------
@@ -41,12 +42,12 @@ class Slopes(NamedTuple):
 
 
 class _Groups(NamedTuple):
-    """Each group's rows up to row i: X = (r, a) after the group's own z is integrated out.
+    """Sums over the rows of a group up to row i, for X = (r, a) after the group's own z is integrated out.
 
     Attributes
     ----------
     quadratic : ndarray, shape (n, m, 1 + C, 1 + C)
-        XᵀS⁻¹X with the covariance S of these rows without w.
+        XᵀS⁻¹X with the covariance S of these rows given w.
     log_det : ndarray, shape (n, m)
         log det S.
     mean : ndarray, shape (n, m, P, 1 + C)
@@ -60,15 +61,15 @@ class _Groups(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LatentErrors:
-    """The residuals of m rows with errors in common, n times (see the description of the module).
+    """The residuals of m rows with latent errors in common, at n points (see the description of the module).
 
     Attributes
     ----------
     residuals : ndarray, shape (n, m, k)
     loads : ndarray, shape (n, m, k, P)
-        A.
+        The loadings A.
     common : ndarray, shape (n, m, k, C)
-        a; C may be 0.
+        The loadings a; C may be 0.
     group : ndarray of int, shape (m,)
         The group of each row.
     """
@@ -79,11 +80,11 @@ class LatentErrors:
     group: IntArray
 
     def terms(self) -> FloatArray:
-        """Return log-densities of rows given the rows before, relative to independent residuals, (n, m).
+        """Return the log-density of each row given the rows before it, relative to independent residuals, (n, m).
 
-        The terms are log N(r; 0, S) − log N(r; 0, I) in sum. If all groups have one row and C is 0, each term is
-        the one of its row alone. They are −∞ where the residuals are so many standard deviations that rounding
-        of their squares, which cancel, would be larger than a hundredth.
+        The terms sum to log N(r; 0, S) − log N(r; 0, I). If all groups have one row and C is 0, each term is the
+        log-density of its row alone. Terms are −∞ where the residuals are so many standard deviations that
+        rounding of their squares, which cancel, would exceed a hundredth.
         """
         squares = np.einsum("nmk,nmk->nm", self.residuals, self.residuals)
         with np.errstate(invalid="ignore"):  # of the rows without a density
@@ -111,7 +112,7 @@ class LatentErrors:
         """Return the derivatives of the sum of `terms`.
 
         With the mean ẑ, ŵ and the covariance Cov of the latent errors given the residuals, F = (A, a) and
-        e = r − F(ẑ, ŵ), they are F(ẑ, ŵ) by r, and e(ẑ, ŵ)ᵀ − F Cov by F.
+        e = r − F(ẑ, ŵ), the derivatives are F(ẑ, ŵ) with respect to r and e(ẑ, ŵ)ᵀ − F Cov with respect to F.
         """
         z, w, of_z, of_both, of_w = self.given_residuals()
         A, a, last = self.loads, self.common, self.last
@@ -132,7 +133,8 @@ class LatentErrors:
         Returns
         -------
         z, w : ndarray, shapes (n, m, P) and (n, C)
-            Means; of z at the last row of each group, and of only some of its rows before.
+            Means. For z, the last row of each group has the mean given all rows; earlier rows have it given some
+            of them.
         of_z, of_both, of_w : ndarray, shapes (n, m, P, P), (n, m, P, C) and (n, C, C)
             Covariances of z, of z with w, and of w.
         """
@@ -150,7 +152,7 @@ class LatentErrors:
         return z, w, of_z - of_both @ np.swapaxes(gain, 2, 3), of_both, of_w
 
     def given_common(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the distribution of z given the residuals and w, at the last row of each group.
+        """Return the distribution of z given the residuals and w; it is valid at the last row of each group.
 
         Returns
         -------
@@ -162,8 +164,8 @@ class LatentErrors:
     def whiten(self, slopes: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return S^(−½) r, shape (n, m, k), and S^(−½) times derivatives of r, (n, m, k, N).
 
-        The root is symmetric, so that each residual keeps its meaning. Of a group's matrix A with
-        AᵀA = VΛVᵀ it is I − A V h(Λ) VᵀAᵀ, h(λ) = (1 − 1/√(1 + λ))/λ.
+        The root is symmetric, so that each residual keeps its meaning. For a group's matrix A with AᵀA = VΛVᵀ, the
+        root is I − A V h(Λ) VᵀAᵀ with h(λ) = (1 − 1/√(1 + λ))/λ.
         """
         X = np.concatenate([self.residuals[..., None], self.common, slopes], axis=3)
         X = X - self.loads @ self._half(self._sum(np.swapaxes(self.loads, 2, 3) @ X))[:, self.last]
@@ -179,7 +181,7 @@ class LatentErrors:
 
     @cached_property
     def _before(self) -> IntArray:
-        """The row of the same group before each row, shape (m,); −1 for the first."""
+        """Index of the previous row of the same group, for each row, shape (m,); −1 for the first row."""
         found, latest = [], dict[int, int]()
         for i, g in enumerate(self.group.tolist()):
             found.append(latest.get(g, -1))
@@ -188,7 +190,7 @@ class LatentErrors:
 
     @cached_property
     def last(self) -> IntArray:
-        """The last row of the group of each row, shape (m,)."""
+        """Index of the last row of each row's group, shape (m,)."""
         latest = {g: i for i, g in enumerate(self.group.tolist())}
         return np.array([latest[g] for g in self.group.tolist()])
 
@@ -199,7 +201,7 @@ class LatentErrors:
 
     @cached_property
     def _variance(self) -> FloatArray:
-        """S = 1 + AAᵀ of rows of one residual, shape (n, m)."""
+        """Variances S = 1 + AAᵀ of rows with one residual, shape (n, m)."""
         return np.asarray(1.0 + np.einsum("nmkp,nmkp->nm", self.loads, self.loads))
 
     @cached_property
@@ -217,12 +219,12 @@ class LatentErrors:
 
     @cached_property
     def _precision(self) -> FloatArray:
-        """M of each group's rows up to each row, shape (n, m, P, P)."""
+        """M over the rows of the group up to each row, shape (n, m, P, P)."""
         return np.asarray(np.eye(self.loads.shape[3]) + self._gram)
 
     @cached_property
     def _gram(self) -> FloatArray:
-        """AᵀA of each group's rows up to each row, shape (n, m, P, P)."""
+        """AᵀA over the rows of the group up to each row, shape (n, m, P, P)."""
         return self._sum(np.swapaxes(self.loads, 2, 3) @ self.loads)
 
     @cached_property
@@ -234,7 +236,7 @@ class LatentErrors:
         return np.asarray(np.eye(A.shape[3]) - np.swapaxes(A, 2, 3) * (A / self._variance[..., None, None]))
 
     def _sum(self, x: FloatArray) -> FloatArray:
-        """Return the sums over the rows of the same group up to each row, (n, m, …)."""
+        """Return, for each row, the sum over the rows of its group up to it, (n, m, …)."""
         total = x
         for i in np.flatnonzero(self._before >= 0):
             total = x.copy() if total is x else total
@@ -242,7 +244,7 @@ class LatentErrors:
         return total
 
     def _grown(self, total: FloatArray) -> FloatArray:
-        """Return how much each row adds to what is summed over the rows of its group."""
+        """Return the contribution of each row to a cumulative sum over the rows of its group."""
         later = np.flatnonzero(self._before >= 0)
         if not len(later):
             return total
@@ -251,7 +253,7 @@ class LatentErrors:
         return found
 
     def _integrate_common(self, so_far: FloatArray, with_log_det: bool = True) -> FloatArray:
-        """Return the quadratic form of r and log det without w, of the sums (n, m, 1 + C, 1 + C) over the rows."""
+        """Return the quadratic form of r and log det after w is integrated out of sums (n, m, 1 + C, 1 + C)."""
         N = np.eye(self.common.shape[-1]) + so_far[..., 1:, 1:]
         right = so_far[..., 1:, :1]
         found = so_far[..., 0, 0] - (so_far[..., :1, 1:] @ _solve(N, right))[..., 0, 0]
@@ -268,7 +270,7 @@ def _half_root(gram: FloatArray) -> FloatArray:
 def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Return the solutions (…, P, q) of systems with positive definite matrices (…, P, P).
 
-    A solution is NaN where the loads are so large that rounding makes the matrix singular.
+    A solution is NaN where the loadings are so large that the matrix is singular to working precision.
     """
     right = np.broadcast_to(right, (*matrix.shape[:-1], right.shape[-1]))
     try:

@@ -1,4 +1,4 @@
-"""The likelihood of a model that has errors of its own, which the data of a mode have in common."""
+"""The likelihood of a model that has errors of its own, which are common to all data of a mode."""
 
 from __future__ import annotations
 
@@ -92,11 +92,11 @@ class DiscrepantLikelihood(ModalLikelihood):
 
     @property
     def by_frequencies(self) -> bool:
-        """Whether the frequencies of the model are enough for the terms: not with the scatter of parameters."""
+        """Whether the terms depend on the frequencies alone, which is False if parameters scatter."""
         return super().by_frequencies and not len(self.errors.scattered)
 
     def observed(self, theta: FloatArray, gradient: bool = False) -> ModalPrediction:
-        """Return the predicted modes at theta, with the derivatives that the scatter of parameters needs too."""
+        """Return the predicted modes at theta, with the derivatives that the scatter of parameters requires."""
         if not (gradient or len(self.errors.scattered)):
             return super().observed(theta)
         structural = theta[:, : self.model.n_parameters]
@@ -123,8 +123,8 @@ class DiscrepantLikelihood(ModalLikelihood):
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the terms, and the derivatives of their sum through each mode, (n, n_used, ndim).
 
-        Row i has the derivatives through the prediction of mode i in its test. They are those of term i unless the
-        mode was measured in several tests.
+        Row i has the derivatives through the prediction of mode i in its test. They are the derivatives of term i
+        unless the mode was measured in several tests.
         """
         seen, exact = self._observed_with_curvature(theta)
         if self._alone is None or exact is None:
@@ -140,8 +140,8 @@ class DiscrepantLikelihood(ModalLikelihood):
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the log-likelihood, its gradient and the information; see `ModalLikelihood`.
 
-        The information on the parameters is JᵀS⁻¹J with the covariance S, that on standard deviations and τ is
-        Fisher's. The change of S with the parameters is neglected.
+        With the covariance S, the information on the parameters is JᵀS⁻¹J, and the information on standard
+        deviations and τ is Fisher's. The derivatives of S with respect to the parameters are neglected.
         """
         seen, exact = self._observed_with_curvature(theta)
         with np.errstate(all="ignore"):
@@ -160,9 +160,9 @@ class DiscrepantLikelihood(ModalLikelihood):
         return terms.sum(axis=1), slopes.sum(axis=1), information
 
     def residuals_and_slopes(self, theta: FloatArray, chain: Chain | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals and their derivatives, both times S^(−½), so that they are independent.
+        """Return the residuals and their derivatives multiplied by S^(−½), so that the residuals are independent.
 
-        S is the covariance of the residuals of a mode in all tests, or, without a `chain`, in each test alone.
+        S is the covariance of the residuals of a mode in all tests or, without a `chain`, in each test alone.
         """
         seen = self.observed(theta, True)
         with np.errstate(all="ignore"):
@@ -172,7 +172,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     def misfit(self, seen: ModalPrediction, theta: FloatArray) -> FloatArray:
         """Return the squared residuals, in standard deviations that include the model's own errors.
 
-        Those of a mode in several tests are conditional on the tests before.
+        If a mode was measured in several tests, its residuals are conditional on the tests before.
         """
         found = np.empty((len(theta), 0, len(self._used)))
         with np.errstate(all="ignore"):
@@ -189,7 +189,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     def terms_given_others(self, theta: FloatArray) -> FloatArray:
         """Return the log-density of each datum given all others, (n, n_terms), at theta (n, ndim).
 
-        Leave-one-out cross-validation needs them where the data of several tests are coupled.
+        Leave-one-out cross-validation needs these log-densities if the data of several tests are coupled.
         """
         seen = self.observed(theta)
         found = self.terms_of_observed(seen, theta)
@@ -202,14 +202,14 @@ class DiscrepantLikelihood(ModalLikelihood):
     def error_given_others(
         self, seen: ModalPrediction, theta: FloatArray, k: int
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the model's own error of the frequency of mode `k` given the data of the other used modes.
+        """Return the model's own error of the frequency of mode `k`, given the data of the other used modes.
 
-        `seen` is what is `observed` at theta (n, ndim).
+        `seen` is the result of `observed` at theta (n, ndim).
 
         Returns
         -------
         mean, variance : ndarray, shape (n,), Hz and Hz²
-            Mean of the frequency with the error less the computed one, and its variance.
+            Mean and variance of the error, which is the frequency with the error minus the computed frequency.
         """
         mean, gain, covariance, w, of_w = self.errors_given_data(seen, theta, np.setdiff1d(self._used, k))
         own, common = (x[:, k] for x in self._in_hz(seen, theta))
@@ -282,7 +282,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     def _linearise(
         self, seen: ModalPrediction, theta: FloatArray, terms: Sequence[ErrorTerm] | None = None
     ) -> Linearised:
-        """Return the residuals of the used modes, and their derivatives by the parameters of the test."""
+        """Return the residuals of the used modes, and their derivatives with respect to the test's parameters."""
         return self.errors.linearise(terms or self.terms_of, seen, self._noise(theta), self.of_used)
 
     def _latent(self, rows: Linearised, theta: FloatArray, by_test: bool = False) -> LatentErrors:
@@ -295,12 +295,12 @@ class DiscrepantLikelihood(ModalLikelihood):
         return found
 
     def _in_hz(self, seen: ModalPrediction, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the change of every frequency with the errors of its mode, and with those in common, Hz."""
+        """Return the derivatives of every frequency, Hz, with respect to its mode's errors and common errors."""
         values = self._values(theta)[:, self.model.test_of_modes]
         return self.errors.in_hz(seen.frequency_slopes, self.measured, values, self._noise(theta))
 
     def _observed_with_curvature(self, theta: FloatArray) -> tuple[ModalPrediction, Sensitivities | None]:
-        """Return `observed`, and second derivatives along directions if the model has them."""
+        """Return `observed`, and the second derivatives along directions if the model has them."""
         if not self.model.gives_curvature(self.needs_shapes):
             return self.observed(theta, True), None
         scale = self.errors.scale(self._values(theta)).reshape(len(theta), -1)
@@ -318,7 +318,7 @@ class DiscrepantLikelihood(ModalLikelihood):
         rows: Linearised,
         latent: LatentErrors,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the terms and the derivatives of their sum through each of them."""
+        """Return the terms, and the derivatives of their sum through each mode."""
         of_errors = seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
         terms, slopes = self._terms_and_gradient(of_errors, theta, chain)
         m, N = len(self._used), slopes.shape[-1] - len(self.noise)
@@ -340,9 +340,9 @@ class DiscrepantLikelihood(ModalLikelihood):
         rows: Linearised,
         change: Change,
     ) -> FloatArray:
-        """Return the derivatives by the parameters, (n, m, p), through the residuals and their slopes.
+        """Return the derivatives with respect to parameters, (n, m, p), through the residuals and their slopes.
 
-        Without exact second derivatives, the slopes are differenced in every parameter: 2 p solves.
+        Without exact second derivatives, they are differences of the slopes in every parameter: 2 p solves.
         """
         values, noise = self._values(theta), self._noise(theta)
         of_residuals = np.einsum("nmk,nmkp->nmp", change.by_residual, rows.slopes)
@@ -365,13 +365,13 @@ class DiscrepantLikelihood(ModalLikelihood):
         return found if self.model.is_uncertain else of_residuals + found
 
     def _of_all_modes(self, of_used: FloatArray) -> FloatArray:
-        """Return the rows (n, m, …) of the used modes among rows of 0 for the other modes."""
+        """Return rows (n, m, …) for all modes: those of the used modes, and 0 for the other modes."""
         found = np.zeros((len(of_used), len(self.group), *of_used.shape[2:]))
         found[:, self._used] = of_used
         return found
 
     def _by_sd(self, seen: ModalPrediction, theta: FloatArray, change: Change) -> FloatArray:
-        """Return the derivatives by inferred standard deviations of the measurement, (n, m, n_noise)."""
+        """Return the derivatives with respect to inferred measurement standard deviations, (n, m, n_noise)."""
         found = np.zeros(change.by_noise.shape)
         for d in sorted({d for term in self.terms_of for d in term.spread.sizes}):
             moved, column = theta.astype(complex), self.model.n_parameters + d
@@ -385,7 +385,7 @@ class DiscrepantLikelihood(ModalLikelihood):
     def _whiten(
         self, seen: ModalPrediction, theta: FloatArray, chain: Chain | None, latent: LatentErrors
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals and their derivatives times S^(−½), in the order of `labels`."""
+        """Return the residuals and their derivatives multiplied by S^(−½), in the order of `labels`."""
         n, noise = len(theta), self._noise(theta)
         chained = seen if chain is None else chain_prediction(seen, chain, self.model.test_of_modes)
         with np.errstate(all="ignore"):

@@ -1,4 +1,4 @@
-"""The errors of a model in the residuals of its modes: their size, and derivatives with respect to it."""
+"""The model's errors in the residuals of its modes: their sizes, and derivatives with respect to these sizes."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class Linearised(NamedTuple):
     Attributes
     ----------
     residuals : ndarray, shape (n, m, k)
-        All residuals of the mode, of one error model after the other.
+        All residuals of the mode, one error model after the other.
     slopes : ndarray, shape (n, m, k, p)
-        Derivatives by the parameters of the test; p = 0 if no parameter scatters.
+        Derivatives with respect to the parameters of the test; p = 0 if no parameter scatters.
     own, common : ndarray, shapes (n, m, k, Q) and (n, m, k, C)
-        Derivatives by errors of the mode itself, and by errors that all modes have in common.
+        Derivatives with respect to the mode's own errors, and to the errors that all modes have in common.
     """
 
     residuals: FloatArray
@@ -41,16 +41,16 @@ class Linearised(NamedTuple):
 
 
 class Change(NamedTuple):
-    """Derivatives of the log-density of rows, (n, m, …), where the residuals and their slopes change.
+    """Derivatives of the log-density of rows, (n, m, …), with respect to the residuals and their slopes.
 
     Attributes
     ----------
     by_residual, by_slope, by_own, by_common : ndarray
         Of the shapes in `Linearised`.
     by_value : ndarray, shape (n, m, p)
-        By the parameters, through the size of their scatter alone.
+        With respect to the parameters, through the size of their scatter alone.
     by_noise : ndarray, shape (n, m, n_noise)
-        By inferred standard deviations, through the size of the model's errors alone.
+        With respect to inferred standard deviations, through the size of the model's errors alone.
     """
 
     by_residual: FloatArray
@@ -68,14 +68,15 @@ class Change(NamedTuple):
 
 
 class Variances(NamedTuple):
-    """Variances of the errors in units of each: of a mode's own, and of what all modes have in common.
+    """Variances of the errors of the model: the mode's own errors, and the errors that all modes have in common.
 
     Attributes
     ----------
     own, common : ndarray, shapes (n, E + Q) and (n, F + C)
-        First of the E and F parameters whose scatter has such a part, relative to s², then of errors of modes.
+        First the variances of the E and F parameters that have such scatter, relative to s², then those of errors
+        of modes.
     by_own, by_common : ndarray, shapes (n, n_noise, E + Q) and (n, n_noise, F + C)
-        Derivatives of their logarithms by the inferred standard deviations.
+        Derivatives of their logarithms with respect to the inferred standard deviations.
     """
 
     own: FloatArray
@@ -105,13 +106,13 @@ class ModelErrors:
 
     @cached_property
     def of_mode(self) -> IntArray:
-        """Indices of the E parameters of which each mode has a scatter of its own."""
+        """Indices of the E parameters whose scatter differs from mode to mode."""
         every = [one.scatters & (one.correlation != Setting(1.0)) for one in self.scatters]
         return np.flatnonzero(np.any(every, axis=0))
 
     @cached_property
     def in_common(self) -> IntArray:
-        """Indices of the F parameters of which all modes have a scatter in common."""
+        """Indices of the F parameters whose scatter is common to all modes."""
         every = [one.scatters & (one.correlation != INDEPENDENT) for one in self.scatters]
         return np.flatnonzero(np.any(every, axis=0))
 
@@ -128,7 +129,7 @@ class ModelErrors:
     def linearise(
         self, terms: Sequence[ErrorTerm], seen: ModalPrediction, noise: FloatArray, take: Take
     ) -> Linearised:
-        """Return the residuals of error models at a prediction; `take` picks the rows."""
+        """Return the residuals of error models at a prediction; `take` selects the rows."""
         parts = [residuals_of_term(term, seen, noise, within=True) for term in terms]
         r = np.concatenate([part[0] for part in parts], axis=2)
         J = np.empty((*r.shape, 0)) if np.ndim(parts[0][1]) == 0 else np.concatenate([p[1] for p in parts], axis=2)
@@ -140,7 +141,7 @@ class ModelErrors:
     def change_of_units(
         self, terms: Sequence[ErrorTerm], seen: ModalPrediction, noise: FloatArray, by_own: FloatArray
     ) -> FloatArray:
-        """Return the derivatives by the parameters through the units of errors of modes; see `ModeErrors`."""
+        """Return the derivatives with respect to the parameters through the `ModeErrors.units` of errors of modes."""
         cuts = np.cumsum([one.n_own for one in self.modes])[:-1]
         parts = np.split(by_own, cuts, axis=3)
         found = [one.change_of_units(terms, seen, noise, of) for one, of in zip(self.modes, parts, strict=False)]
@@ -151,7 +152,7 @@ class ModelErrors:
         return self.scatters[0].scale(values)
 
     def variances(self, noise: FloatArray) -> Variances:
-        """Return the variances of the errors at inferred standard deviations (n, n_noise)."""
+        """Return the variances of the errors for inferred standard deviations (n, n_noise)."""
         scatter = [np.asarray(sum(x)) for x in zip(*(one.variances(noise) for one in self.scatters), strict=True)]
         for i, k in enumerate((self.of_mode, self.in_common)):
             value = scatter[i][:, k]
@@ -162,7 +163,7 @@ class ModelErrors:
     def in_hz(
         self, slopes: FloatArray | None, measured: FloatArray, values: FloatArray, noise: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the change of each frequency with the errors of its mode, and with those in common, Hz.
+        """Return the derivatives of each frequency, Hz, with respect to its mode's errors and common errors.
 
         Parameters
         ----------
@@ -186,13 +187,13 @@ class ModelErrors:
         return own * np.sqrt(v.own)[:, None], common * np.sqrt(v.common)[:, None]
 
     def latent(self, rows: Linearised, values: FloatArray, noise: FloatArray, group: IntArray) -> LatentErrors:
-        """Return the density of the residuals; values (n, m, p) are the parameters in the test of each row."""
+        """Return the density of the residuals; `values` (n, m, p) are the parameters in the test of each row."""
         v, (own, common) = self.variances(noise), self._units(rows, values)
         loads, shared = own * np.sqrt(v.own)[:, None, None], common * np.sqrt(v.common)[:, None, None]
         return LatentErrors(rows.residuals, loads, shared, group)
 
     def change(self, rows: Linearised, latent: LatentErrors, values: FloatArray, noise: FloatArray) -> Change:
-        """Return the derivatives of the sum of the terms of `latent`, which is of these rows."""
+        """Return the derivatives of the sum of the terms of `latent`, which has the same rows."""
         found, v, units = latent.slopes(), self.variances(noise), self._units(rows, values)
         by_own = found.by_loads * np.sqrt(v.own)[:, None, None]
         by_common = found.by_common * np.sqrt(v.common)[:, None, None]
@@ -210,7 +211,7 @@ class ModelErrors:
         return Change(found.by_residual, by_slope, by_own[..., E:], by_common[..., F:], by_value, by_noise)
 
     def _units(self, rows: Linearised, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals (n, m, k, P) and (n, m, k, C) due to errors of 1, of a mode's own and in common."""
+        """Return the residuals (n, m, k, P) and (n, m, k, C) due to unit errors of a mode and in common."""
         if not len(self.scattered):
             return rows.own, rows.common
         scale = self.scale(values)[:, :, None]
@@ -223,9 +224,9 @@ class ModelErrors:
         """Return Fisher's information on standard deviations, τ and correlations, shape (n, n_noise, n_noise).
 
         It is ½ tr(S⁻¹ ∂S S⁻¹ ∂S), in which FᵀS⁻¹F = I − Cov and S⁻¹F = F Cov with the covariance Cov of the errors
-        given the residuals. Between different modes, and the same mode in different tests, only what they have in
-        common is counted. Of q sensors each counts by the part (q − 1)/q that is independent of the scale of a
-        shape. `take` picks the rows of `latent`.
+        given the residuals. Between different modes, and for the same mode in different tests, only the common
+        errors are counted. Each of q sensors counts with the weight (q − 1)/q, the part that is independent of the
+        scale of a shape. `take` selects the rows of `latent`.
         """
         v = self.variances(noise)
         _, _, of_z, of_both, of_w = latent.given_residuals()
@@ -248,7 +249,7 @@ class ModelErrors:
 
 
 def _relative_changes(terms: Sequence[ErrorTerm], noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return ∂V/∂noise / V of all residuals of the modes, (n, m, k, n_noise), and the share (k,) of each."""
+    """Return ∂V/∂noise / V of all residuals of the modes, (n, m, k, n_noise), and each one's weight (k,)."""
     parts, shares = [], []
     for term in terms:
         q, V = len(term.labels([""])), term.spread.variance(noise)

@@ -1,9 +1,9 @@
-"""Errors of the modes themselves: relative errors of the frequencies, and of the components of the shapes.
+"""Errors of the modes themselves: relative errors of the frequencies, and errors of the components of the shapes.
 
 The frequency of mode i has the relative error σ (√ρ w + √(1 − ρ) z_i) with standard normal w and z_i. The part
 √ρ w is common to all modes, so that the errors of two modes have the correlation ρ. The shape of mode i, whose
-largest component is 1, has the errors σ_s L z at the sensors. LLᵀ has the correlations exp(−d/ℓ) of sensors at a
-distance d that measure in the same direction; others are independent.
+largest component is 1, has the errors σ_s L z at the sensors. LLᵀ has the correlations exp(−d/ℓ) between sensors
+at a distance d that measure in the same direction; all other sensors are independent.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class ModeErrors:
 
     @property
     def n_own(self) -> int:
-        """Number of errors of each mode that are its own."""
+        """Number of errors of each mode that are not common to all modes."""
         return (self.sd is not None) + (0 if self.shape_sd is None else len(self.root))
 
     @property
@@ -87,7 +87,7 @@ class ModeErrors:
     def units(
         self, terms: Sequence[ErrorTerm], seen: ModalPrediction, noise: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals (n, n_modes, k, n_own) and (n, n_modes, k, n_common) due to errors of 1."""
+        """Return the residuals (n, n_modes, k, n_own) and (n, n_modes, k, n_common) due to unit errors."""
         own, common = [], []
         for term in terms:
             V = term.spread.variance(noise)
@@ -110,11 +110,11 @@ class ModeErrors:
     def change_of_units(
         self, terms: Sequence[ErrorTerm], seen: ModalPrediction, noise: FloatArray, by_own: FloatArray
     ) -> FloatArray:
-        """Return the change of a function of the own `units` with the parameters, (n, n_modes, n_parameters).
+        """Return the derivatives of a function of the own `units`, (n, n_modes, n_parameters).
 
-        Of shapes the units are U = C − ψψᵀC/ψᵀψ, with ψ = φ/σ and a C that does not depend on θ. With the
-        derivatives `by_own` G of the function by them, (n, n_modes, k, n_own), its derivatives by ψ are
-        −(G Cᵀψ + C Gᵀψ)/ψᵀψ + 2 ψ (ψᵀG Cᵀψ)/(ψᵀψ)².
+        For shapes the units are U = C − ψψᵀC/ψᵀψ, with ψ = φ/σ and a C that does not depend on θ. Let G be the
+        derivatives `by_own` of the function with respect to the units, (n, n_modes, k, n_own). Its derivatives
+        with respect to ψ are then −(G Cᵀψ + C Gᵀψ)/ψᵀψ + 2 ψ (ψᵀG Cᵀψ)/(ψᵀψ)².
         """
         found = np.zeros((*by_own.shape[:2], np.asarray(seen.frequency_slopes).shape[-1]))
         for term, by in zip(terms, split_by_term(terms, by_own), strict=True):
@@ -142,7 +142,7 @@ class ModeErrors:
         -------
         own, common : ndarray, shapes (n, n_own) and (n, n_common)
         by_own, by_common : ndarray, shapes (n, n_noise, n_own) and (n, n_noise, n_common)
-            Derivatives by the inferred standard deviations.
+            Derivatives with respect to the inferred standard deviations.
         """
         own, common = np.empty((len(noise), self.n_own)), np.empty((len(noise), self.n_common))
         by_own, by_common = (np.zeros((*noise.shape, k)) for k in (self.n_own, self.n_common))
@@ -164,7 +164,7 @@ class ModeErrors:
         return own, common, by_own, by_common
 
     def in_hz(self, measured: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the frequency's error, (n_modes, n_own) and (n_modes, n_common) in Hz, due to errors of 1."""
+        """Return the error of each frequency due to unit errors, (n_modes, n_own) and (n_modes, n_common), Hz."""
         own = np.zeros((len(measured), self.n_own))
         if self.sd is not None:
             own[:, 0] = measured
@@ -181,7 +181,7 @@ class ModeErrors:
 
 
 def _distances(sensors: Sequence[Dof], structure: SeparableModel | None) -> FloatArray:
-    """Return the distances of sensors in m; infinite between directions, and without coordinates."""
+    """Return the distances between sensors in m; infinite for different directions, or without coordinates."""
     q = len(sensors)
     found = np.where(np.eye(q) > 0.0, 0.0, np.inf)
     geometry = None if structure is None else structure.geometry

@@ -200,7 +200,7 @@ class FRFLikelihood(Likelihood):
         return np.concatenate([terms, *found], axis=1)
 
     def terms_and_gradient(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the log-likelihood of each used mode and each test's FRFs, and the gradients; see `Likelihood`."""
+        """Return the log-likelihood of each used mode and of each test's FRFs, with the gradients."""
         values, slopes = [], []
         N = self.n_structural + len(self.noise)
         if not self._has_no_terms_of_modes:
