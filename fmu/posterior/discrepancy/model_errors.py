@@ -141,7 +141,7 @@ class ModelErrors:
     def change_of_units(
         self, terms: Sequence[ErrorTerm], seen: ModalPrediction, noise: FloatArray, by_own: FloatArray
     ) -> FloatArray:
-        """Return the derivatives with respect to the parameters through the `ModeErrors.units` of errors of modes."""
+        """Return the derivatives with respect to parameters through the units of errors of modes."""
         cuts = np.cumsum([one.n_own for one in self.modes])[:-1]
         parts = np.split(by_own, cuts, axis=3)
         found = [one.change_of_units(terms, seen, noise, of) for one, of in zip(self.modes, parts, strict=False)]

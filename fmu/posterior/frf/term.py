@@ -39,8 +39,7 @@ class FRFTerm:
     model : FRFModel
     channels : Channels
     inferred : tuple of Parameter
-        The inferred parameters of the damping and of the channels, and the relative error of the model if it is
-        inferred.
+        Inferred parameters of the damping and the channels, and an inferred relative error of the model.
     n_data : int
         Number of measured real numbers that are used.
 
@@ -50,10 +49,9 @@ class FRFTerm:
         Whether these are errors of log H.
     model_sd : float or None
         The relative error σ of the model; None if it is inferred.
-    settings : dict
-        The result of `as_dict`.
-    of_test : str
-        Prefix of the names of FRFs: the name of the test and a colon; empty for a single test.
+    settings, of_test : dict and str
+        The result of `as_dict`, and the prefix of the names of FRFs: the test and a colon, or nothing for one
+        test.
     """
 
     has_discrepancy = False  # errors of the modes
